@@ -1,0 +1,65 @@
+# make demo | test | lint: each builds .venv first when it is missing or its requirements changed.
+# Needs Python 3.11-3.13 and make, nothing else.  PYTHON=/path/to/python chooses the interpreter.
+
+.SHELLFLAGS := -ec
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+WORKERS ?= 2
+OUT ?= out/demo
+
+# The first interpreter that really runs (version managers leave shims that do not), is in range and can make a venv.
+CANDIDATES := python3.11 python3.12 python3.13 python3
+PYTHON ?=
+
+.PHONY: help demo test test-slow lint format install clean
+
+help:
+	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
+	@echo "make test       the test suite without the slow tests (WORKERS=$(WORKERS) processes)"
+	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims"
+	@echo "make lint       ruff (rules and format) and mypy"
+	@echo "make format     rewrite the code as ruff wants it"
+	@echo "make clean      remove .venv, caches and build products"
+
+install: $(STAMP)
+
+$(STAMP): constraints.txt pyproject.toml
+	@chosen=""; \
+	for python in $(or $(PYTHON),$(CANDIDATES)); do \
+	  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' >/dev/null 2>&1; \
+	  then chosen="$$python"; break; fi; \
+	done; \
+	if [ -z "$$chosen" ]; then \
+	  echo "error: no working Python 3.11-3.13 with venv among: $(or $(PYTHON),$(CANDIDATES)); set PYTHON=" >&2; exit 1; \
+	fi; \
+	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
+	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \
+	fi
+	@echo "installing into $(VENV) (a minute or two)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: $(STAMP)
+	$(BIN)/vssm-gym demo --out $(OUT)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS)
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow -n $(WORKERS)
+
+lint: $(STAMP)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

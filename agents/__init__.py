@@ -1,0 +1,1 @@
+"""Agents: one agent, one file; `base` is the protocol they share."""

@@ -1,0 +1,86 @@
+"""The protocol of an agent: ``reset(context, observation, seed)``, then ``act(observation) -> Decision`` once a step.
+
+An agent sees its observations, remembers its own commands, and is told a static :class:`AgentContext`. It holds no
+reference to the environment and never receives ``info``, so that no ground truth can reach it (DESIGN, Environments).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+
+from vssm_gym.voxel_map import VoxelMap
+
+Observation: TypeAlias = Mapping[str, np.ndarray]
+
+STOP_COMMAND = (0.0, 0.0, 0.0)  # the motion part of a stop: the robot stays where it is
+
+
+@dataclass(frozen=True)
+class AgentContext:
+    """What a robot may know before it starts (SPEC 6: its start pose and a map, then RGB-D only).
+
+    Attributes:
+        K: ``(3, 3)`` intrinsic matrix, pixels.
+        camera: image ``(width, height)``, pixels.
+        T_body_cam: ``(4, 4)`` pose of the camera in the body frame, metres.
+        limits: ``(3,)`` largest turn (rad), direction offset (rad) and step (m) of one command.
+        dt: seconds a step.
+        map: the learned map; None where the agent asked for none.
+        start_pose: ``(3,)`` x (m), y (m), heading (rad) in the map frame.
+        body_length: diameter of the robot's footprint, metres.
+        success_radius: a stop within this distance of the goal succeeds, metres.
+        noise: standard deviations of the execution noise: turn (rad), step (m).
+    """
+
+    K: np.ndarray
+    camera: tuple[int, int]
+    T_body_cam: np.ndarray
+    limits: np.ndarray
+    dt: float
+    map: VoxelMap | None
+    start_pose: np.ndarray
+    body_length: float
+    success_radius: float
+    noise: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One action and what the agent believed when it chose it.
+
+    Attributes:
+        action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task.
+        pose: ``(3,)`` estimate ``(x, y, heading)`` in the map frame; None for an agent that keeps none.
+        status: one readable line on the agent's state; reports print it where a run fails.
+        latency: seconds by stage: "tracking", "planning", "control".
+        plan: ``(n, 2)`` waypoints still to be driven, world frame, metres; None without a plan.
+    """
+
+    action: np.ndarray
+    pose: np.ndarray | None
+    status: str
+    latency: dict[str, float] = field(default_factory=dict)
+    plan: np.ndarray | None = None
+
+
+@runtime_checkable
+class Agent(Protocol):
+    """An agent; `reset` opens an episode, `act` answers the newest observation.
+
+    The observation given to `reset` is given to the first `act` again. A goal that changes between two calls of `act`
+    is a new task that starts where the robot stands (chained tasks).
+    """
+
+    name: str
+    needs_pose: bool  # whether it reads observation["pose"]: oracles only
+    needs_map: bool  # whether context.map must be there
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Forget the last episode; all randomness of the next one follows from ``seed``."""
+        ...
+
+    def act(self, observation: Observation) -> Decision:
+        """The action for this observation, always within the context's limits."""
+        ...

@@ -1,0 +1,1 @@
+"""Evaluation: metrics, sweeps, aggregation, reports and benchmarks."""

@@ -1,0 +1,206 @@
+"""A sweep's configuration: lists multiply into episodes, and every name is checked before anything runs (DESIGN)."""
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import gymnasium as gym
+import yaml
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from vssm_gym.errors import InputError
+
+T = TypeVar("T")
+ROBOTS = ("holonomic",)
+RENDERERS = ("raycast",)
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+
+
+def _distinct(values: tuple[T, ...]) -> tuple[T, ...]:
+    if len(set(values)) != len(values):
+        raise ValueError(f"values that differ from each other, found {list(values)}")
+    return values
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_as_tuple), AfterValidator(_distinct), Field(min_length=1)]
+Seeds = Annotated[
+    tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(_as_tuple), AfterValidator(_distinct), Field(min_length=1)
+]
+
+
+def _task_ids(value: Any) -> Any:
+    """``100`` is the first hundred test tasks, ``"20-39"`` those with these numbers (both included), a list itself."""
+    if isinstance(value, bool):
+        raise ValueError("a number of tasks, a range like 20-39 or a list of task numbers")
+    if isinstance(value, int):
+        return tuple(range(value))
+    if isinstance(value, str):
+        first, dash, last = value.partition("-")
+        if not (dash and first.strip().isdigit() and last.strip().isdigit()):
+            raise ValueError(f"a number of tasks, a range like 20-39 or a list of task numbers, found {value!r}")
+        return tuple(range(int(first), int(last) + 1))
+    return _as_tuple(value)
+
+
+class SweepConfig(BaseModel):
+    """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
+
+    ``scenes`` are built-in names or paths of scene files; a relative path starts at the folder of the YAML file.
+    ``voxel`` (m) is the cell size of the maps that agents are given.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
+
+    env: Names = ("vssm_gym/PointNav-v0",)
+    scenes: Names
+    agents: Names
+    robot: Names = ("holonomic",)
+    noise: Names = ("low",)
+    sensor_noise: Names = ("none",)
+    renderer: Names = ("raycast",)
+    tasks: Annotated[Seeds, BeforeValidator(_task_ids)]
+    seeds: Seeds = (0,)
+    voxel: Annotated[float, Field(gt=0.0, le=0.5)] = 0.05
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What all episodes of one simulated world share."""
+
+    env: str
+    scene: str  # as the configuration names it
+    robot: str
+    noise: str
+    sensor_noise: str
+    renderer: str
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One run of one agent at one task of one world."""
+
+    condition: Condition
+    task: int
+    seed: int  # of the sweep's list; `episode_seed` mixes it with scene and task
+    agent: str
+
+    def identity(self, scene_hash: str) -> dict[str, Any]:
+        """The fields of a row that say which episode it is, scenes by their short name and content."""
+        c = self.condition
+        return {
+            "env": c.env,
+            "scene": scene_name(c.scene),
+            "scene_hash": scene_hash,
+            "robot": c.robot,
+            "noise": c.noise,
+            "sensor_noise": c.sensor_noise,
+            "renderer": c.renderer,
+            "task": self.task,
+            "seed": self.seed,
+            "agent": self.agent,
+        }
+
+
+def scene_name(scene: str) -> str:
+    """What rows and files call a scene: a built-in name as it is, a file by its stem."""
+    return Path(scene).stem
+
+
+def expand(config: SweepConfig) -> Iterator[Episode]:
+    """Every episode once; world by world, then task by task, so that a worker keeps its scene and map.
+
+    Agents vary fastest: a sweep that is stopped early still has the same tasks for every agent.
+    """
+    worlds = itertools.product(
+        config.scenes, config.env, config.robot, config.noise, config.sensor_noise, config.renderer
+    )
+    for scene, env, robot, noise, sensor_noise, renderer in worlds:
+        condition = Condition(env, scene, robot, noise, sensor_noise, renderer)
+        for task, seed, agent in itertools.product(config.tasks, config.seeds, config.agents):
+            yield Episode(condition, task, seed, agent)
+
+
+def episode_seed(seed: int, scene_hash: str, task: int) -> int:
+    """The seed of the environment's streams, uint32: of (seed, scene, task) and *not* of the agent.
+
+    Agents so meet the same noise stream on the same task, which is what makes their difference a paired one.
+    """
+    text = json.dumps([seed, scene_hash, task])
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def load_config(path: Path) -> SweepConfig:
+    """Read and check a sweep's YAML.
+
+    Raises:
+        InputError: no such file, not YAML, a field that is unknown, missing or malformed, or a name nobody registered.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, "file", f"a readable YAML file ({error})") from error
+    except yaml.YAMLError as error:
+        raise InputError(path, "file", f"valid YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(data, dict):
+        raise InputError(path, "file", f"fields {', '.join(SweepConfig.model_fields)}; found {type(data).__name__}")
+    try:
+        config = SweepConfig.model_validate(data)
+    except ValidationError as error:
+        raise _first_problem(path, error) from error
+    config = config.model_copy(update={"scenes": tuple(_resolve(path, scene) for scene in config.scenes)})
+    check_names(config, path)
+    return config
+
+
+def _first_problem(path: Path, error: ValidationError) -> InputError:
+    problem = error.errors()[0]
+    field = ".".join(str(part) for part in problem["loc"]) or "file"
+    if problem["type"] == "extra_forbidden":
+        return InputError(path, field, f"one of the fields {', '.join(SweepConfig.model_fields)}")
+    if problem["type"] == "missing":
+        return InputError(path, field, "this field")
+    return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))
+
+
+def _resolve(config_path: Path, scene: str) -> str:
+    """A built-in scene's name as it is; a file by its path, relative to the configuration that names it."""
+    from vssm_gym.envs.scene import built_in_scenes
+
+    return scene if scene in built_in_scenes() else str((config_path.parent / scene).resolve())
+
+
+def check_names(config: SweepConfig, source: object) -> None:
+    """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
+    # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
+    from vssm_gym.agents.registry import AGENTS
+    from vssm_gym.envs.robots import NOISE_LEVELS
+    from vssm_gym.envs.scene import built_in_scenes
+
+    environments = sorted(name for name in gym.registry if name.startswith("vssm_gym/"))
+    known: list[tuple[str, Sequence[str], Sequence[str]]] = [
+        ("env", config.env, environments),
+        ("agents", config.agents, sorted(AGENTS)),
+        ("robot", config.robot, ROBOTS),
+        ("noise", config.noise, list(NOISE_LEVELS)),
+        ("renderer", config.renderer, RENDERERS),
+    ]
+    for field, chosen, available in known:
+        for name in chosen:
+            if name not in available:
+                raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}")
+    if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
+        raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
+    for scene in config.scenes:
+        if scene not in built_in_scenes() and not Path(scene).is_file():
+            raise InputError(
+                source,
+                "scenes",
+                f"a built-in scene ({', '.join(built_in_scenes())}) or an existing file; found {scene!r}",
+            )

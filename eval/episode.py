@@ -1,0 +1,170 @@
+"""One episode of one agent: the loop that hands observations to the agent, and the truth to nobody but the metrics."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.agents.base import Agent, AgentContext, Decision
+from vssm_gym.envs.tasks import Task, TaskSampler
+from vssm_gym.eval.failure import failure_reason
+from vssm_gym.eval.metrics import episode_metrics
+from vssm_gym.voxel_map import VoxelMap
+
+TRACE_POINTS = 80  # of a path kept in a row, enough for a picture
+TRACE_CONTACTS = 30
+
+
+def agent_context(
+    env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None, noise: tuple[float, float]
+) -> AgentContext:
+    """What an agent is told before it starts: body, camera, start pose and learned map; nothing of the scene.
+
+    Args:
+        env: a PointNav environment that was just reset.
+        info: what that reset returned.
+        voxel_map: the learned map, None for an agent that needs none.
+        noise: standard deviations of the execution noise, rad and m.
+    """
+    world = env.unwrapped
+    robot, camera = world.robot, world.camera  # type: ignore[attr-defined]
+    return AgentContext(
+        K=np.array(info["K"]),
+        camera=(camera.width, camera.height),
+        T_body_cam=robot.T_body_cam,
+        limits=robot.limits,
+        dt=robot.dt,
+        map=voxel_map,
+        start_pose=np.array(info["start_pose"]),
+        body_length=robot.body_length,
+        success_radius=world.success_radius,  # type: ignore[attr-defined]
+        noise=noise,
+    )
+
+
+def run_episode(
+    env: gym.Env,
+    sampler: TaskSampler,
+    agent: Agent,
+    task: Task,
+    *,
+    seed: int,
+    voxel_map: VoxelMap | None,
+    noise: tuple[float, float],
+) -> dict[str, Any]:
+    """Run ``agent`` on ``task`` until it stops or time is out.
+
+    Args:
+        env: PointNav with its time limit; the pose is observed if and only if the agent needs it.
+        sampler: of the environment's scene, for the way that is left at the end.
+        agent: any agent of the registry; it is reset here.
+        task: start and goal.
+        seed: of the environment's streams and, mixed, of the agent; the same for every agent.
+        voxel_map: the learned map, None for an agent that needs none.
+        noise: standard deviations of the execution noise that the agent is told, rad and m.
+
+    Returns:
+        The metrics of :func:`episode_metrics`, ``failure`` (None on success), the agent's last ``status``, latency
+        percentiles by stage in seconds, and the downsampled ``trace``: plain JSON values.
+    """
+    observation, info = env.reset(seed=seed, options={"task": task})
+    context = agent_context(env, info, voxel_map, noise)
+    agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
+
+    positions, contacts = [info["T_world_cam"][:2, 3]], []  # the camera sits on the robot's axis
+    decisions: list[Decision] = []
+    seconds: list[float] = []
+    ended = False
+    while not ended:
+        began = time.perf_counter()
+        decision = agent.act(observation)
+        seconds.append(time.perf_counter() - began)
+        observation, _, stopped, truncated, info = env.step(decision.action)
+        ended = stopped or truncated
+        decisions.append(decision)
+        positions.append(info["T_world_cam"][:2, 3])
+        contacts.append(bool(info["collision"]))
+
+    path, goal, contact = np.array(positions), np.array(task.goal), np.array(contacts)
+    estimates = _estimates(decisions, stopped)
+    success = bool(info.get("success", False))
+    metrics = episode_metrics(
+        success=success,
+        geodesic=task.geodesic,
+        remaining=0.0 if success else _remaining(sampler, path[-1], goal, context.success_radius),
+        positions=path,
+        goal=goal,
+        contacts=contact,
+        estimates=estimates,
+    )
+    failure = failure_reason(
+        stopped=stopped,
+        statuses=[decision.status for decision in decisions],
+        positions=path,
+        estimates=estimates,
+        goal=goal,
+        contacts=contact,
+        body_length=context.body_length,
+    )
+    return {
+        **metrics,
+        "failure": None if success else failure,
+        "status": decisions[-1].status,
+        "latency": _latency(decisions, seconds),
+        "end_on": env.unwrapped.end_on,  # type: ignore[attr-defined]
+        "tracer": env.unwrapped.renderer_name,  # type: ignore[attr-defined]
+        "success_radius": context.success_radius,
+        "goal": [float(v) for v in goal],
+        "trace": _trace(path, estimates, contact),
+    }
+
+
+def _estimates(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
+    """The agent's positions at reset and after every step; None if it never gave one.
+
+    A decision's estimate is of the time before its action. After the last action the agent is not asked again: a stop
+    moves nothing, so its estimate stays; after a time-out it is unknown.
+    """
+    if all(decision.pose is None for decision in decisions):
+        return None
+    unknown = np.full(2, np.nan)
+    known = [unknown if decision.pose is None else np.asarray(decision.pose, float)[:2] for decision in decisions]
+    return np.array([*known, known[-1] if stopped else unknown])
+
+
+def _remaining(sampler: TaskSampler, position: np.ndarray, goal: np.ndarray, success_radius: float) -> float:
+    """Metres of way from a true position to the success region; contacts may leave the robot a hair inside a wall."""
+    return sampler.geodesics.length(sampler.space.nearest(position), goal, success_radius)
+
+
+def _latency(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[str, dict[str, float]]:
+    """50 % and 95 % points of every stage that the agent reports, and of the whole decision, seconds."""
+    stages = {stage: [d.latency[stage] for d in decisions if stage in d.latency] for stage in decisions[0].latency}
+    return {
+        stage: {"p50": round(float(np.quantile(values, 0.5)), 6), "p95": round(float(np.quantile(values, 0.95)), 6)}
+        for stage, values in {**stages, "total": list(seconds)}.items()
+    }
+
+
+def _trace(
+    positions: np.ndarray, estimates: np.ndarray | None, contacts: np.ndarray
+) -> dict[str, list[list[float]] | None]:
+    """True and estimated path at the same few times, and some of the places of contact, to the millimetre."""
+    known = np.arange(len(positions))
+    if estimates is not None:
+        known = known[np.isfinite(estimates).all(axis=1)]
+    touched = positions[1:][contacts]
+    return {
+        "true": _thinned(positions[known], TRACE_POINTS),
+        "estimate": None if estimates is None else _thinned(estimates[known], TRACE_POINTS),
+        "contacts": _thinned(touched, TRACE_CONTACTS),
+    }
+
+
+def _thinned(points: np.ndarray, limit: int) -> list[list[float]]:
+    """At most ``limit`` of the points, first and last among them."""
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(limit, len(points))).round().astype(int))
+    return points[chosen].round(3).tolist()

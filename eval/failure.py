@@ -1,0 +1,73 @@
+"""Why an episode failed, in one line: what the truth shows, and what the agent said (``kind: detail``)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+STUCK_STEPS = 15  # the last steps that are judged
+STUCK_CONTACTS = 0.5  # share of them that touched something
+CONTACT_MEMORY = 10  # steps before an error grew in which a contact may explain it
+
+
+def failure_reason(
+    *,
+    stopped: bool,
+    statuses: Sequence[str],
+    positions: Float[np.ndarray, "time 2"],
+    estimates: Float[np.ndarray, "time 2"] | None,
+    goal: Float[np.ndarray, "2"],
+    contacts: Bool[np.ndarray, "steps"],
+    body_length: float,
+) -> str:
+    """The first of these that holds for a failed episode; what stands before the colon is the kind it is counted by.
+
+    - ``lost track``: at the end the estimate is more than a body length off the truth;
+    - ``planner``: the agent gave up because its planner found no path;
+    - ``collision``: stuck, within one body length and mostly in contact over the last steps;
+    - ``stopped outside``: the agent stopped, knowing where it was, and the goal was not there;
+    - ``time out``: none of these before the last step.
+
+    Args:
+        stopped: whether the agent ended the episode itself.
+        statuses: what the agent said at each of its decisions.
+        positions: true positions at reset and after every step, m.
+        estimates: the agent's positions at the same times, NaN where it gave none; None if it keeps none.
+        goal: the goal's xy, m.
+        contacts: for each step whether the robot touched something.
+        body_length: m.
+    """
+    lost = _lost_track(positions, estimates, contacts, body_length)
+    if lost:
+        reported = any("lost" in status for status in statuses)
+        return f"lost track: {lost}; the tracker {'reported it' if reported else 'did not report it'}"
+    last = statuses[-1]
+    if "no path" in last:
+        return f"planner: {last}"
+    tail = positions[-STUCK_STEPS:]
+    spread = float(np.linalg.norm(tail - tail[-1], axis=1).max())
+    away = float(np.linalg.norm(positions[-1] - goal))
+    if not stopped and spread < body_length and np.mean(contacts[-STUCK_STEPS:]) >= STUCK_CONTACTS:
+        return f"collision: stuck, {spread:.2f} m in the last {len(tail)} steps, {away:.2f} m from the goal"
+    if stopped:
+        return f"stopped outside: {away:.2f} m from the goal"
+    return f"time out: {away:.2f} m from the goal after {len(positions) - 1} steps"
+
+
+def _lost_track(
+    positions: np.ndarray, estimates: np.ndarray | None, contacts: np.ndarray, body_length: float
+) -> str | None:
+    """Since when and how far the estimate is off at the end; None where it is not, or where there is none."""
+    if estimates is None:
+        return None
+    error = np.linalg.norm(estimates - positions, axis=1)
+    known = np.flatnonzero(np.isfinite(error))
+    if not len(known) or error[known[-1]] <= body_length:
+        return None
+    good = known[error[known] <= body_length]
+    since = int(good[-1]) + 1 if len(good) else 0
+    touched = bool(np.any(contacts[max(0, since - CONTACT_MEMORY) : since]))
+    return (
+        f"{error[known[-1]]:.2f} m off at the end, more than {body_length:g} m since step {since}"
+        f"{', after a contact' if touched else ''}"
+    )

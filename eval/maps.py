@@ -1,0 +1,112 @@
+"""Maps that agents are given: closed-form updates over a recording at its known poses (SPEC 4, off-line map)."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.camera import Camera
+from vssm_gym.data.recording import read_provenance, record
+from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
+from vssm_gym.envs.scene import load_scene
+from vssm_gym.errors import InputError
+from vssm_gym.inference.map_update import MapUpdateConfig, update
+from vssm_gym.voxel_map import VoxelMap, read_metadata
+
+Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+MARGIN = 0.25  # m around the farthest points seen: the truncation band and the next frames' noise
+LOOKED_AT = 200  # frames that the bounds are taken from
+MAX_CELLS = 40_000_000  # 25 bytes each
+
+
+def build_map(sequence: Sequence, voxel: float, progress: Progress | None = None) -> VoxelMap:
+    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence with ground-truth poses.
+
+    The grid spans what the depth images show, not what anybody knows of the scene.
+
+    Args:
+        sequence: with ``groundtruth.txt``.
+        voxel: cell size, m.
+        progress: told after every frame.
+
+    Raises:
+        InputError: no ground truth, no depth at all, or a space too large for cells of this size.
+    """
+    reader, poses = FrameReader(sequence), sequence.true_poses()
+    config = MapUpdateConfig()
+    low, high = _bounds(reader, poses, config)
+    shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
+    if np.prod(shape) > MAX_CELLS:
+        raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
+    voxel_map = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
+    for i, T_world_cam in enumerate(poses):
+        rgb, depth = reader[i]
+        voxel_map = update(
+            voxel_map,
+            jnp.asarray(depth),
+            jnp.asarray(rgb, jnp.float32) / 255.0,
+            jnp.asarray(T_world_cam, jnp.float32),
+            reader.camera,
+            config,
+        )
+        if progress:
+            progress("map", i + 1, len(poses))
+    return voxel_map
+
+
+def _bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the back-projected depths of frames spread over the sequence, with a margin."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    rays = _rays(reader.camera)
+    for i in range(0, len(poses), max(1, len(poses) // LOOKED_AT)):
+        depth = reader[i][1]
+        seen = (depth > config.min_depth) & (depth <= config.max_depth)
+        if seen.any():
+            p_world = (rays[seen] * depth[seen][:, None]) @ poses[i, :3, :3].T + poses[i, :3, 3]
+            low, high = np.minimum(low, p_world.min(axis=0)), np.maximum(high, p_world.max(axis=0))
+    if not np.isfinite(low).all():
+        raise InputError(reader.sequence.root, "depth", "readings; every pixel that was looked at has none")
+    return low - MARGIN, high + MARGIN
+
+
+def _rays(camera: Camera) -> np.ndarray:
+    """``K^-1 [i, j, 1]``, float64 ``(height, width, 3)``."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    homogeneous = np.stack([u, v, np.ones_like(u)], axis=-1)
+    return homogeneous @ np.linalg.inv(camera.K).T
+
+
+def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: Progress | None = None) -> Path:
+    """The learned map of a scene under ``folder``: ``maps/NAME.npz``, from the drive in ``recordings/NAME``.
+
+    Both are kept; what is there already is used again if it is of the same scene, cell size and seed, else made anew.
+
+    Args:
+        scene: built-in name or path of a scene file.
+        folder: of a sweep.
+        voxel: cell size, m.
+        seed: of the recorded drive.
+        progress: told after every frame recorded and every frame mapped.
+    """
+    apartment = load_scene(scene)
+    name = Path(scene).stem
+    origin: dict[str, str | int] = {"scene_hash": apartment.content_hash(), "seed": seed}
+    map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
+    if map_file.is_file() and _agrees(read_metadata(map_file), origin | {"voxel": voxel}):
+        return map_file
+    if recording.exists() and not _agrees(read_provenance(recording), origin):
+        shutil.rmtree(recording)
+    if not recording.exists():
+        recording.parent.mkdir(parents=True, exist_ok=True)
+        record(scene, recording, seed=seed, progress=progress)
+    voxel_map = build_map(load_sequence(recording), voxel, progress)
+    map_file.parent.mkdir(parents=True, exist_ok=True)
+    voxel_map.save(map_file, **origin, voxel=voxel)
+    return map_file
+
+
+def _agrees(found: dict, wanted: dict) -> bool:
+    return all(found.get(key) == value for key, value in wanted.items())

@@ -1,0 +1,174 @@
+"""``report DIR``: one self-contained HTML page from a sweep's rows: headline, failures first, tables, curves, runs."""
+
+import json
+import os
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval import report_figures as figures
+from vssm_gym.eval import report_tables as tables
+from vssm_gym.eval.aggregate import Row, group_rows
+from vssm_gym.eval.rows import FILE, read_rows
+from vssm_gym.viz import pictures
+from vssm_gym.voxel_map import VoxelMap
+
+MANIFEST = "sweep.json"
+FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
+
+STYLE = """
+body{font:15px/1.45 system-ui,sans-serif;color:#1d2126;max-width:1240px;margin:24px auto;padding:0 20px}
+h1{font-size:26px;margin:0 0 4px}h2{margin:34px 0 8px;font-size:20px;border-bottom:1px solid #d5d9de}
+table{border-collapse:collapse;font-size:13px;margin:8px 0}th,td{padding:3px 10px;text-align:left;white-space:nowrap}
+th{border-bottom:2px solid #9aa3ad;font-weight:600}tr:nth-child(even) td{background:#f4f6f8}
+.n{text-align:right;font-variant-numeric:tabular-nums}.wide{overflow-x:auto}
+.runs{display:grid;grid-template-columns:repeat(auto-fill,minmax(280px,1fr));gap:12px}
+figure{margin:0;border:1px solid #d5d9de;border-radius:6px;padding:6px}figure img{width:100%}
+figcaption{font-size:12.5px}.bad{color:#a3203a;font-weight:600}.good{color:#0b6e4f;font-weight:600}
+p.note{color:#56606b;font-size:13px;max-width:80ch}img{max-width:100%}code{background:#f0f2f4;padding:0 4px}
+"""
+
+
+def write_report(folder: Path) -> Path:
+    """Write ``folder/report.html`` from ``episodes.jsonl``, ``sweep.json`` and ``maps/``; returns its path.
+
+    The page needs no other file and no network. It appears whole or not at all.
+
+    Raises:
+        InputError: the folder holds no sweep, or no episode of it has ended.
+    """
+    manifest = read_manifest(folder / MANIFEST)
+    rows = _in_config_order(read_rows(folder / FILE), manifest["config"])
+    if not rows:
+        raise InputError(folder / FILE, "file", "at least one finished episode")
+    page = _page(rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows})
+    target = folder / "report.html"
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    temporary.write_text(page, encoding="utf-8")
+    os.replace(temporary, target)
+    return target
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What a sweep wrote about itself: ``config``, ``config_hash``, ``version``, ``seed``, ``episodes``."""
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        missing = {"config", "config_hash", "version", "seed", "episodes"} - manifest.keys()
+    except FileNotFoundError as error:
+        raise InputError(path, "file", "a sweep's folder; `vssm-gym sweep CONFIG --out DIR` makes one") from error
+    except (ValueError, AttributeError) as error:
+        raise InputError(path, "file", f"the JSON that a sweep wrote ({error})") from error
+    if missing:
+        raise InputError(path, min(missing), "this field")
+    return manifest
+
+
+def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows as if one worker had run them in order: agents as the configuration lists them, then tasks and seeds."""
+    agents = {name: i for i, name in enumerate(config["agents"])}
+    noises = {name: i for i, name in enumerate(config["noise"])}
+    return sorted(
+        rows,
+        key=lambda row: (row["scene"], noises[row["noise"]], agents[row["agent"]], row["task"], row["seed"]),
+    )
+
+
+def _page(rows: Sequence[Row], manifest: dict[str, Any], maps: dict[str, Path]) -> str:
+    backgrounds = {scene: pictures.topdown(VoxelMap.load(path)) for scene, path in maps.items() if path.is_file()}
+    reference = tables.reference_agent(rows)
+    sections = [
+        _header(rows, manifest),
+        _failures(rows, backgrounds),
+        "<h2>Results</h2>",
+        "<p class=note>Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
+        "Location error is measured by the harness against the simulator's pose, at every step.</p>",
+        f"<div class=wide>{tables.results(rows)}</div>",
+    ]
+    if reference:
+        sections += [
+            f"<h2>Paired differences to {escape(reference)}</h2>",
+            "<p class=note>Same task, same seed, same noise stream; an interval that leaves out 0 is a difference.</p>",
+            f"<div class=wide>{tables.differences(rows, reference)}</div>",
+        ]
+    sections.append("<h2>Curves</h2>")
+    for group, members in group_rows(rows, tables.grouping(rows)[:-1]).items():
+        image = pictures.data_url(figures.curves(members), "image/svg+xml")
+        sections.append(f"<h3>{escape(' · '.join(group))}</h3><img src='{image}' alt='curves of {escape(group[0])}'>")
+    sections += [
+        "<h2>Latency of a step</h2>",
+        "<p class=note>Wall-clock times inside a worker that shares this machine with the others.</p>",
+        tables.latencies(rows),
+        "<h2>Successful runs</h2>",
+        _runs(figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds),
+    ]
+    title = f"vssm-gym: {', '.join(dict.fromkeys(row['scene'] for row in rows))}"
+    return (
+        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{escape(title)}</title>"
+        f"<meta name=viewport content='width=device-width'><style>{STYLE}</style></head>"
+        f"<body>{''.join(sections)}</body></html>\n"
+    )
+
+
+def _header(rows: Sequence[Row], manifest: dict[str, Any]) -> str:
+    config = manifest["config"]
+    facts = {
+        "episodes": f"{len(rows)} of {manifest['episodes']}",
+        "configuration": manifest["config_hash"],
+        "version": ", ".join(sorted({row["version"] for row in rows})),
+        "environment": ", ".join(config["env"]),
+        "renderer": ", ".join(config["renderer"]),
+        "robot": ", ".join(config["robot"]),
+        "noise": ", ".join(config["noise"]),
+        "sensor noise": ", ".join(config["sensor_noise"]),
+        "voxel": f"{config['voxel']} m",
+        "ends on": ", ".join(sorted({row["end_on"] for row in rows})),
+        "seeds": ", ".join(str(seed) for seed in config["seeds"]),
+    }
+    line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items())
+    unfinished = len(rows) < manifest["episodes"]
+    warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
+    headline = tables.results(rows, ("spl", "success"))
+    raw = escape(json.dumps(config, indent=1))
+    return (
+        f"<h1>{escape(', '.join(dict.fromkeys(row['scene'] for row in rows)))}: {', '.join(config['agents'])}</h1>"
+        f"<p class=note>{line}</p>{warning}{headline}"
+        f"<details><summary>configuration</summary><pre>{raw}</pre></details>"
+    )
+
+
+def _failures(rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
+    failed = [row for row in rows if row["failure"]]
+    if not failed:
+        return "<h2>Failures</h2><p class=good>None: every episode succeeded.</p>"
+    drawn = figures.choose_failures(rows, FAILURES_DRAWN, FAILURES_OF_ONE)
+    key = pictures.data_url(figures.legend(), "image/svg+xml")
+    return (
+        f"<h2>Failures</h2><div class=wide>{tables.failure_counts(rows)}</div>"
+        f"<p class=note>{len(drawn)} of {len(failed)} failed episodes are drawn, agents that fail rarely first, "
+        "on the map that the agents were given (dark: cut at 1.2 m; grey: never seen).</p>"
+        f"<img src='{key}' alt='key'>{_runs(drawn, backgrounds)}"
+        f"<details><summary>all {len(failed)} failures</summary>{tables.failure_list(rows)}</details>"
+    )
+
+
+def _runs(rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
+    if not rows:
+        return "<p class=note>None.</p>"
+    return f"<div class=runs>{''.join(_run(row, backgrounds.get(row['scene'])) for row in rows)}</div>"
+
+
+def _run(row: Row, background: pictures.Background | None) -> str:
+    image = pictures.data_url(figures.run_picture(row, background), "image/png")
+    name = f"{row['agent']} · {row['scene']} · {row['noise']} · task {row['task']} · seed {row['seed']}"
+    outcome = (
+        f"<span class=bad>{escape(row['failure'])}</span>"
+        if row["failure"]
+        else f"<span class=good>success</span>, SPL {row['spl']:.2f}"
+    )
+    numbers = f"{row['steps']} steps, {row['path_length']:.1f} m of {row['geodesic']:.1f} m"
+    return (
+        f"<figure><img src='{image}' alt='{escape(name)}'><figcaption>{escape(name)}<br>{outcome}<br>"
+        f"{numbers}</figcaption></figure>"
+    )

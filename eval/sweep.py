@@ -1,0 +1,184 @@
+"""``sweep CONFIG --out DIR``: every episode of a configuration once, over worker processes, whatever interrupts it.
+
+The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, ``recordings/``, ``maps/`` and
+``episodes.jsonl``. Only this process writes them; a worker that dies takes nothing along but its own episode.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import subprocess
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import vssm_gym
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.tasks import load, save, task_set
+from vssm_gym.errors import InputError
+from vssm_gym.eval import worker
+from vssm_gym.eval.config import Episode, SweepConfig, expand, scene_name
+from vssm_gym.eval.maps import Progress, ensure_map
+from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
+
+MANIFEST = "sweep.json"
+
+
+def run_sweep(
+    config: SweepConfig,
+    out: Path,
+    *,
+    resume: bool = False,
+    workers: int = 2,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Path:
+    """Run what is not yet in ``out/episodes.jsonl``; returns that file.
+
+    Each row is on disk as soon as its episode ends. Ctrl-C lets the episodes that are running end (seconds), keeps them
+    and raises KeyboardInterrupt.
+
+    Args:
+        config: checked by :func:`vssm_gym.eval.config.load_config`.
+        out: new or empty folder, or with ``resume`` that of a sweep of the same configuration and seed.
+        resume: continue; with nothing there yet, begin.
+        workers: processes.
+        seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
+        progress: told ("recording" | "map" | "episodes", done, total).
+
+    Raises:
+        InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
+    """
+    if workers < 1:
+        raise InputError("sweep", "workers", f"at least 1, found {workers}")
+    hashes = {scene: load_scene(scene).content_hash() for scene in config.scenes}
+    episodes = list(expand(config))
+    manifest = _manifest(config, hashes, seed, len(episodes))
+    out.mkdir(parents=True, exist_ok=True)
+    with EpisodeLog(out / FILE) as log:
+        _claim(out, manifest, len(log.rows), resume)
+        done = {episode_key(row) for row in log.rows}
+        todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
+        if todo:
+            jobs = _jobs(config, out, todo, manifest, seed, progress)
+            _run(jobs, log, workers, len(episodes), progress)
+    return out / FILE
+
+
+def package_version() -> str:
+    """The package's version; in a checkout with its commit, and ``-dirty`` where files differ from it."""
+    checkout = Path(__file__).resolve().parents[1]
+    if (checkout / ".git").exists():
+        command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
+        described = subprocess.run(command, capture_output=True, text=True, check=False)
+        if described.returncode == 0:
+            return f"{vssm_gym.__version__}+{described.stdout.strip()}"
+    return vssm_gym.__version__
+
+
+def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
+    """16 hex digits of what decides the results: configuration, scenes (by content, not by path), seed."""
+    content = config.model_dump(mode="json") | {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _manifest(config: SweepConfig, hashes: dict[str, str], seed: int, episodes: int) -> dict[str, Any]:
+    shown = config.model_dump(mode="json") | {"scenes": [scene_name(scene) for scene in config.scenes]}
+    return {
+        "config": shown,
+        "config_hash": config_hash(config, hashes, seed),
+        "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
+        "version": package_version(),
+        "seed": seed,
+        "episodes": episodes,
+    }
+
+
+def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None:
+    """Make ``out`` this sweep's folder, or say why it cannot be."""
+    path = out / MANIFEST
+    if rows and not resume:
+        raise InputError(out, "folder", f"a folder without episodes; it holds {rows} (--resume continues them)")
+    if rows:
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(path, "file", "the JSON that the sweep wrote, which says what its episodes are") from error
+        if found != manifest["config_hash"]:
+            expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
+            raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
+        return
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def _jobs(
+    config: SweepConfig, out: Path, todo: Sequence[Episode], manifest: dict, seed: int, progress: Progress | None
+) -> list[worker.Job]:
+    """Jobs for the episodes, after the tasks and maps that they need were made."""
+    from vssm_gym.agents.registry import AGENTS
+
+    files = {}
+    for scene in dict.fromkeys(episode.condition.scene for episode in todo):
+        mapped = any(AGENTS[e.agent].needs_map for e in todo if e.condition.scene == scene)
+        map_file = ensure_map(scene, out, voxel=config.voxel, seed=seed, progress=progress) if mapped else None
+        files[scene] = (map_file, _task_file(scene, out, max(config.tasks) + 1))
+    return [
+        worker.Job(episode, *files[episode.condition.scene], manifest["config_hash"], package_version())
+        for episode in todo
+    ]
+
+
+def _task_file(scene: str, out: Path, n: int) -> Path:
+    """The first ``n`` test tasks of a scene as a file of the sweep; one that is there is kept."""
+    apartment, path = load_scene(scene), out / "tasks" / f"{scene_name(scene)}.json"
+    if path.is_file() and len(load(path, apartment).tasks) >= n:
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save(task_set(apartment, HolonomicRobot(), "test", n), path)
+    return path
+
+
+def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, progress: Progress | None) -> None:
+    """All jobs over spawned workers; every result is logged as it arrives."""
+    kept: set[Future] = set()
+
+    def keep(future: Future) -> None:
+        log.append(future.result())
+        kept.add(future)
+        report()
+
+    def report() -> None:
+        if progress:
+            progress("episodes", total - len(jobs) + len(kept), total)
+
+    report()
+    context = multiprocessing.get_context("spawn")
+    with worker.single_threaded_children():
+        pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=worker.initialise)
+        futures = {pool.submit(worker.run, job): job for job in jobs}
+        future = next(iter(futures))
+        try:
+            for future in as_completed(futures):
+                keep(future)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=True, cancel_futures=True)
+            for future in futures:
+                if future not in kept and not future.cancelled() and future.exception() is None:
+                    keep(future)
+            raise
+        except BrokenProcessPool as error:
+            expected = "worker processes that live to the end; one was killed, perhaps for want of memory"
+            raise InputError(
+                "sweep", "workers", f"{expected} (the {len(kept)} new episodes are kept: --resume)"
+            ) from error
+        except Exception as error:
+            error.add_note(f"while running {futures[future].episode}; what ended before is kept (--resume)")
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

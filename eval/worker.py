@@ -1,0 +1,152 @@
+"""What one worker process of a sweep does: hold a world, its map and the agents, and run episodes in them.
+
+Workers are spawned, single-threaded (two on two cores then do twice the work, and an episode's floating-point sums do
+not depend on how many workers there are), and keep what is expensive between episodes: nothing is compiled twice.
+"""
+
+import contextlib
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vssm_gym.eval.config import Condition, Episode, episode_seed
+
+if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
+    import gymnasium as gym
+
+    from vssm_gym.agents.base import Agent
+    from vssm_gym.envs.tasks import TaskSampler, TaskSet
+    from vssm_gym.voxel_map import VoxelMap
+
+# NPROC is what XLA's CPU client sizes its thread pool by.
+ONE_THREAD = {
+    "NPROC": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to run, and what a worker cannot know: where map and tasks are, and what to sign the row with."""
+
+    episode: Episode
+    map_file: Path | None  # None where no agent of the sweep needs a map
+    task_file: Path
+    config_hash: str
+    version: str
+
+
+@contextlib.contextmanager
+def single_threaded_children() -> Iterator[None]:
+    """Processes started within inherit variables that keep numerical libraries on one thread; this one is unchanged.
+
+    Libraries read them when they are loaded, long before a pool's initializer could run.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    flags = " ".join(filter(None, [before["XLA_FLAGS"], ONE_THREAD["XLA_FLAGS"]]))
+    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def initialise() -> None:
+    """First call in a worker: Ctrl-C is the parent's to handle, and a parent that dies takes its workers along."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _leave_with(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(1)
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Run one episode; returns its row, ready for the log."""
+    from vssm_gym.agents.registry import AGENTS
+    from vssm_gym.envs.robots import NOISE_LEVELS
+    from vssm_gym.eval.episode import run_episode
+
+    episode, condition = job.episode, job.episode.condition
+    tasks = _tasks(job.task_file)
+    agent = _agent(episode.agent)
+    env = _env(condition, AGENTS[episode.agent].needs_pose)
+    scene_hash = tasks.scene_hash
+    noise = NOISE_LEVELS[condition.noise]
+    result = run_episode(
+        env,
+        _sampler(condition.scene),
+        agent,
+        tasks.tasks[episode.task],
+        seed=episode_seed(episode.seed, scene_hash, episode.task),
+        voxel_map=_map(job.map_file) if job.map_file and AGENTS[episode.agent].needs_map else None,
+        noise=(noise.turn, noise.step),
+    )
+    signature = {"version": job.version, "config_hash": job.config_hash}
+    return episode.identity(scene_hash) | signature | result
+
+
+@cache
+def _agent(name: str) -> "Agent":
+    from vssm_gym.agents.registry import AGENTS
+
+    return AGENTS[name]()
+
+
+@lru_cache(maxsize=2)  # of one condition, with and without the observed pose: episodes come condition by condition
+def _env(condition: Condition, observe_pose: bool) -> "gym.Env":
+    import gymnasium as gym
+
+    return gym.make(
+        condition.env,
+        scene=condition.scene,
+        noise=condition.noise,
+        sensor_noise=condition.sensor_noise,
+        renderer=condition.renderer,
+        observe_pose=observe_pose,
+        reward="sparse",
+        threads=1,
+        disable_env_checker=True,
+    )
+
+
+@lru_cache(maxsize=1)
+def _sampler(scene: str) -> "TaskSampler":
+    from vssm_gym.envs.robots import HolonomicRobot
+    from vssm_gym.envs.scene import load_scene
+    from vssm_gym.envs.tasks import TaskSampler
+
+    return TaskSampler(load_scene(scene), HolonomicRobot())
+
+
+@lru_cache(maxsize=1)
+def _map(path: Path) -> "VoxelMap":
+    from vssm_gym.voxel_map import VoxelMap
+
+    return VoxelMap.load(path)
+
+
+@lru_cache(maxsize=1)
+def _tasks(path: Path) -> "TaskSet":
+    from vssm_gym.envs.tasks import load
+
+    return load(path)

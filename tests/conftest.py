@@ -1,0 +1,48 @@
+"""What every test shares: checked shapes, a compilation cache, bounded threads, repeatable hypothesis, the shared data.
+
+This file runs before any test module, so what it sets in the environment is seen by JAX, numba and by spawned workers.
+The order matters: libraries read the thread counts when they load, and only what is imported after the hook is checked.
+"""
+# ruff: noqa: E402
+
+import os
+import sys
+from pathlib import Path
+
+# Under xdist each worker gets its share of the cores instead of all of them.
+if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
+    share = str(max(1, (os.cpu_count() or 1) // int(workers)))
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
+        os.environ.setdefault(variable, share)
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import pytest
+from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+# Annotated shapes and dtypes of these modules are checked at every call (STYLE 2). Simulation and planning are left
+# out: their inner loops are compiled by numba, which cannot compile a checked function.
+CHECKED = ["geometry", "camera", "empty_space", "voxel_map", "emission", "transition", "inference"]
+
+already_imported = [name for name in CHECKED if f"vssm_gym.{name}" in sys.modules]
+if already_imported:
+    raise RuntimeError(f"imported before the shape checks were installed: {already_imported}")
+install_import_hook([f"vssm_gym.{name}" for name in CHECKED], "beartype.beartype")
+
+from vssm_gym.cli.cache import use_compilation_cache
+
+use_compilation_cache()  # one compilation of a jitted function serves every later run and both xdist workers
+
+settings.register_profile(
+    "vssm_gym", max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("vssm_gym")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real recordings and houses that lies beside the checkout; a test that needs it skips without."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("no shared/data beside the checkout")
+    return folder

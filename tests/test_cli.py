@@ -1,0 +1,265 @@
+"""The command line: quick help, one clear line for bad input, and the commands that are small enough to run here."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from vssm_gym.cli import doctor as doctor_module
+from vssm_gym.cli import main as main_module
+from vssm_gym.cli.cache import cache_folder
+from vssm_gym.cli.doctor import Probe, run_probe
+from vssm_gym.errors import InputError
+
+HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex"]
+
+
+def words(commands: dict, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Every complete command, as its words."""
+    found = []
+    for name, target in commands.items():
+        found += words(target, (*before, name)) if isinstance(target, dict) else [(*before, name)]
+    return found
+
+
+@pytest.fixture
+def vssm(monkeypatch, capsys):
+    """Runs the console script in this process: ``vssm("doctor", "--help") -> (exit code, stdout, stderr)``."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["vssm-gym", *arguments])
+        try:
+            code = main_module.main()
+        except SystemExit as stop:
+            code = stop.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_help_names_every_command(vssm):
+    code, out, _ = vssm("--help")
+    assert code == 0
+    for command in main_module.COMMANDS:
+        assert f" {command} " in out
+
+
+def test_no_arguments_means_help(vssm):
+    assert vssm()[:2] == vssm("--help")[:2]
+
+
+@pytest.mark.parametrize("command", words(main_module.COMMANDS), ids=" ".join)
+def test_every_command_explains_itself(vssm, command):
+    """Its docstring and one for each option: an option that nobody describes shows up as an empty line of help."""
+    code, out, _ = vssm(*command, "--help")
+    assert code == 0
+    assert f"usage: vssm-gym {' '.join(command)}" in " ".join(out.split())
+
+
+def test_help_loads_nothing_heavy():
+    """Quick by what it does not import; a stopwatch would measure the machine."""
+    code = (
+        "import sys\nsys.argv = ['vssm-gym', '--help']\nfrom vssm_gym.cli.main import main\n"
+        f"try:\n    main()\nfinally:\n    print(sorted(set({HEAVY}) & sys.modules.keys()), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize("arguments", [("swep",), ("doctor", "--no-such-option"), ("map",), ("evaluate-trajectory",)])
+def test_wrong_usage_exits_with_2(vssm, arguments):
+    code, _, err = vssm(*arguments)
+    assert code == 2
+    assert "Traceback" not in err
+
+
+def test_bad_input_is_one_line(vssm, monkeypatch):
+    def refuse() -> None:
+        """Refuse."""
+        raise InputError("walk.txt", "line 3", "eight numbers")
+
+    monkeypatch.setattr(doctor_module, "doctor", refuse)
+    assert vssm("doctor") == (2, "", "error: walk.txt: line 3: expected eight numbers\n")
+
+
+def test_bad_input_to_a_grouped_command_is_one_line_too(vssm, tmp_path):
+    code, _, err = vssm("map", "build", str(tmp_path / "nowhere"), "--out", str(tmp_path / "map.npz"))
+    assert code == 2
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert "nowhere" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_of_the_program_itself_keeps_its_traceback(vssm, monkeypatch):
+    """A ValueError that is no InputError is a bug, and must not pass for a wrong option."""
+
+    def broken() -> None:
+        """Break."""
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(doctor_module, "doctor", broken)
+    with pytest.raises(ValueError, match="a bug"):
+        vssm("doctor")
+
+
+def test_ctrl_c_is_one_line_and_130(vssm, monkeypatch):
+    def interrupted() -> None:
+        """Be interrupted."""
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor_module, "doctor", interrupted)
+    code, _, err = vssm("doctor")
+    assert code == 130
+    assert err.startswith("interrupted")
+    assert err.count("\n") == 1
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path):
+    """``vssm-gym doctor | head -1``: the pipe closes while the command still writes."""
+    code = "import sys; sys.argv = ['x', '--help']; from vssm_gym.cli.main import main; sys.exit(main())"
+    quick = "import vssm_gym.cli.doctor as d\nd.doctor = lambda: print('x' * 1000000)\n"
+    program = quick + code.replace("--help", "doctor")
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    process.stdout.read(1)
+    process.stdout.close()
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+
+
+def test_version(vssm):
+    assert vssm("--version")[:2] == (0, f"vssm-gym {__import__('vssm_gym').__version__}\n")
+
+
+def test_the_cache_folder_follows_the_standard(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "vssm_gym"
+
+
+# doctor
+
+
+def test_doctor_reports_and_fails_only_for_what_is_required(vssm, monkeypatch):
+    works = Probe("arithmetic", "print(1 + 1)", "")
+    absent = Probe("a library", "import no_such_library_anywhere", "apt-get install [it]")
+    optional = Probe("a screen", "raise OSError('no display')", "a monitor", required=False)
+
+    monkeypatch.setattr(doctor_module, "PROBES", (works, optional))
+    code, out, _ = vssm("doctor")
+    assert code == 0
+    assert "no display" in out
+    assert "-> a monitor" in out
+
+    monkeypatch.setattr(doctor_module, "PROBES", (works, absent))
+    code, out, _ = vssm("doctor")
+    assert code == 1
+    assert "missing" in out
+    assert "-> apt-get install [it]" in out
+
+
+def test_a_probe_survives_a_crash_and_a_hang(monkeypatch):
+    crash = run_probe(Probe("crash", "import os; os.abort()", ""))
+    assert not crash.ok
+    assert "-6" in crash.detail
+    monkeypatch.setattr(doctor_module, "TIMEOUT", 0.2)
+    hang = run_probe(Probe("hang", "import time; time.sleep(30)", ""))
+    assert not hang.ok
+    assert "no answer" in hang.detail
+
+
+@pytest.mark.parametrize("probe", [p for p in doctor_module.PROBES if "OpenGL" not in p.name], ids=lambda p: p.name)
+def test_the_real_probes_work_where_the_tests_do(probe):
+    finding = run_probe(probe)
+    assert finding.ok, finding.detail
+
+
+# evaluate-trajectory
+
+
+def circle(n: int = 50) -> np.ndarray:
+    """``(n, 4, 4)`` poses on a rising circle of 1 m radius."""
+    angle = np.linspace(0, 2 * np.pi, n)
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, 3] = np.stack([np.cos(angle), np.sin(angle), 0.1 * angle], axis=1)
+    return T
+
+
+def write(path, T: np.ndarray) -> str:
+    lines = [f"{i * 0.1:.6f} {t[0]:.9f} {t[1]:.9f} {t[2]:.9f} 0 0 0 1" for i, t in enumerate(T[:, :3, 3])]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def test_evaluate_trajectory_is_blind_to_the_frame_and_sees_the_scale(vssm, tmp_path):
+    truth = circle()
+    moved = np.array(truth)
+    moved[:, :3, 3] = 0.5 * (truth[:, :3, 3] + [3.0, -2.0, 1.0])
+    est, true = write(tmp_path / "est.txt", moved), write(tmp_path / "true.txt", truth)
+
+    code, out, _ = vssm("evaluate-trajectory", est, true, "--json", str(tmp_path / "rigid.json"))
+    rigid = json.loads((tmp_path / "rigid.json").read_text())
+    assert code == 0
+    assert "alignment SE(3)" in out
+    assert "50 pairs" in out
+    # Half the size about its centre: each position is off by half its distance from the mean position.
+    p = truth[:, :3, 3]
+    expected = np.sqrt(np.mean(np.sum((0.5 * (p - p.mean(axis=0))) ** 2, axis=1)))
+    assert rigid["ate_translation_se3"]["rmse"] == pytest.approx(expected, abs=1e-6)
+    assert f"{expected:.5f}" in out
+
+    code, out, _ = vssm("evaluate-trajectory", est, true, "--scale", "--json", str(tmp_path / "similar.json"))
+    similar = json.loads((tmp_path / "similar.json").read_text())
+    assert "Sim(3) with scale 2.0000" in out
+    assert similar["scale"] == pytest.approx(2.0, abs=1e-6)
+    assert similar["ate_translation_se3"]["rmse"] == pytest.approx(0.0, abs=1e-6)
+    assert similar["rpe_translation_1"]["rmse"] == pytest.approx(0.0, abs=1e-6)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["est.txt", "rigid.json", "similar.json", "true.txt"]
+
+
+@pytest.mark.parametrize(
+    ("name", "truth", "options", "entry"),
+    [
+        ("fr2_desk_ORB", "fr2_desk_groundtruth.txt", [], "ape_trans_se3"),
+        ("freiburg1_xyz-rgbdslam", "freiburg1_xyz-groundtruth.txt", [], "ape_trans_se3"),
+        ("V102", "V102_groundtruth.csv", [], "ape_trans_se3"),
+        ("fr2_desk_ORB_kf_mono", "fr2_desk_groundtruth.txt", ["--scale"], "ape_trans_sim3"),
+    ],
+)
+def test_evaluate_trajectory_gives_the_known_values(vssm, shared_data, tmp_path, name, truth, options, entry):
+    folder, out = shared_data / "trajectories", tmp_path / "out.json"
+    known = json.loads((folder / "reference_values.json").read_text())["results"][name]
+    code, _, _ = vssm(
+        "evaluate-trajectory", str(folder / f"{name}.txt"), str(folder / truth), *options, "--json", str(out)
+    )
+    result = json.loads(out.read_text())
+    assert code == 0
+    assert result["pairs"] == known["n_pairs"]
+    assert result["ate_translation_se3"]["rmse"] == pytest.approx(known[entry]["rmse"], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (None, "est.txt"),
+        ("", "est.txt"),
+        ("0.0 1 2 3\n", "est.txt"),
+        ("0.0 nan 0 0 0 0 0 1\n" * 3, "est.txt"),
+        ("90.0 0 0 0 0 0 0 1\n91.0 1 0 0 0 0 0 1\n92.0 1 1 0 0 0 0 1\n", "within 0.01 s"),
+    ],
+    ids=["missing", "empty", "short", "nan", "no common stamp"],
+)
+def test_evaluate_trajectory_refuses_what_it_cannot_use(vssm, tmp_path, content, complaint):
+    true = write(tmp_path / "true.txt", circle())
+    if content is not None:
+        (tmp_path / "est.txt").write_text(content)
+    code, _, err = vssm("evaluate-trajectory", str(tmp_path / "est.txt"), true, "--json", str(tmp_path / "out.json"))
+    assert code == 2
+    assert err.startswith("error: ")
+    assert complaint in err
+    assert not (tmp_path / "out.json").exists()

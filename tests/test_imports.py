@@ -1,0 +1,221 @@
+"""Imports flow one way (DESIGN, Layout), read from the syntax tree of every module, lazy imports included.
+
+Ground truth cannot leak into inference because no model, inference, planning or agent code can name the simulator.
+"""
+
+import ast
+import graphlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+# Each layer may import those before it; what stands on one line does not import its neighbours.
+LAYERS = [
+    ["axes", "errors"],
+    ["geometry"],
+    ["camera"],
+    ["empty_space"],
+    ["voxel_map"],
+    ["emission", "transition", "learned_transition"],
+    ["model"],
+    ["inference"],
+    ["planning"],
+    ["agents"],
+    ["eval"],
+    ["cli"],
+]
+
+BASE = {"axes", "errors", "geometry", "camera"}
+
+# Beside the layers: what else may be imported, by whom. The longest name that fits a module decides.
+ALLOWED: dict[str, set[str]] = {
+    layer: {name for below in LAYERS[:height] for name in below} for height, row in enumerate(LAYERS) for layer in row
+}
+ALLOWED["__init__"] = {"envs.registration"}
+ALLOWED["envs.registration"] = set()
+ALLOWED["envs"] = BASE | {"envs.registration"}
+ALLOWED["data.trajectories"] = set(BASE)
+ALLOWED["data.sequences"] = BASE | {"data.trajectories"}
+ALLOWED["data.recording"] = BASE | {"data.sequences", "envs", "planning"}
+ALLOWED["viz"] = BASE | {"voxel_map", "emission"}
+ALLOWED["eval"] |= {"__init__", "envs", "data.trajectories", "data.sequences", "data.recording", "viz"}
+ALLOWED["cli"] |= ALLOWED["eval"]
+
+ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray"}
+TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package
+FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout, not packages of their own
+
+Graph = dict[str, set[str]]
+
+
+class RunTimeOnly(ast.NodeTransformer):
+    """Drops what stands under ``if TYPE_CHECKING``: types may name each other in both directions."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        self.generic_visit(node)
+        return node.orelse if "TYPE_CHECKING" in ast.dump(node.test) else node
+
+
+def find_modules(folder: Path) -> dict[str, Path]:
+    """Dotted name -> file of every module of the package in ``folder``, through the committed links."""
+    found = {}
+    for directory, subfolders, files in os.walk(folder, followlinks=True):
+        subfolders[:] = [name for name in subfolders if name != "__pycache__"]
+        parts = (folder.name, *Path(directory).relative_to(folder).parts)
+        for file in files:
+            if file.endswith(".py"):
+                name = ".".join(parts if file == "__init__.py" else (*parts, file.removesuffix(".py")))
+                found[name] = Path(directory) / file
+    return found
+
+
+def imported_names(tree: ast.AST, module: str, is_package: bool, known: set[str]) -> Iterator[str]:
+    """Every dotted name that ``tree`` imports, relative ones resolved, ``import_module("...")`` included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = module.split(".")[: None if is_package and node.level == 1 else int(is_package) - node.level]
+                base = ".".join([*above, *filter(None, [node.module])])
+            for alias in node.names:
+                yield f"{base}.{alias.name}" if f"{base}.{alias.name}" in known else base
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in ("import_module", "__import__") and isinstance(node.args[0].value, str):
+                yield node.args[0].value
+
+
+def import_graph(modules: dict[str, Path], run_time_only: bool = False) -> Graph:
+    """Module -> names it imports; with ``run_time_only`` without those that only a type checker reads."""
+    graph = {}
+    for name, path in modules.items():
+        tree: ast.AST = ast.parse(path.read_text())
+        if run_time_only:
+            tree = RunTimeOnly().visit(tree)
+        graph[name] = set(imported_names(tree, name, path.name == "__init__.py", set(modules)))
+    return graph
+
+
+def component(module: str, package: str = "vssm_gym") -> str | None:
+    """The entry of ``ALLOWED`` that ``module`` belongs to: the longest that fits; None if no entry does."""
+    inside = module.removeprefix(package).strip(".") or "__init__"
+    fits = [entry for entry in ALLOWED if inside == entry or inside.startswith(f"{entry}.")]
+    return max(fits, key=len, default=None)
+
+
+def violations(graph: Graph, package: str = "vssm_gym") -> list[str]:
+    """One readable line for each import that breaks a rule."""
+    bare = {"", "data"}  # a package file that only documents its folder belongs to no layer
+    found = []
+    for module, names in sorted(graph.items()):
+        mine = component(module, package)
+        if mine is None and module.removeprefix(package).strip(".") not in bare:
+            found.append(f"{module}: belongs to no layer; give it a line in tests/test_imports.py")
+        for name in sorted(names):
+            top = name.split(".")[0]
+            if top in FOREIGN_NAMES:
+                found.append(f"{module}: imports {name}; write {package}.{name}")
+            elif top in TESTS_ONLY:
+                found.append(f"{module}: imports {name}, which is for tests only")
+            elif top == package:
+                theirs = component(name, package)
+                if theirs != mine and theirs not in ALLOWED.get(mine or "", set()):
+                    found.append(f"{module}: must not import {name}")
+    for library in sorted(ONE_IMPORTER):
+        importers = sorted(m for m, names in graph.items() if any(n.split(".")[0] == library for n in names))
+        if len(importers) > 1:
+            found.append(f"{library} is imported by more than one module: {', '.join(importers)}")
+    return found
+
+
+def cycle(graph: Graph) -> list[str]:
+    """The modules of one import cycle, in order; empty if there is none."""
+    try:
+        graphlib.TopologicalSorter({m: (names & graph.keys()) - {m} for m, names in graph.items()}).prepare()
+    except graphlib.CycleError as error:
+        return error.args[1]
+    return []
+
+
+MODULES = find_modules(CHECKOUT / "vssm_gym")
+GRAPH = import_graph(MODULES)
+
+
+def test_every_folder_is_read():
+    """The links are followed: a checker that looks at an empty folder passes for ever."""
+    for name, folder in {"agents": "agents", "eval": "eval", "envs": "vssm_gym/envs", "cli": "vssm_gym/cli"}.items():
+        on_disk = {f"vssm_gym.{name}.{path.stem}" for path in (CHECKOUT / folder).glob("*.py")}
+        assert len(on_disk) > 1
+        assert on_disk - {f"vssm_gym.{name}.__init__"} <= MODULES.keys()
+    assert "vssm_gym.geometry" in set().union(*GRAPH.values())
+
+
+def test_imports_flow_one_way():
+    assert violations(GRAPH) == []
+
+
+def test_no_import_cycle():
+    assert cycle(import_graph(MODULES, run_time_only=True)) == []
+
+
+def test_tests_import_the_package_by_its_name():
+    for path in CHECKOUT.glob("tests/**/*.py"):
+        names = imported_names(ast.parse(path.read_text()), path.stem, False, set(MODULES))
+        assert {name.split(".")[0] for name in names}.isdisjoint(FOREIGN_NAMES), path.name
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "complaint"),
+    [
+        ("inference/leak.py", "def f():\n    from vssm_gym.envs import pointnav", "must not import vssm_gym.envs"),
+        ("planning/leak.py", "import vssm_gym.envs.scene as scene", "must not import vssm_gym.envs.scene"),
+        ("planning/leak.py", "from ..envs import scene", "must not import vssm_gym.envs"),
+        ("agents/leak.py", "from vssm_gym.envs import robots", "must not import vssm_gym.envs"),
+        ("model.py", "import importlib\nimportlib.import_module('vssm_gym.envs.scene')", "must not import"),
+        ("geometry.py", "from .camera import Camera", "must not import vssm_gym.camera"),
+        ("emission.py", "import vssm_gym.transition", "must not import vssm_gym.transition"),
+        ("envs/leak.py", "from vssm_gym.planning import astar", "must not import vssm_gym.planning"),
+        ("envs/leak.py", "from vssm_gym import voxel_map", "must not import vssm_gym"),
+        (
+            "inference/typed.py",
+            "if TYPE_CHECKING:\n    from vssm_gym.envs import scene",
+            "must not import vssm_gym.envs",
+        ),
+        ("data/sequences.py", "import vssm_gym.inference.tracking", "must not import vssm_gym.inference.tracking"),
+        ("eval/wrong.py", "from agents import base", "write vssm_gym.agents"),
+        ("eval/wrong.py", "import evo", "for tests only"),
+        ("newcomer.py", "", "belongs to no layer"),
+        ("envs/second.py", "import mujoco", "mujoco is imported by more than one module"),
+    ],
+)
+def test_a_bad_module_is_found(tmp_path, file, source, complaint):
+    """The gate itself: a package with one bad module fails, and the same package without it passes."""
+    good = {"envs/mjcf.py": "import mujoco", "voxel_map.py": "from vssm_gym.camera import Camera", "camera.py": ""}
+    package = tmp_path / "vssm_gym"
+    for name, text in good.items():
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text(text)
+    assert violations(import_graph(find_modules(package))) == []
+    (package / file).parent.mkdir(parents=True, exist_ok=True)
+    (package / file).write_text(source)
+    complaints = violations(import_graph(find_modules(package)))
+    assert len(complaints) == 1
+    assert complaint in complaints[0]
+
+
+def test_a_cycle_is_found(tmp_path):
+    """Lazy imports close a cycle too; an import for the type checker alone does not."""
+    package = tmp_path / "pkg"
+    package.mkdir()
+    (package / "a.py").write_text("from pkg import b")
+    (package / "b.py").write_text("def later():\n    from pkg.c import x")
+    (package / "c.py").write_text("from . import a")
+    assert set(cycle(import_graph(find_modules(package), run_time_only=True))) == {"pkg.a", "pkg.b", "pkg.c"}
+    (package / "c.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from . import a")
+    assert cycle(import_graph(find_modules(package), run_time_only=True)) == []

@@ -1,0 +1,162 @@
+"""The package as it is shipped: what a wheel holds, what it declares, what importing it costs, what the tests check."""
+
+import ast
+import importlib.metadata
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import jax.numpy as jnp
+import pytest
+
+import vssm_gym
+from vssm_gym.camera import Camera
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
+SETUPTOOLS = PROJECT["tool"]["setuptools"]
+HEAVY = ["jax", "mujoco", "numba", "embreex", "matplotlib", "scipy", "shapely", "torch"]
+MODULE_OF = {"pyyaml": "yaml", "pillow": "PIL", "scikit-image": "skimage"}  # where the import has another name
+
+
+def package_files() -> list[Path]:
+    """Every file below ``vssm_gym``, through the links, relative to the checkout."""
+    found = []
+    for directory, subfolders, files in os.walk(CHECKOUT / "vssm_gym", followlinks=True):
+        subfolders[:] = [name for name in subfolders if name != "__pycache__"]
+        found += [(Path(directory) / file).relative_to(CHECKOUT) for file in files]
+    return found
+
+
+def declared(section: list[str]) -> set[str]:
+    return {re.split(r"[^A-Za-z0-9_.-]", requirement)[0].lower() for requirement in section}
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_every_folder_with_code_is_packaged():
+    """setuptools ships only the packages that are listed: a forgotten one is missing from the wheel, not from here."""
+    folders = {".".join(path.parent.parts) for path in package_files() if path.suffix == ".py"}
+    assert folders == set(SETUPTOOLS["packages"])
+
+
+def test_every_data_file_is_packaged():
+    data = SETUPTOOLS["package-data"]
+    shipped = {file for package, globs in data.items() for glob in globs for file in folder_of(package).glob(glob)}
+    for path in package_files():
+        if path.suffix != ".py":
+            assert (CHECKOUT / path).resolve() in shipped, f"{path} would be missing from the wheel"
+
+
+def folder_of(package: str) -> Path:
+    mapped = SETUPTOOLS["package-dir"].get(package, package.replace(".", "/"))
+    return (CHECKOUT / mapped).resolve()
+
+
+def test_the_links_lead_to_the_mapped_folders():
+    for package, folder in SETUPTOOLS["package-dir"].items():
+        link = CHECKOUT / package.replace(".", "/")
+        assert link.is_symlink()
+        assert not link.readlink().is_absolute()
+        assert link.resolve() == CHECKOUT / folder
+
+
+def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
+    imported = set()
+    for path in package_files():
+        if path.suffix == ".py":
+            for node in ast.walk(ast.parse((CHECKOUT / path).read_text())):
+                if isinstance(node, ast.Import):
+                    imported |= {alias.name.split(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                    imported.add(node.module.split(".")[0])
+    foreign = imported - set(sys.stdlib_module_names) - {"vssm_gym"}
+    modules = {MODULE_OF.get(name, name) for name in declared(PROJECT["project"]["dependencies"])}
+    assert foreign == modules
+
+
+def test_constraints_pin_every_dependency_and_name_no_address():
+    lines = (CHECKOUT / "constraints.txt").read_text().splitlines()
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.+!-]+", line) for line in lines)
+    pinned = {normal(line.split("==")[0]) for line in lines}
+    wanted = declared(PROJECT["project"]["dependencies"]) | declared(PROJECT["project"]["optional-dependencies"]["dev"])
+    assert {normal(name) for name in wanted} <= pinned
+    assert "vssm-gym" not in pinned
+
+
+def test_one_version():
+    newest = re.search(r"^## (\S+)", (CHECKOUT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert vssm_gym.__version__ == PROJECT["project"]["version"] == newest.group(1)
+    assert importlib.metadata.version("vssm-gym") == vssm_gym.__version__
+
+
+def test_importing_the_package_is_cheap():
+    """Registering the environments starts neither the model nor the simulator."""
+    code = f"import sys, vssm_gym; print(sorted(set({HEAVY}) & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_gymnasium_imports_the_package_that_an_id_names():
+    """DESIGN, first use: ``gym.make("vssm_gym:vssm_gym/...")`` in a program that imports Gymnasium alone."""
+    code = "from gymnasium.envs.registration import _find_spec as find; print(find('vssm_gym:vssm_gym/PointNav-v0').id)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "vssm_gym/PointNav-v0"
+
+
+def test_annotated_shapes_are_checked_here():
+    """The import hook of conftest.py is at work; without it every annotation is a comment."""
+    camera = Camera.from_hfov(4, 3, 1.5)
+    assert camera.backproject(jnp.ones((3, 4))).shape == (3, 4, 3)
+    with pytest.raises(Exception, match="type"):
+        camera.backproject(jnp.ones((3, 4, 2)))
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", "CONTRIBUTING.md", "docs/index.md", "docs/architecture.md", "docs/equations.md"]
+)
+def test_links_between_the_pages_lead_somewhere(page):
+    path = CHECKOUT / page
+    for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", path.read_text()):
+        assert (path.parent / target).exists(), f"{page} links to {target}"
+
+
+def test_equations_name_functions_that_exist():
+    """Each ``module.name`` in the second column of docs/equations.md is there."""
+    rows = [
+        line.split("|") for line in (CHECKOUT / "docs/equations.md").read_text().splitlines() if line.startswith("| ")
+    ]
+    names = {name for row in rows for name in re.findall(r"`(vssm_gym\.[\w.]+)`", row[2])}
+    assert len(names) > 20
+    missing = sorted(name for name in names if not defined(name))
+    assert missing == []
+
+
+def defined(name: str) -> bool:
+    """Whether a dotted name leads to a module, or to a class, function, method or constant that a module defines."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        folder = CHECKOUT.joinpath(*parts[:length])
+        path = folder.with_suffix(".py") if folder.with_suffix(".py").is_file() else folder / "__init__.py"
+        if path.is_file():
+            body: list[ast.stmt] = ast.parse(path.read_text()).body
+            for part in parts[length:]:
+                found = [node for node in body if part in names_of(node)]
+                if not found:
+                    return False
+                body = getattr(found[0], "body", [])
+            return True
+    return False
+
+
+def names_of(node: ast.stmt) -> set[str]:
+    if isinstance(node, ast.ClassDef | ast.FunctionDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return {target.id for target in targets if isinstance(target, ast.Name)}

@@ -1,0 +1,170 @@
+"""Tasks obey their definition, repeat with their seed, never mix splits, and survive a file unchanged or not at all."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from box_rooms import furniture, two_rooms
+
+from vssm_gym.envs import tasks as tasks_module
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scene import built_in_scenes, load_scene
+from vssm_gym.envs.tasks import TaskSampler, TaskSet, freeze, load, make_tasks, save, task_set
+from vssm_gym.errors import InputError
+
+ROBOT = HolonomicRobot()
+SOFA = furniture("sofa", (1.2, 2.0, 0.3), (0.8, 1.6, 0.6))
+
+
+def check_definition(tasks: TaskSet, sampler: TaskSampler) -> None:
+    """SPEC 6: free with a margin, apart, long enough, and of this scene."""
+    starts, goals = np.array([t.start for t in tasks.tasks]), np.array([t.goal for t in tasks.tasks])
+    geodesic = np.array([t.geodesic for t in tasks.tasks])
+    border = sampler.space.region.boundary
+    for positions in (starts[:, :2], goals):
+        assert sampler.space.contains(positions).all()
+        assert np.all(shapely.distance(border, shapely.points(positions)) >= 0.019)
+    away = np.linalg.norm(starts[:, :2] - goals, axis=1)
+    assert np.all(away > 0.6) and np.all(geodesic >= 1.0) and np.all(geodesic >= away - 0.4 - 1e-6)
+    assert np.all(np.abs(starts[:, 2]) <= np.pi + 1e-4) and len(np.unique(starts[:, 2])) == len(starts)
+    assert [t.id for t in tasks.tasks] == list(range(len(starts)))
+    for task in tasks.tasks:
+        sampler.validate(task)
+
+
+def test_tasks_obey_their_definition() -> None:
+    apartment = two_rooms(pieces=(SOFA,))
+    tasks = make_tasks(apartment, ROBOT, 40, "test")
+    check_definition(tasks, TaskSampler(apartment, ROBOT))
+    assert tasks.hash == tasks.content_hash() and tasks.scene_hash == apartment.content_hash()
+
+
+def test_streams() -> None:
+    """Same seed same tasks; a longer set begins with the shorter; splits and seeds share nothing."""
+    apartment = two_rooms()
+    first, again = make_tasks(apartment, ROBOT, 5, "test"), make_tasks(apartment, ROBOT, 5, "test")
+    assert first == again and make_tasks(apartment, ROBOT, 12, "test").tasks[:5] == first.tasks
+    others = [make_tasks(apartment, ROBOT, 12, "train"), make_tasks(apartment, ROBOT, 12, "test", seed=1)]
+    places = {place for t in first.tasks for place in (t.start[:2], t.goal)}
+    for other in others:
+        assert places.isdisjoint(place for t in other.tasks for place in (t.start[:2], t.goal))
+        assert other.hash != first.hash
+
+
+def test_goals_stay_in_the_connected_part() -> None:
+    """Behind a closed door there are no tasks: all are in one room."""
+    apartment = two_rooms(openness=0.0, leaves=1)
+    tasks = make_tasks(apartment, ROBOT, 20, "train")
+    assert len({t.start[0] > 3.0 for t in tasks.tasks} | {t.goal[0] > 3.0 for t in tasks.tasks}) == 1
+
+
+def test_file_round_trip(tmp_path: Path) -> None:
+    apartment = two_rooms()
+    tasks = make_tasks(apartment, ROBOT, 4, "test")
+    path = tmp_path / "tasks.json"
+    save(tasks, path)
+    assert load(path, apartment) == tasks == load(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["tasks.json"]
+    assert len(path.read_text().splitlines()) < 30  # one task a line
+
+
+def test_damaged_files_are_refused(tmp_path: Path) -> None:
+    apartment = two_rooms()
+    path = tmp_path / "tasks.json"
+    save(make_tasks(apartment, ROBOT, 3, "test"), path)
+    text = path.read_text()
+    data = json.loads(text)
+
+    def refused(content: str, field: str, of: object = apartment) -> None:
+        path.write_text(content)
+        with pytest.raises(InputError, match=r"tasks\.json") as error:
+            load(path, of)  # type: ignore[arg-type]
+        assert error.value.field == field
+
+    refused(text[: len(text) // 2], "file")
+    refused(json.dumps(data | {"format": 2}), "format")
+    refused(json.dumps({k: v for k, v in data.items() if k != "scene_hash"}), "scene_hash")
+    refused(json.dumps(data | {"split": "dev"}), "split")
+    moved = json.loads(text)
+    moved["tasks"][1]["goal"][0] += 0.001
+    refused(json.dumps(moved), "hash")
+    moved["tasks"][1]["goal"] = [1.0]
+    refused(json.dumps(moved), "tasks[1].goal[1]")
+    refused(text.replace('"geodesic": ', '"geodesic": NaN, "x": '), "tasks[0].geodesic")
+    refused(text, "scene_hash", two_rooms(pieces=(SOFA,)))
+    with pytest.raises(InputError, match="readable task file"):
+        load(tmp_path / "none.json", apartment)
+
+
+def test_frozen_file_counts_only_for_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    apartment = two_rooms()
+    monkeypatch.setattr(tasks_module, "FROZEN", tmp_path)
+    paths = freeze(apartment, ROBOT, n=6, folder=tmp_path)
+    assert [p.name for p in paths] == ["two_rooms-train.json", "two_rooms-test.json"]
+    made = make_tasks(apartment, ROBOT, 4, "test")
+    calls = []
+    monkeypatch.setattr(tasks_module, "make_tasks", lambda *args: calls.append(args) or made)
+    assert task_set(apartment, ROBOT, "test", 4) == made and calls == []  # from the file, and the same
+    task_set(apartment, ROBOT, "test", 7)  # more than there are
+    task_set(two_rooms(pieces=(SOFA,)), ROBOT, "test", 4)  # another scene of that name
+    task_set(apartment, HolonomicRobot(height=0.6), "test", 4)  # another robot
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize("scene", built_in_scenes())
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_built_in_scenes_are_frozen(scene: str, split: str) -> None:
+    """If this fails the scene changed: `tasks.freeze(load_scene(name), HolonomicRobot())` writes the files anew."""
+    apartment = load_scene(scene)
+    frozen = load(tasks_module.FROZEN / f"{scene}-{split}.json", apartment)
+    assert len(frozen.tasks) == 200 and frozen.split == split
+    check_definition(frozen, TaskSampler(apartment, ROBOT))
+    # The same machine-independent draws: positions are equal, geodesics up to rounding of the geometry library.
+    for task, again in zip(frozen.tasks[:10], make_tasks(apartment, ROBOT, 10, split).tasks, strict=True):  # type: ignore[arg-type]
+        assert task.start == again.start and task.goal == again.goal
+        assert task.geodesic == pytest.approx(again.geodesic, abs=2e-6)
+
+
+def test_impossible_tasks_name_the_field() -> None:
+    sampler = TaskSampler(two_rooms(pieces=(SOFA,)), ROBOT)
+    good = sampler.task((0.4, 2.0, 0.0), (4.5, 2.0), task_id=3)
+    assert good.geodesic > 4.1 - 0.4 and good.scene == "two_rooms"
+    for start, goal, message in (
+        ((0.4, 2.0, 0.0), (1.2, 2.0), r"task 3 of two_rooms: goal: .* it would touch sofa"),
+        ((0.4, 2.0, 0.0), (3.0, 1.0), r"goal: .* it would touch wall 4"),
+        ((1.2, 2.0, 0.0), (0.4, 2.0), r"start: .* it would touch sofa"),
+        ((0.4, 2.0, 0.0), (9.0, 9.0), r"goal: .* off the floor"),
+        ((0.4, 2.0, 0.0), (float("nan"), 1.0), r"task: goal\[0\]: expected a finite number"),
+        ((0.4, 2.0), (1.0, 1.0), r"task: start\[2\]"),
+    ):
+        with pytest.raises(InputError, match=message):
+            sampler.task(start, goal, task_id=3)
+    with pytest.raises(InputError, match="geodesic"):
+        sampler.validate(good.model_copy(update={"geodesic": 1.0}))
+    with pytest.raises(InputError, match="scene: expected 'two_rooms'"):
+        sampler.validate(good.model_copy(update={"scene": "oak"}))
+    closed = TaskSampler(two_rooms(openness=0.0, leaves=1), ROBOT)
+    with pytest.raises(InputError, match="goal: expected a position that the robot can reach"):
+        closed.task((1.0, 1.0, 0.0), (5.0, 1.0))
+    # A start pressed a few millimetres into a wall is where a chained task may begin.
+    assert sampler.task((0.146, 1.0, 0.0), (0.5, 3.5)).geodesic == pytest.approx(
+        sampler.task((0.152, 1.0, 0.0), (0.5, 3.5)).geodesic, abs=0.01
+    )
+
+
+def test_bad_requests() -> None:
+    with pytest.raises(InputError, match="split"):
+        make_tasks(two_rooms(), ROBOT, 1, "dev")  # type: ignore[arg-type]
+    crowded = two_rooms(  # all that is left is a nook of 0.3 x 0.55 m
+        openness=0.0,
+        leaves=1,
+        pieces=(
+            furniture("a", (1.25, 2.0, 0.3), (2.4, 3.9, 0.6)),
+            furniture("b", (2.7, 1.6, 0.3), (0.5, 3.2, 0.6)),
+            furniture("c", (4.5, 2.0, 0.3), (2.9, 3.9, 0.6)),
+        ),
+    )
+    with pytest.raises(InputError, match="m of way apart"):
+        TaskSampler(crowded, ROBOT).draw(np.random.default_rng(0))

@@ -1,0 +1,22 @@
+"""The glossary of array axes; every shape in a docstring or annotation uses these words.
+
+========  ==================================================================================
+word      meaning
+========  ==================================================================================
+batch     independent items computed together (poses, rays, trajectories)
+time      consecutive steps of one sequence
+height    image rows, top to bottom
+width     image columns, left to right
+nx ny nz  cells of a voxel grid along world x, y, z
+pose      the six tangent coordinates of SE(3): translation (m), then rotation (rad)
+planar    x (m), y (m), heading (rad) of a robot on the floor, counter-clockwise from world x
+========  ==================================================================================
+"""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+Matrix4: TypeAlias = Float[Any, "4 4"]  # noqa: UP040  (an annotation that jaxtyping checks must be evaluated)
+PlanarPose: TypeAlias = Float[np.ndarray, "3"]  # noqa: UP040

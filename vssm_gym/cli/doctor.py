@@ -1,0 +1,200 @@
+"""``vssm-gym doctor``: what works on this machine, what is missing, and how to get it."""
+
+import importlib.metadata
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from vssm_gym.cli.cache import cache_folder
+
+TIMEOUT = 120.0  # seconds for one probe; a first import from a cold disk is slow
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A line of Python that works or fails in a process of its own, where a crash of a driver hurts nobody."""
+
+    name: str
+    code: str  # prints what it found
+    remedy: str  # how to get it
+    required: bool = True
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one probe found: a line of the table."""
+
+    name: str
+    ok: bool
+    detail: str
+    remedy: str
+    required: bool
+
+
+JAX = """
+import jax
+print(", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in jax.devices()))
+"""
+
+NUMBA = """
+import numba
+assert numba.njit(lambda n: n + 1)(1) == 2
+print("compiles;", numba.config.NUMBA_NUM_THREADS, "threads")
+"""
+
+# A ray from the origin along x meets a triangle at x = 2.
+EMBREE = """
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+scene = rtcore_scene.EmbreeScene()
+TriangleMesh(scene, np.array([[[2, -1, -1], [2, 1, -1], [2, 0, 1]]], np.float32))
+origin, along_x = np.zeros((1, 3), np.float32), np.array([[1, 0, 0]], np.float32)
+assert abs(scene.run(origin, along_x, query="DISTANCE")[0] - 2) < 1e-5
+print("traces rays")
+"""
+
+# A ball above a floor falls.
+PHYSICS = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><geom type="plane" size="1 1 1"/>'
+    '<body pos="0 0 1"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+)
+data = mujoco.MjData(model)
+for _ in range(10):
+    mujoco.mj_step(model, data)
+assert data.qpos[2] < 1
+print("simulates")
+"""
+
+# The context is made directly: MUJOCO_GL is the user's to set, and a wrong value breaks `import mujoco` itself.
+OPENGL = """
+import warnings
+warnings.simplefilter("ignore")
+import mujoco, numpy as np
+from mujoco.{backend} import GLContext
+context = GLContext(64, 64)
+context.make_current()
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
+)
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+scene, view = mujoco.MjvScene(model, 8), mujoco.MjrRect(0, 0, 64, 64)
+mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, scene)
+renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, renderer)
+mujoco.mjr_render(view, scene, renderer)
+image = np.zeros((64, 64, 3), np.uint8)
+mujoco.mjr_readPixels(image, None, view, renderer)
+assert image.std() > 0, "an empty picture"
+from OpenGL import GL
+print("draws with", GL.glGetString(GL.GL_RENDERER).decode())
+"""
+
+PROBES = (
+    Probe("JAX", JAX, "pip install jax"),
+    Probe("numba", NUMBA, "pip install numba"),
+    Probe(
+        "Embree (raycast camera)",
+        EMBREE,
+        "pip install embreex, where it has a wheel; without it MuJoCo traces the images, several times slower",
+        required=False,
+    ),
+    Probe("MuJoCo (physics)", PHYSICS, "pip install mujoco"),
+    Probe(
+        "OpenGL, EGL",
+        OPENGL.format(backend="egl"),
+        "a graphics driver, or in software on Debian/Ubuntu: apt-get install libegl1 libgl1 libopengl0 libgl1-mesa-dri",
+        required=False,
+    ),
+    Probe(
+        "OpenGL, OSMesa",
+        OPENGL.format(backend="osmesa"),
+        "Debian/Ubuntu: apt-get install libosmesa6 libgl1 libopengl0",
+        required=False,
+    ),
+    Probe("OpenGL, window", OPENGL.format(backend="glfw"), "a screen (X11 or Wayland)", required=False),
+)
+
+
+def doctor() -> int:
+    """Say what works on this machine, what is missing and how to get it; exit with 1 if that is required."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import track
+    from rich.table import Table
+
+    findings = [_python(), _cores(), _packages(), _cache()]
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        console = Console(stderr=True)
+        probed = track(pool.map(run_probe, PROBES), "probing", len(PROBES), console=console, transient=True)
+        findings += probed
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for finding in findings:
+        state = "ok" if finding.ok else "missing" if finding.required else "absent"
+        colour = {"ok": "green", "missing": "red", "absent": "yellow"}[state]
+        table.add_row(f"[{colour}]{state}", finding.name, escape(finding.detail))
+        if not finding.ok:
+            table.add_row("", "", f"-> {escape(finding.remedy)}")
+    Console().print(table)
+    Console().print("\nOpenGL is optional: the raycast camera, the default, does not use it.")
+    return int(any(finding.required and not finding.ok for finding in findings))
+
+
+def run_probe(probe: Probe) -> Finding:
+    """Run one probe in a process of its own; the reason of a failure is the last line that it wrote."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", probe.code], capture_output=True, text=True, timeout=TIMEOUT, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return Finding(probe.name, False, f"no answer in {TIMEOUT:.0f} s", probe.remedy, probe.required)
+    ok = done.returncode == 0
+    lines = (done.stdout if ok else done.stderr).strip().splitlines()
+    detail = lines[-1] if lines else f"ended with code {done.returncode}"
+    return Finding(probe.name, ok, detail, probe.remedy, probe.required)
+
+
+def _python() -> Finding:
+    ok = (3, 11) <= sys.version_info < (3, 14)
+    return Finding("Python", ok, f"{platform.python_version()} on {platform.platform()}", "Python 3.11-3.13", True)
+
+
+def _cores() -> Finding:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return Finding("cores", True, f"{usable} usable", "", True)
+
+
+def _packages() -> Finding:
+    """Versions of the declared dependencies, as the installed distribution itself lists them."""
+    declared = importlib.metadata.requires("vssm-gym") or []
+    versions, absent = [], []
+    for requirement in (text for text in declared if "extra ==" not in text):
+        name = re.split(r"[^A-Za-z0-9_.-]", requirement)[0]
+        try:
+            versions.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            if ";" not in requirement:  # with a marker it is for some platforms only, and has a probe of its own
+                absent.append(name)
+    detail = ", ".join(versions) + (f"; not installed: {', '.join(absent)}" if absent else "")
+    return Finding("packages", not absent, detail, f"pip install {' '.join(absent)}", True)
+
+
+def _cache() -> Finding:
+    """A cache that cannot be written costs a minute of compilation at every start."""
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        return Finding("cache", False, f"{folder}: {error.strerror}", "set XDG_CACHE_HOME to a writable folder", False)
+    return Finding("cache", True, f"{folder} is writable", "", False)

@@ -1,0 +1,90 @@
+"""``vssm-gym evaluate-trajectory EST TRUE``: how far an estimated trajectory is from the true one (SPEC 12)."""
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+SHOWN = ("rmse", "mean", "median", "min", "max")
+
+
+def evaluate_trajectory(
+    estimate: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="EST")],
+    truth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRUE")],
+    scale: bool = False,
+    tolerance: float = 0.01,
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
+) -> None:
+    """Absolute (ATE) and relative (RPE) trajectory error of an estimate, after the alignment that the table names.
+
+    Args:
+        estimate: trajectory as TUM text (time tx ty tz qx qy qz qw, one line a pose) or EuRoC csv.
+        truth: the true trajectory, in either format.
+        scale: align by a similarity, Sim(3), instead of a rigid motion, SE(3): for monocular estimates, whose scale
+            nobody knows. The relative errors are then those of the scaled estimate.
+        tolerance: seconds that the stamps of a pair of poses may be apart.
+        json_file: also write every statistic to this file.
+    """
+    from rich.console import Console
+
+    from vssm_gym.data.trajectories import read_trajectory
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.trajectory import align, associate, evaluate
+
+    if not tolerance >= 0.0:
+        raise InputError("evaluate-trajectory", "tolerance", f"seconds >= 0, not {tolerance}")
+    times_est, T_est = read_trajectory(estimate)
+    times_true, T_true = read_trajectory(truth)
+    of_est, of_true = associate(times_est, times_true, tolerance)
+    if len(of_est) == 0:
+        raise InputError(estimate, "times", f"a stamp within {tolerance} s of one in {truth}")
+    alignment, factor = "SE(3)", 1.0
+    if scale:
+        similarity = align(T_est[of_est, :3, 3], T_true[of_true, :3, 3], with_scale=True)
+        alignment, factor = f"Sim(3) with scale {similarity.scale:.6f}", similarity.scale
+        T_est = similarity.apply(T_est)
+    result = evaluate(times_est, T_est, times_true, T_true, tolerance)
+    if json_file is not None:
+        result["scale"] *= factor  # of the estimate as it was read
+        _write_json(json_file, {"estimate": str(estimate), "truth": str(truth), "alignment": alignment, **result})
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(
+        f"{result['pairs']} pairs of {len(times_est)} estimated and {len(times_true)} true poses, "
+        f"stamps within {tolerance:g} s, alignment {alignment}"
+    )
+    console.print(_table(result))
+
+
+def _table(result: dict[str, Any]) -> "Table":
+    """One row a kind of error: its name and unit, then :data:`SHOWN`."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("error", no_wrap=True)
+    table.add_column("unit")
+    for statistic in SHOWN:
+        table.add_column(statistic, justify="right")
+    rows = [("ATE position", "m", "ate_translation_se3"), ("ATE rotation", "deg", "ate_rotation_se3")]
+    for name in result:
+        if match := re.fullmatch(r"rpe_(translation|rotation)_(\d+)", name):
+            kind, unit = ("position", "m") if match[1] == "translation" else ("rotation", "deg")
+            rows.append((f"RPE {kind}, {match[2]} frame{'s' * (match[2] != '1')}", unit, name))
+    for label, unit, name in rows:
+        table.add_row(label, unit, *(f"{result[name][statistic]:.6f}" for statistic in SHOWN))
+    return table
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    """The file appears whole or not at all."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(json.dumps(content, indent=2) + "\n")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,72 @@
+"""Trajectories on disk: TUM text (``t x y z qx qy qz qw``) and EuRoC csv (``t[ns] p q_wxyz ...``), as T_world_cam."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from vssm_gym.errors import InputError
+
+
+def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,), s, and poses (n, 4, 4), sorted by time; ``.csv`` is EuRoC's format, anything else TUM's.
+
+    Raises:
+        InputError: missing file, a line that is not numbers, too few columns, or a zero quaternion.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "file", "an existing trajectory (TUM text or EuRoC csv)")
+    euroc = path.suffix == ".csv"
+    rows = []
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        try:
+            row = [float(word) for word in (text.split(",") if euroc else text.replace(",", " ").split())]
+        except ValueError:
+            raise InputError(path, f"line {number}", "numbers only") from None
+        if len(row) < 8 or not np.isfinite(row[:8]).all():
+            raise InputError(path, f"line {number}", "8 finite numbers: time, position, quaternion")
+        rows.append(row[:8])
+    if not rows:
+        raise InputError(path, "file", "at least one pose")
+    data = np.array(rows)
+    data = data[np.argsort(data[:, 0], kind="stable")]
+    times = data[:, 0] * (1e-9 if euroc else 1.0)
+    quaternion = data[:, [5, 6, 7, 4]] if euroc else data[:, 4:8]
+    if (np.linalg.norm(quaternion, axis=1) < 1e-9).any():
+        raise InputError(path, "quaternion", "a rotation: one of the quaternions is zero")
+    T = np.tile(np.eye(4), (len(data), 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    T[:, :3, 3] = data[:, 1:4]
+    return times, T
+
+
+def tum_line(time: float, T_world_cam: np.ndarray) -> str:
+    """One line of a TUM trajectory."""
+    q = Rotation.from_matrix(T_world_cam[:3, :3]).as_quat()
+    numbers = " ".join(f"{value:.7f}" for value in (*T_world_cam[:3, 3], *q))
+    return f"{time:.6f} {numbers}\n"
+
+
+def write_trajectory(path: str | Path, times: np.ndarray, T_world_cam: np.ndarray) -> None:
+    """Write a TUM trajectory, whole or not at all."""
+    path = Path(path)
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("w") as file:
+        file.write("# timestamp tx ty tz qx qy qz qw\n")
+        file.writelines(tum_line(t, T) for t, T in zip(times, T_world_cam, strict=True))
+    temporary.replace(path)
+
+
+def interpolate(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Poses ``(m, 4, 4)`` at times ``at``: linear in position, geodesic in rotation; clamped to the ends."""
+    at = np.clip(at, times[0], times[-1])
+    result = np.tile(np.eye(4), (len(at), 1, 1))
+    if len(times) == 1:
+        return np.tile(poses[0], (len(at), 1, 1))
+    result[:, :3, :3] = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+    result[:, :3, 3] = np.stack([np.interp(at, times, poses[:, a, 3]) for a in range(3)], axis=1)
+    return result

@@ -1,0 +1,1 @@
+"""Simulated apartments and the Gymnasium environments in them."""

@@ -1,0 +1,1 @@
+"""Importers: foreign scene formats to `Apartment`."""

@@ -1,0 +1,61 @@
+"""How far the goal is along free space, fast enough for a reward at every step.
+
+``d(p) = min over the nodes n around p of |p - n| + d(n)`` on a grid of free positions, where ``d(n)`` is the shortest
+path over edges to 16 neighbours: at most 3 % longer than the true distance along straight corridors. Scores (SPL) use
+:mod:`vssm_gym.envs.geodesic` instead, which is exact and slower.
+"""
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from vssm_gym.envs.free_space import FreeSpace
+
+SPACING = 0.1  # m; obstacles grown by the robot's radius are thicker than any edge is long
+_EDGES = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)]
+
+
+class GoalDistance:
+    """Distance to a goal through free space; :meth:`aim` costs some milliseconds, a call some microseconds."""
+
+    def __init__(self, free_space: FreeSpace) -> None:
+        low, high = np.split(np.array(free_space.region.bounds), 2)
+        shape = np.ceil((high - low) / SPACING).astype(int) + 1
+        self._origin, self._shape = low, shape
+        self._nodes = low + SPACING * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+        self._free = free_space.contains(self._nodes)
+        self._graph = self._edges()
+        self._goal = np.zeros(2)
+        self._distance = np.full(tuple(shape), np.inf)
+
+    def _edges(self) -> csr_array:
+        index = np.arange(self._free.size).reshape(self._free.shape)
+        nx, ny = self._free.shape
+        rows, columns, lengths = [], [], []
+        for dx, dy in _EDGES:
+            a = (slice(0, nx - dx), slice(max(0, -dy), ny - max(0, dy)))
+            b = (slice(dx, nx), slice(max(0, dy), ny + min(0, dy)))
+            both = self._free[a] & self._free[b]
+            rows.append(index[a][both])
+            columns.append(index[b][both])
+            lengths.append(np.full(both.sum(), SPACING * np.hypot(dx, dy)))
+        data = np.concatenate(lengths)
+        return csr_array((data, (np.concatenate(rows), np.concatenate(columns))), shape=(index.size, index.size))
+
+    def aim(self, goal: np.ndarray) -> None:
+        """Measure to ``goal (2,)`` from now on, m, world frame."""
+        self._goal = np.asarray(goal, dtype=np.float64)
+        away = np.linalg.norm(self._nodes - self._goal, axis=-1)
+        nearest = int(np.argmin(np.where(self._free, away, np.inf)))
+        distance = dijkstra(self._graph, directed=False, indices=nearest)
+        self._distance = distance.reshape(self._free.shape) + away.flat[nearest]
+
+    def __call__(self, xy: np.ndarray) -> float:
+        """Metres from ``xy (2,)`` to the goal; inf where no node with a path to it is within two spacings."""
+        straight = float(np.hypot(*(xy - self._goal)))
+        if straight <= SPACING:
+            return straight
+        i, j = np.floor((xy - self._origin) / SPACING).astype(int)
+        around = (slice(max(0, i - 1), max(0, i + 3)), slice(max(0, j - 1), max(0, j + 3)))
+        nodes, distance = self._nodes[around], self._distance[around]
+        return float(np.min(distance + np.linalg.norm(nodes - xy, axis=-1), initial=np.inf))

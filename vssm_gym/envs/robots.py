@@ -1,0 +1,113 @@
+"""Robots: what they measure, what they may be told, and how a noisy body executes it (SPEC 6, TNP-SM)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.errors import InputError
+from vssm_gym.geometry import R_BODY_CAM, wrap_angle
+
+
+@dataclass(frozen=True)
+class HolonomicRobot:
+    """A vertical cylinder that turns and slides on the floor; its camera looks along body x from the cylinder's axis.
+
+    One command ``(turn, o, s)`` lasts ``dt``: turn by ``turn`` rad, and move ``s`` m in the direction ``heading + o``.
+    """
+
+    body_length: float = 0.2  # m, the cylinder's diameter
+    height: float = 0.5  # m, top of the cylinder
+    camera_height: float = 0.4  # m above the floor
+    max_turn: float = math.radians(11.5)  # rad a step, |turn| <= max_turn
+    max_offset: float = math.radians(5.0)  # rad, |o| <= max_offset
+    max_step: float = 0.16  # m a step, 0 <= s <= max_step: 0.8 body lengths
+    dt: float = 0.2  # s
+
+    @property
+    def radius(self) -> float:
+        """Radius of the footprint, metres."""
+        return 0.5 * self.body_length
+
+    @property
+    def limits(self) -> np.ndarray:
+        """``(max_turn, max_offset, max_step)``, rad, rad, m; float64 ``(3,)``."""
+        return np.array([self.max_turn, self.max_offset, self.max_step])
+
+    @property
+    def T_body_cam(self) -> Matrix4:
+        """Camera frame to body frame (origin on the floor below the axis), constant; float64 ``(4, 4)``."""
+        T = np.eye(4)
+        T[:3, :3] = R_BODY_CAM
+        T[2, 3] = self.camera_height
+        return T
+
+    def clip(self, command: np.ndarray) -> np.ndarray:
+        """The nearest command within the limits, component by component: ``(turn, o, s)`` float64 ``(3,)``."""
+        low = np.array([-self.max_turn, -self.max_offset, 0.0])
+        return np.clip(np.asarray(command, dtype=np.float64), low, self.limits)
+
+
+@dataclass(frozen=True)
+class ExecutionNoise:
+    """``e_a ~ N(0, turn^2)`` in rad and ``e_s ~ N(0, step^2)`` in m: how far the body strays from a command."""
+
+    turn: float  # rad, standard deviation of a step's heading error
+    step: float  # m, standard deviation of a step's length error
+
+    def __post_init__(self) -> None:
+        for field in ("turn", "step"):
+            value = getattr(self, field)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError("ExecutionNoise", field, f"a finite standard deviation >= 0, not {value!r}")
+
+
+# SPEC 6: 3, 6, 9 degrees a step and 10, 15, 30 % of a body length of 0.2 m.
+NOISE_LEVELS: dict[str, ExecutionNoise] = {
+    "none": ExecutionNoise(0.0, 0.0),
+    "low": ExecutionNoise(math.radians(3.0), 0.10 * 0.2),
+    "mid": ExecutionNoise(math.radians(6.0), 0.15 * 0.2),
+    "high": ExecutionNoise(math.radians(9.0), 0.30 * 0.2),
+}
+
+
+def execution_noise(level: str | ExecutionNoise) -> ExecutionNoise:
+    """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
+    if isinstance(level, ExecutionNoise):
+        return level
+    if level not in NOISE_LEVELS:
+        raise InputError(
+            "environment", "noise", f"one of {', '.join(NOISE_LEVELS)} or an ExecutionNoise, not {level!r}"
+        )
+    return NOISE_LEVELS[level]
+
+
+def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng: np.random.Generator) -> PlanarPose:
+    """One noisy step in free space (SPEC 6; TNP-SM, body-frame ``o``).
+
+        heading' = heading + sign(turn) max(0, |turn| + e_a)                      where turn != 0
+        xy'      = xy + [cos(phi), sin(phi)] max(0, s + e_s),  phi = heading + o + e_a    where s > 0
+
+    ``e_a ~ N(0, noise.turn^2)``, ``e_s ~ N(0, noise.step^2)``; the same ``e_a`` serves both lines. Noise acts only
+    where the robot tries to move, and never reverses a motion.
+
+    Args:
+        planar: ``(x, y, heading)`` before the step, m and rad.
+        command: ``(turn, o, s)``, rad, rad, m, within the robot's limits.
+        noise: standard deviations of a step.
+        rng: the dynamics stream; every call draws two normals, so that runs which share a seed share the noise of
+            step ``t`` whatever they commanded before.
+
+    Returns:
+        ``(x, y, heading)`` after the step, heading in [-pi, pi).
+    """
+    e_a, e_s = rng.standard_normal(2) * (noise.turn, noise.step)
+    x, y, heading = (float(v) for v in planar)
+    turn, offset, step = (float(v) for v in command)
+    turned = math.copysign(max(0.0, abs(turn) + e_a), turn) if turn != 0.0 else 0.0
+    moved = max(0.0, step + e_s) if step > 0.0 else 0.0
+    phi = heading + offset + e_a
+    result = np.array([x + moved * math.cos(phi), y + moved * math.sin(phi), heading + turned])
+    result[2] = wrap_angle(result[2])
+    return result

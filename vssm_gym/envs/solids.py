@@ -1,0 +1,196 @@
+"""Everything solid in an apartment as upright boxes: the one geometry that physics, images and free space share."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import shapely
+
+if TYPE_CHECKING:
+    from vssm_gym.envs.apartment import Apartment, Door, Material, Wall, Window
+
+Kind = Literal["floor", "ceiling", "wall", "door", "window", "furniture"]
+
+SLAB = 0.1  # m, thickness of floor and ceiling
+MARGIN = 0.3  # m that floor and ceiling reach beyond the walls' centre lines
+LEAF = 0.04  # m, thickness of a door's leaf
+PANE = 0.02  # m, thickness of a window's pane
+FLOOR_STEP = 0.25  # m, resolution of the border between two floors where it is not parallel to x or y
+_HIDE = 1e-3  # m by which a wall stays inside the one it runs into, so that no two faces coincide
+
+
+@dataclass(frozen=True)
+class SolidBox:
+    """An upright solid box in the world frame.
+
+    ``center`` (x, y, z) m, ``size`` full extents m along the box's own axes, ``yaw`` rad about z.
+    ``name`` says what it belongs to: a room for floors, "wall 3", "door 0", "window 1", or the piece of furniture.
+    """
+
+    name: str
+    kind: Kind
+    center: tuple[float, float, float]
+    size: tuple[float, float, float]
+    yaw: float
+    material: "Material"
+
+
+def solid_boxes(apartment: "Apartment") -> list[SolidBox]:
+    """Floor slabs (top at z = 0), ceiling, walls around their holes, door leaves, panes, furniture, in this order."""
+    boxes = [*_floor(apartment), _ceiling(apartment)]
+    for index in range(len(apartment.walls)):
+        boxes += _wall(apartment, index)
+    for i, door in enumerate(apartment.doors):
+        boxes += door_leaves(f"door {i}", apartment.walls[door.wall], door)
+    for i, window in enumerate(apartment.windows):
+        boxes.append(_pane(f"window {i}", apartment.walls[window.wall], window))
+    for piece in apartment.furniture:
+        boxes += [SolidBox(piece.name, "furniture", b.center, b.size, b.yaw, b.material) for b in piece.boxes]
+    return boxes
+
+
+def _extent(apartment: "Apartment") -> tuple[np.ndarray, np.ndarray]:
+    points = [p for room in apartment.rooms for p in room.polygon]
+    points += [p for wall in apartment.walls for p in (wall.start, wall.end)]
+    return np.min(points, axis=0) - MARGIN, np.max(points, axis=0) + MARGIN
+
+
+def _floor(apartment: "Apartment") -> list[SolidBox]:
+    """Slabs that tile the apartment's bounding rectangle without gap or overlap, each with its room's floor.
+
+    The rectangle is cut at every corner coordinate, finer where a room has a slanted edge; a cell belongs to the first
+    room that contains its centre (to the first room of all where none does: that ground is outside the walls), and
+    runs of cells of one room merge into one slab.
+    """
+    low, high = _extent(apartment)
+    cuts = []
+    for axis in range(2):
+        values = {low[axis], high[axis]} | {p[axis] for room in apartment.rooms for p in room.polygon}
+        if any(_slanted(room.polygon) for room in apartment.rooms):
+            values |= set(np.arange(low[axis], high[axis], FLOOR_STEP).tolist())
+        ordered = sorted(values)
+        cuts.append(np.array([v for v, w in zip(ordered, [-math.inf, *ordered[:-1]], strict=True) if v - w > 1e-6]))
+    xs, ys = cuts
+    cx, cy = np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij")
+    owner = np.zeros(cx.shape, int)
+    for i in reversed(range(len(apartment.rooms))):
+        owner[shapely.contains_xy(shapely.Polygon(apartment.rooms[i].polygon), cx, cy)] = i
+    return [
+        _span(
+            apartment.rooms[o].name, "floor", (xs[x0], ys[y0], -SLAB), (xs[x1], ys[y1], 0.0), apartment.rooms[o].floor
+        )
+        for x0, x1, y0, y1, o in _merge(owner)
+    ]
+
+
+def _slanted(polygon: tuple[tuple[float, float], ...]) -> bool:
+    edges = np.abs(np.diff([*polygon, polygon[0]], axis=0))
+    return bool((edges.min(axis=1) > 1e-6).any())
+
+
+def _merge(owner: np.ndarray) -> list[tuple[int, int, int, int, int]]:
+    """Greedy rectangles (x0, x1, y0, y1, owner), half open, that tile the grid and are uniform in owner."""
+    free = np.ones(owner.shape, bool)
+    rectangles = []
+    for x0, y0 in np.ndindex(owner.shape):
+        if not free[x0, y0]:
+            continue
+        fits = free & (owner == owner[x0, y0])
+        y1 = y0 + 1
+        while y1 < owner.shape[1] and fits[x0, y1]:
+            y1 += 1
+        x1 = x0 + 1
+        while x1 < owner.shape[0] and fits[x1, y0:y1].all():
+            x1 += 1
+        free[x0:x1, y0:y1] = False
+        rectangles.append((x0, x1, y0, y1, int(owner[x0, y0])))
+    return rectangles
+
+
+def _ceiling(apartment: "Apartment") -> SolidBox:
+    low, high = _extent(apartment)
+    bottom = apartment.ceiling_height
+    return _span("ceiling", "ceiling", (*low, bottom), (*high, bottom + SLAB), apartment.ceiling)
+
+
+def _span(name: str, kind: Kind, low: tuple, high: tuple, material: "Material") -> SolidBox:
+    center = tuple(float(a + b) / 2 for a, b in zip(low, high, strict=True))
+    size = tuple(float(b - a) for a, b in zip(low, high, strict=True))
+    return SolidBox(name, kind, center, size, 0.0, material)  # type: ignore[arg-type]
+
+
+def _place(wall: "Wall", along: float, across: float, z: float) -> tuple[float, float, float]:
+    """World point of (metres along start -> end, metres to the left of it, z)."""
+    c, s = math.cos(wall.yaw), math.sin(wall.yaw)
+    return (wall.start[0] + c * along - s * across, wall.start[1] + s * along + c * across, z)
+
+
+def _wall(apartment: "Apartment", index: int) -> list[SolidBox]:
+    """The wall's solid parts: between holes, below sills and above lintels; two layers where its sides differ."""
+    wall = apartment.walls[index]
+    top = wall.base + wall.height
+    openings: list[Door | Window] = [*apartment.doors, *apartment.windows]
+    holes = sorted((hole for hole in openings if hole.wall == index), key=lambda hole: hole.offset)
+    parts: list[tuple[float, float, float, float]] = []
+    at = -_reach(apartment, index, at_end=False)
+    for hole in holes:
+        end = hole.offset + hole.width
+        parts.append((at, hole.offset, wall.base, top))
+        parts.append((hole.offset, end, wall.base, wall.base + hole.sill))
+        parts.append((hole.offset, end, wall.base + hole.sill + hole.height, top))
+        at = end
+    parts.append((at, wall.length + _reach(apartment, index, at_end=True), wall.base, top))
+
+    half = wall.thickness / 2
+    layers = [(-half, half, wall.front)]
+    if wall.front != wall.back:
+        layers = [(0.0, half, wall.front), (-half, 0.0, wall.back)]
+    boxes = []
+    for a, b, z0, z1 in parts:
+        if b - a < 1e-6 or z1 - z0 < 1e-6:
+            continue
+        for low, high, material in layers:
+            center = _place(wall, (a + b) / 2, (low + high) / 2, (z0 + z1) / 2)
+            boxes.append(SolidBox(f"wall {index}", "wall", center, (b - a, high - low, z1 - z0), wall.yaw, material))
+    return boxes
+
+
+def _reach(apartment: "Apartment", index: int, at_end: bool) -> float:
+    """How far the wall runs beyond its end point to close the corner with the walls it meets there, m."""
+    wall = apartment.walls[index]
+    tip = shapely.Point(wall.end if at_end else wall.start)
+    reach = 0.0
+    for other_index, other in enumerate(apartment.walls):
+        if other_index == index or shapely.LineString([other.start, other.end]).distance(tip) > 0.01:
+            continue
+        if abs(math.sin(other.yaw - wall.yaw)) < 0.1:
+            return 0.0  # it continues straight on: the corner is closed already
+        reach = max(reach, other.thickness / 2 - _HIDE)
+    return reach
+
+
+def door_leaves(name: str, wall: "Wall", door: "Door") -> list[SolidBox]:
+    """Leaves as thick as LEAF, flush with the wall's face on the side they swing to, hinged on that face."""
+    hinges = ((), (door.hinge,), ("start", "end"))[door.leaves]
+    if not hinges:
+        return []
+    width, thickness = door.width / len(hinges), min(LEAF, wall.thickness)
+    side = 1.0 if door.swing == "front" else -1.0
+    boxes = []
+    for hinge in hinges:
+        sense = 1.0 if hinge == "start" else -1.0
+        angle = sense * side * door.openness * math.pi / 2
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = sense * width / 2, -side * thickness / 2  # centre of the closed leaf as seen from its hinge
+        pivot = door.offset if hinge == "start" else door.offset + door.width
+        along, across = pivot + c * x - s * y, side * wall.thickness / 2 + s * x + c * y
+        center = _place(wall, along, across, wall.base + door.height / 2)
+        boxes.append(SolidBox(name, "door", center, (width, thickness, door.height), wall.yaw + angle, door.material))
+    return boxes
+
+
+def _pane(name: str, wall: "Wall", window: "Window") -> SolidBox:
+    center = _place(wall, window.offset + window.width / 2, 0.0, wall.base + window.sill + window.height / 2)
+    size = (window.width, min(PANE, wall.thickness), window.height)
+    return SolidBox(name, "window", center, size, wall.yaw, window.material)

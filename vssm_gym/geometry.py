@@ -1,0 +1,74 @@
+"""Rigid motions: SE(3) as 4x4 matrices, SE(2) as ``(x, y, heading)``.
+
+Frames cancel in names: ``p_world = T_world_cam @ p_cam``. The functions serve NumPy (float64, the simulator) and JAX
+(float32, the model) alike: they compute in the namespace of their argument.
+"""
+
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Float
+
+# Body frame to camera frame axes: camera z looks along body x, camera x to body -y, camera y down (DESIGN, Conventions).
+R_BODY_CAM = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
+
+
+def wrap_angle(angle):
+    """``angle`` modulo 2 pi, in [-pi, pi); radians, any shape."""
+    xp = angle.__array_namespace__() if hasattr(angle, "__array_namespace__") else jnp
+    return xp.remainder(angle + xp.pi, 2 * xp.pi) - xp.pi
+
+
+def transform(T_a_b, p_b):
+    """``p_a = R p_b + t``.
+
+    Args:
+        T_a_b: ``(..., 4, 4)`` rigid motion, metres.
+        p_b: ``(..., 3)`` points in frame b.
+
+    Returns:
+        ``(..., 3)`` points in frame a.
+    """
+    xp = p_b.__array_namespace__()
+    return xp.einsum("...ij,...j->...i", T_a_b[..., :3, :3], p_b) + T_a_b[..., :3, 3]
+
+
+def inverse(T_a_b):
+    """``T_b_a = [R^T, -R^T t]``, the exact inverse of a rigid ``(..., 4, 4)`` matrix."""
+    xp = T_a_b.__array_namespace__()
+    R_b_a = xp.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    t_b_a = -xp.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3])
+    top = xp.concatenate([R_b_a, t_b_a[..., None]], axis=-1)
+    bottom = xp.broadcast_to(xp.asarray([0.0, 0.0, 0.0, 1.0], dtype=top.dtype), (*top.shape[:-2], 1, 4))
+    return xp.concatenate([top, bottom], axis=-2)
+
+
+def planar_to_matrix(planar):
+    """SE(2) to SE(3): ``(..., 3)`` planar poses ``(x, y, heading)`` to ``T_world_body`` ``(..., 4, 4)`` at height 0."""
+    xp = planar.__array_namespace__()
+    x, y, heading = planar[..., 0], planar[..., 1], planar[..., 2]
+    c, s = xp.cos(heading), xp.sin(heading)
+    zero, one = xp.zeros_like(x), xp.ones_like(x)
+    rows = [[c, -s, zero, x], [s, c, zero, y], [zero, zero, one, zero], [zero, zero, zero, one]]
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def matrix_to_planar(T_world_body):
+    """``(x, y, heading)`` of ``(..., 4, 4)`` poses: the position on the floor and the yaw of the body's x axis."""
+    xp = T_world_body.__array_namespace__()
+    heading = xp.arctan2(T_world_body[..., 1, 0], T_world_body[..., 0, 0])
+    return xp.stack([T_world_body[..., 0, 3], T_world_body[..., 1, 3], heading], axis=-1)
+
+
+def se3_exp(delta: Float[Array, "*batch 6"]) -> Float[Array, "*batch 4 4"]:
+    """``exp(delta^)``: tangent (translation, rotation) to a rigid motion; beliefs are ``T exp(delta)`` (SPEC 1)."""
+    return jaxlie.SE3.exp(delta).as_matrix()
+
+
+def se3_log(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6"]:
+    """``log(T)``: the tangent (translation, rotation) of a rigid motion, inverse of :func:`se3_exp`."""
+    return jaxlie.SE3.from_matrix(T).log()
+
+
+def se3_adjoint(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6 6"]:
+    """``Ad_T`` with ``T exp(delta) T^-1 = exp(Ad_T delta)``: carries covariances between frames."""
+    return jaxlie.SE3.from_matrix(T).adjoint()

@@ -1,0 +1,149 @@
+"""Real-time localisation of a planar robot: MAP of SPEC 3 step 2 with the dynamics prior of SPEC 6 (TNP-SM, section 4.2).
+
+Each step predicts the pose from the control, takes a reference image, and aligns the camera image to it:
+:func:`step_map` renders the reference from a fixed map at the predicted pose; :func:`step_frames` takes the previous
+camera image (the published "no map" baseline: its errors add up). Loss of track is detected and said; the belief then
+follows the dynamics until images agree again.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from vssm_gym import emission
+from vssm_gym.camera import Camera
+from vssm_gym.emission import RGBD
+from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix, se3_adjoint
+from vssm_gym.inference.alignment import AlignConfig, AlignInfo, align
+from vssm_gym.transition import MotionNoise, PlanarBelief, planar_predict
+from vssm_gym.voxel_map import VoxelMap
+
+OK, LOST = 0, 1
+STATUS = {OK: "ok", LOST: "lost track: the camera image does not fit the reference"}
+_PLANAR_TWISTS = np.eye(6)[:, [0, 1, 5]]  # forward, left, turn among (translation, rotation)
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Alignment and the test for loss of track."""
+
+    align: AlignConfig = field(default_factory=lambda: AlignConfig(geo_sigma=0.012))  # a map of 5 cm cells is that rough
+    min_score: float = 0.5  # inlier share times min(1, coverage / 0.4) below this is lost
+    max_photometric: float = 5.0  # mean |r_rgb| / sigma above this is lost
+    process_std: tuple[float, float, float] = (0.004, 0.004, 0.002)  # what the motion model misses: slip at a contact
+
+
+class RobotRig(eqx.Module):
+    """The camera on the robot."""
+
+    camera: Camera
+    T_body_cam: Float[Array, "4 4"]
+
+
+class TrackerState(eqx.Module):
+    """What the next step needs."""
+
+    belief: PlanarBelief
+    image: RGBD  # the last camera image
+    lost: Int[Array, ""]  # steps since the images last agreed; 0 = tracking
+
+    @property
+    def planar(self) -> Float[Array, "3"]:
+        """The estimate ``(x, y, heading)``, m and rad, world."""
+        return self.belief.planar
+
+    @property
+    def covariance(self) -> Float[Array, "3 3"]:
+        """Of ``(x, y, heading)`` in world axes."""
+        c, s = jnp.cos(self.planar[2]), jnp.sin(self.planar[2])
+        R = jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return R @ self.belief.covariance @ R.T
+
+
+class TrackerInfo(eqx.Module):
+    """How a step went."""
+
+    status: Int[Array, ""]  # a key of STATUS
+    agreement: AlignInfo
+
+
+def observe(rgb: np.ndarray, depth: np.ndarray) -> RGBD:
+    """A camera image (uint8 colour, metres with 0 = no reading) as the model's."""
+    depth = jnp.asarray(depth, jnp.float32)
+    return RGBD(depth, jnp.asarray(rgb, jnp.float32) / 255.0, depth > 0.0, depth > 0.0)
+
+
+def first(start: Float[Array, "3"], image: RGBD, std: tuple[float, float, float] = (1e-3, 1e-3, 1e-3)) -> TrackerState:
+    """The state at a known start pose ``(x, y, heading)`` with the image seen there."""
+    covariance = jnp.diag(jnp.asarray(std, jnp.float32) ** 2)
+    return TrackerState(PlanarBelief(jnp.asarray(start, jnp.float32), covariance), image, jnp.int32(0))
+
+
+def _correct(
+    state: TrackerState, predicted: PlanarBelief, reference: RGBD, T_world_ref: Array, image: RGBD, rig: RobotRig, config
+) -> tuple[TrackerState, TrackerInfo]:
+    """Align the image to a reference and combine with the prediction; keep the prediction where they do not fit."""
+    basis = se3_adjoint(inverse(rig.T_body_cam)) @ jnp.asarray(_PLANAR_TWISTS, jnp.float32)
+    T_ref_cam = inverse(T_world_ref) @ planar_to_matrix(predicted.planar) @ rig.T_body_cam
+    spread = predicted.covariance + jnp.diag(jnp.asarray(config.process_std) ** 2)
+    precision = jnp.linalg.inv(spread)
+    T, agreement = align(T_ref_cam, precision, T_ref_cam, basis, reference, image, rig.camera, config.align)
+    score = agreement.inlier_share * jnp.minimum(1.0, agreement.coverage / 0.4)
+    fits = (score >= config.min_score) & (agreement.photometric <= config.max_photometric)
+    corrected = PlanarBelief(
+        matrix_to_planar(T_world_ref @ T @ inverse(rig.T_body_cam)),
+        jnp.linalg.inv(2.0 * agreement.information + precision),  # Laplace (SPEC 3, step 3)
+    )
+    belief = jax.tree.map(lambda a, b: jnp.where(fits, a, b), corrected, PlanarBelief(predicted.planar, spread))
+    lost = jnp.where(fits, 0, state.lost + 1)
+    return TrackerState(belief, image, lost), TrackerInfo(jnp.where(fits, OK, LOST), agreement)
+
+
+@partial(jax.jit, static_argnums=6)
+def step_map(
+    state: TrackerState,
+    control: Float[Array, "3"],
+    image: RGBD,
+    m: VoxelMap,
+    rig: RobotRig,
+    noise: MotionNoise,
+    config: TrackerConfig = TrackerConfig(),  # noqa: B008  (frozen)
+) -> tuple[TrackerState, TrackerInfo]:
+    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` against an image rendered at the predicted pose.
+
+    Args:
+        state: The belief after the last step.
+        control: (turn, offset, step) commanded since.
+        image: The camera image now.
+        m: The map, fixed.
+        rig: Camera and its place on the robot.
+        noise: Execution noise of the motion model.
+        config: Scales, gates, effort.
+
+    Returns:
+        The next state and how the step went; ``info.status`` is a key of :data:`STATUS`.
+    """
+    predicted = planar_predict(state.belief, control, noise)
+    T_world_ref = planar_to_matrix(predicted.planar) @ rig.T_body_cam
+    reference = emission.render(m, T_world_ref, rig.camera)
+    return _correct(state, predicted, reference, T_world_ref, image, rig, config)
+
+
+@partial(jax.jit, static_argnums=5)
+def step_frames(
+    state: TrackerState,
+    control: Float[Array, "3"],
+    image: RGBD,
+    rig: RobotRig,
+    noise: MotionNoise,
+    config: TrackerConfig = TrackerConfig(),  # noqa: B008  (frozen)
+) -> tuple[TrackerState, TrackerInfo]:
+    """As :func:`step_map`, but against the previous camera image, at the previous estimate (TNP-SM, "no map")."""
+    predicted = planar_predict(state.belief, control, noise)
+    T_world_ref = planar_to_matrix(state.belief.planar) @ rig.T_body_cam
+    return _correct(state, predicted, state.image, T_world_ref, image, rig, config)

@@ -1,0 +1,1 @@
+"""Planning on beliefs: clearance, A*, path following."""

@@ -1,0 +1,56 @@
+"""Following a path: turn in place towards the next waypoint, then drive straight at it (SPEC 6, TNP-SM controller).
+
+With ``e = bearing(waypoint) - heading``: where ``|e| > max_offset`` the robot turns, ``(clip(e), 0, 0)``; else it
+drives, ``(0, e, min(max_step, distance))``. Its direction offset ``o`` makes small corrections, because every turning
+command adds a heading error whatever its size, and an offset adds none.
+"""
+
+import math
+
+import numpy as np
+
+from vssm_gym.geometry import wrap_angle
+
+REACHED = 0.01  # m: a bend so near is passed; the path's end is driven to however near it is
+
+
+def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """The command that follows ``path`` from ``planar``.
+
+    A step never passes a waypoint, so the robot moves along the path's segments and cuts no corner. The step that
+    arrives at one already turns towards the next: a step saved, at no error more than turning later would make.
+
+    Args:
+        planar: ``(3,)`` the robot's x, y (m) and heading (rad).
+        path: ``(n, 2)`` waypoints, metres, world frame; the first is where the robot is and is not aimed at.
+        limits: ``(3,)`` largest turn (rad), direction offset (rad) and step (m).
+
+    Returns:
+        ``(turn, o, s)`` float64 within the limits; all zero at the path's end.
+    """
+    max_turn, max_offset, max_step = (float(v) for v in limits)
+    x, y, heading = (float(v) for v in planar)
+    ahead = [(float(px), float(py)) for px, py in np.asarray(path)[1:]]
+    while len(ahead) > 1 and math.hypot(ahead[0][0] - x, ahead[0][1] - y) < REACHED:
+        ahead = ahead[1:]
+    px, py = ahead[0] if ahead else (x, y)
+    distance = math.hypot(px - x, py - y)
+    if distance == 0.0:
+        return np.zeros(3)
+    error = _angle(math.atan2(py - y, px - x) - heading)
+    if abs(error) > max_offset:
+        return np.array([_clip(error, max_turn), 0.0, 0.0])
+    turn = 0.0
+    if distance <= max_step and len(ahead) > 1:
+        after = _angle(math.atan2(ahead[1][1] - py, ahead[1][0] - px) - heading)
+        if abs(after) > max_offset:
+            turn = _clip(after, max_turn)
+    return np.array([turn, error, min(distance, max_step)])
+
+
+def _angle(angle: float) -> float:
+    return float(wrap_angle(np.float64(angle)))
+
+
+def _clip(value: float, bound: float) -> float:
+    return max(-bound, min(bound, value))

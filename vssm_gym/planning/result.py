@@ -1,0 +1,46 @@
+"""What a planner returns: a status that is a value with a readable message, a path, its cost and the time it took."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+
+class PlanStatus(Enum):
+    """How a search ended; the value is the message that reports print."""
+
+    FOUND = "path found"
+    NO_PATH = "no path: every free way from the start was searched"
+    START_BLOCKED = "no path: the start is inside an obstacle, too deep to leave it"
+    GOAL_BLOCKED = "no path: no free place within the goal's radius"
+    TIME_OUT = "time out: the path leads to the searched place nearest to the goal"
+
+    @property
+    def message(self) -> str:
+        """The sentence that a person reads."""
+        return self.value
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """A polyline from the start to the goal region, or the reason why there is none.
+
+    Attributes:
+        status: how the search ended.
+        path: ``(n, 2)`` waypoints in the world frame, metres, the start first; empty ``(0, 2)`` where there is no path,
+            the best partial path after a time-out.
+        cost: length of ``path``, metres; infinite where there is no path.
+        seconds: wall-clock time of the whole call.
+        expansions: nodes that the search closed.
+    """
+
+    status: PlanStatus
+    path: np.ndarray
+    cost: float
+    seconds: float
+    expansions: int
+
+    @property
+    def found(self) -> bool:
+        """Whether the path ends inside the goal region."""
+        return self.status is PlanStatus.FOUND

@@ -1,0 +1,1 @@
+"""Pictures of maps, images and runs."""

@@ -1,0 +1,119 @@
+"""Pictures of a learned map from above, of runs on it, and small tools to put a figure into a page."""
+
+import base64
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+
+from vssm_gym.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
+
+CUT_HEIGHT = 1.2  # m: above tables, below door lintels and wall cupboards
+CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # what the cut goes through: walls, tall furniture
+UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])
+TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#d1495b", "#e09f1f"
+
+
+@dataclass(frozen=True)
+class Background:
+    """A map seen from above, ready to draw under runs."""
+
+    image: Float[np.ndarray, "height width 3"]  # RGB [0, 1], row 0 at the lowest y
+    extent: tuple[float, float, float, float]  # world x low, x high, y low, y high of the image's edges, m
+
+
+@jax.jit
+def _slice(map: VoxelMap, xy: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Field and whether a cell was ever observed, at height ``z`` over every ``xy``."""
+    p_world = jnp.concatenate([xy, jnp.broadcast_to(z, (*xy.shape[:-1], 1))], axis=-1)
+    return map.field(p_world), map.precision(p_world)[..., 0] > 1.5 * PRIOR_OCCUPANCY_STD**-2
+
+
+def topdown(map: VoxelMap, cut_height: float = CUT_HEIGHT, resolution: float = 0.04) -> Background:
+    """The colours of the map's surfaces from above with everything over ``cut_height`` (m) taken away.
+
+    What the cut itself goes through is dark, as in an architect's plan; what was never observed is grey. The picture
+    shows the belief that agents plan on, not the scene.
+    """
+    low, high = map.bounds
+    n = np.maximum(np.ceil((high - low)[:2] / resolution).astype(int), 1)
+    x, y = (low[a] + (np.arange(n[a]) + 0.5) * resolution for a in (0, 1))
+    xy = jnp.asarray(np.stack(np.meshgrid(x, y), axis=-1), jnp.float32)
+    image = np.broadcast_to(UNKNOWN_COLOUR, (*xy.shape[:-1], 3)).copy()
+    open_ray = np.ones(xy.shape[:-1], bool)
+    heights = np.arange(cut_height, max(low[2], -0.1), -0.5 * float(map.voxel_size))
+    for z in heights:
+        field, observed = (np.asarray(a) for a in _slice(map, xy, jnp.float32(z)))
+        hit = open_ray & observed & (field[..., 0] > 0.0)
+        image[hit] = CUT_COLOUR if z == heights[0] else 0.35 + 0.65 * np.clip(field[hit][:, 1:], 0.0, 1.0)
+        open_ray &= ~hit
+    extent = (float(low[0]), float(low[0] + n[0] * resolution), float(low[1]), float(low[1] + n[1] * resolution))
+    return Background(image, extent)
+
+
+def draw_background(axes: Axes, background: Background | None) -> None:
+    """Show the map in world coordinates; without one an empty plane of equal scales."""
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=6, length=2)
+    if background is not None:
+        axes.imshow(background.image, origin="lower", extent=background.extent, interpolation="nearest")
+
+
+def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
+    """One episode: true path, estimated path, start, goal with its success circle, and where it touched something."""
+    true = np.asarray(row["trace"]["true"], dtype=float).reshape(-1, 2)
+    estimate = np.asarray(row["trace"]["estimate"] or [], dtype=float).reshape(-1, 2)
+    goal = row["goal"]
+    axes.plot(*true.T, color=TRUE_COLOUR, linewidth=1.6, label="true path", zorder=3)
+    if len(estimate):
+        axes.plot(
+            *estimate.T, color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=(0, (3, 1.5)), label="estimate", zorder=4
+        )
+    contacts = np.asarray(row["trace"]["contacts"] or [], dtype=float).reshape(-1, 2)
+    if len(contacts):
+        axes.plot(*contacts.T, "x", color="black", markersize=4, markeredgewidth=1.0, label="contact", zorder=5)
+    axes.plot(*true[0], "o", color=TRUE_COLOUR, markersize=5, zorder=6)
+    axes.plot(*true[-1], "s", color=TRUE_COLOUR, markersize=4, zorder=6)
+    axes.add_patch(Circle(goal, success_radius, facecolor=GOAL_COLOUR, edgecolor="black", alpha=0.55, lw=0.6, zorder=2))
+
+
+def png(figure: Figure, dpi: int = 80) -> bytes:
+    """The figure as PNG bytes; reproducible, since no date is written into it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def svg(figure: Figure) -> bytes:
+    """The figure as SVG bytes; reproducible: no date, and ids from a fixed salt."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "vssm_gym"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def data_url(content: bytes, kind: str) -> str:
+    """``content`` as a ``data:`` URL of MIME type ``kind``: the page that holds it needs no other file."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def legend_handles() -> list:
+    """The key to :func:`draw_run`."""
+    return [
+        Line2D([], [], color=TRUE_COLOUR, linewidth=1.6, label="true path"),
+        Line2D([], [], color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=(0, (3, 1.5)), label="estimate"),
+        Line2D([], [], color=TRUE_COLOUR, marker="o", linestyle="", markersize=5, label="start"),
+        Line2D([], [], color=TRUE_COLOUR, marker="s", linestyle="", markersize=4, label="end"),
+        Line2D([], [], color=GOAL_COLOUR, marker="o", linestyle="", markersize=9, alpha=0.6, label="goal region"),
+        Line2D([], [], color="black", marker="x", linestyle="", markersize=4, label="contact"),
+    ]
