@@ -29,11 +29,12 @@ class NavigationConfig:
 
     heights: tuple[float, float] = (0.08, 0.5)  # of the robot's body above the floor, whose noise stays below
     resolution: float = 0.025  # of the clearance grid
-    # Extra clearance of a plan: with room to spare; as the robot fits; tighter, as a learned wall may stand too far out.
+    # Extra clearance of a plan: with room to spare; as the robot fits; tighter, since a learned wall may stand too far
+    # out.
     margins: tuple[float, float, float] = (0.03, 0.0, -0.03)
     tight_share: float = 0.9  # the tight plan is taken where it is shorter than this share of the one with room
     slack: float = 0.015  # less clearance is asked while following than while planning: small errors replan nothing
-    stop_margin: float = 0.002  # inside the success radius, with a pose that is certain
+    stop_margin: float = 0.01  # inside the success radius: what the estimate's covariance does not know of
     stop_sigmas: float = 2.5  # further inside, in standard deviations of the estimated position
     least_radius: float = 0.05  # never drive closer to the goal than this, however uncertain
     landing: float = 0.002  # the path ends so far inside the stop radius: a step that falls short costs another one
@@ -159,7 +160,7 @@ class Navigator:
         region; then without the obstacles that were felt.
         """
         c, task = self._config, self._task
-        rim = self._context.success_radius - c.stop_margin - c.landing
+        rim = self._context.success_radius - 2.0 * c.landing
         wide, tight, squeezed = c.margins
 
         def attempt(clearance: ClearanceMap, margin: float, radius: float) -> PlanResult:

@@ -14,7 +14,8 @@ from vssm_gym.agents.navigation import NavigationConfig, Navigator
 class OracleConfig:
     """Settings of the ``oracle`` agent."""
 
-    navigation: NavigationConfig = field(default_factory=NavigationConfig)
+    # The pose is certain but for its rounding to float32, so it stops at the very rim.
+    navigation: NavigationConfig = field(default_factory=lambda: NavigationConfig(stop_margin=0.002))
 
 
 class OracleAgent:

@@ -33,8 +33,8 @@ class Interval:
         """``mean [low, high]``; a dash where there is no interval."""
         if not np.isfinite(self.mean):
             return "-"
-        bounds = f" [{self.low:.{digits}f}, {self.high:.{digits}f}]" if np.isfinite(self.low) else " [-]"
-        return f"{self.mean:.{digits}f}{bounds}"
+        mean, low, high = (f"{value:z.{digits}f}" for value in (self.mean, self.low, self.high))  # z: no "-0.00"
+        return f"{mean} [{low}, {high}]" if np.isfinite(self.low) else f"{mean} [-]"
 
 
 @dataclass(frozen=True)

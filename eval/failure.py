@@ -39,8 +39,10 @@ def failure_reason(
     """
     lost = _lost_track(positions, estimates, contacts, body_length)
     if lost:
-        reported = any("lost" in status for status in statuses)
-        return f"lost track: {lost}; the tracker {'reported it' if reported else 'did not report it'}"
+        noticed = (
+            "which the agent noticed" if any("lost" in status for status in statuses) else "unnoticed by the agent"
+        )
+        return f"lost track: {lost}, {noticed}"
     last = statuses[-1]
     if "no path" in last:
         return f"planner: {last}"
@@ -50,7 +52,7 @@ def failure_reason(
     if not stopped and spread < body_length and np.mean(contacts[-STUCK_STEPS:]) >= STUCK_CONTACTS:
         return f"collision: stuck, {spread:.2f} m in the last {len(tail)} steps, {away:.2f} m from the goal"
     if stopped:
-        return f"stopped outside: {away:.2f} m from the goal"
+        return f"stopped outside: {away:.3f} m from the goal"
     return f"time out: {away:.2f} m from the goal after {len(positions) - 1} steps"
 
 

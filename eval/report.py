@@ -31,10 +31,14 @@ p.note{color:#56606b;font-size:13px;max-width:80ch}img{max-width:100%}code{backg
 """
 
 
-def write_report(folder: Path) -> Path:
+def write_report(folder: Path, seed: int = 0) -> Path:
     """Write ``folder/report.html`` from ``episodes.jsonl``, ``sweep.json`` and ``maps/``; returns its path.
 
     The page needs no other file and no network. It appears whole or not at all.
+
+    Args:
+        folder: of a sweep.
+        seed: of the bootstrap resampling.
 
     Raises:
         InputError: the folder holds no sweep, or no episode of it has ended.
@@ -43,7 +47,7 @@ def write_report(folder: Path) -> Path:
     rows = _in_config_order(read_rows(folder / FILE), manifest["config"])
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
-    page = _page(rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows})
+    page = _page(rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}, seed)
     target = folder / "report.html"
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     temporary.write_text(page, encoding="utf-8")
@@ -75,26 +79,26 @@ def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list
     )
 
 
-def _page(rows: Sequence[Row], manifest: dict[str, Any], maps: dict[str, Path]) -> str:
+def _page(rows: Sequence[Row], manifest: dict[str, Any], maps: dict[str, Path], seed: int) -> str:
     backgrounds = {scene: pictures.topdown(VoxelMap.load(path)) for scene, path in maps.items() if path.is_file()}
     reference = tables.reference_agent(rows)
     sections = [
-        _header(rows, manifest),
+        _header(rows, manifest, seed),
         _failures(rows, backgrounds),
         "<h2>Results</h2>",
         "<p class=note>Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
         "Location error is measured by the harness against the simulator's pose, at every step.</p>",
-        f"<div class=wide>{tables.results(rows)}</div>",
+        f"<div class=wide>{tables.results(rows, seed)}</div>",
     ]
     if reference:
         sections += [
             f"<h2>Paired differences to {escape(reference)}</h2>",
             "<p class=note>Same task, same seed, same noise stream; an interval that leaves out 0 is a difference.</p>",
-            f"<div class=wide>{tables.differences(rows, reference)}</div>",
+            f"<div class=wide>{tables.differences(rows, reference, seed)}</div>",
         ]
     sections.append("<h2>Curves</h2>")
     for group, members in group_rows(rows, tables.grouping(rows)[:-1]).items():
-        image = pictures.data_url(figures.curves(members), "image/svg+xml")
+        image = pictures.data_url(figures.curves(members, seed), "image/svg+xml")
         sections.append(f"<h3>{escape(' · '.join(group))}</h3><img src='{image}' alt='curves of {escape(group[0])}'>")
     sections += [
         "<h2>Latency of a step</h2>",
@@ -111,7 +115,7 @@ def _page(rows: Sequence[Row], manifest: dict[str, Any], maps: dict[str, Path]) 
     )
 
 
-def _header(rows: Sequence[Row], manifest: dict[str, Any]) -> str:
+def _header(rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     config = manifest["config"]
     facts = {
         "episodes": f"{len(rows)} of {manifest['episodes']}",
@@ -129,7 +133,7 @@ def _header(rows: Sequence[Row], manifest: dict[str, Any]) -> str:
     line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items())
     unfinished = len(rows) < manifest["episodes"]
     warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
-    headline = tables.results(rows, ("spl", "success"))
+    headline = tables.results(rows, seed, ("spl", "success"))
     raw = escape(json.dumps(config, indent=1))
     return (
         f"<h1>{escape(', '.join(dict.fromkeys(row['scene'] for row in rows)))}: {', '.join(config['agents'])}</h1>"
@@ -149,7 +153,8 @@ def _failures(rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) 
         f"<p class=note>{len(drawn)} of {len(failed)} failed episodes are drawn, agents that fail rarely first, "
         "on the map that the agents were given (dark: cut at 1.2 m; grey: never seen).</p>"
         f"<img src='{key}' alt='key'>{_runs(drawn, backgrounds)}"
-        f"<details><summary>all {len(failed)} failures</summary>{tables.failure_list(rows)}</details>"
+        f"<details><summary>all {len(failed)} failures</summary>"
+        f"<div class=wide>{tables.failure_list(rows)}</div></details>"
     )
 
 
@@ -160,7 +165,7 @@ def _runs(rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> s
 
 
 def _run(row: Row, background: pictures.Background | None) -> str:
-    image = pictures.data_url(figures.run_picture(row, background), "image/png")
+    image = pictures.data_url(figures.run_picture(row, background), "image/webp")
     name = f"{row['agent']} · {row['scene']} · {row['noise']} · task {row['task']} · seed {row['seed']}"
     outcome = (
         f"<span class=bad>{escape(row['failure'])}</span>"

@@ -19,13 +19,13 @@ def _colours(rows: Sequence[Row]) -> dict[str, str]:
     return {agent: PALETTE[i % len(PALETTE)] for i, agent in enumerate(agents)}
 
 
-def curves(rows: Sequence[Row]) -> bytes:
+def curves(rows: Sequence[Row], seed: int) -> bytes:
     """Three panels as SVG: success against geodesic length, the CDF of location error, and error against path."""
     figure = Figure(figsize=(11.5, 3.3), layout="constrained")
     success, cdf, growth = figure.subplots(1, 3)
     for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
         colour = _colours(rows)[agent]
-        _success_by_length(success, members, agent, colour)
+        _success_by_length(success, members, agent, colour, seed)
         _error_cdf(cdf, members, agent, colour)
         _error_growth(growth, members, agent, colour)
     success.set(xlabel="geodesic length of the task, m", ylabel="success rate", ylim=(-0.04, 1.04))
@@ -38,7 +38,7 @@ def curves(rows: Sequence[Row]) -> bytes:
     return pictures.svg(figure)
 
 
-def _success_by_length(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> None:
+def _success_by_length(axes: Axes, rows: Sequence[Row], agent: str, colour: str, seed: int) -> None:
     """Success in up to five bins of equal counts, with the 95 % interval of each."""
     lengths = np.array([row["geodesic"] for row in rows])
     bins = int(np.clip(len(set(lengths)) // 8, 1, 5))
@@ -46,7 +46,7 @@ def _success_by_length(axes: Axes, rows: Sequence[Row], agent: str, colour: str)
     which = np.clip(np.searchsorted(edges, lengths, side="right") - 1, 0, bins - 1)
     members = [[row for row, b in zip(rows, which, strict=True) if b == i] for i in range(bins)]
     members = [chosen for chosen in members if chosen]
-    intervals = [aggregate.mean(chosen, "success") for chosen in members]
+    intervals = [aggregate.mean(chosen, "success", seed) for chosen in members]
     x = [float(np.mean([row["geodesic"] for row in chosen])) for chosen in members]
     y = np.array([interval.mean for interval in intervals])
     spread = np.nan_to_num([[y - i.low, i.high - y] for y, i in zip(y, intervals, strict=True)]).T
@@ -76,7 +76,7 @@ def _error_growth(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> N
 
 
 def run_picture(row: Row, background: pictures.Background | None) -> bytes:
-    """One episode on the learned map as PNG: true path, estimate, goal region, contacts."""
+    """One episode on the learned map as WebP: true path, estimate, goal region, contacts."""
     figure = Figure(figsize=(4.2, 3.6), layout="constrained")
     axes = figure.subplots()
     pictures.draw_background(axes, background)
@@ -85,7 +85,7 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
         axes.margins(0.2)
     else:
         axes.set(xlim=background.extent[:2], ylim=background.extent[2:])
-    return pictures.png(figure)
+    return pictures.webp(figure)
 
 
 def legend() -> bytes:

@@ -14,7 +14,6 @@ METRICS = {
     "spl": "SPL",
     "success": "success",
     "soft_spl": "SoftSPL",
-    "path_length": "path m",
     "steps": "steps",
     "collisions": "collisions",
     "distance_to_goal": "to goal m",
@@ -45,13 +44,13 @@ def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
     )
 
 
-def results(rows: Sequence[Row], metrics: Sequence[str] = tuple(METRICS)) -> str:
+def results(rows: Sequence[Row], seed: int, metrics: Sequence[str] = tuple(METRICS)) -> str:
     """Mean and 95 % interval of each metric for each condition and agent."""
     by = grouping(rows)
     header = [*(name.replace("_", " ") for name in by), "episodes", *(METRICS[metric] for metric in metrics)]
     lines = [
         [*line.group, str(line.episodes), *(line.values[m].text(DIGITS.get(m, 2)) for m in metrics)]
-        for line in aggregate.table(rows, metrics, by)
+        for line in aggregate.table(rows, metrics, by, seed)
     ]
     return html_table(header, lines, len(by))
 
@@ -64,7 +63,7 @@ def reference_agent(rows: Sequence[Row]) -> str | None:
     return "astar" if "astar" in agents else agents[0]
 
 
-def differences(rows: Sequence[Row], reference: str) -> str:
+def differences(rows: Sequence[Row], reference: str, seed: int) -> str:
     """Paired differences ``reference - other`` over the episodes that both ran."""
     by = grouping(rows)[:-1]
     header = [*(name.replace("_", " ") for name in by), "difference", "pairs", *(METRICS[m] for m in DIFFERENCES)]
@@ -73,16 +72,16 @@ def differences(rows: Sequence[Row], reference: str) -> str:
         for other in dict.fromkeys(str(row["agent"]) for row in members):
             if other == reference:
                 continue
-            intervals = [_difference(members, metric, reference, other) for metric in DIFFERENCES]
+            intervals = [_difference(members, metric, reference, other, seed) for metric in DIFFERENCES]
             pairs = max((interval.episodes for interval in intervals if interval), default=0)
             cells = [i.text(DIGITS.get(m, 2)) if i else "-" for m, i in zip(DIFFERENCES, intervals, strict=True)]
             lines.append([*group, f"{reference} - {other}", str(pairs), *cells])
     return html_table(header, lines, len(by) + 1)
 
 
-def _difference(rows: Sequence[Row], metric: str, agent: str, other: str) -> aggregate.Interval | None:
+def _difference(rows: Sequence[Row], metric: str, agent: str, other: str, seed: int) -> aggregate.Interval | None:
     try:
-        return aggregate.paired_difference(rows, metric, agent, other)
+        return aggregate.paired_difference(rows, metric, agent, other, seed)
     except InputError:  # an agent that keeps no estimate has no location error to compare
         return None
 

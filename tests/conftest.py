@@ -17,7 +17,7 @@ if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 from jaxtyping import install_import_hook
 
 # Annotated shapes and dtypes of these modules are checked at every call (STYLE 2). Simulation and planning are left
@@ -33,8 +33,15 @@ from vssm_gym.cli.cache import use_compilation_cache
 
 use_compilation_cache()  # one compilation of a jitted function serves every later run and both xdist workers
 
+# Shrinking a failure can take minutes: worth it at a desk, not in CI, where the failure itself is enough.
+phases = [phase for phase in Phase if phase is not Phase.shrink or "CI" not in os.environ]
 settings.register_profile(
-    "vssm_gym", max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    "vssm_gym",
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    phases=phases,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("vssm_gym")
 

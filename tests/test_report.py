@@ -71,7 +71,7 @@ def episode(agent, task, success, failure=None):
 
 def box_map():
     """A 3 x 2 x 1.6 m map with a wall at x = 2.5 m and a red table whose top is 0.6 m high; x > 2.8 never seen."""
-    voxel_map = VoxelMap.prior((0.0, -0.5, -0.2), 0.1, (32, 24, 24))
+    voxel_map = VoxelMap.prior(np.array([0.0, -0.5, -0.2]), 0.1, (32, 24, 24))
     x, y, z = np.meshgrid(
         *(low + 0.1 * np.arange(n) for low, n in zip((0, -0.5, -0.2), voxel_map.shape, strict=True)), indexing="ij"
     )

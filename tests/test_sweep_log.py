@@ -1,4 +1,4 @@
-"""The episode log survives being cut anywhere; the sweep's configuration multiplies, and refuses what it does not know."""
+"""The episode log survives being cut anywhere; the configuration multiplies, and refuses what it does not know."""
 
 import json
 

@@ -1,6 +1,7 @@
 """Tasks obey their definition, repeat with their seed, never mix splits, and survive a file unchanged or not at all."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from box_rooms import furniture, two_rooms
 from vssm_gym.envs import tasks as tasks_module
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import built_in_scenes, load_scene
-from vssm_gym.envs.tasks import TaskSampler, TaskSet, freeze, load, make_tasks, save, task_set
+from vssm_gym.envs.tasks import Split, TaskSampler, TaskSet, freeze, load, make_tasks, save, task_set
 from vssm_gym.errors import InputError
 
 ROBOT = HolonomicRobot()
@@ -28,7 +29,7 @@ def check_definition(tasks: TaskSet, sampler: TaskSampler) -> None:
         assert np.all(shapely.distance(border, shapely.points(positions)) >= 0.019)
     away = np.linalg.norm(starts[:, :2] - goals, axis=1)
     assert np.all(away > 0.6) and np.all(geodesic >= 1.0) and np.all(geodesic >= away - 0.4 - 1e-6)
-    assert np.all(np.abs(starts[:, 2]) <= np.pi + 1e-4) and len(np.unique(starts[:, 2])) == len(starts)
+    assert np.all(np.abs(starts[:, 2]) <= np.pi + 1e-4) and len(np.unique(starts, axis=0)) == len(starts)
     assert [t.id for t in tasks.tasks] == list(range(len(starts)))
     for task in tasks.tasks:
         sampler.validate(task)
@@ -105,7 +106,12 @@ def test_frozen_file_counts_only_for_its_scene(tmp_path: Path, monkeypatch: pyte
     assert [p.name for p in paths] == ["two_rooms-train.json", "two_rooms-test.json"]
     made = make_tasks(apartment, ROBOT, 4, "test")
     calls = []
-    monkeypatch.setattr(tasks_module, "make_tasks", lambda *args: calls.append(args) or made)
+
+    def remember(*args: object) -> TaskSet:
+        calls.append(args)
+        return made
+
+    monkeypatch.setattr(tasks_module, "make_tasks", remember)
     assert task_set(apartment, ROBOT, "test", 4) == made and calls == []  # from the file, and the same
     task_set(apartment, ROBOT, "test", 7)  # more than there are
     task_set(two_rooms(pieces=(SOFA,)), ROBOT, "test", 4)  # another scene of that name
@@ -115,14 +121,14 @@ def test_frozen_file_counts_only_for_its_scene(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize("scene", built_in_scenes())
 @pytest.mark.parametrize("split", ["train", "test"])
-def test_built_in_scenes_are_frozen(scene: str, split: str) -> None:
+def test_built_in_scenes_are_frozen(scene: str, split: Split) -> None:
     """If this fails the scene changed: `tasks.freeze(load_scene(name), HolonomicRobot())` writes the files anew."""
     apartment = load_scene(scene)
     frozen = load(tasks_module.FROZEN / f"{scene}-{split}.json", apartment)
     assert len(frozen.tasks) == 200 and frozen.split == split
     check_definition(frozen, TaskSampler(apartment, ROBOT))
     # The same machine-independent draws: positions are equal, geodesics up to rounding of the geometry library.
-    for task, again in zip(frozen.tasks[:10], make_tasks(apartment, ROBOT, 10, split).tasks, strict=True):  # type: ignore[arg-type]
+    for task, again in zip(frozen.tasks[:10], make_tasks(apartment, ROBOT, 10, split).tasks, strict=True):
         assert task.start == again.start and task.goal == again.goal
         assert task.geodesic == pytest.approx(again.geodesic, abs=2e-6)
 
@@ -168,3 +174,19 @@ def test_bad_requests() -> None:
     )
     with pytest.raises(InputError, match="m of way apart"):
         TaskSampler(crowded, ROBOT).draw(np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("house", ["house_0", "house_1", "house_987654321"])
+def test_houses_that_nobody_here_made(house: str, shared_data: Path) -> None:
+    """Tasks and a whole set of checks on ProcTHOR houses; house_0 says itself that a room may be out of reach."""
+    apartment = load_scene(shared_data / "procthor" / "houses" / f"{house}.json")
+    sampler = TaskSampler(apartment, ROBOT)
+    check_definition(make_tasks(apartment, ROBOT, 10, "test"), sampler)
+    assert any("not navigable" in note for note in apartment.notes) == (house == "house_0")
+    cut_off = sampler.space.cut_off_rooms()  # with doors and furniture as imported, our small robot gets everywhere
+    assert cut_off == []
+    # A robot too wide for the doors does not: the rooms it cannot enter are named.
+    wide = sampler.space.widened(0.45)
+    assert wide.cut_off_rooms()
+    with pytest.raises(InputError, match=re.escape(wide.cut_off_rooms()[0])):
+        wide.check_connected()

@@ -18,5 +18,5 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-Matrix4: TypeAlias = Float[Any, "4 4"]  # noqa: UP040  (an annotation that jaxtyping checks must be evaluated)
-PlanarPose: TypeAlias = Float[np.ndarray, "3"]  # noqa: UP040
+Matrix4: TypeAlias = Float[Any, "4 4"]  # not a `type` statement: what jaxtyping checks must be evaluated
+PlanarPose: TypeAlias = Float[np.ndarray, "3"]

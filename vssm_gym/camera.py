@@ -52,7 +52,7 @@ class Camera(eqx.Module):
         return jnp.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, jnp.ones(u.shape)], axis=-1)
 
     def backproject(self, depth: Float[Array, "height width"]) -> Float[Array, "height width 3"]:
-        """``p_cam = d K^-1 [i, j, 1]^T``: metres, camera frame; where depth is 0 (no reading) the point is the origin."""
+        """``p_cam = d K^-1 [i, j, 1]^T``: metres, camera frame; where depth is 0 (none read), the origin."""
         return self.rays() * depth[..., None]
 
     def project(self, p_cam: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:

@@ -1,12 +1,13 @@
 """The emission: ``p(x | z, M) = Laplace(x; mu_rgbd(z, M), diag(sigma_E))``, a differentiable RGB-D renderer (SPEC 1).
 
-Along the ray of pixel (i, j), ``p(d) = c + d R K^-1 [i, j, 1]^T`` is sampled at ``d_k = k e``. With ``k`` the first sample
-whose occupancy exceeds ``tau``, the surface is at ``d* = a d_k + (1 - a) d_k-1``, ``a = (tau - o_k-1) / (o_k - o_k-1)``, and
-the colour is the field there. The search for ``k`` has no gradient; the interpolation at the hit has one in the map, the
-pose and the intrinsics. :func:`march` is the search as published; :func:`search` finds the same ``k`` by skipping
-certified empty boxes (:mod:`vssm_gym.empty_space`).
+Along the ray of pixel (i, j), ``p(d) = c + d R K^-1 [i, j, 1]^T`` is sampled at ``d_k = k e``. With ``k`` the first
+sample whose occupancy exceeds ``tau``, the surface is at ``d* = a d_k + (1 - a) d_k-1``,
+``a = (tau - o_k-1) / (o_k - o_k-1)``, and the colour is the field there. The search for ``k`` has no gradient; the
+interpolation at the hit has one in the map, the pose and the intrinsics. :func:`march` is the search as published;
+:func:`search` finds the same ``k`` by skipping certified empty boxes (:mod:`vssm_gym.empty_space`).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -58,7 +59,7 @@ def world_rays(T_world_cam: Float[Array, "4 4"], camera: Camera) -> tuple[Array,
     return T_world_cam[:3, 3], directions
 
 
-def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float = MAX_DEPTH) -> tuple[Array, Array]:
+def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
     """The published search: every sample of every ray in order. The reference that :func:`search` is held to.
 
     Returns:
@@ -80,7 +81,7 @@ def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float = MAX_
     return first, found
 
 
-def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float) -> _Rays:
+def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array) -> _Rays:
     e = STEP * m.voxel_size
     start = m.to_grid(centre)[:, None] + jnp.zeros((1, directions.shape[0]))
     stride = directions.T * (e / m.voxel_size)
@@ -111,7 +112,7 @@ def _beyond(rays: _Rays, low: Array, high: Array) -> Array:
 
 
 def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
-    """Move each ray to the first sample beyond the certified empty box it stands in; stay where the cube is occupied."""
+    """Move each ray to the first sample beyond the certified empty box it stands in; not where its cube is occupied."""
     cube = _cube(m, rays)
     block = ((cube[0] >> 3) * m.blocks[1] + (cube[1] >> 3)) * m.blocks[2] + (cube[2] >> 3)
     rings = m.empty.rings.reshape(-1).at[block].get(mode="promise_in_bounds")
@@ -142,7 +143,7 @@ def _look(m: VoxelMap, rays: _Rays) -> _Rays:
     return rays._replace(k=k, hit=hit)
 
 
-def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float = MAX_DEPTH) -> tuple[Array, Array]:
+def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
     """First sample above the threshold, as :func:`march` finds it, skipping certified empty boxes.
 
     Rays move in lock step, so a few that graze a surface would hold up all others: whenever few are left they are
@@ -198,7 +199,13 @@ def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays
     return jnp.where(rise > 1e-9, a * d_k + (1.0 - a) * d_before, d_k)
 
 
-def render_with(searcher, m: VoxelMap, T_world_cam: Array, camera: Camera, max_depth: float = MAX_DEPTH) -> RGBD:
+def render_with(
+    searcher: Callable[..., tuple[Array, Array]],
+    m: VoxelMap,
+    T_world_cam: Float[Array, "4 4"],
+    camera: Camera,
+    max_depth: float | Array = MAX_DEPTH,
+) -> RGBD:
     """:func:`render` with a given search (``march`` or ``search``)."""
     centre, directions = world_rays(T_world_cam, camera)
     k, hit = searcher(*jax.lax.stop_gradient((m, centre, directions)), max_depth)
@@ -214,7 +221,7 @@ def render_with(searcher, m: VoxelMap, T_world_cam: Array, camera: Camera, max_d
 
 
 @jax.jit
-def render(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float = MAX_DEPTH) -> RGBD:
+def render(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float | Array = MAX_DEPTH) -> RGBD:
     """``mu_rgbd(z, M)``: the RGB-D image of the mean map from a pose.
 
     Args:

@@ -19,11 +19,12 @@ CELLS = BLOCK**3  # cells of a block
 MAX_RINGS = 12  # rings of empty blocks that are counted; a ray re-reads the index after 12 blocks
 
 _EDGE = np.arange(BLOCK + 1)
-_WINDOW = np.stack(np.meshgrid(_EDGE, _EDGE, _EDGE, indexing="ij"), -1).reshape(-1, 3)  # the 9^3 cells a block's cubes touch
+# The 9^3 cells that a block's cubes touch
+_WINDOW = np.stack(np.meshgrid(_EDGE, _EDGE, _EDGE, indexing="ij"), -1).reshape(-1, 3)
 
 
 class EmptySpace(eqx.Module):
-    """Certified empty boxes. ``level`` 0: occupied cube; 1, 2, 3, 4: inside an empty aligned box of 1, 2, 4, 8 cubes."""
+    """Certified empty boxes. ``level`` 0: occupied cube; 1, 2, 3, 4: in an empty aligned box of 1, 2, 4, 8 cubes."""
 
     level: UInt8[Array, "blocks cells"]
     rings: Int[Array, "bx by bz"]  # 0: the block has an occupied cube; r: every block nearer than r rings is empty
@@ -33,9 +34,7 @@ def axis_offsets(i: Array, j: Array, k: Array, blocks: tuple[int, int, int]) -> 
     """Three offsets whose sum is the position of cell ``(i, j, k)`` in block storage read as one flat array."""
     block_strides = (blocks[1] * blocks[2] * CELLS, blocks[2] * CELLS, CELLS)
     cell_strides = (BLOCK * BLOCK, BLOCK, 1)
-    x, y, z = (
-        (c >> 3) * block_strides[a] + (c & (BLOCK - 1)) * cell_strides[a] for a, c in enumerate((i, j, k))
-    )
+    x, y, z = ((c >> 3) * block_strides[a] + (c & (BLOCK - 1)) * cell_strides[a] for a, c in enumerate((i, j, k)))
     return x, y, z
 
 

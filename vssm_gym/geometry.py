@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
-# Body frame to camera frame axes: camera z looks along body x, camera x to body -y, camera y down (DESIGN, Conventions).
+# Columns: the camera's axes in the body frame; z looks along body x, x to body -y, y down (DESIGN, Conventions).
 R_BODY_CAM = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 

@@ -1,8 +1,8 @@
 """Transitions ``p(z_t+1 | z_t, u_t)`` of the model (SPEC 1, 6).
 
 Planar holonomic robot, control ``u = (turn, o, s)`` a step: ``heading' = heading + turn + e_a``,
-``xy' = xy + [cos phi, sin phi] (s + e_s)``, ``phi = heading + o + e_a``; ``e_a`` acts on the heading only where the robot
-turns, and nothing acts on a robot that does not try to move (TNP-SM).
+``xy' = xy + [cos phi, sin phi] (s + e_s)``, ``phi = heading + o + e_a``; ``e_a`` acts on the heading only where the
+robot turns, and nothing acts on a robot that does not try to move (TNP-SM).
 """
 
 import equinox as eqx
@@ -43,8 +43,8 @@ def planar_mean(planar: Float[Array, "*batch 3"], control: Float[Array, "*batch 
 def planar_predict(belief: PlanarBelief, control: Float[Array, "3"], noise: MotionNoise) -> PlanarBelief:
     """``int p(z' | z, u) N(z) dz`` to first order: the Gaussian after one control step.
 
-    The rectification in the execution (noise never reverses a motion) is left out: it matters only for steps shorter than
-    the noise. ``e_a`` moves both heading and direction, so the two are correlated.
+    The rectification in the execution (noise never reverses a motion) is left out: it matters only for steps shorter
+    than the noise. ``e_a`` moves both heading and direction, so the two are correlated.
     """
     turn, offset, step = control
     turning, driving = jnp.abs(turn) > 0.0, step > 0.0

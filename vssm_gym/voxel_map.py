@@ -7,7 +7,9 @@ field is the trilinear interpolation of the cells and its zero level set is the 
 import json
 import os
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,6 +28,7 @@ PRIOR_OCCUPANCY_MEAN = -0.001  # m: unknown space is just free, so an empty map 
 OBSERVED_PRECISION = 0.1  # a cell with more than this was observed at least once, at any std up to 3
 
 _ARRAYS = ("occupancy", "occupancy_precision", "colour", "colour_precision")
+
 
 def trilinear(corners: list[Array], x: Array, y: Array, z: Array) -> Array:
     """Interpolation between eight corner values (x slowest, z fastest) at fractions ``x, y, z`` in [0, 1]."""
@@ -47,7 +50,9 @@ class VoxelMap(eqx.Module):
     blocks: tuple[int, int, int] = eqx.field(static=True)  # blocks along x, y, z
 
     @classmethod
-    def prior(cls, origin, voxel_size: float, shape: tuple[int, int, int]) -> "VoxelMap":
+    def prior(
+        cls, origin: Array | np.ndarray | Sequence[float], voxel_size: float, shape: tuple[int, int, int]
+    ) -> "VoxelMap":
         """``p(M)``: the broad prior over a grid of at least ``shape`` cells (rounded up to whole blocks)."""
         blocks = (-(-shape[0] // BLOCK), -(-shape[1] // BLOCK), -(-shape[2] // BLOCK))
         n = blocks[0] * blocks[1] * blocks[2]
@@ -66,7 +71,9 @@ class VoxelMap(eqx.Module):
         )
 
     @classmethod
-    def cube(cls, centre, extent: float = 14.0, voxel_size: float = 0.07) -> "VoxelMap":
+    def cube(
+        cls, centre: Array | np.ndarray | Sequence[float], extent: float = 14.0, voxel_size: float = 0.07
+    ) -> "VoxelMap":
         """The published grid: ``extent`` metres along each axis around ``centre`` (PRISM: 200^3 over 14 m)."""
         n = round(extent / voxel_size)
         origin = np.asarray(centre, dtype=float) - 0.5 * voxel_size * (n - 1)
@@ -122,7 +129,7 @@ class VoxelMap(eqx.Module):
         return self._interpolate(p_world, (self.occupancy_precision, PRIOR_OCCUPANCY_STD**-2), colour, colour, colour)
 
     def observed_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """How much of the field's value at a point comes from cells whose occupancy and colour were observed, in [0, 1].
+        """Share of the field's value at a point that comes from cells whose occupancy and colour were observed, [0, 1].
 
         Behind the band that an image updates the field falls back to "just free"; that crossing is no surface, and it
         lies close to a cell that nothing observed, which gives it away.
@@ -160,7 +167,7 @@ class VoxelMap(eqx.Module):
         path = Path(path)
         header = {"format": "vssm_gym.VoxelMap", "version": FORMAT_VERSION, "blocks": list(self.blocks), **metadata}
         temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
+        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
         try:
             with temporary.open("wb") as file:
                 np.savez_compressed(

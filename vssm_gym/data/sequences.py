@@ -1,7 +1,7 @@
 """Recorded RGB-D sequences as TUM folders, with ``camera.json`` and ``controls.txt`` beside TUM's own files (DESIGN).
 
-``rgb.txt``, ``depth.txt`` (time, file), ``associations.txt`` (both), ``groundtruth.txt`` (T_world_cam), images as JPEG or
-PNG, depth as 16-bit PNG, metres = value / depth_scale, 0 = no reading.
+``rgb.txt``, ``depth.txt`` (time, file), ``associations.txt`` (both), ``groundtruth.txt`` (T_world_cam), images as JPEG
+or PNG, depth as 16-bit PNG, metres = value / depth_scale, 0 = no reading.
 """
 
 import json
@@ -18,7 +18,7 @@ from vssm_gym.errors import InputError
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
 ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame
 
-# Published intrinsics of the TUM RGB-D cameras at 640x480: fx fy cx cy, k1 k2 p1 p2 k3; by the word in the folder's name.
+# Published intrinsics of the TUM RGB-D cameras at 640x480: fx fy cx cy, k1 k2 p1 p2 k3; by a word of the folder's name.
 TUM_CAMERAS = {
     ("fr1", "freiburg1"): ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
     ("fr2", "freiburg2"): ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
@@ -67,8 +67,8 @@ class Sequence:
 class FrameReader:
     """Frames of a sequence, undistorted and resized to ``width x height``, with the camera that then took them.
 
-    Colour is averaged over the source pixels of a target pixel; depth takes the nearest reading, because an average across
-    an edge is a surface that does not exist.
+    Colour is averaged over the source pixels of a target pixel; depth takes the nearest reading, because an average
+    across an edge is a surface that does not exist.
     """
 
     def __init__(self, sequence: Sequence, size: tuple[int, int] | None = None) -> None:
@@ -208,7 +208,10 @@ def _frames(root: Path) -> tuple[Frame, ...]:
     return tuple(sorted(frames, key=lambda frame: frame.time))
 
 
-def _camera(root: Path, frames: tuple[Frame, ...], intrinsics: tuple[float, ...] | None):
+def _camera(
+    root: Path, frames: tuple[Frame, ...], intrinsics: tuple[float, ...] | None
+) -> tuple[Camera, np.ndarray, float, np.ndarray | None]:
+    """Camera, distortion, depth scale and T_body_cam: as given, from ``camera.json``, or TUM's by the folder's name."""
     height, width = read_image(frames[0].rgb).shape[:2]
     path = root / "camera.json"
     if intrinsics is not None:
@@ -226,10 +229,11 @@ def _camera(root: Path, frames: tuple[Frame, ...], intrinsics: tuple[float, ...]
             camera = Camera.from_matrix(K, int(stored["width"]), int(stored["height"]))
             return camera, distortion, float(stored.get("depth_scale", DEPTH_SCALE)), T_body_cam
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(path, "content", f"width, height, K (3x3)[, distortion (5), depth_scale] ({error})") from error
-    for names, (pinhole, distortion) in TUM_CAMERAS.items():
+            fields = "width, height, K (3x3)[, distortion (5), depth_scale, T_body_cam (4x4)]"
+            raise InputError(path, "content", f"{fields} ({error})") from error
+    for names, (pinhole, lens) in TUM_CAMERAS.items():
         if any(name in root.resolve().name for name in names):
-            return Camera(640, 480, *pinhole).resized(width, height), np.array(distortion), DEPTH_SCALE, None
+            return Camera(640, 480, *pinhole).resized(width, height), np.array(lens), DEPTH_SCALE, None
     raise InputError(path, "file", "camera.json, a TUM folder name (fr1, fr2, fr3), or --intrinsics")
 
 

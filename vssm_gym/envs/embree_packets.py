@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
@@ -144,15 +143,15 @@ def _aligned(size: int) -> np.ndarray:
 @intrinsic
 def _call(typingctx, function, a, b, c, d):
     """Call the C function at an address with four pointers; numba's own way to do so cannot be cached on disk."""
-    pointers = [types.intp] * 4
+    # Only for its type: the address comes with the call. The C function returns nothing; nor does the word that is
+    # read as its result mean anything.
+    prototype = types.ExternalFunctionPointer(types.intp(*[types.intp] * 4), int)
 
     def generate(context, builder, signature, arguments):
-        word = ir.IntType(64)
-        prototype = ir.FunctionType(ir.VoidType(), [word] * 4)
-        builder.call(builder.inttoptr(arguments[0], prototype.as_pointer()), arguments[1:])
-        return context.get_dummy_value()
+        pointer = builder.inttoptr(arguments[0], context.get_value_type(prototype))
+        return builder.call(pointer, arguments[1:])
 
-    return types.void(types.intp, *pointers), generate
+    return types.intp(*[types.intp] * 5), generate
 
 
 @numba.njit(nogil=True, cache=True)

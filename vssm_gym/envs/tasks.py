@@ -8,7 +8,6 @@ the shorter one, and no split shares a stream with another. Sets of the built-in
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -85,9 +84,12 @@ def save(tasks: TaskSet, path: Path) -> None:
     """Write as JSON, one task a line, atomically."""
     head = json.dumps(tasks.model_dump(mode="json", exclude={"tasks"}), indent=1).removesuffix("\n}")
     lines = ",\n".join("  " + json.dumps(task.model_dump(mode="json")) for task in tasks.tasks)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        file.write(f'{head},\n "tasks": [\n{lines}\n ]\n}}\n')
-    os.replace(file.name, path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_text(f'{head},\n "tasks": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def load(path: Path, apartment: Apartment | None = None) -> TaskSet:

@@ -1,10 +1,11 @@
 """Pose by MAP: ``argmin_T L_geo + L_rgb - log q(T)``, robust Gauss-Newton over all pixels (SPEC 3, step 2; PRISM).
 
-An observed RGB-D image is aligned to a reference image, rendered from the map or taken earlier. With ``T = T_ref_cam`` and
-projective association, ``r_geo = <p^ - T p, n^>`` and ``r_rgb = I^[pi(T p)] - I[pi(p)]`` on luminance. Each is scaled by
-its standard deviation and made robust by Huber's function, which is the published L1 norm beyond the elbow and quadratic
-below it, where Gauss-Newton needs a curvature. The motion lives in a subspace ``T = T_prior exp(B xi)``: ``B`` is the
-identity for a free camera and the three planar twists for a robot on a floor, which then stays on it exactly.
+An observed RGB-D image is aligned to a reference image, rendered from the map or taken earlier. With ``T = T_ref_cam``
+and projective association, ``r_geo = <p^ - T p, n^>`` and ``r_rgb = I^[pi(T p)] - I[pi(p)]`` on luminance. Each is
+scaled by its standard deviation and made robust by Huber's function, which is the published L1 norm beyond the elbow
+and quadratic below it, where Gauss-Newton needs a curvature. The motion lives in a subspace ``T = T_prior exp(B xi)``:
+``B`` is the identity for a free camera and the three planar twists for a robot on a floor, which then stays on it
+exactly.
 """
 
 from dataclasses import dataclass
@@ -140,7 +141,9 @@ def make_observed(image: RGBD, camera: Camera, factor: int = 1) -> Observed:
     return Observed(jnp.moveaxis(p, -1, 0).reshape(3, -1), grey.reshape(-1), (depth > 0.0).reshape(-1))
 
 
-def _linearise(T: Array, basis: Array, ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig):
+def _linearise(
+    T: Array, basis: Array, ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
+) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array, float]]:
     """Residuals, weights and Jacobians (dof, pixels) in the basis at ``T`` = T_ref_cam, both kinds stacked."""
     view = shrink_camera(camera, factor)
     R, t = T[:3, :3], T[:3, 3]

@@ -62,13 +62,14 @@ def blocks_in_view(
     near = jnp.maximum(z - radius, 1e-3)
     uv, _ = camera.project(jnp.where((z > 1e-3)[:, None], centre, jnp.asarray([0.0, 0.0, 1.0])))
     in_frustum = z > -radius
-    for f, c, size, axis in ((camera.fx, camera.cx, camera.width, 0), (camera.fy, camera.cy, camera.height, 1)):
-        for inward, border in ((f, c + 0.5), (-f, size - 0.5 - c)):  # normals (inward, border) of two side planes
+    fx, fy = jnp.asarray(camera.fx), jnp.asarray(camera.fy)
+    for f, c, pixels, axis in ((fx, camera.cx, camera.width, 0), (fy, camera.cy, camera.height, 1)):
+        for inward, border in ((f, c + 0.5), (-f, pixels - 0.5 - c)):  # normals (inward, border) of two side planes
             distance = (inward * centre[:, axis] + border * z) / jnp.hypot(inward, border)
             in_frustum &= distance >= -radius
     # Radius of the sphere's image: distance over nearest depth, plus the slope of the view towards the corner.
     slope = jnp.maximum(jnp.abs(centre[:, 0]), jnp.abs(centre[:, 1])) / jnp.maximum(z, 1e-3)
-    spread = jnp.maximum(camera.fx, camera.fy) * radius / near * (1.0 + slope) + 1.0
+    spread = jnp.maximum(fx, fy) * radius / near * (1.0 + slope) + 1.0
     size = jnp.asarray([camera.width, camera.height])
     low, high = jnp.clip(uv - spread[:, None], 0, size - 1), jnp.clip(uv + spread[:, None], 0, size - 1)
     # The pyramid level on which the box spans at most two texels a side; four look-ups then cover it.
@@ -143,7 +144,7 @@ def update(
     rgb: Float[Array, "height width 3"],
     T_world_cam: Float[Array, "4 4"],
     camera: Camera,
-    config: MapUpdateConfig = MapUpdateConfig(),  # noqa: B008  (frozen)
+    config: MapUpdateConfig = MapUpdateConfig(),
 ) -> VoxelMap:
     """``q(M) q(M | x, z)``: the map after one posed image. The map passed in is consumed (its buffers are reused).
 
@@ -206,8 +207,8 @@ def _refresh(empty: EmptySpace, occupancy: Array, changed: Array, blocks: tuple[
     # The cubes of a block read the first layer of the next ones, so the blocks before a changed one change too.
     dirty = changed.reshape(blocks)
     for axis in range(3):
-        dirty = dirty | jnp.concatenate([jnp.take(dirty, jnp.arange(1, blocks[axis]), axis=axis),
-                                         jnp.zeros_like(jnp.take(dirty, jnp.arange(1), axis=axis))], axis=axis)
+        following = jnp.pad(dirty, [(0, int(a == axis)) for a in range(3)])
+        dirty = dirty | jax.lax.slice_in_dim(following, 1, blocks[axis] + 1, axis=axis)
     ids, count = _chunks(dirty.reshape(-1))
     n = occupancy.shape[0]
 

@@ -1,4 +1,4 @@
-"""Real-time localisation of a planar robot: MAP of SPEC 3 step 2 with the dynamics prior of SPEC 6 (TNP-SM, section 4.2).
+"""Real-time localisation of a planar robot: MAP of SPEC 3 step 2 with the dynamics prior of SPEC 6 (TNP-SM, 4.2).
 
 Each step predicts the pose from the control, takes a reference image, and aligns the camera image to it:
 :func:`step_map` renders the reference from a fixed map at the predicted pose; :func:`step_frames` takes the previous
@@ -32,7 +32,7 @@ _PLANAR_TWISTS = np.eye(6)[:, [0, 1, 5]]  # forward, left, turn among (translati
 class TrackerConfig:
     """Alignment and the test for loss of track."""
 
-    align: AlignConfig = field(default_factory=lambda: AlignConfig(geo_sigma=0.012))  # a map of 5 cm cells is that rough
+    align: AlignConfig = field(default=AlignConfig(geo_sigma=0.012))  # a map of 5 cm cells is that rough
     min_score: float = 0.5  # inlier share times min(1, coverage / 0.4) below this is lost
     max_photometric: float = 5.0  # mean |r_rgb| / sigma above this is lost
     process_std: tuple[float, float, float] = (0.004, 0.004, 0.002)  # what the motion model misses: slip at a contact
@@ -74,8 +74,8 @@ class TrackerInfo(eqx.Module):
 
 def observe(rgb: np.ndarray, depth: np.ndarray) -> RGBD:
     """A camera image (uint8 colour, metres with 0 = no reading) as the model's."""
-    depth = jnp.asarray(depth, jnp.float32)
-    return RGBD(depth, jnp.asarray(rgb, jnp.float32) / 255.0, depth > 0.0, depth > 0.0)
+    metres = jnp.asarray(depth, jnp.float32)
+    return RGBD(metres, jnp.asarray(rgb, jnp.float32) / 255.0, metres > 0.0, metres > 0.0)
 
 
 def first(start: Float[Array, "3"], image: RGBD, std: tuple[float, float, float] = (1e-3, 1e-3, 1e-3)) -> TrackerState:
@@ -85,7 +85,13 @@ def first(start: Float[Array, "3"], image: RGBD, std: tuple[float, float, float]
 
 
 def _correct(
-    state: TrackerState, predicted: PlanarBelief, reference: RGBD, T_world_ref: Array, image: RGBD, rig: RobotRig, config
+    state: TrackerState,
+    predicted: PlanarBelief,
+    reference: RGBD,
+    T_world_ref: Float[Array, "4 4"],
+    image: RGBD,
+    rig: RobotRig,
+    config: TrackerConfig,
 ) -> tuple[TrackerState, TrackerInfo]:
     """Align the image to a reference and combine with the prediction; keep the prediction where they do not fit."""
     basis = se3_adjoint(inverse(rig.T_body_cam)) @ jnp.asarray(_PLANAR_TWISTS, jnp.float32)
@@ -112,7 +118,7 @@ def step_map(
     m: VoxelMap,
     rig: RobotRig,
     noise: MotionNoise,
-    config: TrackerConfig = TrackerConfig(),  # noqa: B008  (frozen)
+    config: TrackerConfig = TrackerConfig(),
 ) -> tuple[TrackerState, TrackerInfo]:
     """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` against an image rendered at the predicted pose.
 
@@ -141,7 +147,7 @@ def step_frames(
     image: RGBD,
     rig: RobotRig,
     noise: MotionNoise,
-    config: TrackerConfig = TrackerConfig(),  # noqa: B008  (frozen)
+    config: TrackerConfig = TrackerConfig(),
 ) -> tuple[TrackerState, TrackerInfo]:
     """As :func:`step_map`, but against the previous camera image, at the previous estimate (TNP-SM, "no map")."""
     predicted = planar_predict(state.belief, control, noise)

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from vssm_gym.voxel_map import VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
+ROUNDING = 1e-6  # cells: the world coordinates of a border cell, taken back to the grid, still lie on it
 KNOWN_PRECISION = 0.5  # 1/m^2: half of what one observation of a cell adds (std 1, SPEC 3), far above the prior's 0.01
 KNOWN_SHARE = 0.5  # of a column's heights that must have been observed: under a visible table top the rest is unseen
 
@@ -45,7 +46,7 @@ class ClearanceMap:
         """
         depth = np.clip(np.asarray(depth, dtype=np.float64), -resolution, resolution)
         inside = depth > 0.0
-        crossings = []
+        crossings: list[np.ndarray] = []
         for axis in (0, 1):
             before, after = (np.moveaxis(depth, axis, 0)[k] for k in (slice(None, -1), slice(1, None)))
             cell = np.argwhere((before > 0.0) != (after > 0.0))
@@ -55,7 +56,7 @@ class ClearanceMap:
             crossings.append(point if axis == 0 else point[:, ::-1])
         surface = np.concatenate(crossings)
         if len(surface):
-            cells = np.stack(np.indices(depth.shape), axis=-1).reshape(-1, 2)
+            cells = np.argwhere(np.ones(depth.shape, dtype=bool))
             distance = resolution * cKDTree(surface).query(cells)[0].reshape(depth.shape)
         else:
             distance = np.full(depth.shape, resolution * np.hypot(*depth.shape))
@@ -114,7 +115,9 @@ class ClearanceMap:
 
 
 @partial(jax.jit, static_argnames="shape")
-def _columns(voxel_map: VoxelMap, heights: jax.Array, resolution: jax.Array, shape: tuple[int, int]):
+def _columns(
+    voxel_map: VoxelMap, heights: jax.Array, resolution: jax.Array, shape: tuple[int, int]
+) -> tuple[jax.Array, jax.Array]:
     """Highest occupancy and observed share of each column, ``(nx, ny)`` both; one layer of points at a time."""
     x = voxel_map.origin[0] + resolution * jnp.arange(shape[0])
     y = voxel_map.origin[1] + resolution * jnp.arange(shape[1])
@@ -147,7 +150,7 @@ def _window(free: np.ndarray) -> tuple[slice, slice]:
 def bilinear(clearance: np.ndarray, x: float, y: float) -> float:
     """Clearance (m) at cell coordinates ``(x, y)``; :data:`OUTSIDE` beyond the outermost cell centres."""
     nx, ny = clearance.shape
-    if not (0.0 <= x <= nx - 1 and 0.0 <= y <= ny - 1):
+    if not (-ROUNDING <= x <= nx - 1 + ROUNDING and -ROUNDING <= y <= ny - 1 + ROUNDING):
         return OUTSIDE
     i, j = min(int(x), nx - 2), min(int(y), ny - 2)
     a, b = x - i, y - j

@@ -11,7 +11,7 @@ import numpy as np
 
 from vssm_gym.geometry import wrap_angle
 
-REACHED = 0.01  # m: a bend so near is passed; the path's end is driven to however near it is
+REACHED = 0.02  # m: a bend so near is passed; the path's end is driven to however near it is
 
 
 def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarray:

@@ -15,13 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
+from matplotlib.patheffects import Normal, Stroke
 
 from vssm_gym.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 
 CUT_HEIGHT = 1.2  # m: above tables, below door lintels and wall cupboards
 CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # what the cut goes through: walls, tall furniture
 UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])
-TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#d1495b", "#e09f1f"
+TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#c2185b", "#e09f1f"
+DASHES = (0, (3, 1.5))
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def draw_background(axes: Axes, background: Background | None) -> None:
     axes.set_aspect("equal")
     axes.tick_params(labelsize=6, length=2)
     if background is not None:
-        axes.imshow(background.image, origin="lower", extent=background.extent, interpolation="nearest")
+        pale = 1.0 - 0.6 * (1.0 - background.image)  # so that paths stand out
+        axes.imshow(pale, origin="lower", extent=background.extent, interpolation="nearest")
 
 
 def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
@@ -74,23 +77,22 @@ def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
     true = np.asarray(row["trace"]["true"], dtype=float).reshape(-1, 2)
     estimate = np.asarray(row["trace"]["estimate"] or [], dtype=float).reshape(-1, 2)
     goal = row["goal"]
-    axes.plot(*true.T, color=TRUE_COLOUR, linewidth=1.6, label="true path", zorder=3)
+    halo = [Stroke(linewidth=3.2, foreground="white", alpha=0.8), Normal()]
+    axes.plot(*true.T, color=TRUE_COLOUR, linewidth=1.6, path_effects=halo, zorder=3)
     if len(estimate):
-        axes.plot(
-            *estimate.T, color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=(0, (3, 1.5)), label="estimate", zorder=4
-        )
+        axes.plot(*estimate.T, color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=DASHES, path_effects=halo, zorder=4)
     contacts = np.asarray(row["trace"]["contacts"] or [], dtype=float).reshape(-1, 2)
     if len(contacts):
-        axes.plot(*contacts.T, "x", color="black", markersize=4, markeredgewidth=1.0, label="contact", zorder=5)
+        axes.plot(*contacts.T, "x", color="black", markersize=4, markeredgewidth=1.0, zorder=5)
     axes.plot(*true[0], "o", color=TRUE_COLOUR, markersize=5, zorder=6)
     axes.plot(*true[-1], "s", color=TRUE_COLOUR, markersize=4, zorder=6)
     axes.add_patch(Circle(goal, success_radius, facecolor=GOAL_COLOUR, edgecolor="black", alpha=0.55, lw=0.6, zorder=2))
 
 
-def png(figure: Figure, dpi: int = 80) -> bytes:
-    """The figure as PNG bytes; reproducible, since no date is written into it."""
+def webp(figure: Figure, dpi: int = 90) -> bytes:
+    """The figure as WebP bytes: a textured map takes a fifth of what it takes as PNG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    figure.savefig(buffer, format="webp", dpi=dpi, pil_kwargs={"quality": 80})
     return buffer.getvalue()
 
 
@@ -111,7 +113,7 @@ def legend_handles() -> list:
     """The key to :func:`draw_run`."""
     return [
         Line2D([], [], color=TRUE_COLOUR, linewidth=1.6, label="true path"),
-        Line2D([], [], color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=(0, (3, 1.5)), label="estimate"),
+        Line2D([], [], color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=DASHES, label="estimate"),
         Line2D([], [], color=TRUE_COLOUR, marker="o", linestyle="", markersize=5, label="start"),
         Line2D([], [], color=TRUE_COLOUR, marker="s", linestyle="", markersize=4, label="end"),
         Line2D([], [], color=GOAL_COLOUR, marker="o", linestyle="", markersize=9, alpha=0.6, label="goal region"),

@@ -1,0 +1,45 @@
+"""``vssm-gym demo``: the main job, small: map an apartment, run five agents, write the report (DESIGN)."""
+
+from pathlib import Path
+
+
+def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, seed: int = 0) -> None:
+    """Record a drive through `oak`, learn its map, run five agents on 10 tasks, and write a report.
+
+    The last line printed is the report's path. A few minutes on two cores.
+
+    Args:
+        out: folder of the demo; an earlier demo there is replaced.
+        resume: continue an interrupted demo instead.
+        workers: processes that run episodes.
+        seed: of the drive that the map is learned from.
+    """
+    from vssm_gym import eval as evaluation
+    from vssm_gym.cli.console import print_results, progress_bars
+    from vssm_gym.eval.config import load_config
+    from vssm_gym.eval.report import write_report
+    from vssm_gym.eval.sweep import run_sweep
+
+    config = load_config(Path(evaluation.__file__).parent / "configs" / "demo.yaml")
+    if not resume:
+        _clear(out)
+    with progress_bars() as progress:
+        log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, progress=progress)
+    print_results(log)
+    print(write_report(out))
+
+
+def _clear(out: Path) -> None:
+    """Remove what an earlier demo wrote, and nothing else: a folder with other content is refused."""
+    import shutil
+
+    from vssm_gym.errors import InputError
+
+    if not out.exists():
+        return
+    ours = {"sweep.json", "episodes.jsonl", "report.html", "tasks", "recordings", "maps"}
+    if not out.is_dir() or (any(out.iterdir()) and not (out / "sweep.json").is_file()):
+        raise InputError(out, "folder", "a new or empty folder, or that of an earlier demo")
+    for path in out.iterdir():
+        if path.name in ours:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -1,0 +1,18 @@
+"""``vssm-gym report DIR``: a sweep's results as one HTML page (DESIGN)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def report(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")], seed: int = 0) -> None:
+    """Write DIR/report.html: failures first, tables with 95 % intervals, curves, runs drawn on the learned map.
+
+    Args:
+        folder: of a sweep, finished or not.
+        seed: of the bootstrap resampling behind the intervals.
+    """
+    from vssm_gym.eval.report import write_report
+
+    print(write_report(folder, seed))

@@ -1,0 +1,36 @@
+"""``vssm-gym sweep CONFIG --out DIR``: run every episode of a configuration (DESIGN)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def sweep(
+    config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
+    out: Path,
+    resume: bool = False,
+    workers: int = 2,
+    seed: int = 0,
+) -> None:
+    """Run agents over tasks, scenes, noise levels and seeds; one line an episode goes to OUT/episodes.jsonl.
+
+    Maps that agents need are learned first, from a recorded drive. Interrupt at any time: what has ended is kept, and
+    --resume runs the rest.
+
+    Args:
+        config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, seeds, voxel].
+        out: new or empty folder for the results.
+        resume: continue a sweep of the same configuration in OUT.
+        workers: processes that run episodes.
+        seed: of the drives that maps are learned from; episodes take theirs from the configuration's seeds.
+    """
+    from vssm_gym.cli.console import print_results, progress_bars
+    from vssm_gym.eval.config import load_config
+    from vssm_gym.eval.sweep import run_sweep
+
+    checked = load_config(config)
+    with progress_bars() as progress:
+        log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, progress=progress)
+    print_results(log)
+    print(f"episodes: {log}\nnext: vssm-gym report {out}")
