@@ -29,8 +29,7 @@ class NavigationConfig:
 
     heights: tuple[float, float] = (0.08, 0.5)  # of the robot's body above the floor, whose noise stays below
     resolution: float = 0.025  # of the clearance grid
-    # Extra clearance of a plan: with room to spare; as the robot fits; tighter, since a learned wall may stand too far
-    # out.
+    # Extra clearance of a plan: with room to spare; as the robot fits; tighter, since walls are learned with an error.
     margins: tuple[float, float, float] = (0.03, 0.0, -0.03)
     tight_share: float = 0.9  # the tight plan is taken where it is shorter than this share of the one with room
     slack: float = 0.015  # less clearance is asked while following than while planning: small errors replan nothing
@@ -38,8 +37,8 @@ class NavigationConfig:
     stop_sigmas: float = 2.5  # further inside, in standard deviations of the estimated position
     least_radius: float = 0.05  # never drive closer to the goal than this, however uncertain
     landing: float = 0.002  # the path ends so far inside the stop radius: a step that falls short costs another one
-    stuck_steps: int = 4  # driving commands over which progress is judged
-    stuck_share: float = 0.35  # of the commanded way; less means that something holds the robot
+    stuck_way: float = 0.4  # of driving commands, over which progress is judged
+    stuck_share: float = 0.35  # of it that the estimate moved; less means that something holds the robot
     felt_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
     max_failures: int = 12  # steps without any plan after which the robot stops and says why
 
@@ -53,7 +52,8 @@ class _Task:
     margin: float = 0.0  # m, extra clearance of the plan
     rim: float = 0.0  # m, radius of the goal region where the plan could not lead to a safer one
     failures: int = 0  # steps in a row without a plan
-    driven: deque = field(default_factory=deque)  # (xy before, s) of the last driving commands
+    before: np.ndarray | None = None  # xy where the last driving command was given
+    driven: deque[tuple[float, float]] = field(default_factory=deque)  # m asked and m moved, by the last such commands
 
 
 class Navigator:
@@ -156,8 +156,8 @@ class Navigator:
     def _replan(self, estimate: Localization, target: float) -> PlanResult | None:
         """A* with room to spare, and as tightly as the robot fits: the tight way is taken where it is much shorter.
 
-        Where neither exists: tighter than it fits, for a learned wall may stand too far out; then to all of the success
-        region; then without the obstacles that were felt.
+        Where neither exists: tighter than it fits, since a learned wall may stand too far out; then to all of the
+        success region; then without the obstacles that were felt.
         """
         c, task = self._config, self._task
         rim = self._context.success_radius - 2.0 * c.landing
@@ -198,18 +198,18 @@ class Navigator:
 
     def _remember(self, estimate: Localization, command: np.ndarray) -> None:
         self._command = np.asarray(command, np.float32)
-        if command[2] > 0.0:
-            self._task.driven.append((estimate.planar[:2].copy(), float(command[2])))
-            while len(self._task.driven) > self._config.stuck_steps:
-                self._task.driven.popleft()
+        self._task.before = estimate.planar[:2].copy() if command[2] > 0.0 else None
 
     def _stuck(self, estimate: Localization) -> bool:
         """Whether the last driving commands moved the estimate by much less than they asked."""
-        driven, c = self._task.driven, self._config
-        asked = sum(step for _, step in driven)
-        if len(driven) < c.stuck_steps or asked < 0.5 * c.stuck_steps * self._context.limits[2]:
-            return False
-        return math.hypot(*(estimate.planar[:2] - driven[0][0])) < c.stuck_share * asked
+        task, c = self._task, self._config
+        if task.before is not None and self._command is not None:
+            task.driven.append((float(self._command[2]), math.hypot(*(estimate.planar[:2] - task.before))))
+        asked, moved = (sum(values) for values in zip(*task.driven, strict=True)) if task.driven else (0.0, 0.0)
+        while task.driven and asked - task.driven[0][0] >= c.stuck_way:
+            asked, moved = asked - task.driven[0][0], moved - task.driven[0][1]
+            task.driven.popleft()
+        return asked >= c.stuck_way and moved < c.stuck_share * asked
 
     def _feel_obstacle(self, estimate: Localization) -> None:
         """Assume an obstacle where the robot's front touches; the plan is made anew around it."""

@@ -6,15 +6,7 @@ from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.no_map import NoMapAgent
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.random import RandomAgent
-from vssm_gym.errors import InputError
 
 AGENTS: dict[str, type[Agent]] = {
     agent.name: agent for agent in (AStarAgent, NoMapAgent, DeadReckoningAgent, OracleAgent, RandomAgent)
 }
-
-
-def make_agent(name: str) -> Agent:
-    """A new agent with its default settings; an unknown name raises :class:`InputError` that lists the known ones."""
-    if name not in AGENTS:
-        raise InputError("agents", "name", f"one of {', '.join(AGENTS)}, not {name!r}")
-    return AGENTS[name]()

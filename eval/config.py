@@ -17,6 +17,7 @@ from vssm_gym.errors import InputError
 T = TypeVar("T")
 ROBOTS = ("holonomic",)
 RENDERERS = ("raycast",)
+DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
 
 
 def _as_tuple(value: Any) -> Any:
@@ -67,7 +68,7 @@ class SweepConfig(BaseModel):
     renderer: Names = ("raycast",)
     tasks: Annotated[Seeds, BeforeValidator(_task_ids)]
     seeds: Seeds = (0,)
-    voxel: Annotated[float, Field(gt=0.0, le=0.5)] = 0.05
+    voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
 
 
 @dataclass(frozen=True)

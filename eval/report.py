@@ -69,6 +69,15 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
+def notices(manifest: dict[str, Any]) -> list[str]:
+    """Sentences on what a sweep's scenes could not offer."""
+    return [
+        f"{scene}: cut off from the rest: {', '.join(rooms)}; tasks are drawn in the largest connected part"
+        for scene, rooms in manifest.get("cut_off_rooms", {}).items()
+        if rooms
+    ]
+
+
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
     """Rows as if one worker had run them in order: agents as the configuration lists them, then tasks and seeds."""
     agents = {name: i for i, name in enumerate(config["agents"])}
@@ -134,10 +143,11 @@ def _header(rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     unfinished = len(rows) < manifest["episodes"]
     warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
     headline = tables.results(rows, seed, ("spl", "success"))
+    notes = "".join(f"<p class=bad>{escape(notice)}</p>" for notice in notices(manifest))
     raw = escape(json.dumps(config, indent=1))
     return (
         f"<h1>{escape(', '.join(dict.fromkeys(row['scene'] for row in rows)))}: {', '.join(config['agents'])}</h1>"
-        f"<p class=note>{line}</p>{warning}{headline}"
+        f"<p class=note>{line}</p>{warning}{notes}{headline}"
         f"<details><summary>configuration</summary><pre>{raw}</pre></details>"
     )
 

@@ -58,7 +58,7 @@ def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
 
 
 class EpisodeLog:
-    """The one writer of a log. ``rows`` are the episodes it held when it was opened.
+    """The one writer of a log. ``rows`` are the episodes that it holds, those of an earlier process included.
 
     An exclusive lock keeps a second sweep from writing the same episodes again; the system releases it with the
     process, however the process ends.
@@ -79,11 +79,12 @@ class EpisodeLog:
             raise
         self._file.truncate(len(whole))
 
-    def append(self, row: Mapping[str, Any]) -> None:
+    def append(self, row: dict[str, Any]) -> None:
         """Add one finished episode; it survives a power cut once this returns."""
         self._file.write(json.dumps(row, allow_nan=False, separators=(",", ":")).encode() + b"\n")
         self._file.flush()
         os.fsync(self._file.fileno())
+        self.rows.append(row)
 
     def __enter__(self) -> Self:
         return self

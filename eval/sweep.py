@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import vssm_gym
+from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.tasks import load, save, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval import worker
@@ -55,16 +56,19 @@ def run_sweep(
     """
     if workers < 1:
         raise InputError("sweep", "workers", f"at least 1, found {workers}")
-    hashes = {scene: load_scene(scene).content_hash() for scene in config.scenes}
+    apartments = {scene: load_scene(scene) for scene in config.scenes}
+    hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
-    manifest = _manifest(config, hashes, seed, len(episodes))
+    manifest = _manifest(config, apartments, seed, len(episodes))
     out.mkdir(parents=True, exist_ok=True)
     with EpisodeLog(out / FILE) as log:
         _claim(out, manifest, len(log.rows), resume)
         done = {episode_key(row) for row in log.rows}
         todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
-        if todo:
-            jobs = _jobs(config, out, todo, manifest, seed, progress)
+        for scene in dict.fromkeys(episode.condition.scene for episode in todo):
+            batch = [episode for episode in todo if episode.condition.scene == scene]
+            jobs = _jobs(batch, scene, out, config, manifest, progress)
+            worker.release_memory()
             _run(jobs, log, workers, len(episodes), progress)
     return out / FILE
 
@@ -86,12 +90,16 @@ def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) ->
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _manifest(config: SweepConfig, hashes: dict[str, str], seed: int, episodes: int) -> dict[str, Any]:
+def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int) -> dict[str, Any]:
+    hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
+    robot = HolonomicRobot()
+    spaces = {s: FreeSpace.from_apartment(a, robot.radius, robot.height) for s, a in apartments.items()}
     shown = config.model_dump(mode="json") | {"scenes": [scene_name(scene) for scene in config.scenes]}
     return {
         "config": shown,
         "config_hash": config_hash(config, hashes, seed),
         "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
+        "cut_off_rooms": {scene_name(scene): space.cut_off_rooms() for scene, space in spaces.items()},
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
@@ -118,20 +126,22 @@ def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None
 
 
 def _jobs(
-    config: SweepConfig, out: Path, todo: Sequence[Episode], manifest: dict, seed: int, progress: Progress | None
+    episodes: Sequence[Episode],
+    scene: str,
+    out: Path,
+    config: SweepConfig,
+    manifest: dict[str, Any],
+    progress: Progress | None,
 ) -> list[worker.Job]:
-    """Jobs for the episodes, after the tasks and maps that they need were made."""
+    """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
     from vssm_gym.agents.registry import AGENTS
 
-    files = {}
-    for scene in dict.fromkeys(episode.condition.scene for episode in todo):
-        mapped = any(AGENTS[e.agent].needs_map for e in todo if e.condition.scene == scene)
-        map_file = ensure_map(scene, out, voxel=config.voxel, seed=seed, progress=progress) if mapped else None
-        files[scene] = (map_file, _task_file(scene, out, max(config.tasks) + 1))
-    return [
-        worker.Job(episode, *files[episode.condition.scene], manifest["config_hash"], package_version())
-        for episode in todo
-    ]
+    task_file, map_file = _task_file(scene, out, max(config.tasks) + 1), None
+    if any(AGENTS[episode.agent].needs_map for episode in episodes):
+        map_file = ensure_map(scene, out, voxel=config.voxel, seed=manifest["seed"], progress=progress)
+    maps = {agent: map_file if AGENTS[agent].needs_map else None for agent in config.agents}
+    signature = manifest["config_hash"], package_version()
+    return [worker.Job(episode, maps[episode.agent], task_file, *signature) for episode in episodes]
 
 
 def _task_file(scene: str, out: Path, n: int) -> Path:
@@ -145,40 +155,53 @@ def _task_file(scene: str, out: Path, n: int) -> Path:
 
 
 def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, progress: Progress | None) -> None:
-    """All jobs over spawned workers; every result is logged as it arrives."""
-    kept: set[Future] = set()
+    """All jobs of a scene over workers of its own, whose memory is free at its end; results are logged as they come.
+
+    One episode of each agent that uses the map goes first, one after the other in one worker: it compiles what the
+    others then find in the compilation cache. Two workers that compile at once take twice the time and memory.
+    """
+    first = list({job.episode.agent: job for job in reversed(jobs) if job.map_file}.values())[::-1]
+    futures: dict[Future, worker.Job] = {}
+    current = jobs[0]
+
+    def submit(job: worker.Job) -> Future:
+        future = pool.submit(worker.run, job)
+        futures[future] = job
+        return future
 
     def keep(future: Future) -> None:
-        log.append(future.result())
-        kept.add(future)
+        nonlocal current
+        current = futures[future]
+        row = future.result()
+        del futures[future]
+        log.append(row)
         report()
 
     def report() -> None:
         if progress:
-            progress("episodes", total - len(jobs) + len(kept), total)
+            progress("episodes", len(log.rows), total)
 
     report()
     context = multiprocessing.get_context("spawn")
     with worker.single_threaded_children():
         pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=worker.initialise)
-        futures = {pool.submit(worker.run, job): job for job in jobs}
-        future = next(iter(futures))
         try:
-            for future in as_completed(futures):
+            for job in first:
+                keep(submit(job))
+            for future in as_completed([submit(job) for job in jobs if job not in first]):
                 keep(future)
         except KeyboardInterrupt:
             pool.shutdown(wait=True, cancel_futures=True)
-            for future in futures:
-                if future not in kept and not future.cancelled() and future.exception() is None:
+            for future in list(futures):
+                if not future.cancelled() and future.exception() is None:
                     keep(future)
             raise
         except BrokenProcessPool as error:
             expected = "worker processes that live to the end; one was killed, perhaps for want of memory"
-            raise InputError(
-                "sweep", "workers", f"{expected} (the {len(kept)} new episodes are kept: --resume)"
-            ) from error
+            kept = f"{len(log.rows)} of {total} episodes are kept (--resume)"
+            raise InputError("sweep", "workers", f"{expected}; {kept}") from error
         except Exception as error:
-            error.add_note(f"while running {futures[future].episode}; what ended before is kept (--resume)")
+            error.add_note(f"while running {current.episode}; what ended before is kept (--resume)")
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -5,6 +5,7 @@ not depend on how many workers there are), and keep what is expensive between ep
 """
 
 import contextlib
+import ctypes
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -34,7 +35,11 @@ ONE_THREAD = {
     "NUMBA_NUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "MALLOC_ARENA_MAX": "1",  # compiler threads come and go: one heap serves them all instead of one each
 }
+
+
+_compiled: set[str] = set()  # agents that this process has run
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Job:
     """One episode to run, and what a worker cannot know: where map and tasks are, and what to sign the row with."""
 
     episode: Episode
-    map_file: Path | None  # None where no agent of the sweep needs a map
+    map_file: Path | None  # None for an agent that needs no map
     task_file: Path
     config_hash: str
     version: str
@@ -98,11 +103,21 @@ def run(job: Job) -> dict[str, Any]:
         agent,
         tasks.tasks[episode.task],
         seed=episode_seed(episode.seed, scene_hash, episode.task),
-        voxel_map=_map(job.map_file) if job.map_file and AGENTS[episode.agent].needs_map else None,
+        voxel_map=_map(job.map_file) if job.map_file else None,
         noise=(noise.turn, noise.step),
     )
     signature = {"version": job.version, "config_hash": job.config_hash}
+    if episode.agent not in _compiled:
+        _compiled.add(episode.agent)
+        release_memory()
     return episode.identity(scene_hash) | signature | result
+
+
+def release_memory() -> None:
+    """Give freed memory back to the system, where the C library can: compiling leaves hundreds of megabytes behind."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 @cache

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-
 from analytic_room import ray_directions
+
 from vssm_gym.camera import Camera
 from vssm_gym.emission import MAX_DEPTH, STEP
 from vssm_gym.voxel_map import PRIOR_OCCUPANCY_MEAN, VoxelMap

@@ -13,6 +13,7 @@ from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.voxel_map import VoxelMap
 
 VOXEL = 0.05  # m
+CEILING = 2.0  # m
 TRUNCATION = 0.1  # m, two voxels, as the closed-form update leaves it
 OBSERVATIONS = 20.0  # precision of an observed cell, 1/m^2
 
@@ -38,19 +39,19 @@ def voxel_map(
     solids: list[tuple[shapely.Polygon, float, float]],
     observed: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> VoxelMap:
-    """What mapping a room would give: truncated signed distances to the walls, the floor and ``solids``.
+    """What mapping a room would give: truncated signed distances to floor, walls, ceiling, ``solids``.
 
     ``solids`` are prisms ``(polygon, bottom, top)``, metres. Cells deeper than the truncation inside a solid, and where
     ``observed(x, y, z)`` is false, keep the prior. Colours are smooth noise, so that images can be aligned.
     """
     low, high = np.split(np.array(floor.bounds), 2)
     origin = np.array([*(low - 0.3), -0.2])
-    shape = tuple(int(n) for n in np.ceil((np.array([*(high + 0.3), 1.2]) - origin) / VOXEL))
+    shape = tuple(int(n) for n in np.ceil((np.array([*(high + 0.3), CEILING + 0.2]) - origin) / VOXEL))
     prior = VoxelMap.prior(origin, VOXEL, (shape[0], shape[1], shape[2]))
     axes = [origin[a] + VOXEL * np.arange(prior.shape[a]) for a in range(3)]
     x, y = np.meshgrid(axes[0], axes[1], indexing="ij")
     z = axes[2][None, None]
-    occupancy = np.maximum(signed_depth(floor.buffer(2.0) - floor, x, y)[..., None], -z)
+    occupancy = np.maximum(signed_depth(floor.buffer(2.0) - floor, x, y)[..., None], np.maximum(-z, z - CEILING))
     for polygon, bottom, top in solids:
         inside = np.minimum(np.minimum(z - bottom, top - z), signed_depth(polygon, x, y)[..., None])
         occupancy = np.maximum(occupancy, inside)
@@ -62,16 +63,16 @@ def voxel_map(
     noise = np.random.default_rng(0).uniform(0.0, 1.0, (*prior.shape, 3))
     colour = np.clip(0.5 + 4.0 * (gaussian_filter(noise, (2.0, 2.0, 2.0, 0.0)) - 0.5), 0.0, 1.0)
     learned = eqx.tree_at(
-        lambda m: (m.occupancy_precision, m.colour),
+        lambda m: (m.occupancy_precision, m.colour, m.colour_precision),
         prior,
-        (prior.blocked(jnp.asarray(precision, jnp.float32)), prior.blocked(jnp.asarray(colour, jnp.float32))),
+        tuple(prior.blocked(jnp.asarray(a, jnp.float32)) for a in (precision, colour, precision)),
     )
     return learned.with_occupancy(prior.blocked(jnp.asarray(means, jnp.float32)))
 
 
 @st.composite
 def grids(draw: st.DrawFn) -> np.ndarray:
-    """Random occupancy, bool ``(nx, ny)``: up to 16 cells a side, from nearly empty to nearly full."""
-    shape = draw(st.tuples(st.integers(3, 16), st.integers(3, 16)))
+    """Random occupancy, bool ``(nx, ny)``: up to 24 cells a side, from nearly empty to nearly full."""
+    shape = draw(st.tuples(st.integers(3, 24), st.integers(3, 24)))
     share = draw(st.sampled_from([0.05, 0.2, 0.35, 0.5]))
     return np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random(shape) < share

@@ -1,11 +1,11 @@
-"""Random voxel maps of every kind that a search or an index must cope with, all of one size so that each test compiles once."""
+"""Random voxel maps of every kind that a search or an index must cope with, all of one size: each test compiles once."""
 
 import jax.numpy as jnp
 import numpy as np
+from analytic_room import box_distance, cell_centres
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from analytic_room import box_distance, cell_centres
 from vssm_gym.voxel_map import VoxelMap
 
 SHAPE = (24, 24, 16)  # 3 x 3 x 2 blocks

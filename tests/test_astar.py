@@ -1,5 +1,6 @@
 """A* against Dijkstra on an independently built graph, and the any-angle path against a visibility graph."""
 
+import itertools
 import math
 
 import hypothesis.strategies as st
@@ -59,12 +60,13 @@ def length(path: np.ndarray) -> float:
 def along(path: np.ndarray, spacing: float = 0.004) -> np.ndarray:
     """Points all along a polyline."""
     pieces = [path[:1]]
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in itertools.pairwise(path):
         n = 1 + int(np.linalg.norm(b - a) / spacing)
         pieces.append(a + (b - a) * np.linspace(0.0, 1.0, n + 1)[1:, None])
     return np.concatenate(pieces)
 
 
+@settings(max_examples=200)
 @given(grids(), seeds, st.floats(0.5, 3.0))
 def test_cost_is_dijkstras(occupied, seed, radius):
     free = ~occupied
@@ -117,6 +119,20 @@ def test_any_angle_path(obstacles, seed, margin, goal_radius):
     # Half a cell between the samples of the sight test: the clearance may dip by a little between them.
     assert plan_map.at(along(result.path)).min() >= RADIUS + margin - 0.003
     assert plan_map.at(along(grid.path[1:])).min() >= RADIUS + margin - 1e-6
+
+
+@settings(max_examples=20)
+@given(layouts, seeds)
+def test_taut(obstacles, seed):
+    """No bend can be moved by 2 cm so that the path gets shorter and stays clear of everything."""
+    plan_map, start, goal = scene(obstacles, seed)
+    path = plan(plan_map, start, goal, RADIUS).path
+    for i in range(1, len(path) - 1):
+        for angle in np.arange(12) * math.pi / 6:
+            moved = path[i - 1 : i + 2].copy()
+            moved[1] += 0.02 * np.array([math.cos(angle), math.sin(angle)])
+            if length(moved) < length(path[i - 1 : i + 2]) - 0.002:
+                assert plan_map.at(along(moved)).min() < RADIUS + 0.002
 
 
 @settings(max_examples=20)
@@ -208,10 +224,11 @@ def test_following_a_plan(obstacles, seed, share):
     result = plan(plan_map, start, goal, RADIUS, margin=0.03, goal_radius=0.4)
     if not result.found or len(result.path) < 2:
         return
-    points = along(result.path)
-    k = int(share * (len(points) - 1))
-    bends = np.searchsorted(np.cumsum(np.linalg.norm(np.diff(result.path, axis=0), axis=1)), 0.999 * length(points[: k + 1]))
-    left = np.concatenate([points[k : k + 1], result.path[min(int(bends), len(result.path) - 2) + 1 :]])
+    ends = np.cumsum(np.linalg.norm(np.diff(result.path, axis=0), axis=1))
+    k = int(np.searchsorted(ends, share * ends[-1]))  # the segment it is on
+    a, b = result.path[k], result.path[k + 1]
+    here = b + (a - b) * (ends[k] - share * ends[-1]) / np.linalg.norm(b - a)
+    left = np.concatenate([here[None], result.path[k + 1 :]])
     need = needed(plan_map, left[0], RADIUS + 0.015)
     followed = tighten(plan_map, left, goal, 0.4, need)
     assert followed is not None

@@ -54,7 +54,7 @@ def test_no_obstacle_and_no_free_cell():
 
 @given(st.lists(st.tuples(st.floats(-0.3, 3.3), st.floats(-0.3, 2.3)), min_size=1, max_size=20))
 def test_at_interpolates(points):
-    """Between cells ``at`` follows the field's own Lipschitz bound; on cells it is the stored value; outside it says so."""
+    """Between cells ``at`` keeps the field's Lipschitz bound; on cells it is the stored value; outside it says so."""
     plan = clearance_map(ROOM, shapely.box(1.0, 1.0, 1.5, 1.4))
     xy = np.array(points)
     inside = np.all((xy >= plan.origin) & (plan.to_grid(xy) <= np.array(plan.clearance.shape) - 1), axis=1)

@@ -14,7 +14,7 @@ from scipy import stats
 
 from vssm_gym import emission
 from vssm_gym.camera import Camera
-from vssm_gym.emission import RGBD, STEP, EmissionScales, log_prob, march, render, render_with, search
+from vssm_gym.emission import MAX_DEPTH, RGBD, STEP, EmissionScales, log_prob, march, render, render_with, search
 from vssm_gym.geometry import se3_exp
 from vssm_gym.inference import map_update
 from vssm_gym.voxel_map import VoxelMap
@@ -26,11 +26,16 @@ CAMERA = Camera.from_hfov(16, 12, np.radians(80))
 ROOM = Room(interior=((-1.08, -0.77, 0.42), (0.98, 1.22, 1.68)), boxes=(((0.1, 0.3, 0.42), (0.5, 0.7, 0.93)),))
 ROOM_MAP = ROOM.to_map(ORIGIN, VOXEL, SHAPE)
 
-search_jit, march_jit = jax.jit(search), jax.jit(march)
+search_jit, march_jit = jax.jit(search), jax.jit(march)  # compiling a search takes seconds: one shape serves all tests
 
 
 def f32(a: np.ndarray) -> jax.Array:
     return jnp.asarray(a, jnp.float32)
+
+
+def look(m: VoxelMap, T_world_cam: np.ndarray, max_depth: float = MAX_DEPTH, camera: Camera = CAMERA) -> RGBD:
+    """The image of a map; always the same call, so that it compiles once."""
+    return render(m, f32(T_world_cam), camera, max_depth)
 
 
 def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) -> None:
@@ -93,7 +98,8 @@ def test_march_takes_the_first_sample_above_the_threshold(kind: str, seed: int) 
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_parallel_ray_beside_the_grid_ends(axis: int, side: int) -> None:
-    """It never meets the grid: the search must say so at once, whatever the rounding of its entry does."""
+    """It never meets the grid: the search says so at once, though the ray "enters" it at sample 1e9 or beyond."""
+    m = random_map("empty", 0)
     low, high = np.array(ORIGIN), np.array(ORIGIN) + VOXEL * (np.array(SHAPE) - 1)
     for beside in np.ndindex(2, 2):
         centre = 0.5 * (low + high)
@@ -102,35 +108,35 @@ def test_a_parallel_ray_beside_the_grid_ends(axis: int, side: int) -> None:
         direction = np.zeros((RAYS, 3))
         direction[:, axis] = side
         for tilt in (0.0, 1e-9, 1e-8):
-            _, hit = search_jit(ROOM_MAP, f32(centre), f32(direction + tilt))
+            _, hit = search_jit(m, f32(centre), f32(direction + tilt))
             assert not hit.any()
 
 
 def test_box_room_depths_are_those_computed_by_hand() -> None:
     """The camera faces a wall 0.98 - (-0.42) = 1.40 m away, and another from the side 0.5 m nearer."""
-    image = render(ROOM_MAP, f32(camera_pose((-0.42, 0.0, 1.1), 0.0)), CAMERA)
+    image = look(ROOM_MAP, camera_pose((-0.42, 0.0, 1.1), 0.0))
     assert bool(image.hit.all())
     assert bool(image.known.all())
     centre = np.asarray(image.depth)[4:8, 6:10]
     np.testing.assert_allclose(centre, 1.40, atol=1e-4)  # z-depth: the same at every pixel of a facing wall
-    back = render(ROOM_MAP, f32(camera_pose((0.08, 0.0, 1.1), np.pi)), CAMERA)
+    back = look(ROOM_MAP, camera_pose((0.08, 0.0, 1.1), np.pi))
     np.testing.assert_allclose(np.asarray(back.depth)[4:8, 6:10], 0.08 + 1.08, atol=1e-4)
 
 
 @given(st.floats(-0.8, -0.2), st.floats(-0.5, 0.1), st.floats(-3.1, 3.1), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5))
 def test_room_depths_agree_with_the_closed_form(x: float, y: float, yaw: float, pitch: float, roll: float) -> None:
-    """Anywhere in the room, at any attitude: 1 mm on the flats, half a voxel where interpolation rounds off corners."""
+    """Anywhere in the room, at any attitude: exact on the flats, where the field is affine. Within two voxels of an edge
+    interpolation rounds it off, and a pixel at a silhouette may fall on either side of it: few err by half a voxel."""
     T = camera_pose((x, y, 1.1), yaw, pitch, roll)
-    image = render(ROOM_MAP, f32(T), CAMERA)
+    image = look(ROOM_MAP, T)
     truth = ROOM.depth(T, CAMERA)
     p = T[:3, 3] + (np.asarray(CAMERA.rays()) * truth[..., None]) @ T[:3, :3].T
     planes = np.concatenate([np.abs(p - c) for c in (*ROOM.interior, *ROOM.boxes[0])], axis=-1)
     flat = np.sort(planes, axis=-1)[..., 1] > 2 * VOXEL  # no second plane near
     error = np.abs(np.asarray(image.depth) - truth)
     assert bool(image.hit.all())
-    assert error[flat].max(initial=0.0) < 1e-3
-    grazing = np.sort(planes, axis=-1)[..., 1] <= 2 * VOXEL
-    assert np.mean(error[grazing] > 0.5 * VOXEL) < 0.35 if grazing.any() else True
+    assert error[flat].max(initial=0.0) < 1e-5
+    assert np.mean(error > 0.5 * VOXEL) < 0.08
 
 
 @given(seeds)
@@ -139,7 +145,7 @@ def test_images_agree_with_the_float64_renderer(seed: int) -> None:
     m = random_map("blobs", seed)
     T = camera_pose((-1.4, 0.2, 1.0), *rng.uniform(-0.4, 0.4, 3))
     T = np.asarray(f32(T), float)
-    image = render(m, f32(T), CAMERA)
+    image = look(m, T)
     depth, rgb, k = FieldOracle.of(m).render(T, CAMERA)
     same = (np.asarray(image.hit).ravel() == (k > 0)) & (np.abs(np.asarray(image.depth).ravel() - depth) < 0.5 * E)
     assert same.mean() > 0.98  # a sample on the threshold may fall on either side
@@ -162,7 +168,7 @@ def test_the_first_sample_never_counts_as_a_hit() -> None:
     T = f32(camera_pose((slab_end - E - 0.005, 0.25, 1.0), 0.0))
     assert float(m.occupancy_at(T[:3, 3])) > 0.0
     assert float(m.occupancy_at(T[:3, 3] + jnp.array([E, 0.0, 0.0]))) > 0.0  # sample 1 is above the threshold
-    image = render(m, T, CAMERA)
+    image = look(m, T)
     middle = np.asarray(image.depth)[5:7, 7:9]
     np.testing.assert_allclose(middle, 0.5 - float(T[0, 3]), atol=1e-4)
 
@@ -173,28 +179,28 @@ def test_inside_a_solid_the_second_sample_is_the_hit() -> None:
         k, hit = searcher(m, f32(np.array([0.0, 0.0, 1.0])), f32(np.eye(3)[np.arange(RAYS) % 3]))
         assert bool(hit.all())
         np.testing.assert_array_equal(np.asarray(k), 2)
-    image = render(m, f32(camera_pose((0.0, 0.2, 1.0), 0.3)), CAMERA)
+    image = look(m, camera_pose((0.0, 0.2, 1.0), 0.3))
     assert float(image.depth.min()) >= 0.99 * E
     assert float(image.depth.max()) <= 2.01 * E
 
 
 def test_no_hit_is_a_mask_not_a_value() -> None:
-    image = render(random_map("empty", 0), f32(camera_pose((0.0, 0.0, 1.0), 0.5)), CAMERA)
+    image = look(random_map("empty", 0), camera_pose((0.0, 0.0, 1.0), 0.5))
     for values in (image.depth, image.rgb, image.hit, image.known):
         assert not np.asarray(values).any()
 
 
 def test_a_pose_that_is_not_a_number_renders_nothing() -> None:
-    image = render(ROOM_MAP, jnp.full((4, 4), jnp.nan), CAMERA)
+    image = look(ROOM_MAP, np.full((4, 4), np.nan))
     assert not bool(image.hit.any())
     assert bool(jnp.isfinite(image.depth).all())
 
 
 def test_surfaces_beyond_the_depth_range_are_not_seen() -> None:
     """The wall is 1.40 m away: out of range at 1.3 m, in range at 1.5 m."""
-    T = f32(camera_pose((-0.42, 0.0, 1.1), 0.0))
-    assert not bool(render(ROOM_MAP, T, CAMERA, 1.3).hit[4:8, 6:10].any())
-    assert bool(render(ROOM_MAP, T, CAMERA, 1.5).hit[4:8, 6:10].all())
+    T = camera_pose((-0.42, 0.0, 1.1), 0.0)
+    assert not bool(look(ROOM_MAP, T, 1.3).hit[4:8, 6:10].any())
+    assert bool(look(ROOM_MAP, T, 1.5).hit[4:8, 6:10].all())
 
 
 def test_the_unseen_back_of_a_wall_is_not_known() -> None:
@@ -206,9 +212,9 @@ def test_the_unseen_back_of_a_wall_is_not_known() -> None:
         T = camera_pose((-0.5, y, 1.0), 0.0)
         image = room.image(T, camera)
         m = map_update.update(m, image.depth, image.rgb, f32(T), camera)
-    front = render(m, f32(camera_pose((-0.4, 0.2, 1.0), 0.0)), CAMERA)
+    front = look(m, camera_pose((-0.4, 0.2, 1.0), 0.0))
     assert bool(front.known[3:9, 4:12].all())
-    back = render(m, f32(camera_pose((1.0, 0.2, 1.0), np.pi)), CAMERA)
+    back = look(m, camera_pose((1.0, 0.2, 1.0), np.pi))
     assert bool(back.hit[3:9, 4:12].all())
     assert not bool(back.known.any())
 
@@ -216,7 +222,7 @@ def test_the_unseen_back_of_a_wall_is_not_known() -> None:
 def test_rendering_compiles_once() -> None:
     before = render._cache_size()
     for seed in range(3):
-        render(random_map("blobs", seed), f32(camera_pose((0.0, 0.1 * seed, 1.0), 0.2 * seed)), CAMERA)
+        look(random_map("blobs", seed), camera_pose((0.0, 0.1 * seed, 1.0), 0.2 * seed))
     assert render._cache_size() - before <= 1
 
 
@@ -225,27 +231,23 @@ def test_rendering_compiles_once() -> None:
 WEIGHTS = np.random.default_rng(0).uniform(0.5, 1.5, (CAMERA.height * CAMERA.width, 4))  # of depth and RGB
 
 
-def weighted_image(m: VoxelMap, tangent, intrinsics, T, mask, searcher=search) -> jax.Array:
-    """``sum w . (depth, rgb)`` over pixels, a function of the map, of the pose ``T exp(tangent)`` and of (fx, fy, cx, cy)."""
-    camera = Camera(CAMERA.width, CAMERA.height, *intrinsics)
-    image = render_with(searcher, m, T @ se3_exp(tangent), camera)
+def loss(theta, rest: VoxelMap, T, mask, searcher) -> jax.Array:
+    """``sum w . (depth, rgb)`` over pixels: of the map's means, the pose ``T exp(tangent)`` and (fx, fy, cx, cy)."""
+    means, tangent, intrinsics = theta
+    m = eqx.tree_at(lambda m: (m.occupancy, m.colour), rest, means)
+    image = render_with(searcher, m, T @ se3_exp(tangent), Camera(CAMERA.width, CAMERA.height, *intrinsics))
     values = jnp.concatenate([image.depth.reshape(-1, 1), image.rgb.reshape(-1, 3)], axis=1)
     return jnp.sum(WEIGHTS * mask[:, None] * values)
 
 
-def parameters(m: VoxelMap) -> tuple[tuple[jax.Array, jax.Array], VoxelMap]:
-    """The means of a map, and how to put them back."""
-    return (m.occupancy, m.colour), m
-
-
-def loss(theta, rest, T, mask, searcher):
-    (occupancy, colour), tangent, intrinsics = theta
-    m = eqx.tree_at(lambda m: (m.occupancy, m.colour), rest, (occupancy, colour))
-    return weighted_image(m, tangent, intrinsics, T, mask, searcher)
-
-
 gradient = jax.jit(jax.grad(loss), static_argnums=4)
-directional = jax.jit(lambda theta, d, *rest: jax.jvp(lambda t: loss(t, *rest, search), (theta,), (d,)))
+
+
+@jax.jit
+def forward_gradient(theta, direction, rest: VoxelMap, T, mask, hits) -> jax.Array:
+    """The derivative along a direction, in forward mode, with the search's result given."""
+    return jax.jvp(lambda t: loss(t, rest, T, mask, lambda *_: hits), (theta,), (direction,))[1]
+
 
 VIEWS = {
     "oblique": camera_pose((-0.9, 0.21, 1.03), 0.35, 0.2, 0.1),
@@ -275,7 +277,7 @@ def float32_pose(name: str) -> np.ndarray:
 def smooth_pixels(m: VoxelMap, T: np.ndarray) -> np.ndarray:
     """Pixels where float32 and float64 hit the same sample: elsewhere a derivative means nothing."""
     camera = Camera(CAMERA.width, CAMERA.height, *INTRINSICS)
-    image = render(m, f32(T), camera)
+    image = look(m, T, camera=camera)
     depth, _, k = FieldOracle.of(m).render(T, camera)
     return (np.asarray(image.hit).ravel() & (k > 0)) & (np.abs(np.asarray(image.depth).ravel() - depth) < 1e-3)
 
@@ -286,7 +288,7 @@ def test_gradients_agree_with_finite_differences(view: str, seed: int) -> None:
     """Cells, pose and intrinsics, against central differences of the float64 renderer."""
     m, T = random_map("blobs", seed), float32_pose(view)
     mask = smooth_pixels(m, T)
-    assert mask.sum() > 40
+    assert mask.sum() > 30
     (d_occupancy, d_colour), d_pose, d_intrinsics = gradient(theta_at(m), m, f32(T), f32(mask), search)
     field, zero, intrinsics, h = FieldOracle.of(m), np.zeros(6), np.array(INTRINSICS), 1e-6
 
@@ -297,7 +299,9 @@ def test_gradients_agree_with_finite_differences(view: str, seed: int) -> None:
 
     pose = [difference(lambda s, a=a: oracle_value(field, T, s * np.eye(6)[a], intrinsics, mask)) for a in range(6)]
     np.testing.assert_allclose(np.asarray(d_pose), pose, rtol=2e-3, atol=2e-3 * np.abs(pose).max())
-    lens = [difference(lambda s, a=a: oracle_value(field, T, zero, intrinsics + s * np.eye(4)[a], mask)) for a in range(4)]
+    lens = [
+        difference(lambda s, a=a: oracle_value(field, T, zero, intrinsics + s * np.eye(4)[a], mask)) for a in range(4)
+    ]
     np.testing.assert_allclose(np.asarray(d_intrinsics), lens, rtol=2e-3, atol=2e-3 * np.abs(lens).max())
 
     dense = np.concatenate([np.asarray(m.dense(d_occupancy))[..., None], np.asarray(m.dense(d_colour))], axis=-1)
@@ -330,7 +334,8 @@ def test_forward_mode_is_reverse_mode(view: str) -> None:
     theta, mask = theta_at(m), f32(smooth_pixels(m, T))
     rng = np.random.default_rng(7)
     direction = jax.tree.map(lambda a: f32(rng.standard_normal(np.shape(a))), theta)
-    _, forward = directional(theta, direction, m, f32(T), mask)
+    hits = search_jit(m, *emission.world_rays(f32(T), Camera(CAMERA.width, CAMERA.height, *INTRINSICS)))
+    forward = forward_gradient(theta, direction, m, f32(T), mask, hits)
     reverse = gradient(theta, m, f32(T), mask, search)
     products = jax.tree.map(lambda a, b: np.sum(np.asarray(a, float) * np.asarray(b, float)), reverse, direction)
     sizes = jax.tree.map(lambda a, b: np.sum(np.abs(np.asarray(a, float) * np.asarray(b, float))), reverse, direction)

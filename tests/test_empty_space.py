@@ -26,9 +26,9 @@ def levels_by_definition(m: VoxelMap) -> np.ndarray:
     occupied = occupied_cubes(m)
     level = np.zeros(m.shape, int)
     for size in (1, 2, 4, 8):
-        boxes = occupied.reshape(
-            m.shape[0] // size, size, m.shape[1] // size, size, m.shape[2] // size, size
-        ).any(axis=(1, 3, 5))
+        boxes = occupied.reshape(m.shape[0] // size, size, m.shape[1] // size, size, m.shape[2] // size, size).any(
+            axis=(1, 3, 5)
+        )
         level += ~np.kron(boxes, np.ones((size, size, size), bool))
     return level
 

@@ -31,6 +31,16 @@ def test_commands_are_within_limits(xy, heading, path):
     assert np.array_equal(ROBOT.clip(command), command)
 
 
+@given(st.floats(0.02, 0.16), headings)
+def test_turns_on_arrival(distance, bend):
+    """The step that ends at a bend already turns towards what follows, as far as one command can."""
+    corner = np.array([distance, 0.0])
+    path = np.array([[0.0, 0.0], corner, corner + [math.cos(bend), math.sin(bend)]])
+    turn, offset, step = steer(np.zeros(3), path, LIMITS)
+    assert (offset, step) == (0.0, distance)
+    assert abs(turn - (np.clip(bend, -LIMITS[0], LIMITS[0]) if abs(bend) > LIMITS[1] else 0.0)) < 1e-9
+
+
 @given(points, headings, st.lists(points, min_size=2, max_size=5))
 def test_drives_only_towards_the_waypoint(xy, heading, path):
     """A step that moves goes straight at a waypoint and does not pass it; a step that does not move turns to it."""
@@ -77,7 +87,7 @@ def test_a_small_error_costs_no_turn():
     planar = np.array([0.0, 0.0, math.radians(4.0)])
     turn, offset, step = steer(planar, np.array([[0.0, 0.0], [1.0, 0.0]]), LIMITS)
     assert turn == 0.0
-    assert offset == -planar[2]
+    assert abs(offset + planar[2]) < 1e-12
     assert step == LIMITS[2]
 
 

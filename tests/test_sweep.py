@@ -103,6 +103,16 @@ def test_a_scene_that_changed_cannot_continue_it(folder, finished, tmp_path):
         run_sweep(load_config(tmp_path / "sweep.yaml"), folder / "whole", resume=True)
 
 
+def test_rooms_that_are_cut_off_are_reported(tmp_path):
+    """A closed door between the two rooms: tasks stay in one of them, and manifest and report say so."""
+    save_scene(two_rooms(openness=0.0, leaves=1), tmp_path / "shut.json")
+    (tmp_path / "sweep.yaml").write_text("scenes: shut.json\nagents: random\ntasks: 1\n")
+    run_sweep(load_config(tmp_path / "sweep.yaml"), tmp_path / "out", workers=1)
+    (cut,) = json.loads((tmp_path / "out" / MANIFEST).read_text())["cut_off_rooms"]["shut"]
+    assert cut in ("west", "east")
+    assert f"shut: cut off from the rest: {cut}" in write_report(tmp_path / "out").read_text()
+
+
 def test_the_hash_is_of_content_not_of_place(folder):
     config = load_config(folder / "sweep.yaml")
     elsewhere = config.model_copy(update={"scenes": ("/elsewhere/rooms.json",)})

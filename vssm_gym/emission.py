@@ -92,7 +92,8 @@ def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arr
     leave = jnp.min(jnp.maximum(a, b), axis=0)
     last = jnp.minimum(jnp.floor(leave), jnp.floor(max_depth / e))
     # One sample early and late: rounding must not lose a sample on the grid's face; the field there is the prior's.
-    k = jnp.maximum(jnp.floor(enter), 2.0)
+    # A ray parallel to a face beside the grid "enters" at 1e9 samples; one past the range says the same and fits an int32.
+    k = jnp.clip(jnp.floor(enter), 2.0, jnp.floor(max_depth / e) + 1.0)
     last = jnp.where(enter > leave, 0.0, last)
     return _Rays(start, stride, k.astype(jnp.int32), last.astype(jnp.int32), jnp.zeros(k.shape, bool))
 

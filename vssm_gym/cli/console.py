@@ -36,22 +36,30 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_results(log: Path) -> None:
-    """SPL, success, location error and failures of every agent of an episode log, with 95 % intervals, on stdout."""
+    """SPL, success, location error and failures of every agent of an episode log, one table a condition, on stdout."""
     from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.eval import aggregate
     from vssm_gym.eval.rows import read_rows
 
-    rows = read_rows(log)
-    table = Table(title="means over tasks [95 % interval]")
-    for name in ("scene", "noise", "agent"):
-        table.add_column(name)
-    for name in ("episodes", "SPL", "success", "location error m", "failed"):
-        table.add_column(name, justify="right")
-    groups = aggregate.group_rows(rows, ("scene", "noise", "agent"))
-    for line in sorted(aggregate.table(rows, ("spl", "success", "location_error_mean")), key=lambda line: line.group):
-        failed = sum(row["failure"] is not None for row in groups[line.group])
-        spl, success, error = (line.values[m] for m in ("spl", "success", "location_error_mean"))
-        table.add_row(*line.group, str(line.episodes), spl.text(), success.text(), error.text(3), str(failed))
-    Console().print(table)
+    console = Console(highlight=False)
+    for condition, rows in aggregate.group_rows(read_rows(log), ("scene", "noise")).items():
+        table = Table(title=f"{' · '.join(condition)}: means over tasks [95 % interval]", box=None)
+        table.add_column("agent", no_wrap=True)
+        for name in ("runs", "SPL", "success", "error m", "failed"):
+            table.add_column(name, justify="right", no_wrap=True)
+        for (agent,), members in aggregate.group_rows(rows, ("agent",)).items():
+            spl, success, error = (aggregate.mean(members, m) for m in ("spl", "success", "location_error_mean"))
+            failed = sum(row["failure"] is not None for row in members)
+            mean_error = "-" if error.episodes == 0 else f"{error.mean:.3f}"
+            table.add_row(agent, str(len(members)), spl.text(), success.text(), mean_error, str(failed))
+        console.print(table)
+
+
+def print_notices(manifest_file: Path) -> None:
+    """What a reader of a sweep's results should know about its scenes, on stdout."""
+    from vssm_gym.eval.report import notices, read_manifest
+
+    for notice in notices(read_manifest(manifest_file)):
+        print(f"note: {notice}")

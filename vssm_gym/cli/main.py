@@ -44,7 +44,7 @@ def main() -> int:
         return 0
     use_compilation_cache()
     arguments = sys.argv[1:] or ["--help"]
-    run = build_app(COMMANDS).cli(
+    run = build_app(COMMANDS, brief=arguments[0] not in COMMANDS).cli(
         prog="vssm-gym", description=DESCRIPTION, args=arguments, config=(FlagCreatePairsOff,)
     )
     try:
@@ -62,18 +62,21 @@ def main() -> int:
     return result if isinstance(result, int) else 0
 
 
-def build_app(commands: dict[str, Any]) -> SubcommandApp:
-    """The tree of commands; parsing returns the chosen command with its arguments bound, not yet called."""
+def build_app(commands: dict[str, Any], brief: bool = False) -> SubcommandApp:
+    """The tree of commands; parsing returns the chosen command with its arguments bound, not yet called.
+
+    With ``brief`` only the first paragraph of each docstring is kept: enough for the list of all commands.
+    """
     app = SubcommandApp()
     for name, target in commands.items():
         if isinstance(target, dict):
-            app.command(build_app(target), name=name, help=f"Commands: {', '.join(target)}.")
+            app.command(build_app(target, brief), name=name, help=f"Commands: {', '.join(target)}.")
         else:
-            app.command(name=name)(_deferred(target))
+            app.command(name=name)(_deferred(target, brief))
     return app
 
 
-def _deferred(target: str) -> Callable[..., Callable[[], Any]]:
+def _deferred(target: str, brief: bool) -> Callable[..., Callable[[], Any]]:
     """The function at ``"file.function"``, made to bind its arguments instead of running.
 
     It then runs outside the parser, which would take a ValueError of a command for a wrong option.
@@ -85,4 +88,6 @@ def _deferred(target: str) -> Callable[..., Callable[[], Any]]:
     def bind(*args: Any, **kwargs: Any) -> Callable[[], Any]:
         return functools.partial(function, *args, **kwargs)
 
+    if brief:
+        bind.__doc__ = (function.__doc__ or "").partition("\n\n")[0]
     return bind

@@ -25,12 +25,13 @@ def sweep(
         workers: processes that run episodes.
         seed: of the drives that maps are learned from; episodes take theirs from the configuration's seeds.
     """
-    from vssm_gym.cli.console import print_results, progress_bars
+    from vssm_gym.cli.console import print_notices, print_results, progress_bars
     from vssm_gym.eval.config import load_config
-    from vssm_gym.eval.sweep import run_sweep
+    from vssm_gym.eval.sweep import MANIFEST, run_sweep
 
     checked = load_config(config)
     with progress_bars() as progress:
         log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, progress=progress)
     print_results(log)
+    print_notices(out / MANIFEST)
     print(f"episodes: {log}\nnext: vssm-gym report {out}")

@@ -14,11 +14,10 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
 ROUNDING = 1e-6  # cells: the world coordinates of a border cell, taken back to the grid, still lie on it
-KNOWN_PRECISION = 0.5  # 1/m^2: half of what one observation of a cell adds (std 1, SPEC 3), far above the prior's 0.01
 KNOWN_SHARE = 0.5  # of a column's heights that must have been observed: under a visible table top the rest is unseen
 
 
@@ -126,7 +125,7 @@ def _columns(
     def layer(carry, z):
         top, known = carry
         p_world = jnp.concatenate([xy, jnp.full((*shape, 1), z)], axis=-1)
-        observed = voxel_map.precision(p_world)[..., 0] > KNOWN_PRECISION
+        observed = voxel_map.precision(p_world)[..., 0] > OBSERVED_PRECISION
         # The prior's mean is a value, not a reading: an unobserved point says nothing about a surface.
         occupancy = jnp.where(observed, voxel_map.occupancy_at(p_world), -jnp.inf)
         return (jnp.maximum(top, occupancy), known + observed), None

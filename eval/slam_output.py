@@ -1,0 +1,186 @@
+"""The folder that ``vssm-gym slam`` writes: the trajectory line by line, then map, mesh, ``stats.json`` and report."""
+
+import json
+import os
+import platform
+import time
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TextIO
+
+import jax
+import numpy as np
+
+from vssm_gym.data.sequences import Sequence, load_sequence
+from vssm_gym.data.trajectories import tum_line
+from vssm_gym.errors import InputError
+from vssm_gym.eval import trajectory
+from vssm_gym.eval.slam_report import page
+from vssm_gym.eval.slam_run import Progress, SlamOptions, SlamRun, TrackedFrame, run_slam
+from vssm_gym.eval.sweep import package_version
+from vssm_gym.viz.mesh import surface_mesh, write_ply
+
+PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
+STATS, REPORT = "stats.json", "report.html"
+OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # what an unfinished run leaves: the report comes last
+
+
+def process(
+    source: Path,
+    out: Path,
+    options: SlamOptions,
+    intrinsics: tuple[float, ...] | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run SLAM over the sequence in ``source`` and write everything to ``out``; returns what ``stats.json`` holds.
+
+    Each file appears whole or not at all. Where the run ends early, the poses of the finished frames stay in
+    ``trajectory.partial.txt``, and a later run may use the folder again.
+
+    Args:
+        source: TUM folder.
+        out: new or empty folder, or one that an unfinished run left.
+        options: image size, rate, grid.
+        intrinsics: of the recorded images, in place of those that the folder states.
+        progress: told after every frame, and of every file.
+
+    Raises:
+        InputError: bad input; nothing is written before the first frame is done.
+    """
+    _check_free(out)
+    sequence = load_sequence(source, intrinsics)
+    start = time.perf_counter()
+    with _TrajectoryFile(out) as file:
+        run = run_slam(sequence, options, file.append, progress)
+    stats = summarise(run, sequence, options, time.perf_counter() - start)
+    mesh = surface_mesh(run.map)
+    stats["map"] |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    writers = (
+        lambda: run.map.save(out / MAP, sequence=sequence.root.resolve().name, frames=len(run.frames)),
+        lambda: write_ply(out / MESH, mesh),
+        lambda: _write_whole(out / STATS, json.dumps(stats, indent=1, allow_nan=False) + "\n"),
+        lambda: _write_whole(out / REPORT, page(run, sequence, mesh, stats, options.slam)),
+    )
+    for done, write in enumerate(writers, start=1):
+        write()
+        if progress:
+            progress("writing", done, len(writers))
+    return stats
+
+
+def summarise(run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float) -> dict[str, Any]:
+    """What a reader needs to judge and repeat a run, as plain JSON values (non-finite numbers as null)."""
+    frames = run.frames
+    warm = [frame for frame in frames if frame.warm]
+    stages = {
+        "read": [frame.read_s for frame in frames],
+        "wait for image": [frame.wait_s for frame in frames[1:]],
+        "track and update": [frame.step_s for frame in warm],
+    }
+    fits = {
+        name: [value for frame in frames if (value := getattr(frame, name)) is not None]
+        for name in ("inlier_share", "coverage", "photometric", "in_grid")
+    }
+    config = asdict(options) | {"size": "x".join(map(str, options.size))}
+    camera = sequence.camera
+    K = camera.K
+    return {
+        "version": package_version(),
+        "machine": {
+            "processor": platform.machine(),
+            "cores": os.cpu_count(),
+            "jax": f"{jax.__version__} {jax.default_backend()}",
+        },
+        "sequence": sequence.root.resolve().name,
+        "config": config,
+        "camera": {
+            "width": camera.width,
+            "height": camera.height,
+            "fx_fy_cx_cy": [float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
+            "distortion_k1_k2_p1_p2_k3": sequence.distortion.tolist(),
+            "depth_scale": sequence.depth_scale,
+        },
+        "frames_recorded": len(sequence.frames),
+        "frames": len(frames),
+        "sequence_s": float(run.times[-1] - run.times[0]),
+        "run_s": seconds,
+        "lost": [{"index": frame.index, "time": frame.time} for frame in frames if frame.lost],
+        "fit_median": {name: float(np.median(values)) if values else None for name, values in fits.items()},
+        "latency_ms": {stage: percentiles(values) for stage, values in stages.items() if values},
+        "latency_note": (
+            "read: decoding, undistorting and resizing, in a thread beside the filter; wait: the filter idle until the "
+            "image is there; track and update: from the image to the pose and the updated map, one compiled function, "
+            "without the first two calls, which compile"
+        ),
+        "first_calls_s": [frame.step_s for frame in frames if not frame.warm and not frame.lost],
+        "map": {"cells": int(np.prod(run.map.shape)), "shape": list(run.map.shape), "voxel": options.voxel},
+        "errors": errors(run, sequence),
+    }
+
+
+def percentiles(seconds: list[float]) -> dict[str, float]:
+    """Median, 90th and 99th percentile, largest and mean, milliseconds, and how many."""
+    ms = 1e3 * np.asarray(seconds)
+    p50, p90, p99 = (float(value) for value in np.percentile(ms, (50, 90, 99)))
+    return {"p50": p50, "p90": p90, "p99": p99, "max": float(ms.max()), "mean": float(ms.mean()), "n": len(ms)}
+
+
+def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
+    """ATE and RPE as ``vssm-gym evaluate-trajectory`` prints them; None without truth, a reason where impossible."""
+    if sequence.truth is None:
+        return None
+    try:
+        return trajectory.evaluate(run.times, run.poses, *sequence.truth)
+    except InputError as error:
+        return {"impossible": str(error)}
+
+
+def _check_free(out: Path) -> None:
+    """New, empty, or left by a run that did not end: what a finished run wrote is never overwritten."""
+    if not out.exists():
+        return
+    if not out.is_dir() or not {path.name for path in out.iterdir()} <= OURS:
+        raise InputError(out, "folder", "a new or empty folder, or that of a run which did not end")
+
+
+def _write_whole(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+class _TrajectoryFile:
+    """One line a finished frame under a name that says "partial"; its real name once the run has ended."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self._file: TextIO | None = None
+
+    def append(self, frame: TrackedFrame) -> None:
+        """Write a frame's pose; the first one makes the folder and clears what an unfinished run left."""
+        if self._file is None:
+            try:
+                self.out.mkdir(parents=True, exist_ok=True)
+                for name in OURS:
+                    (self.out / name).unlink(missing_ok=True)
+                self._file = (self.out / PARTIAL).open("w", encoding="utf-8")
+            except OSError as error:
+                raise InputError(self.out, "folder", f"a folder that can be written ({error.strerror})") from error
+            self._file.write("# timestamp tx ty tz qx qy qz qw\n")
+        self._file.write(tum_line(frame.time, frame.T_world_cam))
+        self._file.flush()
+
+    def __enter__(self) -> "_TrajectoryFile":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is not None:
+            self._file.close()
+            if kind is None:
+                os.replace(self.out / PARTIAL, self.out / TRAJECTORY)

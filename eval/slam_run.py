@@ -1,0 +1,229 @@
+"""SLAM over a recorded sequence: thin the frames, read them ahead, track and map, and keep how each frame went."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.camera import Camera
+from vssm_gym.data.sequences import FrameReader, Sequence
+from vssm_gym.errors import InputError
+from vssm_gym.inference import slam
+from vssm_gym.inference.slam import SlamConfig
+from vssm_gym.inference.tracking import observe
+from vssm_gym.voxel_map import VoxelMap
+
+AHEAD = 4  # images that are read while the filter works
+MAX_CELLS = 40_000_000  # of about 25 bytes
+SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation search has nothing left to shrink
+
+Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+
+@dataclass(frozen=True)
+class SlamOptions:
+    """What a run of ``vssm-gym slam`` is told; a value that makes no sense is an :class:`InputError`."""
+
+    size: tuple[int, int] = (160, 120)  # width, height that images are resized to, pixels
+    rate: float = 10.0  # frames a second at most
+    voxel: float = 0.07  # m
+    extent: float = 14.0  # m: edge of the cube that is mapped, around the first camera
+    slam: SlamConfig = field(default_factory=SlamConfig)
+
+    def __post_init__(self) -> None:
+        if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
+            low, high = ("x".join(map(str, size)) for size in (SMALLEST, LARGEST))
+            raise InputError("slam", "size", f"width x height between {low} and {high}, not {self.size}")
+        if not 0.0 < self.rate < np.inf:
+            raise InputError("slam", "rate", f"frames a second, above 0, not {self.rate}")
+        if not 0.0 < self.voxel <= 0.5:
+            raise InputError("slam", "voxel", f"a cell size in (0, 0.5] m, not {self.voxel}")
+        if not 10 * self.voxel <= self.extent < np.inf:
+            raise InputError("slam", "extent", f"at least 10 cells of {self.voxel} m, not {self.extent} m")
+        if (cells := (self.extent / self.voxel) ** 3) > MAX_CELLS:
+            raise InputError(
+                "slam", "extent", f"at most {MAX_CELLS:,} cells, not {cells:,.0f}: a smaller extent or larger voxels"
+            )
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """How one frame went. The fit is None where there was nothing to align to: before and at the map's first frame."""
+
+    index: int  # in the sequence
+    time: float  # s, of its colour image
+    T_world_cam: Float[np.ndarray, "4 4"]  # float64; the world is the first camera's frame
+    status: int  # a key of slam.STATUS
+    inlier_share: float | None
+    coverage: float | None
+    photometric: float | None
+    in_grid: float  # share of its depth readings that lie in the grid; 1 where it has none
+    read_s: float  # reading, undistorting, resizing: in a thread beside the filter
+    wait_s: float  # that the filter waited for the image
+    step_s: float  # from the image to the pose and the updated map
+    warm: bool  # the step had been compiled before
+
+    @property
+    def lost(self) -> bool:
+        """The frame fits nothing, and the map does not hold it."""
+        return self.status == slam.LOST
+
+
+@dataclass(frozen=True)
+class SlamRun:
+    """The outcome of a run."""
+
+    frames: tuple[TrackedFrame, ...]
+    map: VoxelMap
+    reader: FrameReader  # of the frames as the filter saw them
+
+    @property
+    def times(self) -> Float[np.ndarray, "frames"]:
+        """Stamps, s."""
+        return np.array([frame.time for frame in self.frames])
+
+    @property
+    def poses(self) -> Float[np.ndarray, "frames 4 4"]:
+        """Estimated T_world_cam, the guesses of lost frames included."""
+        return np.stack([frame.T_world_cam for frame in self.frames])
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Which frames are lost, ``(frames,)`` bool."""
+        return np.array([frame.lost for frame in self.frames])
+
+
+def thin(times: Float[np.ndarray, "n"], rate: float) -> list[int]:
+    """Frames of a stream thinned to ``rate`` a second: over any ``w`` seconds at most ``w rate + 1.5``.
+
+    A frame may be early by half a period, and the next one is due as if it had not been: a camera that runs at ``rate``
+    keeps its frames whatever their jitter.
+
+    Args:
+        times: sorted stamps, s.
+        rate: frames a second.
+    """
+    period, due, kept = 1.0 / rate, -np.inf, []
+    for index, stamp in enumerate(times):
+        if stamp >= due - 0.5 * period:
+            kept.append(index)
+            due = max(float(stamp), due) + period
+    return kept
+
+
+def prefetch(reader: FrameReader, indices: list[int]) -> Generator[tuple[np.ndarray, np.ndarray, float], None, None]:
+    """RGB, depth and the seconds they took to read, in order, a few frames ahead of who asks."""
+
+    def read(index: int) -> tuple[np.ndarray, np.ndarray, float]:
+        start = time.perf_counter()
+        rgb, depth = reader[index]
+        return rgb, depth, time.perf_counter() - start
+
+    pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frame-reader")
+    try:
+        waiting = deque(pool.submit(read, index) for index in indices[:AHEAD])
+        for position in range(len(indices)):
+            frame = waiting.popleft().result()
+            if position + AHEAD < len(indices):
+                waiting.append(pool.submit(read, indices[position + AHEAD]))
+            yield frame
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def run_slam(
+    sequence: Sequence,
+    options: SlamOptions,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
+    progress: Progress | None = None,
+) -> SlamRun:
+    """Track and map a sequence, frame by frame.
+
+    The world is the first camera's frame and the map a cube around it. Frames before the first one with depth are lost:
+    there is nothing to start from.
+
+    Args:
+        sequence: the recording.
+        options: image size, rate, grid.
+        on_frame: told of every frame as it is finished.
+        progress: told after every frame.
+
+    Raises:
+        InputError: an image that cannot be read, or no depth reading in the whole sequence.
+    """
+    reader = FrameReader(sequence, options.size)
+    indices = thin(sequence.times, options.rate)
+    tracker = _Tracker(options, reader.camera)
+    frames: list[TrackedFrame] = []
+    with closing(prefetch(reader, indices)) as images:
+        asked = time.perf_counter()
+        for index, (rgb, depth, read_s) in zip(indices, images, strict=True):
+            wait_s = time.perf_counter() - asked
+            frame = tracker.frame(index, sequence.frames[index].time, rgb, depth, read_s, wait_s)
+            frames.append(frame)
+            if on_frame:
+                on_frame(frame)
+            if progress:
+                progress("tracking and mapping", len(frames), len(indices))
+            asked = time.perf_counter()
+    if tracker.state is None:
+        raise InputError(sequence.root, "depth", "readings; every pixel of every frame has none")
+    return SlamRun(tuple(frames), tracker.state.map, reader)
+
+
+class _Tracker:
+    """The filter's state between frames; ``None`` before the first frame with depth."""
+
+    def __init__(self, options: SlamOptions, camera: Camera) -> None:
+        self.options, self.camera = options, camera
+        self.state: slam.SlamState | None = None
+        self.steps = 0
+        v, u = np.mgrid[0 : camera.height : 4, 0 : camera.width : 4]  # every fourth pixel tells what share is inside
+        self._rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
+
+    def frame(
+        self, index: int, stamp: float, rgb: np.ndarray, depth: np.ndarray, read_s: float, wait_s: float
+    ) -> TrackedFrame:
+        """Localise and map one image."""
+        start = time.perf_counter()
+        T_world_cam, status, agreement = np.eye(4), slam.OK, None
+        warm = self.steps > 0
+        if self.state is not None:
+            self.state, info = slam.step(self.state, observe(rgb, depth), self.camera, self.options.slam)
+            jax.block_until_ready((self.state, info))
+            T_world_cam, status, agreement = np.asarray(info.T_world_cam, float), int(info.status), info.agreement
+            self.steps += 1
+        elif (depth > 0.0).any():
+            prior = VoxelMap.cube((0.0, 0.0, 0.0), self.options.extent, self.options.voxel)
+            self.state = slam.init(prior, observe(rgb, depth), self.camera, self.options.slam)
+            jax.block_until_ready(self.state)
+        else:
+            status = slam.LOST
+        step_s = time.perf_counter() - start
+        return TrackedFrame(
+            index=index,
+            time=stamp,
+            T_world_cam=T_world_cam,
+            status=status,
+            inlier_share=float(agreement.inlier_share) if agreement else None,
+            coverage=float(agreement.coverage) if agreement else None,
+            photometric=float(agreement.photometric) if agreement else None,
+            in_grid=self._in_grid(depth, T_world_cam),
+            read_s=read_s,
+            wait_s=wait_s,
+            step_s=step_s,
+            warm=warm,
+        )
+
+    def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
+        sampled = depth[::4, ::4]
+        read = (sampled > 0.0) & (sampled <= self.options.slam.update.max_depth)
+        p_world = (self._rays[read] * sampled[read][:, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+        inside = (np.abs(p_world) <= 0.5 * self.options.extent).all(axis=-1)
+        return float(inside.mean()) if len(inside) else 1.0

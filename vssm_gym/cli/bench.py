@@ -1,0 +1,94 @@
+"""``vssm-gym bench``: how fast it is here, and how far tracking is off (DESIGN; SPEC 6, 12)."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4}
+
+
+def bench(
+    suite: Annotated[Literal["speed", "tracker", "drift"], tyro.conf.Positional] = "speed",
+    scene: str = "oak",
+    out: Path = Path("out/bench"),
+    trials: int | None = None,
+    workers: int = 2,
+    seed: int = 0,
+) -> None:
+    """Measure on this machine: `speed` of every stage, accuracy of the `tracker`, or `drift` over 100 m.
+
+    `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `tracker` drives
+    trajectories of 100 steps by the true pose and prints the tracker's location RMSE. `drift` chains goals over 100 m
+    and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images.
+
+    Args:
+        suite: what to measure.
+        scene: built-in name or path of a scene file.
+        out: folder for the learned map, which is kept, and for the figures as JSON.
+        trials: drives; 300 for `tracker`, 4 for `drift`.
+        workers: processes of `tracker` and `drift`.
+        seed: of the drives.
+    """
+    import json
+    import os
+
+    from rich.console import Console
+
+    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.config import DEFAULT_VOXEL
+    from vssm_gym.eval.maps import ensure_map
+    from vssm_gym.eval.sweep import package_version
+
+    if trials is not None and trials < 1:
+        raise InputError("bench", "trials", f"at least 1, found {trials}")
+    with progress_bars() as progress:
+        if suite == "speed":
+            from vssm_gym.eval.bench_speed import speed
+
+            result = speed(scene, seed=seed, progress=progress)
+        else:
+            from vssm_gym.eval import bench_tracking
+
+            run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
+            map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
+            count = trials or DEFAULT_TRIALS[suite]
+            result = run(scene, map_file, trials=count, workers=workers, seed=seed, progress=progress)
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{suite}-{Path(scene).stem}.json"
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
+    os.replace(temporary, path)
+    _show(suite, result, Console())
+    print(path)
+
+
+def _show(suite: str, result: dict[str, Any], console: Any) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"bench {suite}: {result['scene']}")
+    if suite == "speed":
+        for name in ("stage", "median", "unit", "aim"):
+            table.add_column(name, justify="left" if name in ("stage", "unit") else "right")
+        for stage, value, unit, aim in result["rows"]:
+            table.add_row(stage, f"{value:.1f}", unit, "" if aim is None else f"{aim:.0f}")
+        console.print(table)
+        console.print(f"search finds what the fixed march finds: {result['search_equals_march']}")
+        console.print(f"recompilations after the first step: {result['recompilations_after_the_first_step']}")
+        console.print(f"machine: {result['machine']}")
+        return
+    if suite == "tracker":
+        table.add_column("location RMSE over 100 steps")
+        table.add_column("value", justify="right")
+        table.add_row(f"below 0.1 m, of {result['trials']}", f"{100 * result['share_below_0.1m']:.1f} %")
+        for q, value in result["rmse_m"].items():
+            table.add_row(f"{100 * float(q):.0f} % of trials are below", f"{100 * value:.2f} cm")
+        table.add_row("steps said lost", f"{100 * result['lost_steps']:.2f} %")
+    else:
+        for name in ("method", "RMSE m", *(f"{10 * (i + 1)} m" for i in range(10))):
+            table.add_column(name, justify="left" if name == "method" else "right")
+        for name, row in result["methods"].items():
+            table.add_row(name, f"{row['rmse_m']:.3f}", *(f"{v:.3f}" for v in row["mean_error_by_tenth_m"]))
+        table.caption = f"astar / no_map, each drive: {result['astar_over_no_map']}"
+    console.print(table)

@@ -1,0 +1,92 @@
+"""The zero level set of a map's mean field as a triangle mesh, and its file (PLY).
+
+Marching cubes (Lewiner et al., 2003) puts vertices on the grid's edges, where the field is linear, so they lie on its
+zero. Only cubes whose eight cells were all observed, in occupancy and in colour, are meshed: behind the band that
+images update the field falls back to "just free", and that crossing is no surface.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from skimage.measure import marching_cubes
+
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A surface with what the belief says at each vertex."""
+
+    vertices: Float[np.ndarray, "vertices 3"]  # m, map frame
+    faces: Int[np.ndarray, "faces 3"]  # counter-clockwise seen from free space
+    colours: UInt8[np.ndarray, "vertices 3"]  # RGB of the mean field
+    variance: Float[np.ndarray, "vertices"]  # m^2, of occupancy: how far the surface may be off
+
+
+def surface_mesh(m: VoxelMap) -> Mesh:
+    """``{p : f_M(p) = 0}`` at the mean, where the map was observed; without vertices where it shows no surface.
+
+    Ambiguous cubes get vertices in their inside, off the zero by a fraction of a voxel; smooth surfaces have none.
+    """
+    occupancy = np.array(m.dense(m.occupancy))  # a copy: marching cubes refuses JAX's read-only memory
+    seen = np.asarray(m.dense((m.occupancy_precision > OBSERVED_PRECISION) & (m.colour_precision > OBSERVED_PRECISION)))
+    above = occupancy > 0.0
+    crossed = _of_cube(seen, np.logical_and) & _of_cube(above, np.logical_or) & ~_of_cube(above, np.logical_and)
+    if not crossed.any():
+        return Mesh(
+            np.zeros((0, 3), np.float32),
+            np.zeros((0, 3), np.int32),
+            np.zeros((0, 3), np.uint8),
+            np.zeros(0, np.float32),
+        )
+    cubes = np.argwhere(crossed)
+    low, high = cubes.min(axis=0), cubes.max(axis=0) + 2
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    mask = np.zeros(tuple(high - low), bool)
+    mask[1:, 1:, 1:] = crossed[tuple(slice(a, b - 1) for a, b in zip(low, high, strict=True))]  # named by the last cell
+    # scikit-image names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
+    cells, faces, _, _ = marching_cubes(occupancy[box], 0.0, gradient_direction="ascent", mask=mask)
+    vertices = np.asarray(m.origin, np.float64) + (cells + low) * float(m.voxel_size)
+    p_world = jnp.asarray(vertices, jnp.float32)
+    rgb = np.asarray(m.field(p_world))[:, 1:]
+    return Mesh(
+        vertices.astype(np.float32),
+        faces.astype(np.int32),
+        np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8),
+        1.0 / np.asarray(m.precision(p_world))[:, 0],
+    )
+
+
+def _of_cube(cells: np.ndarray, combine: np.ufunc) -> np.ndarray:
+    """``combine`` over the eight cells of every cube: ``(nx, ny, nz)`` to ``(nx - 1, ny - 1, nz - 1)``."""
+    for axis in range(3):
+        n = cells.shape[axis]
+        cells = combine(np.take(cells, range(n - 1), axis), np.take(cells, range(1, n), axis))
+    return cells
+
+
+def write_ply(path: Path, mesh: Mesh) -> None:
+    """Binary PLY with colour and ``variance`` per vertex; the file appears whole or not at all."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        "comment vssm_gym: metres in the map's frame; variance of occupancy in square metres\n"
+        f"element vertex {len(mesh.vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+        "property float variance\n"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    vertices = np.empty(len(mesh.vertices), [("xyz", "<f4", 3), ("rgb", "u1", 3), ("variance", "<f4")])
+    vertices["xyz"], vertices["rgb"], vertices["variance"] = mesh.vertices, mesh.colours, mesh.variance
+    faces = np.empty(len(mesh.faces), [("count", "u1"), ("indices", "<i4", 3)])
+    faces["count"], faces["indices"] = 3, mesh.faces
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
