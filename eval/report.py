@@ -19,9 +19,9 @@ MANIFEST = "sweep.json"
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
 
 STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;color:#1d2126;max-width:1240px;margin:24px auto;padding:0 20px}
+body{font:15px/1.45 system-ui,sans-serif;color:#1d2126;max-width:1380px;margin:24px auto;padding:0 20px}
 h1{font-size:26px;margin:0 0 4px}h2{margin:34px 0 8px;font-size:20px;border-bottom:1px solid #d5d9de}
-table{border-collapse:collapse;font-size:13px;margin:8px 0}th,td{padding:3px 10px;text-align:left;white-space:nowrap}
+table{border-collapse:collapse;font-size:13px;margin:8px 0}th,td{padding:3px 9px;text-align:left;white-space:nowrap}
 th{border-bottom:2px solid #9aa3ad;font-weight:600}tr:nth-child(even) td{background:#f4f6f8}
 .n{text-align:right;font-variant-numeric:tabular-nums}.wide{overflow-x:auto}
 .runs{display:grid;grid-template-columns:repeat(auto-fill,minmax(280px,1fr));gap:12px}

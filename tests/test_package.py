@@ -8,8 +8,10 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import vssm_gym
@@ -126,6 +128,15 @@ def test_links_between_the_pages_lead_somewhere(page):
     path = CHECKOUT / page
     for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", path.read_text()):
         assert (path.parent / target).exists(), f"{page} links to {target}"
+
+
+def test_the_example_of_the_readme_runs():
+    [example] = re.findall(r"```python\n(.*?)```", (CHECKOUT / "README.md").read_text(), re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(example, names)
+    assert names["observation"]["rgb"].shape == (120, 160, 3)
+    assert names["observation"]["depth"].dtype == np.float32
+    assert names["picture"].std() > 0
 
 
 def test_equations_name_functions_that_exist():

@@ -35,7 +35,7 @@ def test_commands_are_within_limits(xy, heading, path):
 def test_turns_on_arrival(distance, bend):
     """The step that ends at a bend already turns towards what follows, as far as one command can."""
     corner = np.array([distance, 0.0])
-    path = np.array([[0.0, 0.0], corner, corner + [math.cos(bend), math.sin(bend)]])
+    path = np.array([[0.0, 0.0], corner, corner + np.array([math.cos(bend), math.sin(bend)])])
     turn, offset, step = steer(np.zeros(3), path, LIMITS)
     assert (offset, step) == (0.0, distance)
     assert abs(turn - (np.clip(bend, -LIMITS[0], LIMITS[0]) if abs(bend) > LIMITS[1] else 0.0)) < 1e-9

@@ -1,6 +1,6 @@
 """Transitions ``p(z_t+1 | z_t, u_t)`` of the model (SPEC 1, 6).
 
-Planar holonomic robot, control ``u = (turn, o, s)`` a step: ``heading' = heading + turn + e_a``,
+Planar holonomic robot, control ``u = (turn, o, s)`` a step: ``heading' = heading + sign(turn) (|turn| + e_a)``,
 ``xy' = xy + [cos phi, sin phi] (s + e_s)``, ``phi = heading + o + e_a``; ``e_a`` acts on the heading only where the
 robot turns, and nothing acts on a robot that does not try to move (TNP-SM).
 """
@@ -44,10 +44,11 @@ def planar_predict(belief: PlanarBelief, control: Float[Array, "3"], noise: Moti
     """``int p(z' | z, u) N(z) dz`` to first order: the Gaussian after one control step.
 
     The rectification in the execution (noise never reverses a motion) is left out: it matters only for steps shorter
-    than the noise. ``e_a`` moves both heading and direction, so the two are correlated.
+    than the noise. ``e_a`` moves both heading and direction, so the two are correlated: alike where the robot turns left,
+    oppositely where it turns right.
     """
     turn, offset, step = control
-    turning, driving = jnp.abs(turn) > 0.0, step > 0.0
+    driving = step > 0.0
     c, s = jnp.cos(turn), jnp.sin(turn)
     # xi' = Ad(exp(u)^-1) xi: the old error seen from the new body frame
     dx, dy = step * jnp.cos(offset), step * jnp.sin(offset)
@@ -55,7 +56,7 @@ def planar_predict(belief: PlanarBelief, control: Float[Array, "3"], noise: Moti
     # Columns: e_a and e_s as body-frame displacements after the turn
     along = jnp.array([jnp.cos(offset - turn), jnp.sin(offset - turn)])
     across = jnp.array([-along[1], along[0]])
-    by_turn = jnp.concatenate([jnp.where(driving, step, 0.0) * across, jnp.where(turning, 1.0, 0.0)[None]])
+    by_turn = jnp.concatenate([jnp.where(driving, step, 0.0) * across, jnp.sign(turn)[None]])
     by_step = jnp.concatenate([jnp.where(driving, 1.0, 0.0) * along, jnp.zeros(1)])
     Q = noise.turn**2 * jnp.outer(by_turn, by_turn) + noise.step**2 * jnp.outer(by_step, by_step)
     return PlanarBelief(planar_mean(belief.planar, control), F @ belief.covariance @ F.T + Q)

@@ -6,7 +6,6 @@ field is the trilinear interpolation of the cells and its zero level set is the 
 
 import json
 import os
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ PRIOR_OCCUPANCY_MEAN = -0.001  # m: unknown space is just free, so an empty map 
 OBSERVED_PRECISION = 0.1  # a cell with more than this was observed at least once, at any std up to 3
 
 _ARRAYS = ("occupancy", "occupancy_precision", "colour", "colour_precision")
+_POSITIVE = ("occupancy_precision", "colour_precision", "voxel_size")
 
 
 def trilinear(corners: list[Array], x: Array, y: Array, z: Array) -> Array:
@@ -189,8 +189,8 @@ class VoxelMap(eqx.Module):
             InputError: the file is missing, truncated, of another format or version, or its arrays do not fit.
         """
         header, arrays = _read(Path(path))
-        blocks = tuple(int(b) for b in header["blocks"])
-        n = int(np.prod(blocks))
+        blocks = _blocks(path, header)
+        n = blocks[0] * blocks[1] * blocks[2]
         shapes = {
             "occupancy": (n, CELLS),
             "occupancy_precision": (n, CELLS),
@@ -200,8 +200,11 @@ class VoxelMap(eqx.Module):
             "voxel_size": (),
         }
         for name, shape in shapes.items():
-            if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
-                raise InputError(path, name, f"finite numbers of shape {shape}, found shape {arrays[name].shape}")
+            array = arrays[name]
+            if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
+                raise InputError(path, name, f"finite floats of shape {shape}, found {array.dtype} {array.shape}")
+            if name in _POSITIVE and not (array > 0.0).all():
+                raise InputError(path, name, "positive numbers")
         device = {name: jnp.asarray(arrays[name], jnp.float32) for name in shapes}
         empty = _build_empty(device["occupancy"], blocks)
         return cls(empty=empty, blocks=blocks, **device)
@@ -214,15 +217,24 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         header = json.loads(arrays.pop("header").tobytes().decode())
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, UnicodeDecodeError) as error:
+    except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them to
         raise InputError(path, "file", f"a whole vssm_gym map; it cannot be read ({error})") from error
-    if header.get("format") != "vssm_gym.VoxelMap" or header.get("version") != FORMAT_VERSION:
-        found = f"{header.get('format')} version {header.get('version')}"
+    known = header if isinstance(header, dict) else {}
+    if known.get("format") != "vssm_gym.VoxelMap" or known.get("version") != FORMAT_VERSION:
+        found = f"{known.get('format')} version {known.get('version')}"
         raise InputError(path, "version", f"vssm_gym.VoxelMap version {FORMAT_VERSION}, found {found}")
     missing = [name for name in (*_ARRAYS, "origin", "voxel_size") if name not in arrays]
     if missing:
         raise InputError(path, missing[0], "this array in the map file")
     return header, arrays
+
+
+def _blocks(path: str | Path, header: dict) -> tuple[int, int, int]:
+    """The blocks along x, y, z that a header declares."""
+    match header.get("blocks"):
+        case [int(x), int(y), int(z)] if min(x, y, z) > 0:
+            return x, y, z
+    raise InputError(path, "blocks", f"three positive whole numbers, found {header.get('blocks')!r}")
 
 
 def read_metadata(path: str | Path) -> dict:

@@ -51,7 +51,9 @@ def surface_mesh(m: VoxelMap) -> Mesh:
     # scikit-image names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
     cells, faces, _, _ = marching_cubes(occupancy[box], 0.0, gradient_direction="ascent", mask=mask)
     vertices = np.asarray(m.origin, np.float64) + (cells + low) * float(m.voxel_size)
-    p_world = jnp.asarray(vertices, jnp.float32)
+    # A vertex on the grid's face may round to just outside, where the queries answer with the prior.
+    inset = np.array([[1e-3], [-1e-3]]) * float(m.voxel_size)
+    p_world = jnp.asarray(np.clip(vertices, *(m.bounds + inset)), jnp.float32)
     rgb = np.asarray(m.field(p_world))[:, 1:]
     return Mesh(
         vertices.astype(np.float32),
