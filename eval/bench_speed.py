@@ -28,7 +28,7 @@ class CompileCounter:
         self.count = 0
         jax.monitoring.register_event_duration_secs_listener(self._heard)
 
-    def _heard(self, event: str, _seconds: float, **_: Any) -> None:
+    def _heard(self, event: str, duration_secs: float, **_: Any) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
             self.count += 1
 
@@ -84,7 +84,7 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
 
     # A tour that turns and drives through the open, at random; timed as it goes: this is the environment's own speed.
     rng = np.random.default_rng(seed)
-    frames, controls, seconds = [images(observation, info)], [np.zeros(3)], []
+    frames, controls, seconds = [images(observation, info)], [np.zeros(3, np.float32)], []
     while len(frames) < FRAMES:
         turn = 0.2 if len(frames) % 64 < 32 else float(rng.uniform(-0.2, 0.2))
         action = np.array([turn, 0.0, 0.12 if len(frames) % 64 >= 32 else 0.0, 0.0], np.float32)
@@ -112,7 +112,8 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
     poses = [T for _, T in frames[-TIMED - 1 :]]
     agree = all(bool((emission.render(m, T, camera).hit == march(m, T).hit).all()) for T in poses[:5])
     before = counter.count
-    fast, slow = [], []
+    fast: list[float] = []
+    slow: list[float] = []
     for T in poses:
         for function, times in ((lambda T=T: emission.render(m, T, camera), fast), (lambda T=T: march(m, T), slow)):
             began = time.perf_counter()
@@ -140,7 +141,10 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
     clearance = ClearanceMap.from_voxel_map(m, 0.08, 0.5, 0.025)
     ends = [sampler.draw(np.random.default_rng([seed, i])) for i in range(TIMED + 1)]
     planner = median_ms(
-        lambda i: plan(clearance, ends[i].start, ends[i].goal, env.robot.radius, goal_radius=0.35).cost, TIMED
+        lambda i: (
+            plan(clearance, np.array(ends[i].start), np.array(ends[i].goal), env.robot.radius, goal_radius=0.35).cost
+        ),
+        TIMED,
     )
     rows.append(("planner, A* across the scene", planner, "ms", None))
     progress("bench", 5, stages)

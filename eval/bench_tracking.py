@@ -42,9 +42,7 @@ def tracker_trials(scene: str, map_file: Path, *, trials: int, workers: int, see
     from vssm_gym.envs.robots import HolonomicRobot
 
     noise = (PUBLISHED_TURN, PUBLISHED_STEP * HolonomicRobot().body_length)
-    jobs = [
-        _Trial(scene, map_file, seed + i, "oracle", noise, ("astar",), steps=TRIAL_STEPS) for i in range(trials)
-    ]
+    jobs = [_Trial(scene, map_file, seed + i, "oracle", noise, ("astar",), steps=TRIAL_STEPS) for i in range(trials)]
     results = _run(jobs, workers, "tracker", progress)
     rmse = np.array([math.sqrt(np.mean(np.square(r["errors"]["astar"]))) for r in results])
     heading = np.array([r["heading_rmse"]["astar"] for r in results])
@@ -109,21 +107,24 @@ def _run(jobs: list[_Trial], workers: int, stage: str, progress: Progress) -> li
 
 
 def _trial(job: _Trial) -> dict[str, Any]:
-    from vssm_gym.agents.localization import DeadReckoning, FrameLocalizer, MapLocalizer
-    from vssm_gym.agents.registry import AGENTS
+    from vssm_gym.agents.localization import DeadReckoning, FrameLocalizer, Localizer, MapLocalizer
     from vssm_gym.eval.drive import drive
 
     env, sampler, voxel_map, driver = _world(job.scene, job.noise, job.map_file, job.driver)
-    kinds = {"astar": MapLocalizer, "no_map": FrameLocalizer, "dead_reckoning": DeadReckoning}
+    kinds: dict[str, type[Localizer]] = {
+        "astar": MapLocalizer,
+        "no_map": FrameLocalizer,
+        "dead_reckoning": DeadReckoning,
+    }
     riders = {name: kinds[name]() for name in job.riders}
-    assert job.driver in AGENTS
     done = drive(env, sampler, driver, riders, voxel_map, seed=job.seed, steps=job.steps, metres=job.metres)
     turned = {name: done.estimates[name][:, 2] - done.true[:, 2] for name in riders}
     return {
         "travelled": done.travelled.tolist(),
         "errors": {name: done.location_error(name).tolist() for name in riders},
         "heading_rmse": {
-            name: float(np.sqrt(np.mean(np.square((e + math.pi) % (2 * math.pi) - math.pi)))) for name, e in turned.items()
+            name: float(np.sqrt(np.mean(np.square((e + math.pi) % (2 * math.pi) - math.pi))))
+            for name, e in turned.items()
         },
         "lost": {name: done.lost[name].tolist() for name in riders},
         "goals": done.goals,
@@ -131,7 +132,7 @@ def _trial(job: _Trial) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=1)
-def _world(scene: str, noise: tuple[float, float], map_file: Path, driver: str):  # noqa: ANN202
+def _world(scene: str, noise: tuple[float, float], map_file: Path, driver: str) -> tuple[Any, ...]:
     """What a worker keeps between trials, so that nothing is compiled twice."""
     from vssm_gym.agents.registry import AGENTS
     from vssm_gym.envs.pointnav import PointNavEnv

@@ -96,17 +96,17 @@ def path(run: SlamRun, display: Display) -> bytes:
 
 
 def slices(run: SlamRun, display: Display) -> bytes:
-    """Mean and std of occupancy on the horizontal and the vertical plane that cut most observed space, as WebP."""
+    """Mean and std of occupancy on the horizontal and the vertical plane that cut most free space, as WebP."""
     cameras = transform(display.T_display_world, run.poses[:, :3, 3])
-    cells = transform(display.T_display_world, _observed_cells(run.map))
     voxel = float(run.map.voxel_size)
+    free = transform(display.T_display_world, _cells(run.map, np.asarray(run.map.occupancy) < -voxel))
+    seen = transform(display.T_display_world, _cells(run.map, True))
     figure = Figure(figsize=(11.5, 8.4), layout="constrained")
     for row, (a, b) in zip(figure.subplots(2, 2), ((0, 1), (0, 2)), strict=True):
         fixed = 3 - a - b
-        layer = np.round(cells[:, fixed] / voxel).astype(int)
-        fullest, counts = np.unique(layer, return_counts=True)
-        height = float(voxel * fullest[np.argmax(counts)])
-        shown = np.concatenate([cells[np.abs(cells[:, fixed] - height) <= voxel], cameras])
+        layers, counts = np.unique(np.round((free if len(free) else seen)[:, fixed] / voxel), return_counts=True)
+        height = voxel * float(layers[np.argmax(counts)])
+        shown = np.concatenate([seen[np.abs(seen[:, fixed] - height) <= voxel], cameras])
         low, high = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
         resolution = max((high - low)[[a, b]].max() / PIXELS, 0.25 * voxel)
         u, v = (np.arange(low[c], high[c], resolution) for c in (a, b))
@@ -114,7 +114,7 @@ def slices(run: SlamRun, display: Display) -> bytes:
         p[..., a], p[..., b], p[..., fixed] = u, v[:, None], height
         mean, std = _belief(run.map, transform(inverse(display.T_display_world), p))
         extent = (u[0], u[-1], v[0], v[-1])
-        surest = min(0.5, float(np.nanmin(std)))
+        surest = min(0.5, float(np.nanmin(std, initial=0.5)))
         panels = (
             (mean, "RdBu_r", Normalize(-2.0 * voxel, 2.0 * voxel), "mean occupancy, m"),
             (std, "viridis", LogNorm(surest, 1.0), "std of occupancy, m"),
@@ -132,23 +132,27 @@ def slices(run: SlamRun, display: Display) -> bytes:
     return pictures.webp(figure)
 
 
-def _observed_cells(m: VoxelMap) -> np.ndarray:
-    """Centres ``(n, 3)`` of the cells whose occupancy was observed, m, map frame."""
-    cells = np.argwhere(np.asarray(m.dense(m.occupancy_precision)) > OBSERVED_PRECISION)
-    return np.asarray(m.origin, float) + cells * float(m.voxel_size)
+def _cells(m: VoxelMap, chosen: np.ndarray | bool) -> np.ndarray:
+    """Centres ``(n, 3)`` of the ``chosen`` (blocks, cells) among those whose occupancy was observed, m, map frame."""
+    observed = chosen & (np.asarray(m.occupancy_precision) > OBSERVED_PRECISION)
+    return np.asarray(m.origin, float) + np.argwhere(np.asarray(m.dense(jnp.asarray(observed)))) * float(m.voxel_size)
 
 
 def _belief(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and std of occupancy (m) of the cells that points lie in, NaN where nothing was observed.
+    """Mean and std of occupancy (m) at points, NaN where one of the eight cells around was not observed.
 
-    Whole cells, because interpolation across the border of the observed would draw a zero there that is no surface.
+    Across that border the mean passes through a zero that is no surface.
     """
-    origin, voxel = np.asarray(m.origin, float), float(m.voxel_size)
-    p = jnp.asarray(origin + np.round((p_world - origin) / voxel) * voxel, jnp.float32)
-    precision = np.asarray(m.precision(p))[..., 0]
-    observed = precision > OBSERVED_PRECISION
-    mean = np.asarray(m.field(p))[..., 0]
-    return np.where(observed, mean, np.nan), np.where(observed, precision**-0.5, np.nan)
+    observed = np.asarray(m.dense(m.occupancy_precision)) > OBSERVED_PRECISION
+    low = np.floor((p_world - m.bounds[0]) / float(m.voxel_size)).astype(int)
+    inside = ((low >= 0) & (low < np.array(m.shape) - 1)).all(axis=-1)
+    low = np.where(inside[..., None], low, 0)
+    for corner in np.ndindex(2, 2, 2):
+        i, j, k = np.moveaxis(low + corner, -1, 0)
+        inside &= observed[i, j, k]
+    p = jnp.asarray(p_world, jnp.float32)
+    mean, precision = np.asarray(m.field(p))[..., 0], np.asarray(m.precision(p))[..., 0]
+    return np.where(inside, mean, np.nan), np.where(inside, precision**-0.5, np.nan)
 
 
 def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, float]]]:

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 import jax
 import numpy as np
 
-from vssm_gym.data.sequences import Sequence, load_sequence
+from vssm_gym.data.sequences import Sequence
 from vssm_gym.data.trajectories import tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
@@ -26,30 +26,22 @@ STATS, REPORT = "stats.json", "report.html"
 OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # what an unfinished run leaves: the report comes last
 
 
-def process(
-    source: Path,
-    out: Path,
-    options: SlamOptions,
-    intrinsics: tuple[float, ...] | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run SLAM over the sequence in ``source`` and write everything to ``out``; returns what ``stats.json`` holds.
+def process(sequence: Sequence, out: Path, options: SlamOptions, progress: Progress | None = None) -> dict[str, Any]:
+    """Run SLAM over a sequence and write everything to ``out``; returns what ``stats.json`` holds.
 
     Each file appears whole or not at all. Where the run ends early, the poses of the finished frames stay in
     ``trajectory.partial.txt``, and a later run may use the folder again.
 
     Args:
-        source: TUM folder.
+        sequence: the recording.
         out: new or empty folder, or one that an unfinished run left.
         options: image size, rate, grid.
-        intrinsics: of the recorded images, in place of those that the folder states.
         progress: told after every frame, and of every file.
 
     Raises:
         InputError: bad input; nothing is written before the first frame is done.
     """
-    _check_free(out)
-    sequence = load_sequence(source, intrinsics)
+    check_free(out)
     start = time.perf_counter()
     with _TrajectoryFile(out) as file:
         run = run_slam(sequence, options, file.append, progress)
@@ -70,7 +62,7 @@ def process(
 
 
 def summarise(run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float) -> dict[str, Any]:
-    """What a reader needs to judge and repeat a run, as plain JSON values (non-finite numbers as null)."""
+    """What a reader needs to judge and repeat a run, as plain JSON values."""
     frames = run.frames
     warm = [frame for frame in frames if frame.warm]
     stages = {
@@ -136,8 +128,12 @@ def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
         return {"impossible": str(error)}
 
 
-def _check_free(out: Path) -> None:
-    """New, empty, or left by a run that did not end: what a finished run wrote is never overwritten."""
+def check_free(out: Path) -> None:
+    """Refuse a folder that is neither new nor empty nor left by a run that did not end: nothing is ever overwritten.
+
+    Raises:
+        InputError: it holds a finished run, or something else.
+    """
     if not out.exists():
         return
     if not out.is_dir() or not {path.name for path in out.iterdir()} <= OURS:

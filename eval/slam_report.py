@@ -87,7 +87,7 @@ def _map_note(run: SlamRun, mesh: Mesh) -> str:
     return (
         f"<p class=note>{' x '.join(map(str, run.map.shape))} cells of {float(run.map.voxel_size):g} m; the surface "
         f"(<code>mesh.ply</code>) has {len(mesh.vertices):,} vertices and {len(mesh.faces):,} triangles. Slices where "
-        "most was observed, the camera's path in black. Occupancy is the negative signed distance: 0, white between "
+        "most space is free, the camera's path in black. Occupancy is the negative signed distance: 0, white between "
         "blue (free) and red (inside), is the surface; grey was never observed. Each image counts as one observation "
         "of std 1 m, so the std is one over the root of how often a cell was seen, not a calibrated error.</p>"
     )

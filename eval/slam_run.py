@@ -184,7 +184,9 @@ class _Tracker:
         self.options, self.camera = options, camera
         self.state: slam.SlamState | None = None
         self.steps = 0
-        v, u = np.mgrid[0 : camera.height : 4, 0 : camera.width : 4]  # every fourth pixel tells what share is inside
+        v, u = np.mgrid[
+            2 : camera.height : 4, 2 : camera.width : 4
+        ]  # the middles of 4x4 pixels tell what share is inside
         self._rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
 
     def frame(
@@ -222,7 +224,7 @@ class _Tracker:
         )
 
     def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
-        sampled = depth[::4, ::4]
+        sampled = depth[2::4, 2::4]
         read = (sampled > 0.0) & (sampled <= self.options.slam.update.max_depth)
         p_world = (self._rays[read] * sampled[read][:, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
         inside = (np.abs(p_world) <= 0.5 * self.options.extent).all(axis=-1)

@@ -124,9 +124,9 @@ def test_the_map_has_its_surfaces_where_the_walls_are(recording):
         changes = np.flatnonzero(np.diff(occupancy > 0.0))
         return t[changes] * np.linalg.norm(end - start)
 
-    np.testing.assert_allclose(surfaces([2.4, 3.3, 0.4], [3.6, 3.3, 0.4]), [0.55, 0.65], atol=0.02)
-    np.testing.assert_allclose(surfaces([0.6, 3.3, 0.4], [0.0, 3.3, 0.4])[:1], [0.55], atol=0.02)
-    np.testing.assert_allclose(surfaces([1.5, 1.5, 0.3], [1.5, 2.0, 0.3])[:1], [0.2], atol=0.02)
+    np.testing.assert_allclose(surfaces([2.4, 3.3, 0.4], [3.6, 3.3, 0.4]), [0.55, 0.65], atol=0.03)
+    np.testing.assert_allclose(surfaces([0.6, 3.3, 0.4], [0.0, 3.3, 0.4])[:1], [0.55], atol=0.03)
+    np.testing.assert_allclose(surfaces([1.5, 1.5, 0.3], [1.5, 2.0, 0.3])[:1], [0.2], atol=0.03)
     inside_door = np.asarray(voxel_map.field(jnp.asarray([[3.0, 1.95, z] for z in (0.1, 0.3, 0.5)], jnp.float32)))
     assert np.all(inside_door[:, 0] < 0.0)
 

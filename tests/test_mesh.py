@@ -97,8 +97,23 @@ def test_what_was_never_observed_is_not_meshed():
     mesh = surface_mesh(m)
     assert len(mesh.vertices) > 100
     np.testing.assert_allclose(mesh.vertices[:, 0], 2.0, atol=1e-3 * VOXEL)  # the wall it looks at
-    everywhere = marching_cubes(np.asarray(m.dense(m.occupancy)), 0.0)[0] * VOXEL + np.asarray(m.origin)
+    everywhere = marching_cubes(np.array(m.dense(m.occupancy)), 0.0)[0] * VOXEL + np.asarray(m.origin)
     assert (everywhere[:, 0] > 2.0 + VOXEL).any()
+
+
+def test_a_surface_seen_at_a_grazing_angle_is_whole():
+    """At 80 degrees the band behind a floor is a third of a cell deep: a cube with eight observed cells is rare there."""
+    room = Room(((-3.0, -3.0, -0.73), (9.0, 3.0, 3.0)))
+    camera = Camera.from_hfov(160, 120, np.radians(70.0))
+    T = camera_pose((0.0, 0.02, 0.03), 0.0, 0.15)
+    image = room.image(T, camera)
+    m = VoxelMap.prior([0.0, -1.6, -1.6], VOXEL, (56, 32, 32))
+    mesh = surface_mesh(update(m, image.depth, image.rgb, jnp.asarray(T, jnp.float32), camera))
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    x, y, z = mesh.vertices.T
+    np.testing.assert_allclose(z, -0.73, atol=0.1 * VOXEL)
+    strip = (np.abs(solid.triangles_center[:, 1]) < 0.5) & (np.abs(solid.triangles_center[:, 0] - 3.5) < 0.5)
+    assert solid.area_faces[strip].sum() > 0.9
 
 
 def test_a_map_without_surfaces_has_an_empty_mesh(tmp_path):

@@ -130,6 +130,14 @@ def test_links_between_the_pages_lead_somewhere(page):
         assert (path.parent / target).exists(), f"{page} links to {target}"
 
 
+def test_the_index_names_every_page():
+    folder = CHECKOUT / "docs"
+    index = (folder / "index.md").read_text()
+    for page in folder.glob("**/*.md"):
+        if page.name != "index.md":
+            assert f"({page.relative_to(folder)})" in index
+
+
 def test_the_example_of_the_readme_runs():
     [example] = re.findall(r"```python\n(.*?)```", (CHECKOUT / "README.md").read_text(), re.DOTALL)
     names: dict[str, Any] = {}

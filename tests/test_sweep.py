@@ -135,7 +135,7 @@ def test_the_parent_keeps_its_own_threads():
     assert dict(os.environ) == before
 
 
-def start(folder, out):
+def start(folder, out, stderr=None):
     """A sweep long enough to be caught in the middle, in a process group of its own."""
     (folder / "long.yaml").write_text("scenes: rooms.json\nagents: random\ntasks: 60\n")
     code = (
@@ -146,7 +146,7 @@ def start(folder, out):
     )
     script = folder / "start.py"
     script.write_text(code)
-    return subprocess.Popen([sys.executable, script, folder / "long.yaml", out], start_new_session=True)
+    return subprocess.Popen([sys.executable, script, folder / "long.yaml", out], start_new_session=True, stderr=stderr)
 
 
 def wait_for_rows(out, n):
@@ -197,6 +197,18 @@ def test_ctrl_c_keeps_what_ended(folder, tmp_path):
     data = (tmp_path / FILE).read_bytes()
     assert data.endswith(b"\n")
     assert 5 <= len(read_rows(tmp_path / FILE)) < 60
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds the worker in /proc")
+def test_a_worker_that_is_killed_ends_the_sweep_with_one_clear_error(folder, tmp_path):
+    process = start(folder, tmp_path, stderr=subprocess.PIPE)
+    wait_for_rows(tmp_path, 5)
+    workers = [pid for pid in children(process.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(workers[0], signal.SIGKILL)
+    error = process.communicate(timeout=120)[1].decode()
+    assert "InputError: sweep: workers: expected worker processes that live to the end" in error
+    assert f"{len(read_rows(tmp_path / FILE))} of 60 episodes are kept (--resume)" in error
 
 
 @pytest.mark.slow

@@ -44,10 +44,14 @@ class EmissionScales(eqx.Module):
 
 
 class _Rays(NamedTuple):
-    """Rays in cell coordinates: position ``start + k * stride`` at sample ``k``."""
+    """Rays in cell coordinates: position ``start + k * stride`` at sample ``k``.
 
-    start: Array  # (3, rays)
-    stride: Array  # (3, rays), cells a sample
+    One array a coordinate: a reduction over an axis of three keeps the compiler from vectorising over rays.
+    """
+
+    start: tuple[Array, ...]
+    stride: tuple[Array, ...]  # cells a sample
+    inverse: tuple[Array, ...]  # 1 / stride, finite where the ray is parallel to a face
     k: Array  # (rays,) the sample the search stands at
     last: Array  # (rays,) the last sample inside the grid and the depth range
     hit: Array  # (rays,)
@@ -83,33 +87,36 @@ def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arra
 
 def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array) -> _Rays:
     e = STEP * m.voxel_size
-    start = m.to_grid(centre)[:, None] + jnp.zeros((1, directions.shape[0]))
-    stride = directions.T * (e / m.voxel_size)
-    top = jnp.asarray(m.shape, jnp.float32)[:, None] - 1.0
-    safe = jnp.where(jnp.abs(stride) > 1e-9, stride, 1e-9)
-    a, b = -start / safe, (top - start) / safe
-    enter = jnp.max(jnp.minimum(a, b), axis=0)
-    leave = jnp.min(jnp.maximum(a, b), axis=0)
-    last = jnp.minimum(jnp.floor(leave), jnp.floor(max_depth / e))
-    # One sample early and late: rounding must not lose a sample on the grid's face; the field there is the prior's.
-    # A ray parallel to a face beside the grid "enters" at 1e9 samples; one past the range says the same and fits an int32.
-    k = jnp.clip(jnp.floor(enter), 2.0, jnp.floor(max_depth / e) + 1.0)
-    last = jnp.where(enter > leave, 0.0, last)
-    return _Rays(start, stride, k.astype(jnp.int32), last.astype(jnp.int32), jnp.zeros(k.shape, bool))
+    origin = m.to_grid(centre)
+    start = tuple(jnp.broadcast_to(origin[a], directions.shape[:1]) for a in range(3))
+    stride = tuple(directions[:, a] * (e / m.voxel_size) for a in range(3))
+    inverse = tuple(1.0 / jnp.where(jnp.abs(s) > 1e-9, s, 1e-9) for s in stride)
+    enter, leave = jnp.full(directions.shape[:1], 2.0), jnp.broadcast_to(jnp.floor(max_depth / e), directions.shape[:1])
+    for s, i, n in zip(start, inverse, m.shape, strict=True):
+        near, far = -s * i, (n - 1.0 - s) * i
+        enter = jnp.maximum(enter, jnp.minimum(near, far))
+        leave = jnp.minimum(leave, jnp.maximum(near, far))
+    # The slack keeps a sample on the grid's face; a ray beside the grid "enters" at 1e9 samples, which fits no int32.
+    k = jnp.minimum(jnp.ceil(enter - 1e-3), jnp.floor(max_depth / e) + 1.0)
+    last = jnp.where(enter > leave, 0.0, jnp.floor(leave + 1e-3))
+    return _Rays(start, stride, inverse, k.astype(jnp.int32), last.astype(jnp.int32), jnp.zeros(k.shape, bool))
 
 
-def _cube(m: VoxelMap, rays: _Rays) -> Array:
-    """The cube (3, rays) each ray's sample lies in; samples off the grid by rounding take the nearest one."""
-    p = rays.start + rays.stride * rays.k.astype(jnp.float32)
-    top = jnp.asarray(m.shape, jnp.int32)[:, None] - 2
-    return jnp.clip(jnp.floor(p).astype(jnp.int32), 0, top)
+def _cube(m: VoxelMap, rays: _Rays) -> list[Array]:
+    """The cube each ray's sample lies in, by coordinate; samples off the grid by rounding take the nearest one."""
+    k = rays.k.astype(jnp.float32)
+    at = (jnp.floor(start + stride * k) for start, stride in zip(rays.start, rays.stride, strict=True))
+    return [jnp.clip(p.astype(jnp.int32), 0, n - 2) for p, n in zip(at, m.shape, strict=True)]
 
 
-def _beyond(rays: _Rays, low: Array, high: Array) -> Array:
-    """The first sample past the box ``[low, high]`` (3, rays), at least one further than now."""
-    safe = jnp.where(jnp.abs(rays.stride) > 1e-9, rays.stride, 1e-9)
-    exits = (jnp.where(safe > 0, high, low) - rays.start) / safe
-    return jnp.maximum(jnp.floor(jnp.min(exits, axis=0)).astype(jnp.int32), rays.k) + 1
+def _beyond(rays: _Rays, low: list[Array], size: Array | int) -> Array:
+    """The first sample past the box from ``low`` to ``low + size``, at least one further than now."""
+    exits = [
+        (jnp.where(inverse > 0, edge + size, edge) - start) * inverse
+        for start, inverse, edge in zip(rays.start, rays.inverse, low, strict=True)
+    ]
+    first = jnp.minimum(jnp.minimum(exits[0], exits[1]), exits[2])
+    return jnp.maximum(jnp.floor(first).astype(jnp.int32), rays.k) + 1
 
 
 def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
@@ -121,25 +128,24 @@ def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
     level = m.empty.level.reshape(-1).at[flat].get(mode="promise_in_bounds").astype(jnp.int32)
     shift = jnp.where(rings > 0, 3, jnp.maximum(level - 1, 0))
     reach = jnp.where(rings > 0, (rings - 1) * BLOCK, 0)
-    low = ((cube >> shift) << shift) - reach
-    high = (((cube >> shift) + 1) << shift) + reach
-    return rays._replace(k=jnp.where((level > 0) & ~rays.hit, _beyond(rays, low, high), rays.k))
+    low = [((c >> shift) << shift) - reach for c in cube]
+    beyond = _beyond(rays, low, (1 << shift) + 2 * reach)
+    return rays._replace(k=jnp.where((level > 0) & ~rays.hit, beyond, rays.k))
 
 
 def _look(m: VoxelMap, rays: _Rays) -> _Rays:
     """Test every sample that a ray has in its present cube: the first one above the threshold is the hit."""
     cube = _cube(m, rays)
-    offsets = corner_offsets(cube[0], cube[1], cube[2], m.blocks)
     occupancy = m.occupancy.reshape(-1)
+    offsets = corner_offsets(cube[0], cube[1], cube[2], m.blocks)
     corners = [occupancy.at[offset].get(mode="promise_in_bounds") for offset in offsets]
-    beyond = jnp.minimum(_beyond(rays, cube, cube + 1), rays.last + 1)
+    beyond = jnp.minimum(_beyond(rays, cube, 1), rays.last + 1)
     hit, k = rays.hit, jnp.where(rays.hit, rays.k, beyond)
-    live = ~rays.hit
     for sample in reversed(range(SAMPLES_IN_CUBE)):
         at = rays.k + sample
-        fraction = rays.start + rays.stride * at.astype(jnp.float32) - cube
-        inside = jnp.all((fraction >= -1e-4) & (fraction <= 1.0 + 1e-4), axis=0)
-        above = (trilinear(corners, *fraction) > TAU) & inside & (at < beyond) & live
+        d = at.astype(jnp.float32)
+        x, y, z = (s + t * d - c for s, t, c in zip(rays.start, rays.stride, cube, strict=True))
+        above = (trilinear(corners, x, y, z) > TAU) & (at < beyond) & ~rays.hit
         hit, k = hit | above, jnp.where(above, at, k)
     return rays._replace(k=k, hit=hit)
 
@@ -177,13 +183,8 @@ def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arr
         if narrow:
             (keep,) = jnp.nonzero(unfinished(rays), size=narrow, fill_value=rays.k.shape[0])
             index = index.at[keep].get(mode="fill", fill_value=n)
-            rays = _Rays(
-                rays.start.at[:, keep].get(mode="clip"),
-                rays.stride.at[:, keep].get(mode="clip"),
-                rays.k.at[keep].get(mode="clip"),
-                rays.last.at[keep].get(mode="fill", fill_value=-1),
-                rays.hit.at[keep].get(mode="clip"),
-            )
+            rays = jax.tree.map(lambda a, keep=keep: a.at[keep].get(mode="clip"), rays)
+            rays = rays._replace(last=jnp.where(index < n, rays.last, -1))
     return done_k, done_hit
 
 

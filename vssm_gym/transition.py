@@ -44,8 +44,8 @@ def planar_predict(belief: PlanarBelief, control: Float[Array, "3"], noise: Moti
     """``int p(z' | z, u) N(z) dz`` to first order: the Gaussian after one control step.
 
     The rectification in the execution (noise never reverses a motion) is left out: it matters only for steps shorter
-    than the noise. ``e_a`` moves both heading and direction, so the two are correlated: alike where the robot turns left,
-    oppositely where it turns right.
+    than the noise. ``e_a`` moves both heading and direction, so the two are correlated: alike where the robot turns
+    left, oppositely where it turns right.
     """
     turn, offset, step = control
     driving = step > 0.0

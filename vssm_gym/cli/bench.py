@@ -18,9 +18,9 @@ def bench(
 ) -> None:
     """Measure on this machine: `speed` of every stage, accuracy of the `tracker`, or `drift` over 100 m.
 
-    `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `tracker` drives
-    trajectories of 100 steps by the true pose and prints the tracker's location RMSE. `drift` chains goals over 100 m
-    and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images.
+    `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `tracker`
+    drives trajectories of 100 steps by the true pose and prints the tracker's location RMSE. `drift` chains goals over
+    100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images.
 
     Args:
         suite: what to measure.

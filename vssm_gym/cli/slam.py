@@ -32,13 +32,15 @@ def slam(
             ones.
     """
     from vssm_gym.cli.console import progress_bars
+    from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval import slam_output
     from vssm_gym.eval.slam_run import SlamOptions
 
     options = SlamOptions(_size(size), rate, voxel, extent)
-    lens = None if intrinsics is None else _intrinsics(intrinsics)
+    slam_output.check_free(out)
+    recording = load_sequence(sequence, None if intrinsics is None else _intrinsics(intrinsics))
     with progress_bars() as progress:
-        stats = slam_output.process(sequence, out, options, lens, progress)
+        stats = slam_output.process(recording, out, options, progress)
     step = stats["latency_ms"].get("track and update")
     speed = f", {step['p50']:.0f} ms a frame (median)" if step else ""
     print(f"{stats['frames']} frames, {len(stats['lost'])} lost{speed}")
@@ -60,13 +62,9 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _intrinsics(text: str) -> tuple[float, ...]:
-    """Numbers with positive focal lengths; how many there may be, the sequence's reader says."""
     from vssm_gym.errors import InputError
 
     try:
-        values = tuple(float(word) for word in text.split(","))
+        return tuple(float(word) for word in text.split(","))
     except ValueError:
         raise InputError("slam", "intrinsics", f"numbers fx,fy,cx,cy[,k1,k2,p1,p2,k3], not {text!r}") from None
-    if not all(value > 0.0 for value in values[:2]):
-        raise InputError("slam", "intrinsics", f"positive focal lengths fx,fy, not {text!r}")
-    return values

@@ -5,6 +5,7 @@ or PNG, depth as 16-bit PNG, metres = value / depth_scale, 0 = no reading.
 """
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import imageio.v3 as iio
 import numpy as np
 
 from vssm_gym.camera import Camera
-from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line
+from vssm_gym.data.trajectories import interpolate, numbered_lines, read_trajectory, tum_line
 from vssm_gym.errors import InputError
 
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
@@ -96,8 +97,10 @@ class FrameReader:
                 raise InputError(path, "size", f"{expected[1]}x{expected[0]} pixels as the camera says")
         if depth.ndim != 2 or depth.dtype.kind not in "uif":
             raise InputError(frame.depth, "pixels", "one 16-bit channel of depth")
-        if rgb.ndim == 2:
-            rgb = np.repeat(rgb[..., None], 3, axis=2)
+        if rgb.dtype != np.uint8:
+            raise InputError(frame.rgb, "pixels", "8 bits a colour channel")
+        if rgb.ndim == 2 or rgb.shape[2] < 3:  # grey, maybe with transparency
+            rgb = np.repeat(rgb.reshape(*expected, -1)[..., :1], 3, axis=2)
         metres = depth.astype(np.float32) / np.float32(self.sequence.depth_scale)
         return self._colour(rgb[..., :3]), self._nearest(metres)
 
@@ -135,8 +138,8 @@ def read_image(path: Path) -> np.ndarray:
     if not path.is_file():
         raise InputError(path, "file", "an existing image, as the sequence's index lists it")
     try:
-        return iio.imread(path)
-    except (OSError, ValueError) as error:
+        return iio.imread(path, plugin="pillow")
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow calls a broken PNG chunk a syntax error
         raise InputError(path, "pixels", f"a readable image ({error})") from error
 
 
@@ -167,42 +170,37 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
     return Sequence(root, frames, camera, distortion, depth_scale, T_body_cam, truth, controls)
 
 
-def _rows(path: Path, columns: int) -> list[list[str]]:
+def _rows(path: Path, columns: int) -> list[tuple[float, list[str]]]:
+    """The lines of an index file: the time that opens each (s), and all its words."""
     if not path.is_file():
         raise InputError(path, "file", "this index file of the sequence")
     rows = []
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
-        if line.strip() and not line.startswith("#"):
-            words = line.split()
-            if len(words) < columns:
-                raise InputError(path, f"line {number}", f"{columns} columns (time and file)")
-            rows.append(words)
+    for number, line in numbered_lines(path):
+        words = line.split()
+        try:
+            time = float(words[0])
+        except ValueError:
+            time = math.nan
+        if len(words) < columns or not math.isfinite(time):
+            raise InputError(path, f"line {number}", f"{columns} columns, a time in seconds first, then a file")
+        rows.append((time, words))
     if not rows:
         raise InputError(path, "file", "at least one image")
     return rows
 
 
-def _stamp(path: Path, word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise InputError(path, word, "a time in seconds") from None
-
-
 def _frames(root: Path) -> tuple[Frame, ...]:
     pairs = root / "associations.txt"
     if pairs.is_file():
-        rows = _rows(pairs, 4)
-        frames = [Frame(_stamp(pairs, r[0]), root / r[1], root / r[3]) for r in rows]
+        frames = [Frame(time, root / words[1], root / words[3]) for time, words in _rows(pairs, 4)]
         return tuple(sorted(frames, key=lambda frame: frame.time))
     colour, depth = _rows(root / "rgb.txt", 2), _rows(root / "depth.txt", 2)
-    depth_times = np.array([_stamp(root / "depth.txt", r[0]) for r in depth])
+    depth_times = np.array([time for time, _ in depth])
     frames = []
-    for row in colour:
-        time = _stamp(root / "rgb.txt", row[0])
+    for time, words in colour:
         nearest = int(np.argmin(np.abs(depth_times - time)))
         if abs(depth_times[nearest] - time) <= ASSOCIATION_TOLERANCE:
-            frames.append(Frame(time, root / row[1], root / depth[nearest][1]))
+            frames.append(Frame(time, root / words[1], root / depth[nearest][1][1]))
     if not frames:
         raise InputError(root, "rgb.txt, depth.txt", f"images within {ASSOCIATION_TOLERANCE} s of each other")
     return tuple(sorted(frames, key=lambda frame: frame.time))
@@ -215,8 +213,8 @@ def _camera(
     height, width = read_image(frames[0].rgb).shape[:2]
     path = root / "camera.json"
     if intrinsics is not None:
-        if len(intrinsics) not in (4, 9) or not np.isfinite(intrinsics).all():
-            raise InputError("--intrinsics", "values", "fx,fy,cx,cy or fx,fy,cx,cy,k1,k2,p1,p2,k3")
+        if len(intrinsics) not in (4, 9) or not np.isfinite(intrinsics).all() or min(intrinsics[:2]) <= 0.0:
+            raise InputError("--intrinsics", "values", "fx,fy,cx,cy or fx,fy,cx,cy,k1,k2,p1,p2,k3; fx and fy positive")
         distortion = np.array(intrinsics[4:] or (0.0,) * 5, dtype=float)
         return Camera(width, height, *map(float, intrinsics[:4])), distortion, DEPTH_SCALE, None
     if path.is_file():
@@ -227,7 +225,13 @@ def _camera(
             T_body_cam = stored.get("T_body_cam")
             T_body_cam = None if T_body_cam is None else np.asarray(T_body_cam, dtype=float).reshape(4, 4)
             camera = Camera.from_matrix(K, int(stored["width"]), int(stored["height"]))
-            return camera, distortion, float(stored.get("depth_scale", DEPTH_SCALE)), T_body_cam
+            depth_scale = float(stored.get("depth_scale", DEPTH_SCALE))
+            pose = np.eye(4) if T_body_cam is None else T_body_cam
+            if not np.isfinite(np.concatenate([K.ravel(), distortion, pose.ravel(), [depth_scale]])).all():
+                raise ValueError("finite numbers only")
+            if min(camera.width, camera.height, K[0, 0], K[1, 1], depth_scale) <= 0:
+                raise ValueError("sizes, focal lengths and depth_scale are positive")
+            return camera, distortion, depth_scale, T_body_cam
         except (KeyError, TypeError, ValueError) as error:
             fields = "width, height, K (3x3)[, distortion (5), depth_scale, T_body_cam (4x4)]"
             raise InputError(path, "content", f"{fields} ({error})") from error
@@ -242,7 +246,7 @@ class SequenceWriter:
 
     def __init__(self, root: str | Path, camera: Camera, T_body_cam: np.ndarray) -> None:
         self.root = Path(root)
-        if self.root.exists() and any(self.root.iterdir()):
+        if self.root.exists() and (not self.root.is_dir() or any(self.root.iterdir())):
             raise InputError(self.root, "folder", "an empty or new folder: a recording is never overwritten")
         for name in ("rgb", "depth"):
             (self.root / name).mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,28 @@
 """Trajectories on disk: TUM text (``t x y z qx qy qz qw``) and EuRoC csv (``t[ns] p q_wxyz ...``), as T_world_cam."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from vssm_gym.errors import InputError
+
+
+def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Number and text of the lines that are neither blank nor comments.
+
+    Raises:
+        InputError: the file is not text.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(path, "file", "text") from None
+    for number, line in enumerate(lines, start=1):
+        text = line.strip()
+        if text and not text.startswith("#"):
+            yield number, text
 
 
 def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
@@ -19,10 +36,7 @@ def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(path, "file", "an existing trajectory (TUM text or EuRoC csv)")
     euroc = path.suffix == ".csv"
     rows = []
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
-        text = line.strip()
-        if not text or text.startswith("#"):
-            continue
+    for number, text in numbered_lines(path):
         try:
             row = [float(word) for word in (text.split(",") if euroc else text.replace(",", " ").split())]
         except ValueError:
@@ -62,7 +76,12 @@ def write_trajectory(path: str | Path, times: np.ndarray, T_world_cam: np.ndarra
 
 
 def interpolate(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Poses ``(m, 4, 4)`` at times ``at``: linear in position, geodesic in rotation; clamped to the ends."""
+    """Poses ``(m, 4, 4)`` at times ``at``: linear in position, geodesic in rotation; clamped to the ends.
+
+    ``times`` never fall; of poses with the same time the first one counts.
+    """
+    times, first = np.unique(times, return_index=True)
+    poses = poses[first]
     at = np.clip(at, times[0], times[-1])
     result = np.tile(np.eye(4), (len(at), 1, 1))
     if len(times) == 1:

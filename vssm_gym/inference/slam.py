@@ -1,8 +1,8 @@
 """Frame-to-model SLAM of a hand-held RGB-D camera: MAP pose, then the closed-form map update (SPEC 3, steps 2 and 5).
 
-Each frame starts with the rotation that best carries the last image onto it (small images, no geometry), then aligns to
-the map rendered at the last pose, whose holes are filled from the last image: where the view is new, the last image is the
-only reference there is. Frames that do not fit are said to be lost and do not touch the map.
+Each frame starts with the rotation that best carries the last image onto it (small images, no geometry), then aligns
+to the map rendered at the last pose, whose holes are filled from the last image: where the view is new, the last image
+is the only reference there is. Frames that do not fit are said to be lost and do not touch the map.
 """
 
 from dataclasses import dataclass, field, replace
@@ -30,7 +30,7 @@ class SlamConfig:
     """Alignment, prior and loss test of the first SLAM loop."""
 
     align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 1), iterations=(6, 5)))
-    update: MapUpdateConfig = MapUpdateConfig()
+    update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
     pose_std: tuple[float, ...] = (0.05, 0.05, 0.05, 0.03, 0.03, 0.03)  # of the motion beyond the rotation found first
     rotation_sizes: tuple[int, ...] = (20, 40, 80)  # image widths of the rotation search
     rotation_iterations: int = 8  # per size
@@ -120,5 +120,7 @@ def step(state: SlamState, image: RGBD, camera: Camera, config: SlamConfig) -> t
     # An image without depth updates no cell: a frame that does not fit leaves the map as it was.
     depth = jnp.where(fits, image.depth, 0.0)
     m = map_update.update(state.map, depth, image.rgb, T_world_cam, camera, config.update)
-    kept = jax.tree.map(lambda new, old: jnp.where(fits, new, old), (T_world_cam, image), (state.T_world_cam, state.image))
+    kept = jax.tree.map(
+        lambda new, old: jnp.where(fits, new, old), (T_world_cam, image), (state.T_world_cam, state.image)
+    )
     return SlamState(m, *kept), SlamInfo(jnp.where(fits, OK, LOST), T_world_cam, agreement)

@@ -1,20 +1,22 @@
 """The zero level set of a map's mean field as a triangle mesh, and its file (PLY).
 
 Marching cubes (Lewiner et al., 2003) puts vertices on the grid's edges, where the field is linear, so they lie on its
-zero. Only cubes whose eight cells were all observed, in occupancy and in colour, are meshed: behind the band that
-images update the field falls back to "just free", and that crossing is no surface.
+zero. Only triangles whose vertices were observed, as the renderer understands it, are kept: behind the band that images
+update the field falls back to "just free", and that crossing is no surface.
 """
 
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 from skimage.measure import marching_cubes
 
-from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.emission import KNOWN_SHARE
+from vssm_gym.voxel_map import VoxelMap
 
 
 @dataclass(frozen=True)
@@ -33,27 +35,25 @@ def surface_mesh(m: VoxelMap) -> Mesh:
     Ambiguous cubes get vertices in their inside, off the zero by a fraction of a voxel; smooth surfaces have none.
     """
     occupancy = np.array(m.dense(m.occupancy))  # a copy: marching cubes refuses JAX's read-only memory
-    seen = np.asarray(m.dense((m.occupancy_precision > OBSERVED_PRECISION) & (m.colour_precision > OBSERVED_PRECISION)))
     above = occupancy > 0.0
-    crossed = _of_cube(seen, np.logical_and) & _of_cube(above, np.logical_or) & ~_of_cube(above, np.logical_and)
-    if not crossed.any():
-        return Mesh(
-            np.zeros((0, 3), np.float32),
-            np.zeros((0, 3), np.int32),
-            np.zeros((0, 3), np.uint8),
-            np.zeros(0, np.float32),
-        )
+    crossed = _of_cube(above, np.logical_or) & ~_of_cube(above, np.logical_and)
     cubes = np.argwhere(crossed)
-    low, high = cubes.min(axis=0), cubes.max(axis=0) + 2
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    mask = np.zeros(tuple(high - low), bool)
-    mask[1:, 1:, 1:] = crossed[tuple(slice(a, b - 1) for a, b in zip(low, high, strict=True))]  # named by the last cell
-    # scikit-image names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
-    cells, faces, _, _ = marching_cubes(occupancy[box], 0.0, gradient_direction="ascent", mask=mask)
+    if len(cubes) == 0:
+        return _mesh(m, np.zeros((0, 3)), np.zeros((0, 3), int))
+    low, high = cubes.min(axis=0), cubes.max(axis=0) + 1
+    mask = np.zeros(tuple(high - low + 1), bool)
+    mask[1:, 1:, 1:] = crossed[_box(low, high)]  # scikit-image names a cube by its last cell
+    # It names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
+    cells, faces, _, _ = marching_cubes(occupancy[_box(low, high + 1)], 0.0, gradient_direction="ascent", mask=mask)
     vertices = np.asarray(m.origin, np.float64) + (cells + low) * float(m.voxel_size)
-    # A vertex on the grid's face may round to just outside, where the queries answer with the prior.
-    inset = np.array([[1e-3], [-1e-3]]) * float(m.voxel_size)
-    p_world = jnp.asarray(np.clip(vertices, *(m.bounds + inset)), jnp.float32)
+    known = np.asarray(m.observed_at(_inside(m, vertices))) >= KNOWN_SHARE
+    faces = faces[known[faces].all(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return _mesh(m, vertices[used], faces.reshape(-1, 3))
+
+
+def _mesh(m: VoxelMap, vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    p_world = _inside(m, vertices)
     rgb = np.asarray(m.field(p_world))[:, 1:]
     return Mesh(
         vertices.astype(np.float32),
@@ -61,6 +61,16 @@ def surface_mesh(m: VoxelMap) -> Mesh:
         np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8),
         1.0 / np.asarray(m.precision(p_world))[:, 0],
     )
+
+
+def _inside(m: VoxelMap, vertices: np.ndarray) -> jax.Array:
+    """Vertices for the map's queries: one on the grid's face may round to outside, where they answer with the prior."""
+    inset = np.array([[1e-3], [-1e-3]]) * float(m.voxel_size)
+    return jnp.asarray(np.clip(vertices, *(m.bounds + inset)), jnp.float32)
+
+
+def _box(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
+    return tuple(slice(a, b) for a, b in zip(low, high, strict=True))
 
 
 def _of_cube(cells: np.ndarray, combine: np.ufunc) -> np.ndarray:

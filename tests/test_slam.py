@@ -1,0 +1,389 @@
+"""``vssm-gym slam`` on a recording of a room known in closed form, on real data, interrupted, and on bad input."""
+
+import json
+import re
+import shutil
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.analytic_room import Room, camera_pose
+from vssm_gym.camera import Camera
+from vssm_gym.cli import main as main_module
+from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
+from vssm_gym.data.trajectories import read_trajectory
+from vssm_gym.errors import InputError
+from vssm_gym.eval import slam_run, trajectory
+from vssm_gym.eval.slam_run import SlamOptions, prefetch, run_slam, thin
+from vssm_gym.geometry import R_BODY_CAM, inverse, transform
+from vssm_gym.voxel_map import VoxelMap, read_metadata
+
+FRAMES = 10
+SIZE = "80x60"  # one size everywhere: each compiles the step anew
+GRID = ("--voxel", "0.08", "--extent", "6.4")
+CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
+ROOM = Room(((-2.0, -1.6, 0.0), (2.2, 1.7, 2.3)), (((0.9, -0.4, 0.0), (1.4, 0.5, 0.8)),))
+FILES = ["map.npz", "mesh.ply", "report.html", "stats.json", "trajectory.txt"]
+
+
+def true_pose(k: int) -> np.ndarray:
+    """A hand that moves 2 to 3 cm and about a degree a frame."""
+    place = (-0.8 + 0.025 * k, 0.2 * np.sin(0.25 * k), 1.1 + 0.05 * np.sin(0.4 * k))
+    return camera_pose(place, 0.02 * k - 0.1, 0.2 + 0.01 * k, 0.01 * k)
+
+
+def write_sequence(folder: Path, strange: int | None = None, blank: int = 0) -> Path:
+    """A TUM folder of the room; frame ``strange`` looks the other way, the first ``blank`` frames have no depth."""
+    T_body_cam = np.eye(4)
+    T_body_cam[:3, :3] = R_BODY_CAM
+    writer = SequenceWriter(folder, CAMERA, T_body_cam)
+    for k in range(FRAMES):
+        seen_from = camera_pose((0.3, 0.0, 1.2), 2.8, 0.4) if k == strange else true_pose(k)
+        image = ROOM.image(seen_from, CAMERA)
+        rgb = np.rint(255.0 * np.asarray(image.rgb)).astype(np.uint8)
+        depth = np.asarray(image.depth) * (k >= blank)
+        writer.append(1000.0 + 0.1 * k, rgb, depth, true_pose(k), np.zeros(0))
+    writer.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    return write_sequence(tmp_path_factory.mktemp("recording") / "room")
+
+
+@pytest.fixture
+def vssm(monkeypatch, capsys):
+    """Runs the console script in this process: ``vssm("slam", ...) -> (exit code, stdout, stderr)``."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
+        try:
+            code = main_module.main()
+        except SystemExit as stop:
+            code = stop.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def poses_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and poses, and that the file has a line for each."""
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    times, poses = read_trajectory(path)
+    assert len(lines) == len(times)
+    return times, poses
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+# The whole command
+
+
+def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tmp_path):
+    out = tmp_path / "new" / "out"
+    code, printed, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)
+    assert code == 0, err
+    assert names(out) == FILES
+    assert printed.splitlines()[-1] == str(out / "report.html")
+
+    times, poses = poses_of(out / "trajectory.txt")
+    np.testing.assert_allclose(times, 1000.0 + 0.1 * np.arange(FRAMES), atol=1e-9)
+    np.testing.assert_allclose(poses[0], np.eye(4), atol=1e-9)
+    expected = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])
+    assert np.linalg.norm(poses[:, :3, 3] - expected[:, :3, 3], axis=1).max() < 0.02  # no alignment: the frame is given
+    assert np.linalg.norm(expected[-1, :3, 3]) > 0.2
+
+    voxel_map = VoxelMap.load(out / "map.npz")
+    assert float(voxel_map.voxel_size) == pytest.approx(0.08)
+    assert read_metadata(out / "map.npz")["frames"] == FRAMES
+
+    vertices = np.asarray(trimesh.load(out / "mesh.ply", process=False).vertices)
+    off = np.abs(ROOM.occupancy(transform(true_pose(0), vertices)))
+    assert len(vertices) > 500
+    assert np.median(off) < 0.1 * 0.08
+    assert np.quantile(off, 0.95) < 0.5 * 0.08
+
+    stats = json.loads((out / "stats.json").read_text())
+    assert stats["frames"] == stats["frames_recorded"] == FRAMES
+    assert stats["lost"] == []
+    assert stats["config"]["size"] == SIZE
+    assert stats["latency_ms"]["read"]["n"] == FRAMES
+    assert stats["latency_ms"]["track and update"]["n"] == FRAMES - 2  # the first frame and the step that compiles
+    assert len(stats["first_calls_s"]) == 2
+    assert stats["version"]
+
+    # What it reports is what the command for it says of the file.
+    code, table, _ = vssm("evaluate-trajectory", out / "trajectory.txt", recording / "groundtruth.txt")
+    assert code == 0
+    assert f"{FRAMES} pairs" in table
+    assert f"{stats['errors']['ate_translation_se3']['rmse']:.5f}" in table
+
+    page = (out / "report.html").read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+    assert page.count("<img src='data:image/") == 5
+    assert "No frame was lost" in page
+    assert f"{100 * stats['errors']['ate_translation_se3']['rmse']:.2f} cm" in page
+
+    # A finished run is never overwritten.
+    before = (out / "trajectory.txt").read_bytes()
+    code, _, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)
+    assert code == 2
+    assert str(out) in err
+    assert (out / "trajectory.txt").read_bytes() == before
+
+
+def test_a_lost_frame_is_said_to_be_lost_and_leaves_the_map_alone(vssm, tmp_path):
+    """Without ground truth: the report says that too, and nothing is measured against it."""
+    source = write_sequence(tmp_path / "room", strange=6)
+    (source / "groundtruth.txt").unlink()
+    code, printed, err = vssm("slam", source, "--out", tmp_path / "out", "--size", SIZE, *GRID)
+    assert code == 0, err
+    assert "1 lost" in printed
+    assert "ATE" not in printed
+    stats = json.loads((tmp_path / "out" / "stats.json").read_text())
+    assert [frame["index"] for frame in stats["lost"]] == [6]
+    assert stats["errors"] is None
+
+    _, poses = poses_of(tmp_path / "out" / "trajectory.txt")
+    assert len(poses) == FRAMES
+    expected = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])
+    off = np.linalg.norm(poses[:, :3, 3] - expected[:, :3, 3], axis=1)
+    assert np.delete(off, 6).max() < 0.02
+    vertices = np.asarray(trimesh.load(tmp_path / "out" / "mesh.ply", process=False).vertices)
+    behind = transform(true_pose(0), vertices)[:, 0] < -1.0  # what only the strange frame saw
+    assert not behind.any()
+
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "1 of 10 frames were lost" in page
+    assert "no ground truth" in page
+
+
+def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    real, calls = slam_run.slam.step, []
+
+    def interrupted(*arguments):
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(slam_run.slam, "step", interrupted)
+    code, _, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)
+    assert code == 130
+    assert err.splitlines()[-1].startswith("interrupted")
+    assert names(out) == ["trajectory.partial.txt"]
+    assert len(poses_of(out / "trajectory.partial.txt")[0]) == 4
+
+    # Another run may use the folder, and its own partial file replaces the old one.
+    calls.clear()
+    calls.extend([1, 1])
+    assert vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)[0] == 130
+    assert len(poses_of(out / "trajectory.partial.txt")[0]) == 2
+
+
+# The loop
+
+
+def options(**changes) -> SlamOptions:
+    return SlamOptions(size=(80, 60), voxel=0.08, extent=6.4, **changes)
+
+
+def test_the_map_starts_at_the_first_depth(tmp_path):
+    run = run_slam(load_sequence(write_sequence(tmp_path / "room", blank=2)), options())
+    assert run.lost.tolist() == [True, True] + [False] * (FRAMES - 2)
+    np.testing.assert_array_equal(run.poses[:3], np.tile(np.eye(4), (3, 1, 1)))
+    expected = inverse(true_pose(2)) @ true_pose(FRAMES - 1)
+    assert np.linalg.norm(run.poses[-1, :3, 3] - expected[:3, 3]) < 0.02
+
+
+def test_the_readings_outside_a_small_grid_are_counted(recording):
+    """A cube that ends before the far wall: what it cannot hold is known exactly from the depths."""
+    sequence = load_sequence(recording)
+    small = replace(sequence, frames=sequence.frames[:1])
+    run = run_slam(small, SlamOptions(size=(80, 60), voxel=0.08, extent=4.8))
+    _, depth = FrameReader(small, (80, 60))[0]
+    p_cam = np.asarray(CAMERA.rays()) * depth[..., None]
+    assert run.frames[0].in_grid == pytest.approx((np.abs(p_cam) < 2.4).all(axis=-1).mean(), abs=0.05)
+    assert 0.1 < run.frames[0].in_grid < 0.9
+
+
+def test_real_images_are_tracked(shared_data):
+    """The first 12 frames of TUM fr1_xyz: the camera moves 20 cm."""
+    sequence = load_sequence(shared_data / "tum_fr1_xyz")
+    run = run_slam(replace(sequence, frames=sequence.frames[:12]), options())
+    assert not run.lost.any()
+    result = trajectory.evaluate(run.times, run.poses, *sequence.truth)
+    assert result["ate_translation_se3"]["rmse"] < 0.02
+
+
+@pytest.mark.slow
+def test_the_whole_real_sequence_at_the_default_settings(shared_data):
+    sequence = load_sequence(shared_data / "tum_fr1_xyz")
+    run = run_slam(sequence, SlamOptions())
+    result = trajectory.evaluate(run.times, run.poses, *sequence.truth)
+    assert len(run.frames) == 266
+    assert result["ate_translation_se3"]["rmse"] < 0.03
+    assert run.lost.mean() < 0.05
+
+
+# Thinning and reading ahead
+
+
+@given(
+    gaps=st.lists(st.floats(0.001, 0.5), min_size=1, max_size=60),
+    rate=st.floats(0.5, 40.0),
+)
+def test_thinning_holds_its_rate_over_every_stretch(gaps, rate):
+    times = 1.3e9 + np.cumsum(gaps)
+    kept = thin(times, rate)
+    assert kept[0] == 0
+    assert kept == sorted(set(kept))
+    stamps = times[kept]
+    for i in range(len(stamps)):
+        counts = np.arange(1, len(stamps) - i + 1)
+        assert (counts <= (stamps[i:] - stamps[i]) * rate + 1.5 + 1e-4).all()
+    # And it leaves out no more than it must: where frames are missing, the period holds a frame.
+    longest = max([*gaps, 0.0])
+    assert (np.diff(stamps) <= 1.5 / rate + longest + 1e-6).all()
+
+
+@given(st.lists(st.floats(-0.024, 0.024), min_size=2, max_size=80))
+def test_a_jittering_camera_at_the_rate_keeps_every_frame(jitter):
+    times = 1.3e9 + 0.1 * np.arange(len(jitter)) + np.array(jitter)
+    assert thin(times, 10.0) == list(range(len(jitter)))
+
+
+def test_a_third_of_a_fast_camera_is_a_third():
+    times = np.arange(300) / 30.0
+    kept = thin(times, 10.0)
+    assert len(kept) == pytest.approx(100, abs=1)
+    assert set(np.diff(kept)[2:]) == {3}
+
+
+class SlowReader:
+    """Gives each frame its number, late ones first; fails at ``broken``."""
+
+    def __init__(self, broken: int | None = None) -> None:
+        self.broken, self.asked = broken, []
+
+    def __getitem__(self, index):
+        self.asked.append(index)
+        if index == self.broken:
+            raise InputError("image.png", "pixels", "a readable image")
+        time.sleep(0.002 * (index % 3))
+        return np.full((1, 1, 3), index), np.full((1, 1), index)
+
+
+def test_images_arrive_in_order_and_a_bad_one_raises_in_its_turn():
+    images = prefetch(SlowReader(), [3, 1, 4, 1, 5, 9, 2, 6])
+    assert [int(depth[0, 0]) for _, depth, _ in images] == [3, 1, 4, 1, 5, 9, 2, 6]
+    images = prefetch(SlowReader(broken=5), [3, 1, 4, 1, 5, 9])
+    assert [next(images)[1][0, 0] for _ in range(4)] == [3, 1, 4, 1]
+    with pytest.raises(InputError):
+        next(images)
+
+
+def test_reading_stops_when_nobody_asks():
+    reader = SlowReader()
+    images = prefetch(reader, list(range(100)))
+    next(images)
+    images.close()
+    read = len(reader.asked)
+    assert read <= slam_run.AHEAD + 1
+    time.sleep(0.05)
+    assert len(reader.asked) == read
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--size", "160"), "size"),
+        (("--size", "8x6"), "size"),
+        (("--size", "axb"), "size"),
+        (("--rate", "0"), "rate"),
+        (("--rate", "nan"), "rate"),
+        (("--voxel", "0"), "voxel"),
+        (("--voxel", "nan"), "voxel"),
+        (("--extent", "-3"), "extent"),
+        (("--extent", "100", "--voxel", "0.02"), "cells"),
+        (("--intrinsics", "500,500,320"), "intrinsics"),
+        (("--intrinsics", "a,b,c,d"), "intrinsics"),
+        (("--intrinsics", "0,500,320,240"), "intrinsics"),
+        (("--intrinsics", "nan,500,320,240"), "intrinsics"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_writes_nothing(vssm, recording, tmp_path, arguments, complaint):
+    code, _, err = vssm("slam", recording, "--out", tmp_path / "out", *arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert complaint in err
+    assert names(tmp_path) == []
+
+
+def test_missing_folders_and_files_are_named(vssm, recording, tmp_path):
+    out = tmp_path / "out"
+    code, _, err = vssm("slam", tmp_path / "nowhere", "--out", out)
+    assert (code, "nowhere" in err, err.count("\n")) == (2, True, 1)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    code, _, err = vssm("slam", empty, "--out", out)
+    assert (code, "rgb.txt" in err, err.count("\n")) == (2, True, 1)
+    assert not out.exists()
+    (tmp_path / "out").write_text("a file")
+    code, _, err = vssm("slam", recording, "--out", out)
+    assert (code, "folder" in err) == (2, True)
+    assert out.read_text() == "a file"
+    code, _, err = vssm("slam", recording, "--out", out / "below", "--size", SIZE, *GRID)
+    assert (code, "folder" in err) == (2, True)
+
+
+def test_a_folder_with_other_content_is_left_alone(vssm, recording, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    code, _, err = vssm("slam", recording, "--out", tmp_path)
+    assert code == 2
+    assert str(tmp_path) in err
+    assert names(tmp_path) == ["thesis.tex"]
+
+
+def test_an_image_missing_in_the_middle_is_named_and_what_came_before_is_kept(vssm, recording, tmp_path):
+    source = tmp_path / "room"
+    shutil.copytree(recording, source)
+    gone = sorted((source / "depth").iterdir())[5]
+    gone.unlink()
+    out = tmp_path / "out"
+    code, _, err = vssm("slam", source, "--out", out, "--size", SIZE, *GRID)
+    assert code == 2
+    assert gone.name in err
+    assert names(out) == ["trajectory.partial.txt"]
+    assert len(poses_of(out / "trajectory.partial.txt")[0]) == 5
+
+
+def test_a_sequence_without_any_depth_is_refused(vssm, tmp_path):
+    source = write_sequence(tmp_path / "room", blank=FRAMES)
+    code, _, err = vssm("slam", source, "--out", tmp_path / "out", "--size", SIZE, *GRID)
+    assert code == 2
+    assert "depth" in err.splitlines()[-1]
+
+
+def test_given_intrinsics_replace_those_of_the_folder(recording):
+    """They are of the recorded images; at half the size they are half, about the images' edges."""
+    sequence = load_sequence(recording, (60.0, 50.0, 30.0, 20.0, 0.1, 0.0, 0.0, 0.0, 0.0))
+    reader = FrameReader(sequence, (40, 30))
+    np.testing.assert_allclose(reader.camera.K, [[30.0, 0.0, 14.75], [0.0, 25.0, 9.75], [0.0, 0.0, 1.0]])
+    assert sequence.distortion.tolist() == [0.1, 0.0, 0.0, 0.0, 0.0]
