@@ -1,7 +1,6 @@
 """``report DIR``: one self-contained HTML page from a sweep's rows: headline, failures first, tables, curves, runs."""
 
 import json
-import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -12,6 +11,7 @@ from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
 from vssm_gym.eval.aggregate import Row, group_rows
 from vssm_gym.eval.rows import FILE, read_rows
+from vssm_gym.files import atomic_write
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
@@ -49,9 +49,8 @@ def write_report(folder: Path, seed: int = 0) -> Path:
         raise InputError(folder / FILE, "file", "at least one finished episode")
     page = _page(rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}, seed)
     target = folder / "report.html"
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    temporary.write_text(page, encoding="utf-8")
-    os.replace(temporary, target)
+    with atomic_write(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
     return target
 
 
@@ -67,15 +66,6 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if missing:
         raise InputError(path, min(missing), "this field")
     return manifest
-
-
-def notices(manifest: dict[str, Any]) -> list[str]:
-    """Sentences on what a sweep's scenes could not offer."""
-    return [
-        f"{scene}: cut off from the rest: {', '.join(rooms)}; tasks are drawn in the largest connected part"
-        for scene, rooms in manifest.get("cut_off_rooms", {}).items()
-        if rooms
-    ]
 
 
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
@@ -143,11 +133,12 @@ def _header(rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     unfinished = len(rows) < manifest["episodes"]
     warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
     headline = tables.results(rows, seed, ("spl", "success"))
-    notes = "".join(f"<p class=bad>{escape(notice)}</p>" for notice in notices(manifest))
+    known = {scene: notice for scene, notice in manifest.get("notices", {}).items() if notice}
+    notices = "".join(f"<p class=bad>{escape(scene)}: {escape(notice)}</p>" for scene, notice in known.items())
     raw = escape(json.dumps(config, indent=1))
     return (
         f"<h1>{escape(', '.join(dict.fromkeys(row['scene'] for row in rows)))}: {', '.join(config['agents'])}</h1>"
-        f"<p class=note>{line}</p>{warning}{notes}{headline}"
+        f"<p class=note>{line}</p>{warning}{notices}{headline}"
         f"<details><summary>configuration</summary><pre>{raw}</pre></details>"
     )
 

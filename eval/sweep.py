@@ -7,7 +7,6 @@ The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, 
 import hashlib
 import json
 import multiprocessing
-import os
 import subprocess
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -25,6 +24,7 @@ from vssm_gym.eval import worker
 from vssm_gym.eval.config import Episode, SweepConfig, expand, scene_name
 from vssm_gym.eval.maps import Progress, ensure_map
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
+from vssm_gym.files import atomic_write
 
 MANIFEST = "sweep.json"
 
@@ -99,7 +99,7 @@ def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, 
         "config": shown,
         "config_hash": config_hash(config, hashes, seed),
         "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
-        "cut_off_rooms": {scene_name(scene): space.cut_off_rooms() for scene, space in spaces.items()},
+        "notices": {scene_name(scene): space.notice(apartments[scene].notes) for scene, space in spaces.items()},
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
@@ -120,9 +120,8 @@ def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None
             expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
             raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
         return
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
 
 
 def _jobs(

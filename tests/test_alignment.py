@@ -231,7 +231,7 @@ def faces_of(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("factor", [1, 2, 4])
 def test_planes_of_the_reference_are_those_of_the_room(factor: int) -> None:
-    """Where a pixel and its four neighbours see one face, its plane is that face: used, and to a tenth of a millimetre."""
+    """Where a pixel and its four neighbours see one face, its plane is that face, to a tenth of a millimetre."""
     T = room_pose(np.random.default_rng(2))
     plane = np.asarray(make_reference(ROOM.image(T, CAMERA), CAMERA, CONFIG, factor).plane, float)
     axis, place = (a[factor // 2 :: factor, factor // 2 :: factor] for a in faces_of(T))
@@ -240,12 +240,12 @@ def test_planes_of_the_reference_are_those_of_the_room(factor: int) -> None:
     alone[1:-1, 1:-1] = True
     for shift in (1, -1):
         alone &= (np.roll(face, shift, 0) == face) & (np.roll(face, shift, 1) == face)
-    assert alone.mean() > 0.4
+    assert alone.mean() > 0.3
     normal = (T[:3, :3] @ plane[:3]).reshape(3, *face.shape)
     along = np.take_along_axis(normal, axis[None], 0)[0]
     np.testing.assert_allclose(np.abs(along[alone]), 1.0, atol=1e-5)
     offset = plane[3].reshape(face.shape) + np.einsum("i,i...->...", T[:3, 3], normal)  # <n, p_world>
-    np.testing.assert_allclose((offset / along)[alone], place[alone], atol=1e-4)
+    np.testing.assert_allclose(offset[alone] / along[alone], place[alone], atol=1e-4)
 
 
 def test_pixels_at_depth_jumps_are_left_out() -> None:

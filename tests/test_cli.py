@@ -6,11 +6,13 @@ import sys
 
 import numpy as np
 import pytest
+from box_rooms import two_rooms
 
 from vssm_gym.cli import doctor as doctor_module
 from vssm_gym.cli import main as main_module
 from vssm_gym.cli.cache import cache_folder
 from vssm_gym.cli.doctor import Probe, run_probe
+from vssm_gym.envs.scene import save_scene
 from vssm_gym.errors import InputError
 
 HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex"]
@@ -131,6 +133,23 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
     process.stdout.close()
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
+
+
+def test_record_and_sweep_warn_of_what_a_scene_lacks(vssm, tmp_path):
+    """Before anything runs: here both commands go on to refuse another argument, and nothing is written."""
+    flat = two_rooms(openness=0.0, leaves=1).model_copy(update={"notes": ("Rooms are not navigable.",)})
+    save_scene(flat, tmp_path / "shut.json")
+    (tmp_path / "sweep.yaml").write_text("scenes: [oak, shut.json]\nagents: random\ntasks: 1\n")
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "file").touch()
+    for arguments in (
+        ("record", "--scene", str(tmp_path / "shut.json"), "--out", str(tmp_path / "taken")),
+        ("sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "none"), "--workers", "0"),
+    ):
+        code, out, err = vssm(*arguments)
+        warning, *_, error = err.splitlines()
+        assert warning.startswith("warning: shut: Rooms are not navigable; cut off from the rest: ")
+        assert (code, out, error.split(":")[0]) == (main_module.BAD_INPUT, "", "error")
 
 
 def test_version(vssm):

@@ -38,8 +38,11 @@ def look(m: VoxelMap, T_world_cam: np.ndarray, max_depth: float = MAX_DEPTH, cam
     return render(m, f32(T_world_cam), camera, max_depth)
 
 
-def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) -> None:
-    """``search`` finds ``march``'s sample on every ray, but for samples whose occupancy is zero up to rounding."""
+def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) -> float:
+    """``search`` finds ``march``'s sample on every ray, but for samples whose occupancy is zero up to rounding.
+
+    Returns the share of rays with such a sample.
+    """
     centre, directions = f32(centre), f32(directions)
     k, hit = map(np.asarray, search_jit(m, centre, directions))
     k_march, hit_march = map(np.asarray, march_jit(m, centre, directions))
@@ -53,7 +56,7 @@ def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) ->
     g = (p - np.asarray(m.origin)) / VOXEL
     on_face = (np.abs(g) < 1e-4).any(axis=1) | (np.abs(g - np.array(m.shape) + 1) < 1e-4).any(axis=1)
     assert ((np.abs(disputed) < 2e-4 * scale) | on_face).all(), (k[differ], k_march[differ], disputed)
-    assert len(differ) <= 0.02 * len(k)
+    return len(differ) / len(k)
 
 
 @given(kinds, seeds)
@@ -66,7 +69,7 @@ def test_search_finds_the_hits_of_the_march(kind: str, seed: int) -> None:
     directions = towards / np.abs(towards).max(axis=1, keepdims=True) * rng.uniform(1.0, 1.5, (RAYS, 1))
     directions[: RAYS // 6, rng.integers(3)] = 0.0
     directions[RAYS // 6 : RAYS // 3] = np.eye(3)[rng.integers(3, size=RAYS // 6)] * rng.choice([-1.0, 1.0])
-    assert_same_hits(random_map(kind, seed), centre, directions)
+    assert assert_same_hits(random_map(kind, seed), centre, directions) <= 0.02
 
 
 @given(kinds, seeds, st.sampled_from([0.0, 0.5, 0.25]))

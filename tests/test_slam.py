@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from analytic_room import Room, camera_pose
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.analytic_room import Room, camera_pose
 from vssm_gym.camera import Camera
 from vssm_gym.cli import main as main_module
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence

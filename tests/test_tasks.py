@@ -10,9 +10,10 @@ import shapely
 from box_rooms import furniture, two_rooms
 
 from vssm_gym.envs import tasks as tasks_module
+from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.scene import built_in_scenes, load_scene
-from vssm_gym.envs.tasks import Split, TaskSampler, TaskSet, freeze, load, make_tasks, save, task_set
+from vssm_gym.envs.scene import Door, built_in_scenes, load_scene
+from vssm_gym.envs.tasks import START_SLACK, Split, TaskSampler, TaskSet, freeze, load, make_tasks, save, task_set
 from vssm_gym.errors import InputError
 
 ROBOT = HolonomicRobot()
@@ -154,10 +155,30 @@ def test_impossible_tasks_name_the_field() -> None:
     closed = TaskSampler(two_rooms(openness=0.0, leaves=1), ROBOT)
     with pytest.raises(InputError, match="goal: expected a position that the robot can reach"):
         closed.task((1.0, 1.0, 0.0), (5.0, 1.0))
-    # A start pressed a few millimetres into a wall is where a chained task may begin.
-    assert sampler.task((0.146, 1.0, 0.0), (0.5, 3.5)).geodesic == pytest.approx(
-        sampler.task((0.152, 1.0, 0.0), (0.5, 3.5)).geodesic, abs=0.01
+    with pytest.raises(InputError, match=r"start: .* it would touch wall 3"):
+        sampler.task((0.115, 1.0, 0.0), (0.5, 3.5))
+
+
+@pytest.mark.parametrize("thickness", [0.1, 0.12])
+def test_a_task_may_start_where_contacts_left_the_robot(thickness: float) -> None:
+    """Pressed against a wall, and into the recess of a closed outer door whose leaf is flush with the outside."""
+    flat = two_rooms()
+    walls = tuple(wall.model_copy(update={"thickness": thickness}) for wall in flat.walls)
+    front_door = Door(
+        wall=3, offset=1.5, width=0.9, height=2.0, openness=0.0, leaves=1, swing="back", rooms=("west", None)
     )
+    flat = flat.model_copy(update={"walls": walls, "doors": (*flat.doors, front_door)})
+    world, sampler = World(flat, ROBOT), TaskSampler(flat, ROBOT)
+    for y, touched in ((1.0, "wall 3"), (2.0, "door 1")):
+        world.reset(np.array([0.4, y, np.pi]))
+        for _ in range(5):
+            world.drive(world.pose() - [0.1, 0.0, 0.0])
+        assert world.contacts()[0].startswith(touched)
+        x = world.pose()[0]
+        assert not sampler.space.contains(np.array([x, y]))
+        task = sampler.task((x, y, 0.0), (2.5, y))
+        sampler.validate(task)
+        assert task.geodesic == pytest.approx(2.5 - x - 0.4, abs=START_SLACK)  # straight away from the wall
 
 
 def test_bad_requests() -> None:

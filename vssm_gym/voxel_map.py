@@ -5,7 +5,6 @@ field is the trilinear interpolation of the cells and its zero level set is the 
 """
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from jaxtyping import Array, Float
 from vssm_gym import empty_space
 from vssm_gym.empty_space import BLOCK, CELLS, EmptySpace
 from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
 
 FORMAT_VERSION = 1
 PRIOR_OCCUPANCY_STD = 10.0  # m; the information gain of exploration depends on it (SPEC 1, 8)
@@ -164,22 +164,16 @@ class VoxelMap(eqx.Module):
 
     def save(self, path: str | Path, **metadata: str | float | int | list) -> None:
         """Write an ``.npz`` (no pickle) with a version and ``metadata``; the file appears whole or not at all."""
-        path = Path(path)
         header = {"format": "vssm_gym.VoxelMap", "version": FORMAT_VERSION, "blocks": list(self.blocks), **metadata}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
-        try:
-            with temporary.open("wb") as file:
-                np.savez_compressed(
-                    file,
-                    header=np.frombuffer(json.dumps(header).encode(), np.uint8),
-                    origin=np.asarray(self.origin),
-                    voxel_size=np.asarray(self.voxel_size),
-                    **arrays,
-                )
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(
+                file,
+                header=np.frombuffer(json.dumps(header).encode(), np.uint8),
+                origin=np.asarray(self.origin),
+                voxel_size=np.asarray(self.voxel_size),
+                **arrays,
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> "VoxelMap":

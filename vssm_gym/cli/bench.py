@@ -31,7 +31,6 @@ def bench(
         seed: of the drives.
     """
     import json
-    import os
 
     from rich.console import Console
 
@@ -40,6 +39,7 @@ def bench(
     from vssm_gym.eval.config import DEFAULT_VOXEL
     from vssm_gym.eval.maps import ensure_map
     from vssm_gym.eval.sweep import package_version
+    from vssm_gym.files import atomic_write
 
     if trials is not None and trials < 1:
         raise InputError("bench", "trials", f"at least 1, found {trials}")
@@ -57,9 +57,8 @@ def bench(
             result = run(scene, map_file, trials=count, workers=workers, seed=seed, progress=progress)
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{suite}-{Path(scene).stem}.json"
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
-    os.replace(temporary, path)
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
     _show(suite, result, Console())
     print(path)
 

@@ -1,7 +1,8 @@
 """What long commands show: a progress bar a stage, and a table of results."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 STAGES = {"recording": "driving and recording", "map": "building the map", "episodes": "running episodes"}
@@ -57,9 +58,16 @@ def print_results(log: Path) -> None:
         console.print(table)
 
 
-def print_notices(manifest_file: Path) -> None:
-    """What a reader of a sweep's results should know about its scenes, on stdout."""
-    from vssm_gym.eval.report import notices, read_manifest
+def print_notices(scenes: Sequence[str]) -> None:
+    """What a user should know about scenes before anything runs in them, one line each on stderr."""
+    from vssm_gym.envs.free_space import FreeSpace
+    from vssm_gym.envs.robots import HolonomicRobot
+    from vssm_gym.envs.scene import load_scene
+    from vssm_gym.eval.config import scene_name
 
-    for notice in notices(read_manifest(manifest_file)):
-        print(f"note: {notice}")
+    robot = HolonomicRobot()
+    for scene in scenes:
+        apartment = load_scene(scene)
+        notice = FreeSpace.from_apartment(apartment, robot.radius, robot.height).notice(apartment.notes)
+        if notice:
+            print(f"warning: {scene_name(scene)}: {notice}", file=sys.stderr)

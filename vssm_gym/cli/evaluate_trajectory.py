@@ -1,7 +1,6 @@
 """``vssm-gym evaluate-trajectory EST TRUE``: how far an estimated trajectory is from the true one (SPEC 12)."""
 
 import json
-import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,6 +35,7 @@ def evaluate_trajectory(
     from vssm_gym.data.trajectories import read_trajectory
     from vssm_gym.errors import InputError
     from vssm_gym.eval.trajectory import align, associate, evaluate
+    from vssm_gym.files import atomic_write
 
     if not tolerance >= 0.0:
         raise InputError("evaluate-trajectory", "tolerance", f"seconds >= 0, not {tolerance}")
@@ -52,7 +52,9 @@ def evaluate_trajectory(
     result = evaluate(times_est, T_est, times_true, T_true, tolerance)
     if json_file is not None:
         result["scale"] *= factor  # of the estimate as it was read
-        _write_json(json_file, {"estimate": str(estimate), "truth": str(truth), "alignment": alignment, **result})
+        content = {"estimate": str(estimate), "truth": str(truth), "alignment": alignment, **result}
+        with atomic_write(json_file) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n")
     console = Console(soft_wrap=True, highlight=False)
     console.print(
         f"{result['pairs']} pairs of {len(times_est)} estimated and {len(times_true)} true poses, "
@@ -78,13 +80,3 @@ def _table(result: dict[str, Any]) -> "Table":
     for label, unit, name in rows:
         table.add_row(label, unit, *(f"{result[name][statistic]:.6f}" for statistic in SHOWN))
     return table
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    """The file appears whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

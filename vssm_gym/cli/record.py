@@ -12,9 +12,10 @@ def record(scene: str, out: Path, noise: str = "low", seed: int = 0) -> None:
         noise: execution noise of the drive: none, low, mid or high; the recorded poses are the true ones.
         seed: of the route and of the noise.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.console import print_notices, progress_bars
     from vssm_gym.data import recording
 
+    print_notices([scene])
     with progress_bars() as progress:
         frames = recording.record(scene, out, noise=noise, seed=seed, progress=progress)
     print(f"{frames} frames: {out}\nnext: vssm-gym map build {out} --out map.npz")

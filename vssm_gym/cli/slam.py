@@ -28,8 +28,7 @@ def slam(
         rate: frames a second at most; others are left out.
         voxel: size of a cell, metres.
         extent: edge of the cube that is mapped around the first camera, metres.
-        intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of camera.json or of TUM's published
-            ones.
+        intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of those that the folder states.
     """
     from vssm_gym.cli.console import progress_bars
     from vssm_gym.data.sequences import load_sequence

@@ -27,11 +27,11 @@ def sweep(
     """
     from vssm_gym.cli.console import print_notices, print_results, progress_bars
     from vssm_gym.eval.config import load_config
-    from vssm_gym.eval.sweep import MANIFEST, run_sweep
+    from vssm_gym.eval.sweep import run_sweep
 
     checked = load_config(config)
+    print_notices(checked.scenes)
     with progress_bars() as progress:
         log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, progress=progress)
     print_results(log)
-    print_notices(out / MANIFEST)
     print(f"episodes: {log}\nnext: vssm-gym report {out}")

@@ -5,8 +5,6 @@ motion-capture hall would. Agents get the map made from them, never the recordin
 """
 
 import json
-import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.survey import Waypoint, survey_route
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
 from vssm_gym.planning.pursuit import steer
 
 PROVENANCE = "recording.json"  # beside TUM's files: which scene, driven how
@@ -49,22 +48,20 @@ def record(
         raise InputError(out, "folder", "an empty or new folder: a recording is never overwritten")
     env = PointNavEnv(scene=str(scene), noise=noise, observe_pose=True, reward="sparse")
     route = survey_route(env.apartment, env.robot, seed)
+    provenance = {
+        "scene": env.apartment.name,
+        "scene_hash": env.apartment.content_hash(),
+        "noise": noise,
+        "renderer": env.renderer_name,
+        "seed": seed,
+    }
     out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
-        frames = _drive(env, route, unfinished, seed, progress)
-        provenance = {
-            "scene": env.apartment.name,
-            "scene_hash": env.apartment.content_hash(),
-            "noise": noise,
-            "renderer": env.renderer_name,
-            "seed": seed,
-        }
-        (unfinished / PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
-        os.replace(unfinished, out)
+        with atomic_write(out) as unfinished:
+            frames = _drive(env, route, unfinished, seed, progress)
+            (unfinished / PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
     finally:
         env.close()
-        shutil.rmtree(unfinished, ignore_errors=True)
     return frames
 
 

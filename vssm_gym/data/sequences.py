@@ -15,6 +15,7 @@ import numpy as np
 from vssm_gym.camera import Camera
 from vssm_gym.data.trajectories import interpolate, numbered_lines, read_trajectory, tum_line
 from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
 
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
 ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame
@@ -290,6 +291,5 @@ class SequenceWriter:
             "depth_scale": DEPTH_SCALE,
             "T_body_cam": self.T_body_cam.tolist(),
         }
-        temporary = self.root / "camera.json.tmp"
-        temporary.write_text(json.dumps(stored, indent=1))
-        temporary.replace(self.root / "camera.json")
+        with atomic_write(self.root / "camera.json") as temporary:
+            temporary.write_text(json.dumps(stored, indent=1))

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -67,12 +68,9 @@ def tum_line(time: float, T_world_cam: np.ndarray) -> str:
 
 def write_trajectory(path: str | Path, times: np.ndarray, T_world_cam: np.ndarray) -> None:
     """Write a TUM trajectory, whole or not at all."""
-    path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w") as file:
+    with atomic_write(path) as temporary, temporary.open("w") as file:
         file.write("# timestamp tx ty tz qx qy qz qw\n")
         file.writelines(tum_line(t, T) for t, T in zip(times, T_world_cam, strict=True))
-    temporary.replace(path)
 
 
 def interpolate(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -139,6 +139,18 @@ class FreeSpace:
             kept = f"{self.largest.area:.1f} m^2 of free space is connected"
             raise InputError(self.source, "rooms", f"all of them connected; cut off: {', '.join(names)} ({kept})")
 
+    def notice(self, notes: Sequence[str]) -> str:
+        """One line for the user: what the scene's ``notes`` say and which rooms are cut off; empty for a plain scene.
+
+        A file's own warning may speak of another robot, so the line says too where this one reaches every room.
+        """
+        sentences = [note.rstrip(".") for note in notes]
+        if names := self.cut_off_rooms():
+            sentences.append(f"cut off from the rest: {', '.join(names)}; only the largest connected part is used")
+        elif sentences:
+            sentences.append(f"checked: a robot {2.0 * self.radius:g} m across reaches every room")
+        return "; ".join(sentences)
+
     @cached_property
     def _blocked(self) -> shapely.Geometry:
         """Everything that is not floor between obstacles, near enough to matter to points on the floor."""

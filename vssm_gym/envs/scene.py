@@ -3,7 +3,6 @@ one back. The data types are defined in `vssm_gym.envs.apartment` and offered he
 """
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from vssm_gym.envs.apartment import (
 from vssm_gym.envs.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
 
 __all__ = [
     "Apartment",
@@ -70,14 +70,9 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
 
 def save_scene(apartment: Apartment, path: str | Path) -> None:
     """Write the apartment's canonical JSON, atomically: the file is either the old one or the whole new one."""
-    path = Path(path)
     text = _pretty({"format": apartment.format} | apartment.model_dump(mode="json", exclude_defaults=True))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with atomic_write(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _pretty(value: Any, indent: int = 0) -> str:
