@@ -64,8 +64,11 @@ class Navigator:
         self._map: VoxelMap | None = None
         self._static: ClearanceMap  # of that map, kept over episodes
 
-    def reset(self, context: AgentContext, observation: Observation) -> None:
-        """Open an episode; the first plan is made here, so that compiling it is no part of a step's latency."""
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode; nothing here is random, so ``seed`` changes nothing.
+
+        A plan is made and dropped, so that compiling is no part of any latency and the first step's own plan is.
+        """
         if context.map is None:
             raise InputError("AgentContext", "map", "a learned map: this agent plans in one")
         if context.map is not self._map:
@@ -73,12 +76,12 @@ class Navigator:
             self._static = ClearanceMap.from_voxel_map(context.map, low, high, self._config.resolution)
             self._map = context.map
         self._context = context
-        self._clearance = self._static  # and what was felt since
         self._command: np.ndarray | None = None
         self._estimate = self._localizer.reset(context, observation)
-        self._task = _Task(np.array(observation["goal"], np.float64))
+        self._begin(observation["goal"])
         for _ in range(2):  # to plan, and to follow the plan
             self._follow(self._estimate)
+        self._begin(observation["goal"])
 
     def act(self, observation: Observation) -> Decision:
         """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
@@ -87,9 +90,8 @@ class Navigator:
             self._estimate = self._localizer.update(self._command, observation)
         estimate = self._estimate
         tracked = time.perf_counter()
-        goal = np.asarray(observation["goal"], np.float64)
-        if not np.array_equal(goal, self._task.goal):
-            self._task, self._clearance = _Task(goal), self._static
+        if not np.array_equal(observation["goal"], self._task.goal):
+            self._begin(observation["goal"])
         activity, stop, command = self._decide(estimate)
         planned = time.perf_counter()
         if command is None:
@@ -101,6 +103,10 @@ class Navigator:
         action = np.array([*command, float(stop)], np.float32)
         status = f"{activity}; localization: {estimate.status}"
         return Decision(action, estimate.planar.copy(), status, latency, self._task.path)
+
+    def _begin(self, goal: np.ndarray) -> None:
+        """A new task: nothing planned, and nothing felt on the way."""
+        self._task, self._clearance = _Task(np.array(goal, np.float64)), self._static
 
     def _decide(self, estimate: Localization) -> tuple[str, bool, np.ndarray | None]:
         """What to do now: the activity's name, whether to stop, and the command where it is not to follow the path."""

@@ -3,19 +3,11 @@
 The only agent that reads ``observation["pose"]``; map, planner and controller are those of ``astar``.
 """
 
-from dataclasses import dataclass, field
-
-from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.localization import TruePose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
 
-
-@dataclass(frozen=True)
-class OracleConfig:
-    """Settings of the ``oracle`` agent."""
-
-    # The pose is certain but for its rounding to float32, so it stops at the very rim.
-    navigation: NavigationConfig = field(default_factory=lambda: NavigationConfig(stop_margin=0.002))
+# The pose is certain but for its rounding to float32, so it stops at the very rim.
+CONFIG = NavigationConfig(stop_margin=0.002)
 
 
 class OracleAgent:
@@ -25,14 +17,6 @@ class OracleAgent:
     needs_pose = True
     needs_map = True
 
-    def __init__(self, config: OracleConfig | None = None) -> None:
-        config = config or OracleConfig()
-        self._navigator = Navigator(TruePose(), config.navigation)
-
-    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
-        """Open an episode; the agent draws no random numbers, so ``seed`` changes nothing."""
-        self._navigator.reset(context, observation)
-
-    def act(self, observation: Observation) -> Decision:
-        """Localise, plan, steer, or stop."""
-        return self._navigator.act(observation)
+    def __init__(self, config: NavigationConfig = CONFIG) -> None:
+        navigator = Navigator(TruePose(), config)
+        self.reset, self.act = navigator.reset, navigator.act

@@ -110,7 +110,7 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
     counter = CompileCounter()
     march = jax.jit(lambda m, T: emission.render_with(emission.march, m, T, camera))
     poses = [T for _, T in frames[-TIMED - 1 :]]
-    agree = all(bool((emission.render(m, T, camera).hit == march(m, T).hit).all()) for T in poses[:5])
+    differing = np.mean([_differing(emission.render(m, T, camera), march(m, T)) for T in poses])
     before = counter.count
     fast: list[float] = []
     slow: list[float] = []
@@ -132,9 +132,14 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
         state = tracking.first(jnp.asarray(start), frames[i][0])
         return tracking.step_map(state, jnp.asarray(controls[i + 1], jnp.float32), frames[i + 1][0], m, rig, belief)
 
-    jax.block_until_ready(step(0))
+    def step_alone(i: int) -> Any:
+        state = tracking.first(jnp.asarray(np.asarray(_planar(frames[i][1]), np.float32)), frames[i][0])
+        return tracking.step_frames(state, jnp.asarray(controls[i + 1], jnp.float32), frames[i + 1][0], rig, belief)
+
+    jax.block_until_ready((step(0), step_alone(0)))
     before = counter.count
-    rows.append(("tracker step, image included", median_ms(step, TIMED), "ms", AIMS["tracker"] + AIMS["image"]))
+    rows.append(("tracker step, image at hand", median_ms(step_alone, TIMED), "ms", AIMS["tracker"]))
+    rows.append(("tracker step, image included", median_ms(step, TIMED), "ms", None))
     recompiled += counter.count - before
     progress("bench", 4, stages)
 
@@ -170,7 +175,7 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
     return {
         "scene": scene,
         "rows": [list(row) for row in rows],
-        "search_equals_march": agree,
+        "pixels_where_search_and_march_differ": float(differing),
         "recompilations_after_the_first_step": recompiled,
         "machine": {
             "cores": os.cpu_count(),
@@ -179,6 +184,11 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
             "renderer": env.renderer_name,
         },
     }
+
+
+def _differing(a: Any, b: Any) -> float:
+    """Share of pixels whose hit differs, or whose depth does by more than a tenth of a millimetre."""
+    return float(np.mean((np.asarray(a.hit) != np.asarray(b.hit)) | (np.abs(np.asarray(a.depth - b.depth)) > 1e-4)))
 
 
 def _planar(T_world_cam: Any) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.agents.base import Agent
+from vssm_gym.agents.base import Agent, Observation
 from vssm_gym.agents.localization import Localizer
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.tasks import TaskSampler
@@ -28,7 +28,7 @@ class Drive:
     true: Float[np.ndarray, "time 3"]  # x, y, heading
     estimates: dict[str, Float[np.ndarray, "time 3"]]  # of each localizer
     lost: dict[str, Float[np.ndarray, "time"]]  # 1 where the localizer said that it lost track
-    goals: int  # reached, as the driver judged
+    goals: int  # at which the driver stopped within the success radius, by the true pose
 
     @property
     def travelled(self) -> Float[np.ndarray, "time"]:
@@ -55,7 +55,7 @@ def drive(
     """Chain random goals until ``steps`` or ``metres`` are done; the driver stopping draws the next goal.
 
     Args:
-        env: PointNav with the pose observed (riders never read it), made without a step limit.
+        env: PointNav, made without a step limit; its observed pose is shown to a driver that needs it, to no other.
         sampler: of the environment's scene.
         driver: steers; reset once, at the start.
         riders: localizers by name.
@@ -68,14 +68,16 @@ def drive(
     observation, info = env.reset(seed=seed, options={"task": sampler.draw(rng)})
     noise = (env.noise.turn, env.noise.step)
     context = agent_context(env, info, voxel_map, noise)
-    driver.reset(context, observation, seed)
-    poses = {name: [rider.reset(context, observation).planar] for name, rider in riders.items()}
+    driver.reset(context, _shown(observation, driver.needs_pose), seed)
+    blind = _shown(observation, pose=False)
+    poses = {name: [rider.reset(context, blind).planar] for name, rider in riders.items()}
     lost: dict[str, list[float]] = {name: [0.0] for name in riders}
     true, goals, way, given_up = [np.array(info["start_pose"])], 0, 0.0, 0
     while (steps is None or len(true) <= steps) and (metres is None or way < metres):
-        decision = driver.act(observation)
+        decision = driver.act(_shown(observation, driver.needs_pose))
         if decision.action[3] > 0.5:
-            goals, given_up = goals + 1, given_up + 1
+            goals += int(np.linalg.norm(true[-1][:2] - observation["goal"]) <= env.success_radius)
+            given_up += 1
             if given_up > MAX_GIVEN_UP:
                 raise RuntimeError(f"the driver gives up goal after goal: {decision.status}")
             observation = {**observation, "goal": sampler.space.sample(rng, 1, GOAL_MARGIN)[0].astype(np.float32)}
@@ -86,8 +88,9 @@ def drive(
         observation = {**observation, "goal": goal}
         true.append(np.array(env.planar))
         way += float(np.linalg.norm(true[-1][:2] - true[-2][:2]))
+        blind = _shown(observation, pose=False)
         for name, rider in riders.items():
-            belief = rider.update(decision.action[:3], observation)
+            belief = rider.update(decision.action[:3], blind)
             poses[name].append(belief.planar)
             lost[name].append(float(belief.status != "ok"))
     return Drive(
@@ -96,3 +99,8 @@ def drive(
         {name: np.array(rows) for name, rows in lost.items()},
         goals,
     )
+
+
+def _shown(observation: Observation, pose: bool) -> Observation:
+    """The observation with or without the true pose."""
+    return observation if pose else {name: value for name, value in observation.items() if name != "pose"}

@@ -23,7 +23,7 @@ def failure_reason(
     """The first of these that holds for a failed episode; what stands before the colon is the kind it is counted by.
 
     - ``lost track``: at the end the estimate is more than a body length off the truth;
-    - ``planner``: the agent gave up because its planner found no path;
+    - ``planner``: the agent gave up, or was still looking around, because its planner found no path or not in time;
     - ``collision``: stuck, within one body length and mostly in contact over the last steps;
     - ``stopped outside``: the agent stopped, knowing where it was, and the goal was not there;
     - ``time out``: none of these before the last step.
@@ -44,7 +44,7 @@ def failure_reason(
         )
         return f"lost track: {lost}, {noticed}"
     last = statuses[-1]
-    if "no path" in last:
+    if last.startswith(("gave up", "looking around")):
         return f"planner: {last}"
     tail = positions[-STUCK_STEPS:]
     spread = float(np.linalg.norm(tail - tail[-1], axis=1).max())

@@ -16,10 +16,11 @@ from box_rooms import free_space
 from planning_worlds import voxel_map
 
 from vssm_gym import emission
+from vssm_gym.agents import navigation
 from vssm_gym.agents.base import Agent, AgentContext, Decision
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.localization import DeadReckoning, MapLocalizer, TruePose
-from vssm_gym.agents.navigation import NavigationConfig, Navigator
+from vssm_gym.agents.navigation import NavigationConfig
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.random import RandomAgent, RandomConfig
 from vssm_gym.agents.registry import AGENTS
@@ -28,6 +29,7 @@ from vssm_gym.envs.geodesic import Geodesics
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
+from vssm_gym.planning.astar import plan
 from vssm_gym.voxel_map import VoxelMap
 
 FLOOR = shapely.box(0.0, 0.0, 5.0, 3.0)
@@ -87,7 +89,7 @@ class Run:
 
 
 def drive(
-    agent: Agent | Navigator,
+    agent: Agent,
     learned: VoxelMap | None,
     start: np.ndarray,
     goal: np.ndarray,
@@ -99,10 +101,7 @@ def drive(
     """Run an agent with low execution noise; a step that would end in a ``blocked`` place moves nothing."""
     rng, planar = np.random.default_rng(seed), np.asarray(start, np.float64)
     observation = observe(planar, goal, seen)
-    if isinstance(agent, Navigator):
-        agent.reset(context(learned, planar), observation)
-    else:
-        agent.reset(context(learned, planar), observation, seed)
+    agent.reset(context(learned, planar), observation, seed)
     decisions, poses = [], [planar]
     for _ in range(steps):
         decision = agent.act(observation)
@@ -208,6 +207,28 @@ def test_a_new_goal_is_a_new_task(learned):
         assert np.linalg.norm(planar[:2] - goal) <= 0.4
 
 
+@pytest.mark.parametrize("name", ["oracle", "dead_reckoning"])
+def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
+    """Planning in ``reset`` warms up only: the search that leads the robot is part of the first step's latency."""
+    searched = []
+
+    def counted(*arguments, **keywords):
+        searched.append(plan(*arguments, **keywords))
+        return searched[-1]
+
+    monkeypatch.setattr(navigation, "plan", counted)
+    agent, start = AGENTS[name](), np.array([0.6, 0.6, 0.3])
+    observation = observe(start, np.array([4.4, 0.5]), None)
+    agent.reset(context(learned, start), observation, 0)
+    counts = [len(searched)]
+    for _ in range(3):
+        decision = agent.act(observation)
+        counts.append(len(searched))
+        if len(counts) == 2:
+            assert decision.latency["planning"] >= sum(result.seconds for result in searched[counts[0] :])
+    assert counts[0] < counts[1] == counts[2] == counts[3]
+
+
 def test_an_obstacle_that_nobody_mapped(learned):
     """Held by a thing that the map does not show, the robot notices, goes round it, and still arrives."""
     start, goal, box = np.array([0.5, 0.5, 0.0]), np.array([2.0, 0.5]), shapely.box(1.1, 0.3, 1.2, 0.7).buffer(0.1)
@@ -240,7 +261,7 @@ def test_an_uncertain_agent_goes_nearer():
     learned = voxel_map(FLOOR, [])
     goal, ends = np.array([3.5, 1.5]), []
     for sigmas in (0.0, 2.5):
-        agent = Navigator(DeadReckoning(), NavigationConfig(stop_sigmas=sigmas))
+        agent = DeadReckoningAgent(NavigationConfig(stop_sigmas=sigmas))
         run = drive(agent, learned, np.array([0.5, 1.5, 0.0]), goal)
         assert run.stopped
         ends.append(np.linalg.norm(run.decisions[-1].pose[:2] - goal))

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from localisation_room import CAMERA, GRID, ROOM
 from random_maps import seeds
 
+from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD, render
 from vssm_gym.geometry import inverse, se3_adjoint, se3_exp, se3_log
 from vssm_gym.inference import alignment
 from vssm_gym.inference.alignment import AlignConfig, AlignInfo, align, make_observed, make_reference, shrink_camera
+from vssm_gym.inference.slam import SlamConfig, camera_rotation
 
 CONFIG = AlignConfig()
 FREE, NO_PRIOR, IDENTITY = jnp.eye(6), 1e-3 * jnp.eye(6), jnp.eye(4)
@@ -273,10 +275,30 @@ def test_unknown_surfaces_are_not_aligned_to() -> None:
     assert not np.asarray(reference.textured).reshape(48, 64)[:, 31:].any()
 
 
-def test_shrunk_cameras_see_the_same_view() -> None:
-    small = shrink_camera(CAMERA, 4)
-    assert (small.width, small.height) == (16, 12)
-    assert small.fx == pytest.approx(CAMERA.fx / 4)
+@pytest.mark.parametrize(("width", "height", "factor"), [(64, 48, 4), (100, 75, 2), (424, 240, 21)])
+def test_shrunk_pixels_are_kept_pixels(width: int, height: int, factor: int) -> None:
+    """Pixel i of the shrunk camera looks where pixel o + i f of the full one does, also where f does not divide."""
+    full = Camera.from_hfov(width, height, 1.2)
+    small = shrink_camera(full, factor)
+    o = factor // 2
+    kept = full.rays()[o::factor, o::factor][: small.height, : small.width]
+    np.testing.assert_allclose(np.asarray(small.rays()), np.asarray(kept), atol=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 4])
+def test_an_image_aligned_to_itself_stays(factor: int) -> None:
+    """At each level alone: shrinking must not move colour against depth."""
+    image = ROOM.image(room_pose(np.random.default_rng(4)), CAMERA)
+    config = AlignConfig(levels=(factor,), iterations=(6,))
+    T, _ = align_jit(IDENTITY, NO_PRIOR, IDENTITY, FREE, image, image, CAMERA, config)
+    np.testing.assert_allclose(np.asarray(T), np.eye(4), atol=1e-5)
+
+
+def test_the_rotation_of_an_image_to_itself_is_none() -> None:
+    image = ROOM.image(room_pose(np.random.default_rng(5)), CAMERA)
+    config = SlamConfig(rotation_sizes=(16, 32))
+    T = jax.jit(camera_rotation, static_argnums=3)(image, image, CAMERA, config)
+    np.testing.assert_allclose(np.asarray(T), np.eye(4), atol=1e-5)
 
 
 def test_aligning_compiles_once() -> None:

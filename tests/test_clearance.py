@@ -25,10 +25,15 @@ def test_distance_to_a_straight_wall(angle, offset):
     assert np.all(error <= np.hypot(depth, 0.71 * resolution)[middle] - np.abs(depth)[middle] + 1e-6)
 
 
+def of_cells(occupied: np.ndarray, resolution: float) -> np.ndarray:
+    """The clearance where surfaces run half-way between an occupied and a free centre."""
+    return ClearanceMap.from_depth(np.where(occupied, resolution, -resolution), np.zeros(2), resolution).clearance
+
+
 @given(grids())
 def test_signed_and_lipschitz(occupied):
     """Positive exactly in free cells; between neighbours it changes by no more than their distance."""
-    clearance = ClearanceMap.from_occupied(occupied, np.zeros(2), 0.1).clearance
+    clearance = of_cells(occupied, 0.1)
     assert np.array_equal(clearance > 0.0, ~occupied)
     for axis in (0, 1):
         assert np.abs(np.diff(clearance, axis=axis)).max() <= 0.1 + 1e-6
@@ -36,7 +41,7 @@ def test_signed_and_lipschitz(occupied):
 
 @given(grids(), st.integers(0, 2**32 - 1))
 def test_distance_of_cells_is_within_half_a_cell_of_brute_force(occupied, seed):
-    clearance = ClearanceMap.from_occupied(occupied, np.zeros(2), 1.0).clearance
+    clearance = of_cells(occupied, 1.0)
     free, solid = np.argwhere(~occupied), np.argwhere(occupied)
     if len(free) and len(solid):
         between_centres = np.linalg.norm(free[:, None] - solid[None], axis=-1).min(axis=1)
@@ -45,8 +50,8 @@ def test_distance_of_cells_is_within_half_a_cell_of_brute_force(occupied, seed):
 
 
 def test_no_obstacle_and_no_free_cell():
-    empty = ClearanceMap.from_occupied(np.zeros((4, 5), bool), np.zeros(2), 0.1).clearance
-    full = ClearanceMap.from_occupied(np.ones((4, 5), bool), np.zeros(2), 0.1).clearance
+    empty = of_cells(np.zeros((4, 5), bool), 0.1)
+    full = of_cells(np.ones((4, 5), bool), 0.1)
     assert np.isfinite(empty).all()
     assert (empty > 0.5).all()
     assert (full < -0.5).all()

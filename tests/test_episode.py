@@ -5,13 +5,18 @@ import json
 import gymnasium as gym
 import numpy as np
 import pytest
+import shapely
 from box_rooms import two_rooms
+from planning_worlds import voxel_map
 
 from vssm_gym.agents.base import Decision
+from vssm_gym.agents.registry import AGENTS
 from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.eval.episode import run_episode
 from vssm_gym.eval.failure import failure_reason
+from vssm_gym.planning.result import PlanStatus
 
 LIMIT = 40
 
@@ -144,6 +149,62 @@ def test_the_planner_is_blamed_only_where_the_robot_knew_where_it_was():
     assert reason(statuses=gave_up).startswith("planner: gave up: no path")
     lost = np.linspace([0.0, 0.0], [0.0, 1.0], 31)
     assert reason(statuses=gave_up, estimates=lost).startswith("lost track: 1.00 m")
+
+
+@pytest.mark.parametrize("said", ["gave up", "looking around"])
+@pytest.mark.parametrize("status", [s for s in PlanStatus if s is not PlanStatus.FOUND])
+def test_whatever_the_planner_could_not_do_is_its_failure(said, status):
+    assert reason(statuses=[f"{said}: {status.message}; localization: ok"]).startswith(f"planner: {said}")
+    driving = reason(statuses=[f"{said}: {status.message}", "driving; localization: ok"])
+    assert driving.startswith("stopped outside")
+
+
+class Scrambled(gym.Wrapper):
+    """Replaces every value of ``info`` by noise, but for the start pose and the camera that agents are told."""
+
+    def __init__(self, env, seed):
+        super().__init__(env)
+        self.noise, self.actions = np.random.default_rng(seed), []
+
+    def _scramble(self, info):
+        told = {"K", "start_pose"}
+        drawn = {key: self.noise.normal(size=np.shape(value)) for key, value in info.items() if key not in told}
+        return {key: drawn.get(key, value) for key, value in info.items()}
+
+    def reset(self, **keywords):
+        observation, info = self.env.reset(**keywords)
+        return observation, self._scramble(info)
+
+    def step(self, action):
+        self.actions.append(action)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated, truncated, self._scramble(info)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", AGENTS)
+def test_no_agent_acts_on_what_info_says(name, sampler):
+    """Two runs whose infos have nothing in common, and the same actions to the last bit."""
+    agent, learned = AGENTS[name](), voxel_map(shapely.box(0.05, 0.05, 5.95, 3.95), [])
+    camera = CameraConfig(width=64, height=48)
+    made = gym.make(
+        "vssm_gym/PointNav-v0",
+        scene=two_rooms(),
+        noise="low",
+        max_episode_steps=6,
+        camera=camera,
+        threads=1,
+        observe_pose=agent.needs_pose,
+    )
+    actions = []
+    for seed in range(2):
+        env, task = Scrambled(made, seed), sampler.task((1.0, 1.0, 0.5), (2.6, 3.0))
+        run_episode(env, sampler, agent, task, seed=5, voxel_map=learned, noise=(0.05, 0.01))
+        actions.append(np.array(env.actions))
+    made.close()
+    assert len(actions[0]) == 6
+    assert np.abs(actions[0]).max() > 0.0
+    np.testing.assert_array_equal(*actions)
 
 
 def test_a_contact_before_the_error_grew_is_named_and_a_later_one_is_not():

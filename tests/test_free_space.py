@@ -60,7 +60,7 @@ def test_samples_are_uniform() -> None:
 def test_two_rooms_by_hand() -> None:
     """West room 3 x 4 with half-walls: inner 2.9..; the doorway joins the rooms, outer walls hold the robot in."""
     space = FreeSpace.from_apartment(two_rooms(), RADIUS, 0.5)
-    assert len(space.components) == 1 and space.cut_off_rooms() == []
+    assert len(space.region.geoms) == 1 and space.cut_off_rooms() == []
     assert space.notice([]) == ""
     assert space.notice(["Rooms may be cut off."]).endswith("; checked: a robot 0.2 m across reaches every room")
     space.check_connected()
@@ -74,7 +74,7 @@ def test_two_rooms_by_hand() -> None:
 
 def test_closed_door_cuts_a_room_off() -> None:
     space = FreeSpace.from_apartment(two_rooms(openness=0.0, leaves=1), RADIUS, 0.5)
-    assert len(space.components) == 2 and len(space.cut_off_rooms()) == 1
+    assert len(space.region.geoms) == 2 and len(space.cut_off_rooms()) == 1
     assert space.notice([]).startswith(f"cut off from the rest: {space.cut_off_rooms()[0]};")
     assert space.notice(["A sofa floats."]).startswith("A sofa floats; cut off")
     with pytest.raises(InputError, match=f"two_rooms: rooms: .*cut off: {space.cut_off_rooms()[0]}"):

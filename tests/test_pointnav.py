@@ -285,6 +285,9 @@ def test_spawned_workers_run_it():
     ("keywords", "field", "expected"),
     [
         ({"noise": "loud"}, "noise", "low"),
+        ({"noise": [1, 2]}, "noise", "[1, 2]"),
+        ({"scene": None}, "scene", "None"),
+        ({"scene": 3}, "scene", "Apartment"),
         ({"sensor_noise": "kinect"}, "sensor_noise", "'none'"),
         ({"renderer": "gl"}, "renderer", "'raycast'"),
         ({"physics": "bullet"}, "physics", "'mujoco'"),
@@ -294,6 +297,8 @@ def test_spawned_workers_run_it():
         ({"camera": "160x120"}, "camera", "CameraConfig"),
         ({"render_mode": "human"}, "render_mode", "'rgb_array'"),
         ({"tasks": make_tasks(two_rooms(), ROBOT, 1, "train")}, "scene_hash", "two_rooms"),
+        ({"tasks": [1]}, "tasks", "[1]"),
+        ({"tasks": make_tasks(SCENE, ROBOT, 0, "train")}, "tasks", "holds a task"),
     ],
 )
 def test_bad_keywords_are_named(keywords, field, expected):
@@ -309,6 +314,7 @@ def test_bad_keywords_are_named(keywords, field, expected):
         (np.array([0, np.inf, 0, 0]), "finite"),
         (np.zeros(3), r"shape \(3,\)"),
         (np.zeros((1, 4)), r"shape \(1, 4\)"),
+        ([0.0, [0.0, 0.1], 0.0, 0.0], "four numbers"),
         ("forward", "four numbers"),
         (None, "four numbers"),
     ],
@@ -329,6 +335,8 @@ def test_bad_actions_are_named_and_change_nothing(action, found):
         (TASK.model_copy(update={"goal": (50.0, 3.0)}), "goal", "off the floor"),
         (TASK.model_copy(update={"start": (0.0, 1.0, 0.0)}), "start", "wall 3"),
         (TASK.model_copy(update={"scene": "elsewhere"}), "scene", "two_rooms"),
+        (TASK.model_copy(update={"start": (math.nan, 1.0, 0.0)}), "start[0]", "finite"),
+        (TASK.model_copy(update={"goal": "the kitchen"}), "goal", "kitchen"),
         ({"goal": (1.0, 1.0)}, "options['task']", "dict"),
     ],
 )
@@ -336,6 +344,14 @@ def test_tasks_that_cannot_be_done_are_named(task, field, expected):
     with pytest.raises(InputError) as error:
         make().reset(options={"task": task})
     assert error.value.field == field and expected in str(error.value)
+
+
+def test_rooms_that_nobody_can_reach_are_named():
+    with pytest.warns(UserWarning, match="two_rooms: cut off from the rest: (west|east); tasks are drawn from"):
+        make(scene=two_rooms(openness=0.0, leaves=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make()
 
 
 def test_other_misuse_is_named():

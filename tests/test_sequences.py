@@ -114,10 +114,14 @@ def test_no_folder(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["rgb", "depth"])
 def test_a_missing_image_is_named(folder: Path, kind: str) -> None:
-    """The first colour image is read for its size, the others when their turn comes."""
+    """When the index is read: before any work, with the index and the image in one sentence."""
     path = sorted((folder / kind).iterdir())[2]
     path.unlink()
-    assert_refused(path, "file", lambda: read_all(folder))
+    assert_refused(folder / "associations.txt", "images", lambda: load_sequence(folder))
+    (folder / "associations.txt").unlink()
+    assert_refused(folder / f"{kind}.txt", "images", lambda: load_sequence(folder))
+    with pytest.raises(InputError, match=path.name):
+        load_sequence(folder)
 
 
 @pytest.mark.parametrize("kind", ["rgb", "depth"])
@@ -234,6 +238,33 @@ def test_without_ground_truth_a_sequence_still_loads(folder: Path) -> None:
     assert len(sequence.frames) == FRAMES
     assert len(sequence.controls) == 0
     assert_refused(folder / "groundtruth.txt", "file", sequence.true_poses)
+
+
+def posed(folder: Path, times: list[float]) -> np.ndarray:
+    """True poses of the frames at 0, 0.2, 0.4 and 0.6 s where the ground truth moves along x at 1 m/s."""
+    (folder / "groundtruth.txt").write_text("".join(f"{t} {t} 0 0 0 0 0 1\n" for t in times))
+    return load_sequence(folder).true_poses()[:, 0, 3]
+
+
+@pytest.mark.parametrize("times", [[0.0, 0.2, 0.4, 0.6], [-0.4, 0.3, 0.7], [0.01, 0.5, 0.59]])
+def test_poses_between_near_ones_are_interpolated(folder: Path, times: list[float]) -> None:
+    np.testing.assert_allclose(posed(folder, times), np.clip([0.0, 0.2, 0.4, 0.6], times[0], times[-1]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("times", "at"),
+    [
+        ([0.05, 0.3, 0.6], "0.000000"),  # begins after the first frame
+        ([0.0, 0.3, 0.55], "0.600000"),  # ends before the last one
+        ([0.0, 0.75], "0.200000"),  # a gap
+        ([-9.0, 9.0], "0.000000"),
+        ([5.0], "0.000000"),
+    ],
+)
+def test_poses_that_nobody_measured_are_not_invented(folder: Path, times: list[float], at: str) -> None:
+    assert_refused(folder / "groundtruth.txt", "times", lambda: posed(folder, times))
+    with pytest.raises(InputError, match=f"the frame at {at} s has none"):
+        posed(folder, times)
 
 
 # --- association and lenses ------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ eight are at or below the threshold there is no surface between them. A *cube* i
 cells, named by its lowest one; it is *occupied* when any of the eight exceeds the threshold. For every cube the index
 stores the size of the largest aligned empty box (1, 2, 4 or 8 cubes wide) around it inside its 8^3 block, and for every
 block how many rings of blocks around it are empty. A projective, truncated distance is no bound on the distance to the
-surface (SPEC 3, step 5); these boxes are, so a search that skips by them finds the hit of the fixed march exactly.
+surface (SPEC 3, step 5); these boxes are, so a search that skips by them passes no hit of the fixed march.
 """
 
 import equinox as eqx

@@ -73,7 +73,7 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         for stage, value, unit, aim in result["rows"]:
             table.add_row(stage, f"{value:.1f}", unit, "" if aim is None else f"{aim:.0f}")
         console.print(table)
-        console.print(f"search finds what the fixed march finds: {result['search_equals_march']}")
+        console.print(f"pixels where search and march differ: {result['pixels_where_search_and_march_differ']:.2e}")
         console.print(f"recompilations after the first step: {result['recompilations_after_the_first_step']}")
         console.print(f"machine: {result['machine']}")
         return

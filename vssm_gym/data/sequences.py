@@ -18,7 +18,8 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
-ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame
+ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame, or between a frame and its pose
+LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's gaps reach 0.2 s
 
 # Published intrinsics of the TUM RGB-D cameras at 640x480: fx fy cx cy, k1 k2 p1 p2 k3; by a word of the folder's name.
 TUM_CAMERAS = {
@@ -59,10 +60,19 @@ class Sequence:
         """Ground-truth T_world_cam (frames, 4, 4), interpolated at the frame times.
 
         Raises:
-            InputError: the sequence has no ground truth.
+            InputError: the sequence has no ground truth, or none near enough to one of the frames.
         """
+        path = self.root / "groundtruth.txt"
         if self.truth is None:
-            raise InputError(self.root / "groundtruth.txt", "file", "ground-truth poses, which this command needs")
+            raise InputError(path, "file", "ground-truth poses, which this command needs")
+        known = np.concatenate([[-np.inf], self.truth[0], [np.inf]])
+        after = np.searchsorted(known, self.times)
+        before = self.times - known[after - 1]
+        after = known[after] - self.times
+        bad = (np.maximum(before, after) > LARGEST_GAP) & (np.minimum(before, after) > ASSOCIATION_TOLERANCE)
+        if bad.any():
+            expected = f"a pose at every frame, or within {LARGEST_GAP} s before and after it"
+            raise InputError(path, "times", f"{expected}; the frame at {self.times[bad][0]:.6f} s has none")
         return interpolate(*self.truth, self.times)
 
 
@@ -152,7 +162,7 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
         intrinsics: ``fx fy cx cy [k1 k2 p1 p2 k3]`` of the recorded images, in place of the folder's ``camera.json``.
 
     Raises:
-        InputError: a file is missing or malformed.
+        InputError: an index file is missing or malformed, or lists an image that does not exist.
     """
     root = Path(root)
     if not root.is_dir():
@@ -194,8 +204,9 @@ def _frames(root: Path) -> tuple[Frame, ...]:
     pairs = root / "associations.txt"
     if pairs.is_file():
         frames = [Frame(time, root / words[1], root / words[3]) for time, words in _rows(pairs, 4)]
-        return tuple(sorted(frames, key=lambda frame: frame.time))
-    colour, depth = _rows(root / "rgb.txt", 2), _rows(root / "depth.txt", 2)
+        return _existing(frames, pairs, pairs)
+    rgb_index, depth_index = root / "rgb.txt", root / "depth.txt"
+    colour, depth = _rows(rgb_index, 2), _rows(depth_index, 2)
     depth_times = np.array([time for time, _ in depth])
     frames = []
     for time, words in colour:
@@ -204,6 +215,15 @@ def _frames(root: Path) -> tuple[Frame, ...]:
             frames.append(Frame(time, root / words[1], root / depth[nearest][1][1]))
     if not frames:
         raise InputError(root, "rgb.txt, depth.txt", f"images within {ASSOCIATION_TOLERANCE} s of each other")
+    return _existing(frames, rgb_index, depth_index)
+
+
+def _existing(frames: list[Frame], rgb_index: Path, depth_index: Path) -> tuple[Frame, ...]:
+    """The frames by time, all their images there: a hole is better found now than after an hour of mapping."""
+    for frame in frames:
+        for image, index in ((frame.rgb, rgb_index), (frame.depth, depth_index)):
+            if not image.is_file():
+                raise InputError(index, "images", f"existing files only; {image} is missing")
     return tuple(sorted(frames, key=lambda frame: frame.time))
 
 

@@ -21,7 +21,6 @@ from vssm_gym.envs.scene import Apartment, SolidBox
 from vssm_gym.errors import InputError
 
 STEP_HEIGHT = 0.01  # m; what is lower (rugs, thresholds) does not stop the robot
-COMPONENT_AREA = 0.3  # m^2; smaller pockets (behind a sofa) are no places to go to
 ROOM_AREA = 0.1  # m^2; a room with less of itself within reach is cut off
 _QUADRANT = 9  # chords a quarter circle of grown corners
 _SIMPLIFY = 1e-5  # m; removes the near-collinear vertices that unions leave behind
@@ -80,11 +79,6 @@ class FreeSpace:
     def widened(self, margin: float) -> "FreeSpace":
         """The free space of a disc ``margin`` m larger: the positions that keep this distance from everything."""
         return FreeSpace(self.source, self._floor, self._obstacles, self.radius + margin, self.rooms)
-
-    @property
-    def components(self) -> list[Polygon]:
-        """Connected parts larger than COMPONENT_AREA (and the largest one in any case), by falling area."""
-        return [self.largest, *(part for part in list(self.region.geoms)[1:] if part.area > COMPONENT_AREA)]
 
     def contains(self, xy: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
         """Whether positions are free: in ``region``, its border included."""

@@ -5,6 +5,7 @@ every command by seeded noise, collides with walls and furniture, and says itsel
 observation, action, reward and termination are in ``docs/envs/pointnav.md``.
 """
 
+import warnings
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -79,13 +80,14 @@ class PointNavEnv(gym.Env[dict[str, Any], np.ndarray]):
         self.robot = HolonomicRobot()
         self.success_radius = SUCCESS * self.robot.body_length
         self._sampler = TaskSampler(self.apartment, self.robot)
+        if names := self._sampler.space.cut_off_rooms():
+            kept = "tasks are drawn from the largest connected part"
+            warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
         self.world = World(self.apartment, self.robot)
         self._eye = raycast_camera(self.world, config, threads)
         self.camera = self._eye.camera
         self.renderer_name = self._eye.tracer.name
-        self.tasks = tasks
-        if tasks is not None and tasks.scene_hash != self.apartment.content_hash():
-            raise InputError("tasks", "scene_hash", f"tasks of this version of {self.apartment.name!r}")
+        self.tasks = None if tasks is None else self._checked_set(tasks)
         self._goal_distance = GoalDistance(self._sampler.space) if reward == "dense" else None
         self._K = self.camera.K
 
@@ -190,6 +192,13 @@ class PointNavEnv(gym.Env[dict[str, Any], np.ndarray]):
             return self._sampler.draw(self._streams["task"])
         return self.tasks.tasks[self._streams["task"].integers(len(self.tasks.tasks))]
 
+    def _checked_set(self, tasks: Any) -> TaskSet:
+        if not isinstance(tasks, TaskSet) or not tasks.tasks:
+            raise InputError("PointNav", "tasks", f"a TaskSet that holds a task; found {tasks!r:.80}")
+        if tasks.scene_hash != self.apartment.content_hash():
+            raise InputError("tasks", "scene_hash", f"tasks of this version of {self.apartment.name!r}")
+        return tasks
+
     def _checked(self, task: Any) -> Task:
         if not isinstance(task, Task):
             raise InputError("reset", "options['task']", f"a Task; found {type(task).__name__}")
@@ -197,7 +206,10 @@ class PointNavEnv(gym.Env[dict[str, Any], np.ndarray]):
         return task
 
     def _command(self, action: np.ndarray) -> tuple[np.ndarray, bool]:
-        values = np.asarray(action)
+        try:
+            values = np.asarray(action)
+        except ValueError:  # a ragged list
+            raise InputError("step", "action", f"four numbers (turn, o, s, stop); found {action!r:.80}") from None
         if values.shape != (4,) or values.dtype.kind not in "fiu":
             found = f"found shape {values.shape}, type {values.dtype}"
             raise InputError("step", "action", f"four numbers (turn, o, s, stop); {found}")

@@ -76,7 +76,7 @@ def execution_noise(level: str | ExecutionNoise) -> ExecutionNoise:
     """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
     if isinstance(level, ExecutionNoise):
         return level
-    if level not in NOISE_LEVELS:
+    if not isinstance(level, str) or level not in NOISE_LEVELS:
         raise InputError(
             "environment", "noise", f"one of {', '.join(NOISE_LEVELS)} or an ExecutionNoise, not {level!r}"
         )

@@ -53,6 +53,8 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
     """
     if isinstance(spec, Apartment):
         return spec
+    if not isinstance(spec, str | Path):
+        raise InputError(f"{spec!r:.80}", "scene", "a built-in name, the path of a JSON file or an Apartment")
     path = Path(spec)
     if str(spec) in built_in_scenes():
         path = ASSETS / f"{spec}.json"

@@ -191,6 +191,7 @@ class TaskSampler:
     def validate(self, task: Task) -> None:
         """Raise :class:`InputError` unless it is this scene's: start and goal free and connected, its geodesic."""
         source = f"task {task.id} of {task.scene}"
+        validated(Task, dict(task), source)  # again, since pydantic's model_copy(update=...) checks nothing
         if task.scene != self._scene:
             raise InputError(source, "scene", f"{self._scene!r}")
         length = self._length(task)

@@ -87,23 +87,28 @@ def shrink_image(image: Array, factor: int) -> Array:
 
 
 def shrink_camera(camera: Camera, factor: int) -> Camera:
-    """The camera of the shrunk *image*."""
-    return camera.resized(camera.width // factor, camera.height // factor)
+    """The camera whose pixels are the kept depth readings.
 
-
-def _points(depth: Array, camera: Camera, factor: int) -> Array:
-    """Points of a shrunk depth image: its pixels are centred where the kept readings were, not where blocks are."""
-    full = camera.rays()
+    A block's mean luminance belongs to the block's centre, up to a quarter of a shrunk pixel beside its kept reading; but
+    it does so in both images alike, and an image aligned to itself stays where it is.
+    """
+    if factor == 1:
+        return camera
     o = factor // 2
-    h, w = depth.shape
-    rays = full[o : o + h * factor : factor, o : o + w * factor : factor] if factor > 1 else full
-    return rays * depth[..., None]
+    return Camera(
+        camera.width // factor,
+        camera.height // factor,
+        camera.fx / factor,
+        camera.fy / factor,
+        (camera.cx - o) / factor,
+        (camera.cy - o) / factor,
+    )
 
 
 def make_reference(image: RGBD, camera: Camera, config: AlignConfig, factor: int = 1) -> Reference:
     """Planes and image derivatives of an RGB-D image, shrunk by ``factor``."""
     depth = shrink_depth(jnp.where(image.known, image.depth, 0.0), factor)
-    p = _points(depth, camera, factor)
+    p = shrink_camera(camera, factor).backproject(depth)
 
     def sides(a, axis):
         return jnp.roll(a, -1, axis), jnp.roll(a, 1, axis)
@@ -136,7 +141,7 @@ def make_reference(image: RGBD, camera: Camera, config: AlignConfig, factor: int
 def make_observed(image: RGBD, camera: Camera, factor: int = 1) -> Observed:
     """Points and luminance of an observed image, shrunk by ``factor``."""
     depth = shrink_depth(jnp.where(image.hit, image.depth, 0.0), factor)
-    p = _points(depth, camera, factor)
+    p = shrink_camera(camera, factor).backproject(depth)
     grey = shrink_image(luminance(image.rgb), factor)
     return Observed(jnp.moveaxis(p, -1, 0).reshape(3, -1), grey.reshape(-1), (depth > 0.0).reshape(-1))
 

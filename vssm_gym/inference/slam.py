@@ -35,7 +35,7 @@ class SlamConfig:
     rotation_sizes: tuple[int, ...] = (20, 40, 80)  # image widths of the rotation search
     rotation_iterations: int = 8  # per size
     min_score: float = 0.6  # inlier share times min(1, coverage / 0.4)
-    max_photometric: float = 3.5  # mean |r_rgb| / sigma
+    max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
 
 
 class SlamState(eqx.Module):
@@ -96,7 +96,24 @@ def init(m: VoxelMap, image: RGBD, camera: Camera, config: SlamConfig) -> SlamSt
     return SlamState(m, identity, image)
 
 
-@partial(jax.jit, static_argnums=3, donate_argnums=0)
+@partial(jax.jit, static_argnums=5)
+def _localise(
+    T_world_last: Array, last: RGBD, rendered: RGBD, image: RGBD, camera: Camera, config: SlamConfig
+) -> tuple[Array, RGBD, Array, SlamInfo]:
+    """The frame's pose: what the next frame starts from (pose, image), the depth to add to the map, and how it went."""
+    turned = camera_rotation(image, last, camera, config)
+    precision = jnp.diag(jnp.asarray(config.pose_std) ** -2)
+    reference = filled(rendered, last)
+    T, agreement = align(turned, precision, turned, jnp.eye(6), reference, image, camera, config.align)
+    score = agreement.inlier_share * jnp.minimum(1.0, agreement.coverage / 0.4)
+    fits = (score >= config.min_score) & (agreement.photometric <= config.max_photometric)
+    T_world_cam = T_world_last @ jnp.where(fits, T, turned)
+    # An image without depth updates no cell: a frame that does not fit leaves the map as it was.
+    depth = jnp.where(fits, image.depth, 0.0)
+    kept = jax.tree.map(lambda new, old: jnp.where(fits, new, old), (T_world_cam, image), (T_world_last, last))
+    return *kept, depth, SlamInfo(jnp.where(fits, OK, LOST), T_world_cam, agreement)
+
+
 def step(state: SlamState, image: RGBD, camera: Camera, config: SlamConfig) -> tuple[SlamState, SlamInfo]:
     """Localise one frame against the map and add it. The state passed in is consumed (the map is updated in place).
 
@@ -109,18 +126,8 @@ def step(state: SlamState, image: RGBD, camera: Camera, config: SlamConfig) -> t
     Returns:
         The next state and how the frame went.
     """
-    turned = camera_rotation(image, state.image, camera, config)
+    # Three compiled calls, for the reason given in `tracking.step_map`.
     rendered = emission.render(state.map, state.T_world_cam, camera, config.update.max_depth)
-    reference = filled(rendered, state.image)
-    precision = jnp.diag(jnp.asarray(config.pose_std) ** -2)
-    T, agreement = align(turned, precision, turned, jnp.eye(6), reference, image, camera, config.align)
-    score = agreement.inlier_share * jnp.minimum(1.0, agreement.coverage / 0.4)
-    fits = (score >= config.min_score) & (agreement.photometric <= config.max_photometric)
-    T_world_cam = state.T_world_cam @ jnp.where(fits, T, turned)
-    # An image without depth updates no cell: a frame that does not fit leaves the map as it was.
-    depth = jnp.where(fits, image.depth, 0.0)
-    m = map_update.update(state.map, depth, image.rgb, T_world_cam, camera, config.update)
-    kept = jax.tree.map(
-        lambda new, old: jnp.where(fits, new, old), (T_world_cam, image), (state.T_world_cam, state.image)
-    )
-    return SlamState(m, *kept), SlamInfo(jnp.where(fits, OK, LOST), T_world_cam, agreement)
+    T_world_cam, kept, depth, info = _localise(state.T_world_cam, state.image, rendered, image, camera, config)
+    m = map_update.update(state.map, depth, image.rgb, info.T_world_cam, camera, config.update)
+    return SlamState(m, T_world_cam, kept), info

@@ -63,11 +63,6 @@ class ClearanceMap:
         return cls(np.ascontiguousarray(clearance), np.asarray(origin, dtype=np.float64), float(resolution))
 
     @classmethod
-    def from_occupied(cls, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> "ClearanceMap":
-        """From a boolean ``(nx, ny)`` grid: the surface runs half-way between an occupied and a free centre."""
-        return cls.from_depth(np.where(occupied, resolution, -resolution), origin, resolution)
-
-    @classmethod
     def from_voxel_map(
         cls, voxel_map: VoxelMap, z_min: float = 0.08, z_max: float = 0.5, resolution: float = 0.025
     ) -> "ClearanceMap":
