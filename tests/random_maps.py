@@ -1,4 +1,4 @@
-"""Random voxel maps of every kind that a search or an index must cope with, all of one size: each test compiles once."""
+"""Random voxel maps of every kind that a search or an index must cope with, all of one size: one compilation a test."""
 
 import jax.numpy as jnp
 import numpy as np

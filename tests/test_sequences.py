@@ -246,7 +246,7 @@ def posed(folder: Path, times: list[float]) -> np.ndarray:
     return load_sequence(folder).true_poses()[:, 0, 3]
 
 
-@pytest.mark.parametrize("times", [[0.0, 0.2, 0.4, 0.6], [-0.4, 0.3, 0.7], [0.01, 0.5, 0.59]])
+@pytest.mark.parametrize("times", [[0.0, 0.2, 0.4, 0.6], [-0.2, 0.3, 0.7], [0.01, 0.5, 0.59]])
 def test_poses_between_near_ones_are_interpolated(folder: Path, times: list[float]) -> None:
     np.testing.assert_allclose(posed(folder, times), np.clip([0.0, 0.2, 0.4, 0.6], times[0], times[-1]), atol=1e-9)
 

@@ -152,8 +152,8 @@ def _look(m: VoxelMap, rays: _Rays) -> _Rays:
 def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
     """First sample above the threshold, as :func:`march` finds it, skipping certified empty boxes.
 
-    The two form positions in other units, so where the field touches the threshold to the last bits (one ray in 10^5 of a
-    learned map) they may differ by one sample; the depth then differs by less than a thousandth of it.
+    The two form positions in other units, so where a sample meets the threshold to the last bits (one ray in 10^5 of a
+    learned map) they may differ by one sample; the crossing between samples, hence the depth, is continuous there.
 
     Rays move in lock step, so a few that graze a surface would hold up all others: whenever few are left they are
     gathered into a narrower batch.

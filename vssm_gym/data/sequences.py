@@ -66,9 +66,8 @@ class Sequence:
         if self.truth is None:
             raise InputError(path, "file", "ground-truth poses, which this command needs")
         known = np.concatenate([[-np.inf], self.truth[0], [np.inf]])
-        after = np.searchsorted(known, self.times)
-        before = self.times - known[after - 1]
-        after = known[after] - self.times
+        following = np.searchsorted(known, self.times)
+        before, after = self.times - known[following - 1], known[following] - self.times
         bad = (np.maximum(before, after) > LARGEST_GAP) & (np.minimum(before, after) > ASSOCIATION_TOLERANCE)
         if bad.any():
             expected = f"a pose at every frame, or within {LARGEST_GAP} s before and after it"

@@ -89,8 +89,8 @@ def shrink_image(image: Array, factor: int) -> Array:
 def shrink_camera(camera: Camera, factor: int) -> Camera:
     """The camera whose pixels are the kept depth readings.
 
-    A block's mean luminance belongs to the block's centre, up to a quarter of a shrunk pixel beside its kept reading; but
-    it does so in both images alike, and an image aligned to itself stays where it is.
+    A block's mean luminance belongs to the block's centre, up to a quarter of a shrunk pixel beside its kept reading;
+    but it does so in both images alike, and an image aligned to itself stays where it is.
     """
     if factor == 1:
         return camera
