@@ -17,6 +17,7 @@ from vssm_gym.errors import InputError
 T = TypeVar("T")
 ROBOTS = ("holonomic",)
 RENDERERS = ("raycast",)
+SENSOR_NOISE = ("none",)
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
 
 
@@ -190,6 +191,7 @@ def check_names(config: SweepConfig, source: object) -> None:
         ("agents", config.agents, sorted(AGENTS)),
         ("robot", config.robot, ROBOTS),
         ("noise", config.noise, list(NOISE_LEVELS)),
+        ("sensor_noise", config.sensor_noise, SENSOR_NOISE),
         ("renderer", config.renderer, RENDERERS),
     ]
     for field, chosen, available in known:

@@ -1,5 +1,6 @@
 """Maps that agents are given: closed-form updates over a recording at its known poses (SPEC 4, off-line map)."""
 
+import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,12 @@ import numpy as np
 from vssm_gym.camera import Camera
 from vssm_gym.data.recording import read_provenance, record
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
+from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.sensors import CameraConfig, raycast_camera
 from vssm_gym.errors import InputError
+from vssm_gym.eval.version import package_version
 from vssm_gym.inference.map_update import MapUpdateConfig, update
 from vssm_gym.voxel_map import VoxelMap, read_metadata
 
@@ -20,6 +25,7 @@ Progress = Callable[[str, int, int], None]  # what is done, how much of it, of h
 MARGIN = 0.25  # m around the farthest points seen: the truncation band and the next frames' noise
 LOOKED_AT = 200  # frames that the bounds are taken from
 MAX_CELLS = 40_000_000  # 25 bytes each
+NOISE = "low"  # of the drive that a map is learned from
 
 
 def build_map(sequence: Sequence, voxel: float, progress: Progress | None = None) -> VoxelMap:
@@ -82,7 +88,8 @@ def _rays(camera: Camera) -> np.ndarray:
 def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: Progress | None = None) -> Path:
     """The learned map of a scene under ``folder``: ``maps/NAME.npz``, from the drive in ``recordings/NAME``.
 
-    Both are kept; what is there already is used again if it is of the same scene, cell size and seed, else made anew.
+    Both are kept; what is there already is used again if scene, seed, noise and tracer of the drive and the cell size
+    are the same, else made anew. Nothing that this package did not make is replaced.
 
     Args:
         scene: built-in name or path of a scene file.
@@ -90,22 +97,44 @@ def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: P
         voxel: cell size, m.
         seed: of the recorded drive.
         progress: told after every frame recorded and every frame mapped.
+
+    Raises:
+        InputError: a scene that cannot be used, or something of another origin where map or recording belong.
     """
     apartment = load_scene(scene)
     name = Path(scene).stem
-    origin: dict[str, str | int] = {"scene_hash": apartment.content_hash(), "seed": seed}
+    tracer = raycast_camera(World(apartment, HolonomicRobot()), CameraConfig()).tracer.name
+    origin: dict[str, str | int] = {
+        "scene_hash": apartment.content_hash(),
+        "seed": seed,
+        "noise": NOISE,
+        "renderer": tracer,
+    }
     map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
-    if map_file.is_file() and _agrees(read_metadata(map_file), origin | {"voxel": voxel}):
-        return map_file
-    if recording.exists() and not _agrees(read_provenance(recording), origin):
-        shutil.rmtree(recording)
+    if map_file.exists():
+        found = read_metadata(map_file)
+        if "scene_hash" not in found:
+            raise InputError(map_file, "file", "a map that a sweep or bench made, or none")
+        if _agrees(found, origin | {"voxel": voxel}):
+            return map_file
+    if recording.exists():
+        found = read_provenance(recording)
+        if "scene_hash" not in found:
+            raise InputError(recording, "folder", "a recording made by vssm-gym, or none")
+        if not _agrees(found, origin):
+            shutil.rmtree(recording)
     if not recording.exists():
         recording.parent.mkdir(parents=True, exist_ok=True)
-        record(scene, recording, seed=seed, progress=progress)
+        record(scene, recording, noise=NOISE, seed=seed, progress=progress)
     voxel_map = build_map(load_sequence(recording), voxel, progress)
     map_file.parent.mkdir(parents=True, exist_ok=True)
-    voxel_map.save(map_file, **origin, voxel=voxel)
+    voxel_map.save(map_file, **origin, voxel=voxel, package_version=package_version())
     return map_file
+
+
+def map_hash(map_file: Path) -> str:
+    """16 hex digits of a map file's SHA-256; results name the map by it."""
+    return hashlib.sha256(map_file.read_bytes()).hexdigest()[:16]
 
 
 def _agrees(found: dict, wanted: dict) -> bool:

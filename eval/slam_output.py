@@ -16,9 +16,10 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.data.trajectories import tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
+from vssm_gym.eval.destinations import check_folder
 from vssm_gym.eval.slam_report import page
 from vssm_gym.eval.slam_run import Progress, SlamOptions, SlamRun, TrackedFrame, run_slam
-from vssm_gym.eval.sweep import package_version
+from vssm_gym.eval.version import package_version
 from vssm_gym.viz.mesh import surface_mesh, write_ply
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
@@ -135,6 +136,7 @@ def check_free(out: Path) -> None:
         InputError: it holds a finished run, or something else.
     """
     if not out.exists():
+        check_folder(out)
         return
     if not out.is_dir() or not {path.name for path in out.iterdir()} <= OURS:
         raise InputError(out, "folder", "a new or empty folder, or that of a run which did not end")

@@ -7,14 +7,12 @@ The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, 
 import hashlib
 import json
 import multiprocessing
-import subprocess
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
-import vssm_gym
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
@@ -22,8 +20,10 @@ from vssm_gym.envs.tasks import load, save, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval import worker
 from vssm_gym.eval.config import Episode, SweepConfig, expand, scene_name
-from vssm_gym.eval.maps import Progress, ensure_map
+from vssm_gym.eval.destinations import check_at_least, check_folder
+from vssm_gym.eval.maps import Progress, ensure_map, map_hash
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
+from vssm_gym.eval.version import package_version
 from vssm_gym.files import atomic_write
 
 MANIFEST = "sweep.json"
@@ -54,8 +54,7 @@ def run_sweep(
     Raises:
         InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
     """
-    if workers < 1:
-        raise InputError("sweep", "workers", f"at least 1, found {workers}")
+    check_arguments(out, workers, seed)
     apartments = {scene: load_scene(scene) for scene in config.scenes}
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
@@ -73,15 +72,18 @@ def run_sweep(
     return out / FILE
 
 
-def package_version() -> str:
-    """The package's version; in a checkout with its commit, and ``-dirty`` where files differ from it."""
-    checkout = Path(__file__).resolve().parents[1]
-    if (checkout / ".git").exists():
-        command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
-        described = subprocess.run(command, capture_output=True, text=True, check=False)
-        if described.returncode == 0:
-            return f"{vssm_gym.__version__}+{described.stdout.strip()}"
-    return vssm_gym.__version__
+def check_arguments(out: Path, workers: int, seed: int) -> None:
+    """Raise :class:`InputError` for what no sweep can run with; nothing is written.
+
+    ``out`` may be new, empty, or a sweep's: that has a manifest, or no more than the log that is opened just before it.
+    """
+    check_at_least("sweep", "workers", workers, 1)
+    check_at_least("sweep", "seed", seed, 0)
+    check_folder(out)
+    if out.is_dir() and not (out / MANIFEST).is_file():
+        first = (FILE, f".{MANIFEST}.")  # the log, and a manifest that was being written
+        if not all(path.name.startswith(first) for path in out.iterdir()):
+            raise InputError(out, "folder", f"a new or empty folder, or that of a sweep, which has a {MANIFEST}")
 
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
@@ -138,9 +140,10 @@ def _jobs(
     task_file, map_file = _task_file(scene, out, max(config.tasks) + 1), None
     if any(AGENTS[episode.agent].needs_map for episode in episodes):
         map_file = ensure_map(scene, out, voxel=config.voxel, seed=manifest["seed"], progress=progress)
-    maps = {agent: map_file if AGENTS[agent].needs_map else None for agent in config.agents}
+    with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
+    maps = {agent: with_map if AGENTS[agent].needs_map else without for agent in config.agents}
     signature = manifest["config_hash"], package_version()
-    return [worker.Job(episode, maps[episode.agent], task_file, *signature) for episode in episodes]
+    return [worker.Job(episode, *maps[episode.agent], task_file, *signature) for episode in episodes]
 
 
 def _task_file(scene: str, out: Path, n: int) -> Path:

@@ -48,6 +48,7 @@ class Job:
 
     episode: Episode
     map_file: Path | None  # None for an agent that needs no map
+    map_hash: str | None
     task_file: Path
     config_hash: str
     version: str
@@ -106,7 +107,7 @@ def run(job: Job) -> dict[str, Any]:
         voxel_map=_map(job.map_file) if job.map_file else None,
         noise=(noise.turn, noise.step),
     )
-    signature = {"version": job.version, "config_hash": job.config_hash}
+    signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}
     if episode.agent not in _compiled:
         _compiled.add(episode.agent)
         release_memory()

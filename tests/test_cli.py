@@ -1,8 +1,10 @@
 """The command line: quick help, one clear line for bad input, and the commands that are small enough to run here."""
 
 import json
+import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,6 +152,51 @@ def test_record_and_sweep_warn_of_what_a_scene_lacks(vssm, tmp_path):
         warning, *_, error = err.splitlines()
         assert warning.startswith("warning: shut: Rooms are not navigable; cut off from the rest: ")
         assert (code, out, error.split(":")[0]) == (main_module.BAD_INPUT, "", "error")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("record --scene oak --out {0}/file/r1", "r1: folder: expected a folder or the name of a new one"),
+        ("record --scene oak --out {0}/new --seed -1", "record: seed: expected at least 0, found -1"),
+        ("map build {0} --out {0}", "file: expected the name of a file to write; it is a folder"),
+        ("map build {0} --out {0}/new/map.npz", "folder: expected a folder that exists"),
+        ("evaluate-trajectory {0}/file {0}/file --json {0}/new/x.json", "folder: expected a folder that exists"),
+        ("bench speed --out {0}/new --seed -1", "bench: seed: expected at least 0, found -1"),
+        ("bench tracker --out {0}/new --workers 0", "bench: workers: expected at least 1, found 0"),
+        ("bench drift --out {0}/new --trials 0", "bench: trials: expected at least 1, found 0"),
+        ("bench --out {0}/file", "file: folder: expected a folder or the name of a new one"),
+        ("slam {0} --out {0}/file/x", "x: folder: expected a folder or the name of a new one"),
+        ("demo --out {0}/demo --workers 0", "sweep: workers: expected at least 1, found 0"),
+    ],
+)
+def test_what_no_work_can_end_with_is_refused_before_it_starts(vssm, tmp_path, arguments, message):
+    """Nothing is written, and an earlier demo not cleared away."""
+    (tmp_path / "file").write_text("years of work")
+    (tmp_path / "demo").mkdir()
+    for name in ("sweep.json", "episodes.jsonl"):
+        (tmp_path / "demo" / name).write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = vssm(*(word.format(tmp_path) for word in arguments.split()))
+    assert (code, out) == (main_module.BAD_INPUT, "")
+    assert err.startswith("error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_bad_input_survives_a_process_boundary():
+    error = InputError(Path("walk.txt"), "line 3", "eight numbers")
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is InputError
+    assert str(again) == str(error) == "walk.txt: line 3: expected eight numbers"
+    assert (again.source, again.field, again.expected) == (error.source, error.field, error.expected)
+
+
+def test_slam_loads_no_simulator():
+    code = "import sys, vssm_gym.eval.slam_output; print(sorted({'mujoco', 'embreex'} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_version(vssm):

@@ -156,15 +156,49 @@ def test_the_order_of_images_does_not_matter(seed: int) -> None:
             np.testing.assert_allclose(np.asarray(x), np.asarray(y), atol=1e-6)
 
 
+def assert_no_touched_block_is_missed(depth: np.ndarray, T_world_cam: np.ndarray) -> bool:
+    """Every block that holds a cell which the oracle updates is listed. Returns whether there was one."""
+    m = empty_map()
+    weight, _, _, _, clear = observation_oracle(depth, np.zeros((15, 20, 3)), T_world_cam, m)
+    touched = np.asarray(m.blocked(jnp.asarray((weight * clear).reshape(m.shape)))).any(axis=1)
+    listed = np.asarray(view(f32(depth), f32(np.linalg.inv(T_world_cam))))
+    assert not (touched & ~listed).any()
+    return bool(touched.any())
+
+
 @given(seeds)
 def test_no_block_in_view_is_missed(seed: int) -> None:
-    """Every block that holds a cell which the oracle updates is listed, and most of the others are not."""
-    depth, rgb, T = random_image(seed)
-    m = empty_map()
-    weight = observation_oracle(depth, rgb, T, m)[0].reshape(m.shape)
-    touched = np.asarray(m.blocked(jnp.asarray(weight))).any(axis=1)
-    listed = np.asarray(view(f32(depth), f32(np.linalg.inv(T))))
-    assert not (touched & ~listed).any()
+    depth, _, T = random_image(seed)
+    assert_no_touched_block_is_missed(depth, T)
+
+
+@given(seeds)
+def test_no_block_behind_a_single_pixel_is_missed(seed: int) -> None:
+    """All but one reading are holes: a block is found even where one corner of it alone reaches that pixel."""
+    rng, found = np.random.default_rng(seed), 0
+    for _ in range(8):
+        _, _, T = random_image(int(rng.integers(2**32)))
+        depth = np.zeros((15, 20), np.float32)
+        depth[rng.integers(15), rng.integers(20)] = rng.uniform(0.1, 3.0)
+        found += assert_no_touched_block_is_missed(depth, T)
+    assert found > 0
+
+
+@given(seeds)
+def test_no_block_in_the_band_behind_a_wall_is_missed(seed: int) -> None:
+    """The camera looks at a block along its diagonal, and the wall stands just before the block's nearest cell."""
+    rng, m, found = np.random.default_rng(seed), empty_map(), 0
+    for _ in range(4):
+        block = rng.integers(0, m.blocks)
+        corner = rng.integers(0, 2, 3)
+        cell = np.array(ORIGIN) + VOXEL * (8 * block + 7 * corner)
+        outward = (2.0 * corner - 1.0) / np.sqrt(3.0)
+        yaw, pitch = np.arctan2(-outward[1], -outward[0]), np.arcsin(outward[2])
+        distance = rng.uniform(0.5, 3.0)
+        T = camera_pose(tuple(cell + distance * outward), yaw, pitch, rng.uniform(-3.0, 3.0))
+        depth = np.full((15, 20), distance - rng.uniform(0.0, TRUNCATION), np.float32)
+        found += assert_no_touched_block_is_missed(depth, T)
+    assert found > 0
 
 
 view = jax.jit(lambda depth, T_cam_world: blocks_in_view(empty_map(), depth, T_cam_world, CAMERA, CONFIG))

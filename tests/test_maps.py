@@ -13,7 +13,10 @@ from vssm_gym.data.recording import PROVENANCE, read_provenance, record
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scene import save_scene
 from vssm_gym.errors import InputError
-from vssm_gym.eval.maps import build_map
+from vssm_gym.eval import maps
+from vssm_gym.eval.maps import build_map, ensure_map, map_hash
+from vssm_gym.eval.version import package_version
+from vssm_gym.voxel_map import VoxelMap, read_metadata
 
 TABLE = furniture("table", (1.5, 2.0, 0.25), (0.6, 0.6, 0.5))
 
@@ -131,6 +134,58 @@ def test_the_map_has_its_surfaces_where_the_walls_are(recording):
     assert np.all(inside_door[:, 0] < 0.0)
 
 
+@pytest.fixture
+def drives(recording, monkeypatch):
+    """Makes :func:`ensure_map` quick: recordings are a note of what they are of, maps one empty block."""
+    made = []
+
+    def record_note(scene, out, *, noise, seed, progress):
+        out.mkdir()
+        (out / PROVENANCE).write_text(json.dumps(read_provenance(recording[0]) | {"noise": noise, "seed": seed}))
+        made.append(out)
+
+    monkeypatch.setattr(maps, "record", record_note)
+    monkeypatch.setattr(maps, "load_sequence", lambda folder: folder)
+    monkeypatch.setattr(maps, "build_map", lambda *_: VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)))
+    return made
+
+
+def test_a_map_is_made_anew_where_anything_that_decides_it_differs(recording, drives, tmp_path):
+    scene = str(recording[0].parent / "rooms.json")
+    path = ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+    known = read_metadata(path)
+    assert known["package_version"] == package_version()
+    first = map_hash(path)
+    for field, value in (("renderer", "raycast-other"), ("noise", "high"), ("seed", 5), ("scene_hash", "other")):
+        note = tmp_path / "recordings" / "rooms" / PROVENANCE
+        note.write_text(json.dumps(json.loads(note.read_text()) | {field: value}))
+        metadata = {key: known[key] for key in ("scene_hash", "seed", "noise", "renderer", "voxel", "package_version")}
+        VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)).save(path, **metadata | {field: value})
+        assert map_hash(path) != first
+        before = len(drives)
+        assert map_hash(ensure_map(scene, tmp_path, voxel=0.1, seed=0)) == first
+        assert len(drives) == before + 1
+    ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+    assert len(drives) == 5
+
+
+def test_what_is_not_ours_is_neither_removed_nor_replaced(recording, drives, tmp_path):
+    scene = str(recording[0].parent / "rooms.json")
+    photos = tmp_path / "recordings" / "rooms"
+    photos.mkdir(parents=True)
+    (photos / "photo.jpg").write_text("holiday")
+    with pytest.raises(InputError, match="rooms: folder: expected a recording made by vssm-gym"):
+        ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+    assert (photos / "photo.jpg").read_text() == "holiday"
+    path = tmp_path / "maps" / "rooms.npz"
+    path.parent.mkdir()
+    VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)).save(path)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"rooms\.npz: file: expected a map that a sweep or bench made"):
+        ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+    assert path.read_bytes() == before
+
+
 def test_a_demo_replaces_only_a_demo(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match="or that of an earlier demo"):
@@ -138,5 +193,5 @@ def test_a_demo_replaces_only_a_demo(tmp_path):
     (tmp_path / "sweep.json").write_text("{}")
     (tmp_path / "maps").mkdir()
     _clear(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sweep.json", "thesis.tex"]
     _clear(tmp_path / "new")

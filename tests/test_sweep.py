@@ -15,11 +15,12 @@ from box_rooms import two_rooms
 from vssm_gym.envs.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.eval import worker
-from vssm_gym.eval.config import load_config
-from vssm_gym.eval.maps import ensure_map
+from vssm_gym.eval.config import expand, load_config
+from vssm_gym.eval.maps import ensure_map, map_hash
 from vssm_gym.eval.report import write_report
-from vssm_gym.eval.rows import FILE, episode_key, read_rows
-from vssm_gym.eval.sweep import MANIFEST, config_hash, package_version, run_sweep
+from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key, read_rows
+from vssm_gym.eval.sweep import MANIFEST, _run, check_arguments, config_hash, run_sweep
+from vssm_gym.eval.version import package_version
 
 TIMED = ("latency",)  # the only fields that may differ between two runs of one episode
 
@@ -56,6 +57,7 @@ def test_a_sweep_writes_every_episode_once_with_what_made_it(folder, finished):
         assert (row["scene"], row["agent"], row["noise"], row["robot"]) == ("rooms", "random", "mid", "holonomic")
         assert row["config_hash"] == manifest["config_hash"]
         assert row["version"] == manifest["version"] == package_version()
+        assert row["map_hash"] is None
         assert row["success"] == (row["failure"] is None)
         assert {"spl", "soft_spl", "steps", "collisions", "path_length", "geodesic", "distance_to_goal"} <= row.keys()
     assert heard == [("episodes", n, 6) for n in range(7)]
@@ -122,10 +124,37 @@ def test_the_hash_is_of_content_not_of_place(folder):
     assert config_hash(config, hashes, 0) != config_hash(config, hashes | {config.scenes[0]: "abd"}, 0)
 
 
-def test_no_workers_is_refused(folder, tmp_path):
-    with pytest.raises(InputError, match="workers: expected at least 1"):
-        run_sweep(load_config(folder / "sweep.yaml"), tmp_path / "none", workers=0)
-    assert not (tmp_path / "none").exists()
+@pytest.mark.parametrize(
+    ("out", "options", "message"),
+    [
+        ("none", {"workers": 0}, "sweep: workers: expected at least 1, found 0"),
+        ("none", {"seed": -1}, "sweep: seed: expected at least 0, found -1"),
+        ("file", {}, "file: folder: expected a folder or the name of a new one"),
+        ("file/x", {}, "x: folder: expected a folder or the name of a new one; .*file is a file"),
+        ("", {}, "folder: expected a new or empty folder, or that of a sweep"),
+        ("", {"resume": True}, "folder: expected a new or empty folder, or that of a sweep"),
+    ],
+)
+def test_what_no_sweep_can_run_with_is_refused_and_left_alone(folder, tmp_path, out, options, message):
+    (tmp_path / "file").write_text("years of work")
+    with pytest.raises(InputError, match=message):
+        run_sweep(load_config(folder / "sweep.yaml"), tmp_path / out, **options)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("left", [(), (FILE,), (FILE, f".{MANIFEST}.7.tmp"), (FILE, MANIFEST, "notes.txt", "maps")])
+def test_what_an_interrupted_sweep_left_is_a_sweeps_folder(tmp_path, left):
+    for name in left:
+        (tmp_path / name).touch()
+    check_arguments(tmp_path, workers=1, seed=0)
+
+
+def test_bad_input_that_a_worker_finds_is_shown_as_it_is(folder, tmp_path):
+    """And not as a worker that died: the error crosses from process to process."""
+    episode = next(expand(load_config(folder / "sweep.yaml")))
+    job = worker.Job(episode, None, None, tmp_path / "tasks.json", "hash", "version")
+    with EpisodeLog(tmp_path / FILE) as log, pytest.raises(InputError, match=r"tasks\.json: file: expected a readable"):
+        _run([job], log, 1, 1, None)
 
 
 def test_the_parent_keeps_its_own_threads():
@@ -221,6 +250,8 @@ def test_agents_in_a_learned_map_end_to_end(folder, tmp_path):
     assert len(rows) == 6
     assert all(row["success"] for row in rows if row["agent"] == "oracle")
     assert all(row["location_error_max"] < 1e-3 for row in rows if row["agent"] == "oracle")
+    learned = map_hash(tmp_path / "maps" / "rooms.npz")
+    assert {(row["agent"], row["map_hash"]) for row in rows} == {("oracle", learned), ("dead_reckoning", learned)}
     stamp = (tmp_path / "maps" / "rooms.npz").stat().st_mtime_ns
     scene = load_config(folder / "agents.yaml").scenes[0]
     again = ensure_map(scene, tmp_path, voxel=0.1, seed=0)

@@ -120,6 +120,10 @@ def test_tasks_are_a_count_a_range_or_a_list(tmp_path, tasks, ids):
         ("scenes: elm\nagents: random\ntasks: 1", r"scenes: expected a built-in scene \(.*oak.*\) or an existing"),
         ("scenes: oak\nagents: random\ntasks: 1\nrobot: tank", r"robot: expected one of holonomic; found 'tank'"),
         ("scenes: oak\nagents: random\ntasks: 1\nrenderer: gl", r"renderer: expected one of raycast; found 'gl'"),
+        (
+            "scenes: oak\nagents: random\ntasks: 1\nsensor_noise: fog",
+            r"sensor_noise: expected one of none; found 'fog'",
+        ),
         ("scenes: oak\nagents: random\ntasks: 1\nenv: CartPole-v1", r"env: expected one of vssm_gym/PointNav-v0"),
         ("scenes: oak\nagents: random\ntasks: 1\ncolour: red", r"colour: expected one of the fields env, scenes"),
         ("scenes: oak\nagents: random\n", "tasks: expected this field"),

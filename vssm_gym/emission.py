@@ -156,7 +156,8 @@ def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arr
     learned map) they may differ by one sample; the crossing between samples, hence the depth, is continuous there.
 
     Rays move in lock step, so a few that graze a surface would hold up all others: whenever few are left they are
-    gathered into a narrower batch.
+    gathered into a narrower batch. ``directions`` are at least 1 long, as those of a camera per metre of z-depth are:
+    shorter ones would have more samples in a cube than are looked at.
 
     Returns:
         ``k`` (rays,) and ``hit`` (rays,).

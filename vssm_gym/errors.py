@@ -10,3 +10,7 @@ class InputError(ValueError):
     def __init__(self, source: object, field: str, expected: str) -> None:
         self.source, self.field, self.expected = str(source), field, expected
         super().__init__(f"{source}: {field}: expected {expected}")
+
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
+        """For workers, whose errors come back pickled: by the three arguments, not by the sentence made of them."""
+        return type(self), (self.source, self.field, self.expected)

@@ -35,14 +35,16 @@ def bench(
     from rich.console import Console
 
     from vssm_gym.cli.console import progress_bars
-    from vssm_gym.errors import InputError
     from vssm_gym.eval.config import DEFAULT_VOXEL
-    from vssm_gym.eval.maps import ensure_map
-    from vssm_gym.eval.sweep import package_version
+    from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.eval.maps import ensure_map, map_hash
+    from vssm_gym.eval.version import package_version
     from vssm_gym.files import atomic_write
 
-    if trials is not None and trials < 1:
-        raise InputError("bench", "trials", f"at least 1, found {trials}")
+    count = DEFAULT_TRIALS.get(suite, 1) if trials is None else trials
+    for field, value, least in (("trials", count, 1), ("workers", workers, 1), ("seed", seed, 0)):
+        check_at_least("bench", field, value, least)
+    check_folder(out)
     with progress_bars() as progress:
         if suite == "speed":
             from vssm_gym.eval.bench_speed import speed
@@ -53,8 +55,8 @@ def bench(
 
             run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
             map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
-            count = trials or DEFAULT_TRIALS[suite]
             result = run(scene, map_file, trials=count, workers=workers, seed=seed, progress=progress)
+            result["map_hash"] = map_hash(map_file)
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{suite}-{Path(scene).stem}.json"
     with atomic_write(path) as temporary:

@@ -18,10 +18,11 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
     from vssm_gym.cli.console import print_results, progress_bars
     from vssm_gym.eval.config import load_config
     from vssm_gym.eval.report import write_report
-    from vssm_gym.eval.sweep import run_sweep
+    from vssm_gym.eval.sweep import check_arguments, run_sweep
 
     config = load_config(Path(evaluation.__file__).parent / "configs" / "demo.yaml")
     if not resume:
+        check_arguments(out, workers, seed)
         _clear(out)
     with progress_bars() as progress:
         log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, progress=progress)
@@ -30,14 +31,17 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
 
 
 def _clear(out: Path) -> None:
-    """Remove what an earlier demo wrote, and nothing else: a folder with other content is refused."""
+    """Remove what an earlier demo wrote, and nothing else: a folder with other content is refused.
+
+    ``sweep.json`` stays until the sweep replaces it: it says whose folder this is.
+    """
     import shutil
 
     from vssm_gym.errors import InputError
 
     if not out.exists():
         return
-    ours = {"sweep.json", "episodes.jsonl", "report.html", "tasks", "recordings", "maps"}
+    ours = {"episodes.jsonl", "report.html", "tasks", "recordings", "maps"}
     if not out.is_dir() or (any(out.iterdir()) and not (out / "sweep.json").is_file()):
         raise InputError(out, "folder", "a new or empty folder, or that of an earlier demo")
     for path in out.iterdir():

@@ -34,11 +34,14 @@ def evaluate_trajectory(
 
     from vssm_gym.data.trajectories import read_trajectory
     from vssm_gym.errors import InputError
+    from vssm_gym.eval.destinations import check_file
     from vssm_gym.eval.trajectory import align, associate, evaluate
     from vssm_gym.files import atomic_write
 
     if not tolerance >= 0.0:
         raise InputError("evaluate-trajectory", "tolerance", f"seconds >= 0, not {tolerance}")
+    if json_file is not None:
+        check_file(json_file)
     times_est, T_est = read_trajectory(estimate)
     times_true, T_true = read_trajectory(truth)
     of_est, of_true = associate(times_est, times_true, tolerance)

@@ -19,12 +19,12 @@ def build(
     from vssm_gym.cli.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
+    from vssm_gym.eval.destinations import check_file
     from vssm_gym.eval.maps import build_map
 
     if not 0.0 < voxel <= 0.5:
         raise InputError("map build", "voxel", f"a cell size in (0, 0.5] m, found {voxel}")
-    if not out.parent.is_dir():
-        raise InputError(out, "folder", "a folder that exists")
+    check_file(out)
     with progress_bars() as progress:
         voxel_map = build_map(load_sequence(sequence), voxel, progress)
     voxel_map.save(out)

@@ -14,7 +14,10 @@ def record(scene: str, out: Path, noise: str = "low", seed: int = 0) -> None:
     """
     from vssm_gym.cli.console import print_notices, progress_bars
     from vssm_gym.data import recording
+    from vssm_gym.eval.destinations import check_at_least, check_folder
 
+    check_at_least("record", "seed", seed, 0)
+    check_folder(out)
     print_notices([scene])
     with progress_bars() as progress:
         frames = recording.record(scene, out, noise=noise, seed=seed, progress=progress)

@@ -19,7 +19,7 @@ from vssm_gym.files import atomic_write
 
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
 ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame, or between a frame and its pose
-LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's gaps reach 0.2 s
+LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
 
 # Published intrinsics of the TUM RGB-D cameras at 640x480: fx fy cx cy, k1 k2 p1 p2 k3; by a word of the folder's name.
 TUM_CAMERAS = {

@@ -1,0 +1,17 @@
+"""The version that every result is signed with."""
+
+import subprocess
+from pathlib import Path
+
+import vssm_gym
+
+
+def package_version() -> str:
+    """The package's version; in a checkout with its commit, and ``-dirty`` where files differ from it."""
+    checkout = Path(__file__).resolve().parents[1]
+    if (checkout / ".git").exists():
+        command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
+        described = subprocess.run(command, capture_output=True, text=True, check=False)
+        if described.returncode == 0:
+            return f"{vssm_gym.__version__}+{described.stdout.strip()}"
+    return vssm_gym.__version__
