@@ -65,13 +65,16 @@ def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) ->
 
 @given(kinds, seeds)
 def test_search_finds_the_hits_of_the_march(kind: str, seed: int) -> None:
-    """Random rays from inside and outside the grid, a third of them parallel to one or two faces."""
+    """Random rays from inside and outside the grid, a third of them parallel to one or two faces, a few across the
+    diagonals of cubes; as long as a camera's, 1 at the middle of the image and more towards its corners."""
     rng = np.random.default_rng([seed, 2])
     extent = VOXEL * np.array(SHAPE)
     centre = ORIGIN + extent * rng.uniform(-0.5, 1.5, 3)
     towards = ORIGIN + extent * rng.uniform(size=(RAYS, 3)) - centre
     towards[: RAYS // 6, rng.integers(3)] = 0.0
-    directions = towards / np.abs(towards).max(axis=1, keepdims=True) * rng.uniform(1.0, 1.5, (RAYS, 1))
+    towards[-RAYS // 8 :] = rng.choice([-1.0, 1.0], 3) + rng.uniform(-0.05, 0.05, (RAYS // 8, 3))
+    length = np.maximum(rng.uniform(0.7, 1.6, (RAYS, 1)), 1.0)
+    directions = towards / np.linalg.norm(towards, axis=1, keepdims=True) * length
     directions[RAYS // 6 : RAYS // 3] = np.eye(3)[rng.integers(3, size=RAYS // 6)] * rng.choice([-1.0, 1.0])
     assert assert_same_hits(random_map(kind, seed), centre, directions) <= 0.02
 

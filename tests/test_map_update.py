@@ -177,11 +177,14 @@ def test_no_block_behind_a_single_pixel_is_missed(seed: int) -> None:
     """All but one reading are holes: a block is found even where one corner of it alone reaches that pixel."""
     rng, found = np.random.default_rng(seed), 0
     for _ in range(8):
-        _, _, T = random_image(int(rng.integers(2**32)))
-        depth = np.zeros((15, 20), np.float32)
-        depth[rng.integers(15), rng.integers(20)] = rng.uniform(0.1, 3.0)
+        T, depth = camera_pose((0.0, 0.0, 0.0), *rng.uniform(-3.0, 3.0, 3)), np.zeros((15, 20), np.float32)
+        u, v, d = rng.integers(20), rng.integers(15), rng.uniform(0.3, 3.0)
+        corner = np.array(ORIGIN) + VOXEL * (8 * rng.integers(0, empty_map().blocks) + 7 * rng.integers(0, 2, 3))
+        pixel = np.array([u, v, 1.0]) + np.append(rng.uniform(-0.49, 0.49, 2), 0.0)
+        T[:3, 3] = corner - T[:3, :3] @ np.linalg.inv(CAMERA.K) @ pixel * d  # the pixel sees that corner of a block
+        depth[v, u] = d
         found += assert_no_touched_block_is_missed(depth, T)
-    assert found > 0
+    assert found > 4
 
 
 @given(seeds)
