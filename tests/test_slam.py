@@ -361,7 +361,7 @@ def test_a_folder_with_other_content_is_left_alone(vssm, recording, tmp_path):
     assert names(tmp_path) == ["thesis.tex"]
 
 
-def test_an_image_missing_in_the_middle_is_named_and_what_came_before_is_kept(vssm, recording, tmp_path):
+def test_a_missing_image_is_named_before_anything_is_written(vssm, recording, tmp_path):
     source = tmp_path / "room"
     shutil.copytree(recording, source)
     gone = sorted((source / "depth").iterdir())[5]
@@ -370,6 +370,18 @@ def test_an_image_missing_in_the_middle_is_named_and_what_came_before_is_kept(vs
     code, _, err = vssm("slam", source, "--out", out, "--size", SIZE, *GRID)
     assert code == 2
     assert gone.name in err
+    assert not out.exists() or not names(out)
+
+
+def test_an_image_damaged_in_the_middle_is_named_and_what_came_before_is_kept(vssm, recording, tmp_path):
+    source = tmp_path / "room"
+    shutil.copytree(recording, source)
+    damaged = sorted((source / "depth").iterdir())[5]
+    damaged.write_bytes(damaged.read_bytes()[:40])
+    out = tmp_path / "out"
+    code, _, err = vssm("slam", source, "--out", out, "--size", SIZE, *GRID)
+    assert code == 2
+    assert damaged.name in err
     assert names(out) == ["trajectory.partial.txt"]
     assert len(poses_of(out / "trajectory.partial.txt")[0]) == 5
 
