@@ -61,7 +61,20 @@ def matrix_to_planar(T_world_body):
 
 def se3_exp(delta: Float[Array, "*batch 6"]) -> Float[Array, "*batch 4 4"]:
     """``exp(delta^)``: tangent (translation, rotation) to a rigid motion; beliefs are ``T exp(delta)`` (SPEC 1)."""
-    return jaxlie.SE3.exp(delta).as_matrix()
+    v, w = delta[..., :3], delta[..., 3:]
+    # t = V v, V = 1 + a w^ + b w^ w^. Not jaxlie's, which below 3 mrad takes V = R: wrong in its first order.
+    theta2 = jnp.sum(w * w, axis=-1, keepdims=True)
+    near = theta2 < 0.1
+    safe2 = jnp.where(near, 1.0, theta2)
+    theta = jnp.sqrt(safe2)
+    a = jnp.where(near, 1 / 2 - theta2 * (1 / 24 - theta2 * (1 / 720 - theta2 / 40320)), (1 - jnp.cos(theta)) / safe2)
+    series = 1 / 6 - theta2 * (1 / 120 - theta2 * (1 / 5040 - theta2 / 362880))
+    b = jnp.where(near, series, (theta - jnp.sin(theta)) / (theta * safe2))
+    w_v = jnp.cross(w, v)
+    t = v + a * w_v + b * jnp.cross(w, w_v)
+    top = jnp.concatenate([jaxlie.SO3.exp(w).as_matrix(), t[..., None]], axis=-1)
+    bottom = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.0, 1.0], top.dtype), (*top.shape[:-2], 1, 4))
+    return jnp.concatenate([top, bottom], axis=-2)
 
 
 def se3_log(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6"]:
