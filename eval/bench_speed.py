@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,11 +46,12 @@ def median_ms(function: Callable[[int], Any], times: int) -> float:
     return 1e3 * float(np.median(seconds[1:]))
 
 
-def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
+def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[str, Any]:
     """Time image, tracker, map update, environment, planner and control loop; medians in milliseconds.
 
     Args:
         scene: built-in name or path.
+        map_file: the scene's learned map, for planner and agent; image, update and tracker use the published grid.
         seed: of the drive.
         progress: told after every stage.
 
@@ -143,7 +145,8 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
     recompiled += counter.count - before
     progress("bench", 4, stages)
 
-    clearance = ClearanceMap.from_voxel_map(m, 0.08, 0.5, 0.025)
+    learned = VoxelMap.load(map_file)
+    clearance = ClearanceMap.from_voxel_map(learned, 0.08, 0.5, 0.025)
     ends = [sampler.draw(np.random.default_rng([seed, i])) for i in range(TIMED + 1)]
     planner = median_ms(
         lambda i: (
@@ -157,7 +160,7 @@ def speed(scene: str, *, seed: int, progress: Progress) -> dict[str, Any]:
     agent, loops, alone = AStarAgent(), [], []
     for i in range(3):
         observation, info = env.reset(seed=seed + i, options={"task": ends[i]})
-        agent.reset(agent_context(env, info, m, noise), observation, seed)
+        agent.reset(agent_context(env, info, learned, noise), observation, seed)
         before = counter.count
         for _ in range(60):
             began = time.perf_counter()

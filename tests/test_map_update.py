@@ -293,7 +293,7 @@ WALL_CAMERA = Camera.from_hfov(64, 48, np.radians(75))
 
 def map_from_both_sides(voxel: float) -> VoxelMap:
     """A wall of 10 cm between two rooms, seen from three places in each, straight on and at up to 65 degrees."""
-    m = VoxelMap.prior((-1.4, -1.2, -0.2), voxel, (56, 48, 40))  # one size: compiled once
+    m = VoxelMap.prior((-1.2, -1.0, -0.05), voxel, (48, 40, 32))  # the size that tracking's tests compile too
     for side in (-1, 1):
         for y, yaw in ((-0.5, 0.5), (0.0, 0.0), (0.5, -0.5)):
             T = camera_pose((side * 0.95, y, 0.75), yaw if side < 0 else np.pi - yaw)
@@ -323,4 +323,4 @@ def test_a_thin_wall_mapped_from_both_sides_is_still_a_wall(voxel: float) -> Non
         error = np.asarray(image.depth)[wall] - truth[wall]
         thickening = max(0.0, CONFIG.truncation * voxel - THICKNESS)
         assert error.max() < 0.1 * voxel  # it is never eaten
-        assert error.min() > -thickening - 0.4 * voxel
+        assert error.min() > -thickening - 0.5 * voxel

@@ -46,17 +46,17 @@ def bench(
         check_at_least("bench", field, value, least)
     check_folder(out)
     with progress_bars() as progress:
+        map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
         if suite == "speed":
             from vssm_gym.eval.bench_speed import speed
 
-            result = speed(scene, seed=seed, progress=progress)
+            result = speed(scene, map_file, seed=seed, progress=progress)
         else:
             from vssm_gym.eval import bench_tracking
 
             run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
-            map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
             result = run(scene, map_file, trials=count, workers=workers, seed=seed, progress=progress)
-            result["map_hash"] = map_hash(map_file)
+    result["map_hash"] = map_hash(map_file)
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{suite}-{Path(scene).stem}.json"
     with atomic_write(path) as temporary:
