@@ -87,9 +87,13 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
             table.add_row(f"{100 * float(q):.0f} % of trials are below", f"{100 * value:.2f} cm")
         table.add_row("steps said lost", f"{100 * result['lost_steps']:.2f} %")
     else:
-        for name in ("method", "RMSE m", *(f"{10 * (i + 1)} m" for i in range(10))):
-            table.add_column(name, justify="left" if name == "method" else "right")
-        for name, row in result["methods"].items():
-            table.add_row(name, f"{row['rmse_m']:.3f}", *(f"{v:.3f}" for v in row["mean_error_by_tenth_m"]))
+        methods = result["methods"]
+        table.add_column("mean location error, m")
+        for name in methods:
+            table.add_column(name, justify="right")
+        for i in range(10):
+            values = (f"{method['mean_error_by_tenth_m'][i]:.3f}" for method in methods.values())
+            table.add_row(f"{10 * i} to {10 * (i + 1)} m of way", *values)
+        table.add_row("RMSE of the drive", *(f"{method['rmse_m']:.3f}" for method in methods.values()))
         table.caption = f"astar / no_map, each drive: {result['astar_over_no_map']}"
     console.print(table)
