@@ -176,7 +176,13 @@ def start(folder, out, stderr=None):
     )
     script = folder / "start.py"
     script.write_text(code)
-    return subprocess.Popen([sys.executable, script, folder / "long.yaml", out], start_new_session=True, stderr=stderr)
+    return subprocess.Popen(
+        [sys.executable, script, folder / "long.yaml", out],
+        start_new_session=True,
+        # A suite that runs in the background of a shell inherits an ignored Ctrl-C; a terminal's child does not.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        stderr=stderr,
+    )
 
 
 def wait_for_rows(out, n):
