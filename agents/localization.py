@@ -4,6 +4,7 @@ Four ways, one interface: the true pose (oracles only), integrated commands, ali
 to the previous camera image (SPEC 4: ours, and the baselines that must exist).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,6 +17,7 @@ from vssm_gym.camera import Camera
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 from vssm_gym.inference import tracking
+from vssm_gym.inference.tracking import TrackerInfo, TrackerState
 from vssm_gym.transition import MotionNoise, PlanarBelief, planar_predict
 
 
@@ -84,7 +86,13 @@ class DeadReckoning:
 
 
 class MapLocalizer:
-    """The tracker in the learned map: ``argmin -log p(x | z, M) - log p(z | z_prev, u)`` (SPEC 4; TNP-SM)."""
+    """The tracker in the learned map: ``argmin -log p(x | z, M) - log p(z | z_prev, u)`` (SPEC 4; TNP-SM).
+
+    ``step`` is the tracker's: one with the arguments and results of :func:`vssm_gym.inference.tracking.step_map`.
+    """
+
+    def __init__(self, step: Callable[..., tuple[TrackerState, TrackerInfo]] = tracking.step_map) -> None:
+        self._step = step
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Start the tracker; one step is computed and dropped, so that compiling it delays no later one."""
@@ -93,14 +101,14 @@ class MapLocalizer:
         self._map, self._rig, self._noise = context.map, _rig(context), MotionNoise(*context.noise)
         image = tracking.observe(observation["rgb"], observation["depth"])
         self._state = tracking.first(jnp.asarray(context.start_pose, jnp.float32), image)
-        tracking.step_map(self._state, jnp.zeros(3), image, self._map, self._rig, self._noise)
+        self._step(self._state, jnp.zeros(3), image, self._map, self._rig, self._noise)
         return _belief(self._state, "ok")
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
         """One step of the tracker against the map."""
         control = jnp.asarray(command, jnp.float32)
         image = tracking.observe(observation["rgb"], observation["depth"])
-        self._state, info = tracking.step_map(self._state, control, image, self._map, self._rig, self._noise)
+        self._state, info = self._step(self._state, control, image, self._map, self._rig, self._noise)
         return _belief(self._state, tracking.STATUS[int(info.status)])
 
 

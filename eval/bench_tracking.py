@@ -2,9 +2,11 @@
 
 import math
 import multiprocessing
+import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ TRIAL_STEPS = 100
 PUBLISHED_TURN, PUBLISHED_STEP = math.radians(3.0), 0.05  # rad; share of the body length (TNP-SM, section 5)
 GOOD_RMSE = 0.1  # m, half a body length
 DRIFT_METRES = 100.0
+COMPARED = 6  # drives on which the slow trackers ride along
 
 
 @dataclass(frozen=True)
@@ -36,13 +39,16 @@ class _Trial:
 def tracker_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed: int, progress: Progress) -> dict:
     """Location RMSE of the map tracker over drives of 100 steps that the true pose steers.
 
+    On the first drives the published Adam tracker and the emission-based one ride along, on the same images.
+
     Returns:
-        ``rmse`` of every trial (m), the share of them below 0.1 m, and quantiles.
+        ``rmse`` of every trial (m), the share of them below 0.1 m, quantiles, and ``methods``: RMSE, lost steps and
+        milliseconds a step of each tracker on the drives that it rode.
     """
     from vssm_gym.envs.robots import HolonomicRobot
 
     noise = (PUBLISHED_TURN, PUBLISHED_STEP * HolonomicRobot().body_length)
-    jobs = [_Trial(scene, map_file, seed + i, "oracle", noise, ("astar",), steps=TRIAL_STEPS) for i in range(trials)]
+    jobs = [_Trial(scene, map_file, seed + i, "oracle", noise, _riders(i), steps=TRIAL_STEPS) for i in range(trials)]
     results = _run(jobs, workers, "tracker", progress)
     rmse = np.array([math.sqrt(np.mean(np.square(r["errors"]["astar"]))) for r in results])
     heading = np.array([r["heading_rmse"]["astar"] for r in results])
@@ -54,6 +60,24 @@ def tracker_trials(scene: str, map_file: Path, *, trials: int, workers: int, see
         "heading_rmse_deg": {q: float(np.degrees(np.quantile(heading, float(q)))) for q in ("0.5", "0.99", "1.0")},
         "lost_steps": float(np.mean([np.mean(r["lost"]["astar"]) for r in results])),
         "all_rmse_m": [round(float(v), 5) for v in rmse],
+        "methods": {name: _method(name, results[:COMPARED]) for name in _riders(0)},
+    }
+
+
+def _riders(trial: int) -> tuple[str, ...]:
+    """Who rides along: the trackers that are only compared cost ten times as much, and a few drives tell."""
+    return ("astar", "adam", "emission") if trial < COMPARED else ("astar",)
+
+
+def _method(name: str, results: list[dict]) -> dict[str, Any]:
+    """One tracker over the drives that all of them rode."""
+    rmse = [math.sqrt(np.mean(np.square(r["errors"][name]))) for r in results]
+    return {
+        "drives": len(results),
+        "rmse_m_median": float(np.median(rmse)),
+        "rmse_m_max": float(np.max(rmse)),
+        "lost_steps": float(np.mean([np.mean(r["lost"][name]) for r in results])),
+        "ms_a_step": float(np.median([ms for r in results for ms in r["ms"][name]])),
     }
 
 
@@ -111,12 +135,14 @@ def _trial(job: _Trial) -> dict[str, Any]:
     from vssm_gym.eval.drive import drive
 
     env, sampler, voxel_map, driver = _world(job.scene, job.noise, job.map_file, job.driver)
-    kinds: dict[str, type[Localizer]] = {
+    kinds: dict[str, Callable[[], Localizer]] = {
         "astar": MapLocalizer,
+        "adam": lambda: MapLocalizer(_step_adam),
+        "emission": lambda: MapLocalizer(_step_emission),
         "no_map": FrameLocalizer,
         "dead_reckoning": DeadReckoning,
     }
-    riders = {name: kinds[name]() for name in job.riders}
+    riders = {name: _Timed(kinds[name]()) for name in job.riders}
     done = drive(env, sampler, driver, riders, voxel_map, seed=job.seed, steps=job.steps, metres=job.metres)
     turned = {name: done.estimates[name][:, 2] - done.true[:, 2] for name in riders}
     return {
@@ -127,8 +153,41 @@ def _trial(job: _Trial) -> dict[str, Any]:
             for name, e in turned.items()
         },
         "lost": {name: done.lost[name].tolist() for name in riders},
+        "ms": {name: rider.ms for name, rider in riders.items()},
         "goals": done.goals,
     }
+
+
+class _Timed:
+    """A localizer and how long each of its updates took."""
+
+    def __init__(self, localizer: Any) -> None:
+        self.localizer, self.ms = localizer, list[float]()
+
+    def reset(self, context: Any, observation: Any) -> Any:
+        """Not timed: it compiles."""
+        return self.localizer.reset(context, observation)
+
+    def update(self, command: np.ndarray, observation: Any) -> Any:
+        """The localizer's, which waits for its result."""
+        began = time.perf_counter()
+        belief = self.localizer.update(command, observation)
+        self.ms.append(1e3 * (time.perf_counter() - began))
+        return belief
+
+
+def _step_adam(*arguments: Any) -> Any:
+    """The published solver in the tracker."""
+    from vssm_gym.inference.emission_tracking import TRACKER_ADAM
+    from vssm_gym.inference.tracking import TrackerConfig, step_map
+
+    return partial(step_map, config=TrackerConfig(adam=TRACKER_ADAM))(*arguments)
+
+
+def _step_emission(*arguments: Any) -> Any:
+    from vssm_gym.inference.emission_tracking import step_emission
+
+    return step_emission(*arguments)
 
 
 @lru_cache(maxsize=1)

@@ -5,7 +5,8 @@ from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,13 +15,14 @@ from jaxtyping import Float
 from vssm_gym.camera import Camera
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
-from vssm_gym.inference import slam
-from vssm_gym.inference.slam import SlamConfig
+from vssm_gym.inference import prism
+from vssm_gym.inference.prism import PrismConfig
 from vssm_gym.inference.tracking import observe
 from vssm_gym.voxel_map import VoxelMap
 
 AHEAD = 4  # images that are read while the filter works
-MAX_CELLS = 40_000_000  # of about 25 bytes
+MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
+MAX_CELLS = 1_000_000_000  # a cell of a sparse cube costs a tenth of a byte until something is seen there
 SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation search has nothing left to shrink
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
@@ -34,7 +36,10 @@ class SlamOptions:
     rate: float = 10.0  # frames a second at most
     voxel: float = 0.07  # m
     extent: float = 14.0  # m: edge of the cube that is mapped, around the first camera
-    slam: SlamConfig = field(default_factory=SlamConfig)
+    solver: str = "gauss_newton"  # of the pose, a key of prism.SOLVERS
+    samples: int = 1  # of the pose in the map update; from 2 on the map's uncertainty reaches the pose too
+    seed: int = 0
+    render_width: int = 160  # pixels: images are tracked at about this width
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
@@ -46,10 +51,35 @@ class SlamOptions:
             raise InputError("slam", "voxel", f"a cell size in (0, 0.5] m, not {self.voxel}")
         if not 10 * self.voxel <= self.extent < np.inf:
             raise InputError("slam", "extent", f"at least 10 cells of {self.voxel} m, not {self.extent} m")
-        if (cells := (self.extent / self.voxel) ** 3) > MAX_CELLS:
+        if self.cells > MAX_CELLS:
             raise InputError(
-                "slam", "extent", f"at most {MAX_CELLS:,} cells, not {cells:,.0f}: a smaller extent or larger voxels"
+                "slam", "extent", f"at most {MAX_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels"
             )
+        if self.solver not in prism.SOLVERS:
+            raise InputError("slam", "solver", f"one of {', '.join(prism.SOLVERS)}, not {self.solver!r}")
+        if not 1 <= self.samples <= 16:
+            raise InputError("slam", "samples", f"between 1 and 16, not {self.samples}")
+        if self.seed < 0:
+            raise InputError("slam", "seed", f"at least 0, not {self.seed}")
+        if not SMALLEST[0] <= self.render_width <= LARGEST[0]:
+            raise InputError(
+                "slam", "render-width", f"between {SMALLEST[0]} and {LARGEST[0]} pixels, not {self.render_width}"
+            )
+
+    @property
+    def cells(self) -> int:
+        """Of the cube that is mapped."""
+        return round(self.extent / self.voxel) ** 3
+
+    @property
+    def prism(self) -> PrismConfig:
+        """Of the filter."""
+        return PrismConfig(solver=self.solver, samples=self.samples, track_width=self.render_width)
+
+    def prior(self) -> VoxelMap:
+        """The map before the first image, around the first camera."""
+        cube = VoxelMap.cube if self.cells <= MAX_DENSE_CELLS else VoxelMap.sparse_cube
+        return cube((0.0, 0.0, 0.0), self.extent, self.voxel)
 
 
 @dataclass(frozen=True)
@@ -59,7 +89,7 @@ class TrackedFrame:
     index: int  # in the sequence
     time: float  # s, of its colour image
     T_world_cam: Float[np.ndarray, "4 4"]  # float64; the world is the first camera's frame
-    status: int  # a key of slam.STATUS
+    status: int  # a key of prism.STATUS
     inlier_share: float | None
     coverage: float | None
     photometric: float | None
@@ -67,12 +97,16 @@ class TrackedFrame:
     read_s: float  # reading, undistorting, resizing: in a thread beside the filter
     wait_s: float  # that the filter waited for the image
     step_s: float  # from the image to the pose and the updated map
-    warm: bool  # the step had been compiled before
+    stages: dict[str, float]  # s, of the stages that ran: track, recover, map, anchor
+    warm: bool  # everything that ran had been compiled before
+    velocity: Float[np.ndarray, "6"] | None  # linear (m/s) and angular (rad/s), world
+    covariance: Float[np.ndarray, "12 12"] | None  # of (translation, rotation) in the camera's tangent and velocity
+    left_window: int  # observed blocks that the map forgot, because the camera left its window
 
     @property
     def lost(self) -> bool:
         """The frame fits nothing, and the map does not hold it."""
-        return self.status == slam.LOST
+        return self.status in (prism.LOST, prism.NO_READING)
 
 
 @dataclass(frozen=True)
@@ -82,6 +116,7 @@ class SlamRun:
     frames: tuple[TrackedFrame, ...]
     map: VoxelMap
     reader: FrameReader  # of the frames as the filter saw them
+    notices: tuple[str, ...]  # what was wrong with the input and what was done about it
 
     @property
     def times(self) -> Float[np.ndarray, "frames"]:
@@ -174,16 +209,32 @@ def run_slam(
             asked = time.perf_counter()
     if tracker.state is None:
         raise InputError(sequence.root, "depth", "readings; every pixel of every frame has none")
-    return SlamRun(tuple(frames), tracker.state.map, reader)
+    notices = (*sequence.notices, *reader.notices)
+    return SlamRun(tuple(frames), tracker.state.map, reader, notices)
+
+
+class _Stages:
+    """A clock for :func:`prism.step`: how long each stage took, waiting for its outcome."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def __call__(self, stage: str, outcome: Any) -> Any:
+        jax.block_until_ready(outcome)
+        now = time.perf_counter()
+        self.seconds[stage], self._last = now - self._last, now
+        return outcome
 
 
 class _Tracker:
     """The filter's state between frames; ``None`` before the first frame with depth."""
 
     def __init__(self, options: SlamOptions, camera: Camera) -> None:
-        self.options, self.camera = options, camera
-        self.state: slam.SlamState | None = None
-        self.steps = 0
+        self.options, self.config, self.camera = options, options.prism, camera
+        self.state: prism.PrismState | None = None
+        self.stamp = 0.0  # s, of the last frame
+        self._compiled: set[str] = set()  # stages that ran
         v, u = np.mgrid[
             2 : camera.height : 4, 2 : camera.width : 4
         ]  # the middles of 4x4 pixels tell what share is inside
@@ -193,21 +244,27 @@ class _Tracker:
         self, index: int, stamp: float, rgb: np.ndarray, depth: np.ndarray, read_s: float, wait_s: float
     ) -> TrackedFrame:
         """Localise and map one image."""
-        start = time.perf_counter()
-        T_world_cam, status, agreement = np.eye(4), slam.OK, None
-        warm = self.steps > 0
+        start, stages = time.perf_counter(), _Stages()
+        info = None
+        status = prism.OK
         if self.state is not None:
-            self.state, info = slam.step(self.state, observe(rgb, depth), self.camera, self.options.slam)
-            jax.block_until_ready((self.state, info))
-            T_world_cam, status, agreement = np.asarray(info.T_world_cam, float), int(info.status), info.agreement
-            self.steps += 1
+            image, dt = observe(rgb, depth), stamp - self.stamp
+            self.state, info = prism.step(self.state, image, dt, self.camera, self.config, clock=stages)
+            jax.block_until_ready(self.state)
+            status = info.status
         elif (depth > 0.0).any():
-            prior = VoxelMap.cube((0.0, 0.0, 0.0), self.options.extent, self.options.voxel)
-            self.state = slam.init(prior, observe(rgb, depth), self.camera, self.options.slam)
+            key = jax.random.key(self.options.seed)
+            self.state = prism.init(self.options.prior(), observe(rgb, depth), self.camera, self.config, key)
             jax.block_until_ready(self.state)
         else:
-            status = slam.LOST
+            status = prism.NO_READING
         step_s = time.perf_counter() - start
+        self.stamp = stamp
+        warm = info is not None and stages.seconds.keys() <= self._compiled
+        self._compiled |= stages.seconds.keys()
+        belief = info.belief if info else None
+        agreement = info.agreement if info else None
+        T_world_cam = np.asarray(belief.state.T_world_body, float) if belief else np.eye(4)
         return TrackedFrame(
             index=index,
             time=stamp,
@@ -220,12 +277,19 @@ class _Tracker:
             read_s=read_s,
             wait_s=wait_s,
             step_s=step_s,
+            stages=stages.seconds,
             warm=warm,
+            velocity=np.asarray(belief.state.velocity, float) if belief else None,
+            covariance=np.asarray(belief.covariance, float) if belief else None,
+            left_window=info.left_window if info else 0,
         )
 
     def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
+        if self.state is None:
+            return 1.0
         sampled = depth[2::4, 2::4]
-        read = (sampled > 0.0) & (sampled <= self.options.slam.update.max_depth)
+        read = (sampled > 0.0) & (sampled <= self.config.update.max_depth)
         p_world = (self._rays[read] * sampled[read][:, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
-        inside = (np.abs(p_world) <= 0.5 * self.options.extent).all(axis=-1)
+        low, high = self.state.map.bounds
+        inside = ((p_world >= low) & (p_world <= high)).all(axis=-1)
         return float(inside.mean()) if len(inside) else 1.0

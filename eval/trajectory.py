@@ -1,17 +1,21 @@
 """Absolute and relative trajectory error of estimated SE(3) poses against true ones (SPEC 12).
 
-The estimate's frame is arbitrary, so positions are first aligned by the rigid (SE(3)) or similarity (Sim(3)) motion of
-least squared error (Umeyama, PAMI 1991); every result says which. Definitions as in Sturm et al., IROS 2012.
+The estimate's frame is arbitrary, so it is aligned first, and every result says how: by the rigid (``se3``) or
+similarity (``sim3``) motion of least squared error (Umeyama, PAMI 1991), by the first pose alone (``first``: what an
+estimate that knew its start has drifted), or not at all (``none``). Definitions as in Sturm et al., IROS 2012.
 Everything is plain float64 arrays: ``times (N,)`` in seconds, ``T (N, 4, 4)`` poses in metres.
 """
 
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse
+
+AlignmentName = Literal["se3", "sim3", "first", "none"]
 
 
 def associate(
@@ -114,10 +118,23 @@ class PoseErrors:
     rotation: Float[np.ndarray, "n"]  # degrees, in [0, 180]
 
 
-def ate(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"], with_scale: bool = False) -> PoseErrors:
-    """``T_true_i^-1 A T_est_i``: the absolute error of associated poses after the best SE(3) (Sim(3)) alignment A."""
-    aligned = align(T_est[:, :3, 3], T_true[:, :3, 3], with_scale).apply(T_est)
-    return _errors(inverse(np.asarray(T_true, dtype=np.float64)) @ aligned)
+def aligned(
+    T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"], alignment: AlignmentName = "se3"
+) -> Float[np.ndarray, "n 4 4"]:
+    """``A T_est`` with the A of ``alignment``; of ``first``: ``A = T_true_0 T_est_0^-1``."""
+    T_est, T_true = np.asarray(T_est, dtype=np.float64), np.asarray(T_true, dtype=np.float64)
+    if alignment == "none":
+        return T_est
+    if alignment == "first":
+        return T_true[0] @ inverse(T_est[0]) @ T_est
+    return align(T_est[:, :3, 3], T_true[:, :3, 3], with_scale=alignment == "sim3").apply(T_est)
+
+
+def ate(
+    T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"], alignment: AlignmentName = "se3"
+) -> PoseErrors:
+    """``T_true_i^-1 A T_est_i``: the absolute error of associated poses after the alignment A."""
+    return _errors(inverse(np.asarray(T_true, dtype=np.float64)) @ aligned(T_est, T_true, alignment))
 
 
 def rpe(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"], delta: int = 1) -> PoseErrors:
@@ -150,13 +167,14 @@ def evaluate(
     T_true: Float[np.ndarray, "m 4 4"],
     tolerance: float = 0.01,
     deltas: tuple[int, ...] = (1, 30),
+    alignments: tuple[AlignmentName, ...] = ("se3", "sim3", "first"),
 ) -> dict:
     """Associate, align and summarise: what ``vssm-gym evaluate-trajectory`` prints.
 
     Returns:
-        ``pairs``, ``tolerance_s``, ``scale`` (of the Sim(3) alignment), and :class:`Statistics` as dicts under
-        ``ate_translation_se3`` (m), ``ate_rotation_se3`` (deg), ``ate_translation_sim3`` (m) and, for each delta
-        shorter than the trajectory, ``rpe_translation_{delta}`` (m), ``rpe_rotation_{delta}`` (deg).
+        ``pairs``, ``tolerance_s``, and :class:`Statistics` as dicts: for each alignment ``ate_translation_{alignment}``
+        (m) and ``ate_rotation_{alignment}`` (deg), and for each delta shorter than the trajectory
+        ``rpe_translation_{delta}`` (m) and ``rpe_rotation_{delta}`` (deg). With ``sim3`` its ``scale`` too.
 
     Raises:
         InputError: no stamps within tolerance of each other, or too few poses to align.
@@ -165,20 +183,16 @@ def evaluate(
     if len(of_est) == 0:
         raise InputError("trajectory association", "times", f"stamps of both within {tolerance} s of each other")
     T_est, T_true = np.asarray(T_est)[of_est], np.asarray(T_true)[of_true]
-    rigid, similar = ate(T_est, T_true), ate(T_est, T_true, with_scale=True)
-    summaries = {
-        "ate_translation_se3": rigid.translation,
-        "ate_rotation_se3": rigid.rotation,
-        "ate_translation_sim3": similar.translation,
-    }
+    summaries = {}
+    for alignment in alignments:
+        absolute = ate(T_est, T_true, alignment)
+        summaries[f"ate_translation_{alignment}"] = absolute.translation
+        summaries[f"ate_rotation_{alignment}"] = absolute.rotation
     for delta in deltas:
         if delta < len(T_est):
             relative = rpe(T_est, T_true, delta)
             summaries[f"rpe_translation_{delta}"] = relative.translation
             summaries[f"rpe_rotation_{delta}"] = relative.rotation
-    return {
-        "pairs": len(of_est),
-        "tolerance_s": tolerance,
-        "scale": align(T_est[:, :3, 3], T_true[:, :3, 3], with_scale=True).scale,
-        **{name: asdict(Statistics.of(errors)) for name, errors in summaries.items()},
-    }
+    scale = {"scale": align(T_est[:, :3, 3], T_true[:, :3, 3], with_scale=True).scale} if "sim3" in alignments else {}
+    statistics = {name: asdict(Statistics.of(errors)) for name, errors in summaries.items()}
+    return {"pairs": len(of_est), "tolerance_s": tolerance, **scale, **statistics}

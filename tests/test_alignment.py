@@ -14,7 +14,7 @@ from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD, render
 from vssm_gym.geometry import inverse, se3_adjoint, se3_exp, se3_log
 from vssm_gym.inference import alignment
-from vssm_gym.inference.alignment import AlignConfig, AlignInfo, align, make_observed, make_reference, shrink_camera
+from vssm_gym.inference.alignment import AlignConfig, AlignInfo, make_observed, make_reference, shrink_camera
 from vssm_gym.inference.slam import SlamConfig, camera_rotation
 
 CONFIG = AlignConfig()

@@ -159,12 +159,23 @@ def test_record_and_sweep_warn_of_what_a_scene_lacks(vssm, tmp_path):
     [
         ("record --scene oak --out {0}/file/r1", "r1: folder: expected a folder or the name of a new one"),
         ("record --scene oak --out {0}/new --seed -1", "record: seed: expected at least 0, found -1"),
+        ("record --scene oak --out {0}/new --metres 5", "record: metres: expected none with --motion survey"),
+        (
+            "record --scene oak --out {0}/new --motion handheld --noise low",
+            "record: noise: expected none with --motion handheld",
+        ),
+        ("record --scene oak --out {0}/new --size big", "record: size: expected WIDTHxHEIGHT in pixels"),
+        ("record --scene oak --out {0}/new --size 4x3", "CameraConfig: width: expected 8 to 4096 pixels"),
+        ("record --scene oak --out {0}/new --sensor-noise loud", "one of none, kinect, stereo"),
         ("map build {0} --out {0}", "file: expected the name of a file to write; it is a folder"),
         ("map build {0} --out {0}/new/map.npz", "folder: expected a folder that exists"),
         ("evaluate-trajectory {0}/file {0}/file --json {0}/new/x.json", "folder: expected a folder that exists"),
         ("bench speed --out {0}/new --seed -1", "bench: seed: expected at least 0, found -1"),
         ("bench tracker --out {0}/new --workers 0", "bench: workers: expected at least 1, found 0"),
         ("bench drift --out {0}/new --trials 0", "bench: trials: expected at least 1, found 0"),
+        ("bench slam --out {0}/new", "bench: SEQUENCE: expected a TUM folder after `bench slam`"),
+        ("bench speed {0} --out {0}/new", "bench: SEQUENCE: expected a TUM folder after `bench slam`"),
+        ("bench slam {0}/gone --out {0}/new", "gone: folder: expected an existing sequence folder"),
         ("bench --out {0}/file", "file: folder: expected a folder or the name of a new one"),
         ("slam {0} --out {0}/file/x", "x: folder: expected a folder or the name of a new one"),
         ("demo --out {0}/demo --workers 0", "sweep: workers: expected at least 1, found 0"),
@@ -279,13 +290,22 @@ def test_evaluate_trajectory_is_blind_to_the_frame_and_sees_the_scale(vssm, tmp_
     assert rigid["ate_translation_se3"]["rmse"] == pytest.approx(expected, abs=1e-6)
     assert f"{expected:.5f}" in out
 
-    code, out, _ = vssm("evaluate-trajectory", est, true, "--scale", "--json", str(tmp_path / "similar.json"))
+    code, out, _ = vssm("evaluate-trajectory", est, true, "--align", "sim3", "--json", str(tmp_path / "similar.json"))
     similar = json.loads((tmp_path / "similar.json").read_text())
     assert "Sim(3) with scale 2.0000" in out
     assert similar["scale"] == pytest.approx(2.0, abs=1e-6)
-    assert similar["ate_translation_se3"]["rmse"] == pytest.approx(0.0, abs=1e-6)
+    assert similar["ate_translation_sim3"]["rmse"] == pytest.approx(0.0, abs=1e-6)
     assert similar["rpe_translation_1"]["rmse"] == pytest.approx(0.0, abs=1e-6)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["est.txt", "rigid.json", "similar.json", "true.txt"]
+
+    code, out, _ = vssm("evaluate-trajectory", est, true, "--align", "first", "--json", str(tmp_path / "first.json"))
+    drift = json.loads((tmp_path / "first.json").read_text())
+    assert "alignment of the first pose" in out
+    # Half the size about its start.
+    expected = np.sqrt(np.mean(np.sum((0.5 * (p - p[0])) ** 2, axis=1)))
+    assert drift["ate_translation_first"]["rmse"] == pytest.approx(expected, abs=1e-6)
+    assert f"{expected:.6f}" in out
+    assert "scale" not in drift
 
 
 @pytest.mark.parametrize(
@@ -294,7 +314,7 @@ def test_evaluate_trajectory_is_blind_to_the_frame_and_sees_the_scale(vssm, tmp_
         ("fr2_desk_ORB", "fr2_desk_groundtruth.txt", [], "ape_trans_se3"),
         ("freiburg1_xyz-rgbdslam", "freiburg1_xyz-groundtruth.txt", [], "ape_trans_se3"),
         ("V102", "V102_groundtruth.csv", [], "ape_trans_se3"),
-        ("fr2_desk_ORB_kf_mono", "fr2_desk_groundtruth.txt", ["--scale"], "ape_trans_sim3"),
+        ("fr2_desk_ORB_kf_mono", "fr2_desk_groundtruth.txt", ["--align", "sim3"], "ape_trans_sim3"),
     ],
 )
 def test_evaluate_trajectory_gives_the_known_values(vssm, shared_data, tmp_path, name, truth, options, entry):
@@ -306,7 +326,8 @@ def test_evaluate_trajectory_gives_the_known_values(vssm, shared_data, tmp_path,
     result = json.loads(out.read_text())
     assert code == 0
     assert result["pairs"] == known["n_pairs"]
-    assert result["ate_translation_se3"]["rmse"] == pytest.approx(known[entry]["rmse"], rel=1e-5)
+    alignment = entry.rpartition("_")[2]
+    assert result[f"ate_translation_{alignment}"]["rmse"] == pytest.approx(known[entry]["rmse"], rel=1e-5)
 
 
 @pytest.mark.parametrize(

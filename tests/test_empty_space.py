@@ -1,14 +1,16 @@
 """The empty-space index against brute force over the dense grid: what it calls empty is empty, and no box is missed."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from random_maps import KINDS, kinds, random_map, seeds
 from scipy.ndimage import distance_transform_cdt
 
-from vssm_gym import empty_space
-from vssm_gym.empty_space import BLOCK, MAX_RINGS
+from vssm_gym.block_table import BLOCK, block_coordinates, block_number, cell_offset, corner_offsets
+from vssm_gym.empty_space import MAX_RINGS, empty_rings
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -57,6 +59,19 @@ def test_rings_stop_counting() -> None:
     np.testing.assert_array_equal(np.asarray(m.empty.rings).ravel(), np.minimum(np.arange(16), MAX_RINGS))
 
 
+@given(seeds, st.sampled_from([(3, 4, 5), (1, 2, 70), (5, 1, 33), (2, 3, 32)]))
+def test_rings_of_any_grid(seed: int, blocks: tuple[int, int, int]) -> None:
+    """Blocks along z are handled as bits of words of 32: grids that fill one, end within one, and need several."""
+    rng = np.random.default_rng(seed)
+    occupied = rng.uniform(size=blocks) < rng.choice([0.01, 0.1])
+    occupied.flat[rng.integers(occupied.size)] = True
+    expected = np.minimum(distance_transform_cdt(~occupied, metric="chessboard"), MAX_RINGS)
+    np.testing.assert_array_equal(np.asarray(rings_of(jnp.asarray(occupied))), expected)
+
+
+rings_of = jax.jit(empty_rings)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_threshold_itself_is_empty(kind: str) -> None:
     """Occupied means strictly above: a field shifted so that its largest cell is exactly 0 has no surface."""
@@ -70,8 +85,8 @@ def test_flat_positions_agree_with_the_dense_layout() -> None:
     m = VoxelMap.prior((0.0, 0.0, 0.0), 0.1, (16, 24, 8))
     flat = jnp.arange(m.occupancy.size).reshape(m.occupancy.shape)
     i, j, k = jnp.asarray(np.indices(m.shape))
-    np.testing.assert_array_equal(sum(empty_space.axis_offsets(i, j, k, m.blocks)), np.asarray(m.dense(flat)))
-    corners = empty_space.corner_offsets(i[:-1, :-1, :-1], j[:-1, :-1, :-1], k[:-1, :-1, :-1], m.blocks)
+    np.testing.assert_array_equal(cell_offset([i, j, k], m.blocks, None), np.asarray(m.dense(flat)))
+    corners = corner_offsets([c[:-1, :-1, :-1] for c in (i, j, k)], m.blocks, None)
     dense = np.asarray(m.dense(flat))
     expected = [dense[a : a + 15, b : b + 23, c : c + 7] for a, b, c in np.ndindex(2, 2, 2)]
     np.testing.assert_array_equal(np.stack(corners), np.stack(expected))
@@ -80,5 +95,6 @@ def test_flat_positions_agree_with_the_dense_layout() -> None:
 def test_block_numbers_run_fastest_along_z() -> None:
     blocks = (2, 3, 4)
     numbers = np.arange(24)
-    expected = np.stack(np.unravel_index(numbers, blocks), axis=-1)
-    np.testing.assert_array_equal(np.asarray(empty_space.block_coordinates(jnp.asarray(numbers), blocks)), expected)
+    bx, by, bz = block_coordinates(jnp.asarray(numbers), blocks)
+    np.testing.assert_array_equal(np.stack([bx, by, bz]), np.stack(np.unravel_index(numbers, blocks)))
+    np.testing.assert_array_equal(block_number([bx, by, bz], blocks), numbers)

@@ -12,9 +12,17 @@ from random_maps import ORIGIN, SHAPE, VOXEL, seeds
 from vssm_gym import empty_space
 from vssm_gym.camera import Camera
 from vssm_gym.emission import render
-from vssm_gym.geometry import inverse, transform
-from vssm_gym.inference.map_update import MapUpdateConfig, blocks_in_view, depth_ceilings, update
-from vssm_gym.voxel_map import PRIOR_COLOUR_STD, PRIOR_OCCUPANCY_MEAN, PRIOR_OCCUPANCY_STD, VoxelMap
+from vssm_gym.geometry import inverse, se3_exp, transform
+from vssm_gym.inference.map_update import MapUpdateConfig, update, update_expected
+from vssm_gym.inference.visible_blocks import blocks_in_view, depth_ceilings
+from vssm_gym.voxel_map import (
+    OBSERVATION_COLOUR_STD,
+    OBSERVATION_STD,
+    PRIOR_COLOUR_STD,
+    PRIOR_OCCUPANCY_MEAN,
+    PRIOR_OCCUPANCY_STD,
+    VoxelMap,
+)
 
 CAMERA = Camera.from_hfov(20, 15, np.radians(75))
 CONFIG = MapUpdateConfig()
@@ -161,7 +169,7 @@ def assert_no_touched_block_is_missed(depth: np.ndarray, T_world_cam: np.ndarray
     m = empty_map()
     weight, _, _, _, clear = observation_oracle(depth, np.zeros((15, 20, 3)), T_world_cam, m)
     touched = np.asarray(m.blocked(jnp.asarray((weight * clear).reshape(m.shape)))).any(axis=1)
-    listed = np.asarray(view(f32(depth), f32(np.linalg.inv(T_world_cam))))
+    listed = view(f32(depth), f32(np.linalg.inv(T_world_cam)))
     assert not (touched & ~listed).any()
     return bool(touched.any())
 
@@ -204,15 +212,24 @@ def test_no_block_in_the_band_behind_a_wall_is_missed(seed: int) -> None:
     assert found > 0
 
 
-view = jax.jit(lambda depth, T_cam_world: blocks_in_view(empty_map(), depth, T_cam_world, CAMERA, CONFIG))
+def view(depth: jax.Array, T_cam_world: jax.Array) -> np.ndarray:
+    """Which blocks are listed, (blocks,) bool; each stands in the list once."""
+    ids, count = map(np.asarray, list_view(depth, T_cam_world[None]))
+    blocks = int(np.prod(empty_map().blocks))
+    assert (ids[count:] == blocks).all()
+    assert len(np.unique(ids[:count])) == count
+    return np.isin(np.arange(blocks), ids[:count])
+
+
+list_view = jax.jit(lambda depth, T: blocks_in_view(empty_map(), depth, T, CAMERA, CONFIG))
 
 
 def test_blocks_out_of_view_are_left_alone() -> None:
     """A camera outside the grid that looks away lists nothing; one that sees a near wall lists nothing behind it."""
     depth, away = np.full((15, 20), 2.0), camera_pose((1.6, 0.3, 1.1), 0.0)
-    assert not np.asarray(view(f32(depth), f32(np.linalg.inv(away)))).any()
+    assert not view(f32(depth), f32(np.linalg.inv(away))).any()
     towards = camera_pose((-1.5, 0.3, 1.1), 0.0)
-    listed = np.asarray(view(f32(np.full((15, 20), 0.5)), f32(np.linalg.inv(towards)))).reshape(empty_map().blocks)
+    listed = view(f32(np.full((15, 20), 0.5)), f32(np.linalg.inv(towards))).reshape(empty_map().blocks)
     assert listed[0].any()
     assert not listed[1:].any()  # the wall stands at x = -1.0, blocks are 0.8 m wide from x = -1.2
 
@@ -281,6 +298,78 @@ def test_updating_compiles_once() -> None:
         depth, rgb, T = random_image(i)
         m = update(m, f32(depth), f32(rgb), f32(T), CAMERA, CONFIG)
     assert update._cache_size() - before <= 1
+
+
+# --- expectation over the pose ---------------------------------------------------------------------------------------
+
+
+def expected(m: VoxelMap, depth: np.ndarray, rgb: np.ndarray, T_samples: np.ndarray) -> VoxelMap:
+    """``update_expected`` on a copy, since it consumes its map."""
+    return update_expected(jax.tree.map(jnp.copy, m), f32(depth), f32(rgb), f32(T_samples), CAMERA, CONFIG)
+
+
+def around(T: np.ndarray, samples: int, std: float, seed: int) -> np.ndarray:
+    """(samples, 4, 4) poses ``T exp(delta)``, delta ~ N(0, std^2) in m and rad."""
+    delta = std * np.random.default_rng([seed, 9]).standard_normal((samples, 6))
+    return np.asarray(f32(T @ np.asarray(se3_exp(f32(delta)), float)))
+
+
+@given(seeds)
+def test_one_sample_is_the_plain_update(seed: int) -> None:
+    depth, rgb, T = random_image(seed)
+    a, b = updated(empty_map(), depth, rgb, T), expected(empty_map(), depth, rgb, T[None])
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
+
+
+@given(seeds, st.sampled_from([0.003, 0.03, 0.3]))
+def test_moments_over_samples_agree_with_float64(seed: int, std: float) -> None:
+    """Cell by cell: mean sum w o / sum w, precision mean(w) / (1 + Var(o) / sigma^2), for occupancy and for colour."""
+    depth, rgb, T = random_image(seed)
+    poses, m = around(T, 4, std, seed), empty_map()
+    parts = [observation_oracle(depth, rgb, pose, m) for pose in poses]
+    w, o, w_c, c = (np.stack([part[i] for part in parts]) for i in range(4))
+    clear = np.all([part[4] for part in parts], axis=0)
+    after = expected(m, depth, rgb, poses)
+    with np.errstate(invalid="ignore"):
+        mean, colour = (w * o).sum(0) / w.sum(0), (w_c[..., None] * c).sum(0) / w_c.sum(0)[:, None]
+        variance = (w * (o - mean) ** 2).sum(0) / w.sum(0)
+        variance_c = (w_c[..., None] * (c - colour) ** 2).sum(0).mean(-1) / w_c.sum(0)
+    weight = np.nan_to_num(w.mean(0) / (1.0 + variance / OBSERVATION_STD**2))
+    weight_c = np.nan_to_num(w_c.mean(0) / (1.0 + variance_c / OBSERVATION_COLOUR_STD**2))
+    prior = PRIOR_OCCUPANCY_STD**-2
+    expected_o = (prior * PRIOR_OCCUPANCY_MEAN + weight * np.nan_to_num(mean)) / (prior + weight)
+    np.testing.assert_allclose(flat(m, after.occupancy_precision)[clear], (prior + weight)[clear], rtol=2e-3)
+    np.testing.assert_allclose(flat(m, after.occupancy)[clear], expected_o[clear], atol=1e-4)
+    prior_c = PRIOR_COLOUR_STD**-2
+    expected_c = weight_c[:, None] * np.nan_to_num(colour) / (prior_c + weight_c)[:, None]
+    np.testing.assert_allclose(flat(m, after.colour_precision)[clear], (prior_c + weight_c)[clear], rtol=2e-3)
+    np.testing.assert_allclose(flat(m, after.colour)[clear], expected_c[clear], atol=1e-3)
+
+
+def test_the_less_certain_the_pose_the_less_is_learned_near_surfaces() -> None:
+    """Precision in the band before a wall falls with the pose's noise; free air far from it is known all the same."""
+    T, rgb = camera_pose((-1.1, 0.25, 1.0), 0.0), np.full((15, 20, 3), 0.5)
+    gains = []
+    for std in (0.0, 0.01, 0.03, 0.1):
+        m = expected(empty_map(), np.full((15, 20), 1.5), rgb, around(T, 8, std, 0))
+        precision = np.asarray(m.dense(m.occupancy_precision))[:, 11:13, 7]  # along the optical axis; wall at x = 0.4
+        gains.append((precision[15:17].mean(), precision[4:10].mean()))
+        assert (precision >= 0.99 * PRIOR_OCCUPANCY_STD**-2).all()
+    near, far = np.transpose(gains)
+    assert (np.diff(near) < 0.0).all()
+    assert near[0] == pytest.approx(1.01, rel=1e-5)
+    assert near[-1] < 0.4 * near[0]
+    assert far[-1] > 0.9 * far[0]
+
+
+@given(seeds)
+def test_precisions_never_fall_in_expectation(seed: int) -> None:
+    depth, rgb, T = random_image(seed)
+    before = updated(empty_map(), *random_image(seed + 1))
+    after = expected(before, depth, rgb, around(T, 4, 0.1, seed))
+    assert bool((after.occupancy_precision >= before.occupancy_precision).all())
+    assert bool((after.colour_precision >= before.colour_precision).all())
 
 
 # --- walls -----------------------------------------------------------------------------------------------------------

@@ -105,53 +105,11 @@ def test_an_unfinished_recording_is_not_a_sequence(tmp_path: Path) -> None:
     assert len(load_sequence(tmp_path / "s").frames) == 1
 
 
-# --- broken folders --------------------------------------------------------------------------------------------------
+# --- broken folders (test_faults.py has those that stop nothing) -----------------------------------------------------
 
 
 def test_no_folder(tmp_path: Path) -> None:
     assert_refused(tmp_path / "none", "folder", lambda: load_sequence(tmp_path / "none"))
-
-
-@pytest.mark.parametrize("kind", ["rgb", "depth"])
-def test_a_missing_image_is_named(folder: Path, kind: str) -> None:
-    """When the index is read: before any work, with the index and the image in one sentence."""
-    path = sorted((folder / kind).iterdir())[2]
-    path.unlink()
-    assert_refused(folder / "associations.txt", "images", lambda: load_sequence(folder))
-    (folder / "associations.txt").unlink()
-    assert_refused(folder / f"{kind}.txt", "images", lambda: load_sequence(folder))
-    with pytest.raises(InputError, match=path.name):
-        load_sequence(folder)
-
-
-@pytest.mark.parametrize("kind", ["rgb", "depth"])
-@pytest.mark.parametrize("content", [b"", b"not an image", "half"])
-def test_an_unreadable_image_is_named(folder: Path, kind: str, content: bytes | str) -> None:
-    path = sorted((folder / kind).iterdir())[2]
-    data = path.read_bytes()
-    path.write_bytes(content if isinstance(content, bytes) else data[: len(data) // 2])
-    assert_refused(path, "pixels", lambda: read_all(folder))
-
-
-@pytest.mark.parametrize("kind", ["rgb", "depth"])
-def test_an_image_of_another_size_is_named(folder: Path, kind: str) -> None:
-    path = sorted((folder / kind).iterdir())[2]
-    image = iio.imread(path)
-    iio.imwrite(path, image[:-1])
-    assert_refused(path, "size", lambda: read_all(folder))
-
-
-def test_depth_in_colour_is_refused(folder: Path) -> None:
-    path = sorted((folder / "depth").iterdir())[2]
-    iio.imwrite(path, np.zeros((12, 16, 3), np.uint8))
-    assert_refused(path, "pixels", lambda: read_all(folder))
-
-
-def test_colour_of_16_bits_is_refused(folder: Path) -> None:
-    """Someone listed the depth images twice."""
-    path = sorted((folder / "rgb").iterdir())[2]
-    iio.imwrite(path, np.full((12, 16), 5000, np.uint16))
-    assert_refused(path, "pixels", lambda: read_all(folder))
 
 
 @pytest.mark.parametrize("channels", [1, 2, 4])

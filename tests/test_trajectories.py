@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line, write_trajectory
+from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line, velocities, write_trajectory
 from vssm_gym.errors import InputError
 
 
@@ -152,3 +152,14 @@ def test_published_trajectories_load(
     assert (np.diff(times) >= 0).all()
     np.testing.assert_allclose(T[0, :3, 3], start, atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(T[:, :3, :3]), 1.0, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_velocities_carry_each_pose_to_the_next(seed: int) -> None:
+    """World frame, as SPEC 1 integrates them: ``t' = t + v dt``, ``R' = exp(w dt) R``."""
+    rng = np.random.default_rng(seed)
+    T, times = poses(rng, 10), np.cumsum(rng.uniform(0.05, 0.3, 10))
+    v, w = np.split(velocities(times, T), 2, axis=1)
+    dt = np.diff(times)[:, None]
+    np.testing.assert_allclose(T[:-1, :3, 3] + v * dt, T[1:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(Rotation.from_rotvec(w * dt).as_matrix() @ T[:-1, :3, :3], T[1:, :3, :3], atol=1e-9)

@@ -88,7 +88,7 @@ def test_agrees_with_evo(seed: int) -> None:
     est.align(ref, correct_scale=True)
     absolute = metrics.APE(metrics.PoseRelation.translation_part)
     absolute.process_data((ref, est))
-    ours = trajectory.ate(T_est[of_est], T_true[of_true], with_scale=True).translation
+    ours = trajectory.ate(T_est[of_est], T_true[of_true], "sim3").translation
     np.testing.assert_allclose(ours, absolute.error, atol=1e-9)
 
 
@@ -127,7 +127,7 @@ def test_alignment_is_optimal(seed: int) -> None:
     T_est, T_true = np.tile(np.eye(4), (2, 15, 1, 1))
     T_est[:, :3, 3], T_true[:, :3, 3] = p_est, p_true
     best = np.sum(trajectory.ate(T_est, T_true).translation ** 2)
-    assert np.sum(trajectory.ate(T_est, T_true, with_scale=True).translation ** 2) <= best + 1e-9
+    assert np.sum(trajectory.ate(T_est, T_true, "sim3").translation ** 2) <= best + 1e-9
     found = trajectory.align(p_est, p_true)
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)  # a rotation even where a reflection would fit better
     for _ in range(20):
@@ -171,3 +171,28 @@ def test_bad_input_names_the_field() -> None:
         trajectory.rpe(line, line, 5)
     with pytest.raises(InputError, match="times"):
         trajectory.evaluate(np.arange(5.0), line, np.arange(5.0) + 100.0, line)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_alignment_of_the_first_pose(seed: int) -> None:
+    """No error at the start whatever the frame; there, drift is all that counts; ``none`` keeps a wrong frame wrong."""
+    rng = np.random.default_rng(seed)
+    T_true, A = random_poses(rng, 30), random_motion(rng)
+    first = trajectory.ate(A @ T_true, T_true, "first")
+    assert max(first.translation.max(), first.rotation.max()) < 1e-5
+    drift = random_poses(rng, 30)
+    one, other = (trajectory.ate(T, T_true, "first") for T in (T_true @ drift, A @ T_true @ drift))
+    assert one.translation[0] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
+    # The best rigid motion never fits worse than the first pose's.
+    assert np.sum(trajectory.ate(T_true @ drift, T_true).translation ** 2) <= np.sum(one.translation**2) + 1e-9
+    unaligned = trajectory.ate(A @ T_true, T_true, "none").translation
+    np.testing.assert_allclose(unaligned, np.linalg.norm((A @ T_true - T_true)[:, :3, 3], axis=1))
+
+
+def test_straight_lines_need_no_best_rotation() -> None:
+    line = np.tile(np.eye(4), (5, 1, 1))
+    line[:, 0, 3] = np.arange(5)
+    result = trajectory.evaluate(np.arange(5.0), line, np.arange(5.0), line, alignments=("first", "none"))
+    assert result["ate_translation_first"]["max"] == result["ate_translation_none"]["max"] == 0.0
+    assert "scale" not in result

@@ -1,15 +1,30 @@
 """The planar transition against simulation: the noise of SPEC 6, drawn without its rectification and as executed."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from vssm_gym.envs.robots import ExecutionNoise, execute
-from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix
-from vssm_gym.transition import MotionNoise, PlanarBelief, planar_mean, planar_predict
+from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix, se3_exp
+from vssm_gym.transition import (
+    Bicycle,
+    Imu,
+    ImuNoise,
+    MotionNoise,
+    Planar,
+    PlanarBelief,
+    Rigid,
+    RigidNoise,
+    RigidState,
+    Transition,
+    planar_mean,
+    planar_predict,
+)
 
 NOISE = ExecutionNoise(turn=np.radians(1.0), step=0.004)  # small against every command below: nothing is rectified
 # turning left and right, driving, both, and neither
@@ -129,3 +144,105 @@ def test_means_take_batches() -> None:
     np.testing.assert_allclose(
         np.asarray(batch), np.asarray(jnp.broadcast_to(planar_mean(planar[0, 0], control[0, 0]), (4, 5, 3)))
     )
+
+
+# --- laws of every transition: what the model is told about its steps
+
+
+def _rigid(seed: int) -> RigidState:
+    rng = np.random.default_rng(seed)
+    return RigidState(se3_exp(f32(rng.normal(size=6))), f32(rng.normal(size=6)))
+
+
+# A transition, one state, one control; noise wide enough that the curvature of rotations shows
+LOOSE = RigidNoise(0.5, 0.3, 0.5, 0.6)
+EVERY = {
+    "rigid": (Rigid(LOOSE), _rigid(1), f32([0.5, 0.2, -0.1, 1.0, -0.4, 0.3])),
+    "rigid, pose first": (Rigid(LOOSE, 0.2, velocity_first=False), _rigid(2), f32([0.5, 0.2, -0.1, 1.0, -0.4, 0.3])),
+    "imu": (Imu(ImuNoise(0.1, 0.6, 0.2, 0.3)), _rigid(3), f32([0.3, 0.1, 9.5, 0.5, -1.0, 0.2])),
+    "planar": (Planar(MotionNoise(0.02, 0.004), (0.01, 0.01, 0.02)), f32([0.4, -0.7, 2.9]), f32([0.15, 0.05, 0.12])),
+    "bicycle": (Bicycle(), f32([0.4, -0.7, 2.9]), f32([1.0, 0.3])),
+}
+each = pytest.mark.parametrize("name", EVERY)
+
+
+def several(state: object, n: int) -> object:
+    return jax.tree.map(lambda a: jnp.broadcast_to(a, (n, *a.shape)), state)
+
+
+def dimensions(transition: Transition, state: object) -> int:
+    return transition.error(state, state).shape[-1]
+
+
+@each
+def test_errors_and_perturbations_are_inverse(name: str) -> None:
+    transition, state, _ = EVERY[name]
+    assert isinstance(transition, Transition)
+    xi = np.random.default_rng(0).normal(size=(50, dimensions(transition, state))) * 0.5
+    again = transition.error(state, transition.perturb(state, f32(xi)))
+    np.testing.assert_allclose(np.asarray(again), xi, atol=2e-5)
+
+
+@each
+def test_volumes_are_determinants(name: str) -> None:
+    """``log |det|`` of what an error moves, by forward differentiation at errors of half a radian."""
+    transition, state, _ = EVERY[name]
+    n = dimensions(transition, state)
+    for seed in range(4):
+        xi = f32(np.random.default_rng(seed).normal(size=n) * 0.5)
+        there = transition.perturb(state, xi)
+        moved = jax.jacfwd(lambda d, there=there, xi=xi: transition.error(there, transition.perturb(state, xi + d)))
+        _, expected = np.linalg.slogdet(np.asarray(moved(jnp.zeros(n)), float))
+        np.testing.assert_allclose(float(transition.log_volume(xi)), expected, atol=1e-3)
+
+
+@each
+def test_densities_belong_to_their_samples(name: str) -> None:
+    """``E_p[q / p] = 1`` for a Gaussian ``q`` centred elsewhere: constants and volumes count."""
+    transition, state, control = EVERY[name]
+    sample, log_prob, error = (eqx.filter_jit(f) for f in (transition.sample, transition.log_prob, transition.error))
+    n, dims = 20_000, dimensions(transition, state)
+    drawn = sample(jax.random.key(0), several(state, n), several(control, n))
+    log_p = np.asarray(log_prob(drawn, several(state, n), several(control, n)), float)
+    xi = np.asarray(error(jax.tree.map(lambda a: a[0], drawn), drawn), float)
+    # q: narrower than p so that the ratio is bounded, about a point within p
+    mean = jax.tree.map(lambda a: a[0], drawn)
+    for _ in range(5):
+        mean = transition.perturb(mean, error(mean, drawn).mean(axis=0))
+    centre = transition.perturb(mean, f32(0.3 * xi.std(axis=0)))
+    xi = np.asarray(error(centre, drawn), float)
+    covariance = 0.5 * np.cov(xi.T)
+    log_q = stats.multivariate_normal.logpdf(xi, np.zeros(dims), covariance) - np.asarray(
+        transition.log_volume(f32(xi))
+    )
+    ratio = np.exp(log_q - log_p)
+    assert abs(ratio.mean() - 1.0) < 4.0 * ratio.std() / np.sqrt(n) + 0.03
+    assert ratio.std() < 8.0
+
+
+@each
+def test_samples_are_independent_and_batched(name: str) -> None:
+    transition, state, control = EVERY[name]
+    sample, log_prob = (eqx.filter_jit(f) for f in (transition.sample, transition.log_prob))
+    drawn = sample(jax.random.key(1), several(several(state, 3), 2), several(several(control, 3), 2))
+    poses = np.asarray(transition.pose(drawn))
+    assert poses.shape == (2, 3, 4, 4)
+    assert len(np.unique(poses.reshape(6, 16).round(6), axis=0)) == 6
+    log_p = np.asarray(log_prob(drawn, several(several(state, 3), 2), several(several(control, 3), 2)))
+    assert log_p.shape == (2, 3)
+    one = jax.tree.map(lambda a: a[1, 2], drawn)
+    np.testing.assert_allclose(log_p[1, 2], float(log_prob(one, state, control)), rtol=1e-4)
+
+
+def test_the_planar_sample_never_reverses_a_motion() -> None:
+    """Noise far larger than the command: turns keep their sign, steps are not negative, rest stays rest (SPEC 6)."""
+    transition, n = Planar(MotionNoise(1.0, 1.0), (0.0, 0.0, 0.0)), 2000
+    start = jnp.zeros((n, 3))
+    moved = np.asarray(transition.sample(jax.random.key(0), start, jnp.broadcast_to(f32([0.1, 0.0, 0.0]), (n, 3))))
+    np.testing.assert_array_equal(moved[:, :2], 0.0)
+    assert moved[:, 2].min() >= -np.pi
+    assert 0.4 < np.mean(moved[:, 2] == 0.0) < 0.5
+    still = np.asarray(transition.sample(jax.random.key(0), start, jnp.zeros((n, 3))))
+    np.testing.assert_allclose(still, 0.0, atol=1e-7)
+    driven = np.asarray(transition.sample(jax.random.key(0), start, jnp.broadcast_to(f32([0.0, 0.0, 0.1]), (n, 3))))
+    assert 0.4 < np.mean(np.abs(driven[:, :2]).max(axis=1) < 1e-6) < 0.5

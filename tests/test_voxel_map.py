@@ -65,7 +65,8 @@ def test_the_field_agrees_with_float64_interpolation(kind: str, seed: int) -> No
     expected = FieldOracle.of(m)(p.astype(float))
     scale = float(jnp.abs(m.occupancy).max()) + 1.0
     np.testing.assert_allclose(np.asarray(field(m, p))[off_the_faces], expected[off_the_faces], atol=2e-4 * scale)
-    np.testing.assert_allclose(np.asarray(m.occupancy_at(jnp.asarray(p))), np.asarray(field(m, p))[:, 0], atol=1e-6)
+    alone = np.asarray(m.occupancy_at(jnp.asarray(p)))
+    np.testing.assert_allclose(alone[off_the_faces], expected[off_the_faces, 0], atol=2e-4 * scale)
 
 
 @given(kinds, seeds)
@@ -290,7 +291,7 @@ def test_pickles_are_refused(saved: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"version": 2}, {"version": "1"}, {"version": None}, {"format": "voxels"}, {"format": None}]
+    "change", [{"version": 3}, {"version": "1"}, {"version": None}, {"format": "voxels"}, {"format": None}]
 )
 def test_other_versions_are_refused(saved: Path, change: dict) -> None:
     rewrite(saved, header=header(saved, **change))

@@ -15,14 +15,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from vssm_gym.block_table import BLOCK, block_number, cell_offset, corner_offsets
 from vssm_gym.camera import Camera
-from vssm_gym.empty_space import BLOCK, axis_offsets, corner_offsets
+from vssm_gym.compaction import first_set
 from vssm_gym.voxel_map import VoxelMap, trilinear
 
 TAU = 0.0  # occupancy of the surface: zero for signed distances
 STEP = 0.4  # e, in voxels (PRISM)
 MAX_DEPTH = 8.0  # m
-FLIGHT = 4  # leaps before the first look: rays start in the open
+HIT = 1 << 20  # added to the sample of a hit; no ray has as many samples
+NARROWING = (2, 4, 8, 16, 32, 64)  # batches of rays: of all, shares
+FLIGHT = 3  # leaps before the first look: rays start in the open
 KNOWN_SHARE = 0.75  # a pixel is known where so much of its value comes from observed cells
 SAMPLES_IN_CUBE = 5  # a ray crosses a cube's diagonal, sqrt(3) voxels, in at most floor(sqrt(3) / STEP) + 1 samples
 
@@ -46,20 +49,34 @@ class EmissionScales(eqx.Module):
 class _Rays(NamedTuple):
     """Rays in cell coordinates: position ``start + k * stride`` at sample ``k``.
 
-    One array a coordinate: a reduction over an axis of three keeps the compiler from vectorising over rays.
+    One array a coordinate: a reduction over an axis of three keeps the compiler from vectorising over rays. One array
+    for where a ray stands and whether it hit: the compiler works out again for each array that a step writes all that
+    leads to it, so two of them cost twice as much.
     """
 
-    start: tuple[Array, ...]
-    stride: tuple[Array, ...]  # cells a sample
-    inverse: tuple[Array, ...]  # 1 / stride, finite where the ray is parallel to a face
-    k: Array  # (rays,) the sample the search stands at
+    start: tuple[Array, ...]  # scalars: all rays leave the camera
+    stride: tuple[Array, ...]  # (rays,) cells a sample
+    k: Array  # (rays,) the sample the search stands at; plus HIT where it found the surface
     last: Array  # (rays,) the last sample inside the grid and the depth range
-    hit: Array  # (rays,)
+
+    @property
+    def inverse(self) -> tuple[Array, ...]:
+        """1 / stride, finite where the ray is parallel to a face."""
+        return tuple(1.0 / jnp.where(jnp.abs(s) > 1e-9, s, 1e-9) for s in self.stride)
+
+    @property
+    def unfinished(self) -> Array:
+        """Rays that neither hit nor left."""
+        return self.k <= self.last
 
 
 def world_rays(T_world_cam: Float[Array, "4 4"], camera: Camera) -> tuple[Array, Array]:
     """Camera centre (3,) and ray directions (height*width, 3) in the world, per metre of z-depth."""
-    directions = camera.rays().reshape(-1, 3) @ T_world_cam[:3, :3].T
+    # One array a coordinate: a product (N, 3) @ (3, 3) costs as much as a tenth of an image.
+    v, u = (a.reshape(-1) for a in jnp.indices((camera.height, camera.width), jnp.float32))
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    R = T_world_cam[:3, :3]
+    directions = jnp.stack([R[a, 0] * x + R[a, 1] * y + R[a, 2] for a in range(3)], axis=-1)
     return T_world_cam[:3, 3], directions
 
 
@@ -87,18 +104,18 @@ def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arra
 def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array) -> _Rays:
     e = STEP * m.voxel_size
     origin = m.to_grid(centre)
-    start = tuple(jnp.broadcast_to(origin[a], directions.shape[:1]) for a in range(3))
     stride = tuple(directions[:, a] * (e / m.voxel_size) for a in range(3))
-    inverse = tuple(1.0 / jnp.where(jnp.abs(s) > 1e-9, s, 1e-9) for s in stride)
+    nothing = jnp.zeros(directions.shape[:1], jnp.int32)
+    rays = _Rays(tuple(origin), stride, nothing, nothing)
     enter, leave = jnp.full(directions.shape[:1], 2.0), jnp.broadcast_to(jnp.floor(max_depth / e), directions.shape[:1])
-    for s, i, n in zip(start, inverse, m.shape, strict=True):
+    for s, i, n in zip(rays.start, rays.inverse, m.shape, strict=True):
         near, far = -s * i, (n - 1.0 - s) * i
         enter = jnp.maximum(enter, jnp.minimum(near, far))
         leave = jnp.minimum(leave, jnp.maximum(near, far))
     # The slack keeps a sample on the grid's face; a ray beside the grid "enters" at 1e9 samples, which fits no int32.
     k = jnp.minimum(jnp.ceil(enter - 1e-3), jnp.floor(max_depth / e) + 1.0)
     last = jnp.where(enter > leave, 0.0, jnp.floor(leave + 1e-3))
-    return _Rays(start, stride, inverse, k.astype(jnp.int32), last.astype(jnp.int32), jnp.zeros(k.shape, bool))
+    return rays._replace(k=k.astype(jnp.int32), last=last.astype(jnp.int32))
 
 
 def _cube(m: VoxelMap, rays: _Rays) -> list[Array]:
@@ -121,32 +138,31 @@ def _beyond(rays: _Rays, low: list[Array], size: Array | int) -> Array:
 def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
     """Move each ray to the first sample beyond the certified empty box it stands in; not where its cube is occupied."""
     cube = _cube(m, rays)
-    block = ((cube[0] >> 3) * m.blocks[1] + (cube[1] >> 3)) * m.blocks[2] + (cube[2] >> 3)
-    rings = m.empty.rings.reshape(-1).at[block].get(mode="promise_in_bounds")
-    flat = sum(axis_offsets(cube[0], cube[1], cube[2], m.blocks))
+    block = block_number([c >> 3 for c in cube], m.blocks)
+    rings = m.empty.rings.reshape(-1).at[block].get(mode="promise_in_bounds").astype(jnp.int32)
+    flat = cell_offset(cube, m.blocks, m.table)
     level = m.empty.level.reshape(-1).at[flat].get(mode="promise_in_bounds").astype(jnp.int32)
     shift = jnp.where(rings > 0, 3, jnp.maximum(level - 1, 0))
     reach = jnp.where(rings > 0, (rings - 1) * BLOCK, 0)
     low = [((c >> shift) << shift) - reach for c in cube]
-    beyond = _beyond(rays, low, (1 << shift) + 2 * reach)
-    return rays._replace(k=jnp.where((level > 0) & ~rays.hit, beyond, rays.k))
+    beyond = jnp.minimum(_beyond(rays, low, (1 << shift) + 2 * reach), HIT - 1)
+    return rays._replace(k=jnp.where(((rings > 0) | (level > 0)) & (rays.k < HIT), beyond, rays.k))
 
 
 def _look(m: VoxelMap, rays: _Rays) -> _Rays:
     """Test every sample that a ray has in its present cube: the first one above the threshold is the hit."""
     cube = _cube(m, rays)
     occupancy = m.occupancy.reshape(-1)
-    offsets = corner_offsets(cube[0], cube[1], cube[2], m.blocks)
+    offsets = corner_offsets(cube, m.blocks, m.table)
     corners = [occupancy.at[offset].get(mode="promise_in_bounds") for offset in offsets]
     beyond = jnp.minimum(_beyond(rays, cube, 1), rays.last + 1)
-    hit, k = rays.hit, jnp.where(rays.hit, rays.k, beyond)
+    k = beyond
     for sample in reversed(range(SAMPLES_IN_CUBE)):
         at = rays.k + sample
         d = at.astype(jnp.float32)
         x, y, z = (s + t * d - c for s, t, c in zip(rays.start, rays.stride, cube, strict=True))
-        above = (trilinear(corners, x, y, z) > TAU) & (at < beyond) & ~rays.hit
-        hit, k = hit | above, jnp.where(above, at, k)
-    return rays._replace(k=k, hit=hit)
+        k = jnp.where((trilinear(corners, x, y, z) > TAU) & (at < beyond), at + HIT, k)
+    return rays._replace(k=jnp.where(rays.k < HIT, k, rays.k))
 
 
 def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
@@ -164,31 +180,31 @@ def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arr
     """
     n = directions.shape[0]
     rays = _start(m, centre, directions, max_depth)
-    index = jnp.arange(n)
-    done_k, done_hit = jnp.zeros(n, jnp.int32), jnp.zeros(n, bool)
     for _ in range(FLIGHT):
         rays = _leap(m, rays)
-    widths = [n, *(-(-n // share) for share in (2, 4, 8, 16, 32, 64)), 0]
-    for narrow in widths[1:]:
+    index, found = jnp.arange(n), rays.k
+    for narrow in (*(-(-n // share) for share in NARROWING), 0):
 
-        def unfinished(rays):
-            return (rays.k <= rays.last) & ~rays.hit
+        def advance(k, rays=rays):
+            return _look(m, _leap(m, _leap(m, rays._replace(k=k)))).k
 
-        def advance(rays):
-            return _look(m, _leap(m, _leap(m, rays)))
+        def crowded(k, rays=rays, narrow=narrow):
+            return jnp.sum(rays._replace(k=k).unfinished) > narrow
 
-        def crowded(rays, narrow=narrow):
-            return jnp.sum(unfinished(rays)) > narrow
-
-        rays = jax.lax.while_loop(crowded, advance, rays)
-        done_k = done_k.at[index].set(rays.k, mode="drop")
-        done_hit = done_hit.at[index].set(rays.hit, mode="drop")
+        rays = rays._replace(k=jax.lax.while_loop(crowded, advance, rays.k))
+        found = rays.k if rays.k.shape[0] == n else found.at[index].set(rays.k, mode="drop")
         if narrow:
-            (keep,) = jnp.nonzero(unfinished(rays), size=narrow, fill_value=rays.k.shape[0])
+            keep = first_set(rays.unfinished, narrow)
             index = index.at[keep].get(mode="fill", fill_value=n)
-            rays = jax.tree.map(lambda a, keep=keep: a.at[keep].get(mode="clip"), rays)
-            rays = rays._replace(last=jnp.where(index < n, rays.last, -1))
-    return done_k, done_hit
+            stride, k, last = jax.tree.map(lambda a, keep=keep: a.at[keep].get(mode="clip"), rays[1:])
+            rays = _Rays(rays.start, stride, k, jnp.where(index < n, last, -1))
+    hit = found >= HIT
+    return jnp.where(hit, found - HIT, found), hit
+
+
+def _along(centre: Array, directions: Array, depth: Array) -> Array:
+    """Points (rays, 3) at z-depths, formed a coordinate at a time."""
+    return jnp.stack([centre[a] + directions[:, a] * depth for a in range(3)], axis=-1)
 
 
 def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays"]) -> Float[Array, "rays"]:
@@ -196,8 +212,8 @@ def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays
     e = STEP * m.voxel_size
     d_k = k.astype(jnp.float32) * e
     d_before = d_k - e
-    o_k = m.occupancy_at(centre + directions * d_k[:, None])
-    o_before = m.occupancy_at(centre + directions * d_before[:, None])
+    o_k = m.occupancy_at(_along(centre, directions, d_k))
+    o_before = m.occupancy_at(_along(centre, directions, d_before))
     o_before = jnp.where(k > 2, o_before, jnp.minimum(o_before, TAU))  # the first sample never counts as a hit
     rise = o_k - o_before
     a = (TAU - o_before) / jnp.where(rise > 1e-9, rise, 1.0)
@@ -216,8 +232,8 @@ def render_with(
     k, hit = searcher(*jax.lax.stop_gradient((m, centre, directions)), max_depth)
     k = jnp.where(hit, k, 2)
     depth = intersect(m, centre, directions, k)
-    surface = centre + directions * depth[:, None]
-    rgb = m.field(surface)[..., 1:]
+    surface = _along(centre, directions, depth)
+    rgb = m.colour_at(surface)
     known = hit & (m.observed_at(jax.lax.stop_gradient(surface)) >= KNOWN_SHARE)
     shape = (camera.height, camera.width)
     depth = jnp.where(hit, depth, 0.0).reshape(shape)

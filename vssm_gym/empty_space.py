@@ -12,10 +12,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
-BLOCK = 8  # cells along one edge of a block
-CELLS = BLOCK**3  # cells of a block
+from vssm_gym.block_table import BLOCK, CELLS, PRIOR_SLOT, Blocks, BlockTable, block_coordinates, cell_offset
+
 MAX_RINGS = 12  # rings of empty blocks that are counted; a ray re-reads the index after 12 blocks
 
 _EDGE = np.arange(BLOCK + 1)
@@ -24,74 +24,97 @@ _WINDOW = np.stack(np.meshgrid(_EDGE, _EDGE, _EDGE, indexing="ij"), -1).reshape(
 
 
 class EmptySpace(eqx.Module):
-    """Certified empty boxes. ``level`` 0: occupied cube; 1, 2, 3, 4: in an empty aligned box of 1, 2, 4, 8 cubes."""
+    """Certified empty boxes. ``level`` 0: occupied cube; 1, 2, 3, 4: in an empty aligned box of 1, 2, 4, 8 cubes.
 
-    level: UInt8[Array, "blocks cells"]
-    rings: Int[Array, "bx by bz"]  # 0: the block has an occupied cube; r: every block nearer than r rings is empty
+    A sparse grid has no levels for blocks without storage: where such a block is not empty (its last cubes touch cells
+    of the next blocks) the prior's row says 0, "look", everywhere.
+    """
 
+    level: UInt8[Array, "rows cells"]
+    rings: UInt8[Array, "bx by bz"]  # 0: the block has an occupied cube; r: every block nearer than r rings is empty
 
-def axis_offsets(i: Array, j: Array, k: Array, blocks: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    """Three offsets whose sum is the position of cell ``(i, j, k)`` in block storage read as one flat array."""
-    block_strides = (blocks[1] * blocks[2] * CELLS, blocks[2] * CELLS, CELLS)
-    cell_strides = (BLOCK * BLOCK, BLOCK, 1)
-    x, y, z = ((c >> 3) * block_strides[a] + (c & (BLOCK - 1)) * cell_strides[a] for a, c in enumerate((i, j, k)))
-    return x, y, z
-
-
-def corner_offsets(i: Array, j: Array, k: Array, blocks: tuple[int, int, int]) -> list[Array]:
-    """Flat positions of the eight cells ``(i..i+1, j..j+1, k..k+1)``, x slowest, z fastest."""
-    low, high = axis_offsets(i, j, k, blocks), axis_offsets(i + 1, j + 1, k + 1, blocks)
-    return [x + y + z for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-
-
-def block_coordinates(block: Int[Array, "*batch"], blocks: tuple[int, int, int]) -> Int[Array, "*batch 3"]:
-    """``(bx, by, bz)`` of block numbers."""
-    by, bz = blocks[1], blocks[2]
-    return jnp.stack([block // (by * bz), (block // bz) % by, block % bz], axis=-1)
+    @classmethod
+    def of_prior(cls, rows: int, blocks: Blocks, sparse: bool) -> "EmptySpace":
+        """No surface anywhere."""
+        level = jnp.full((rows, CELLS), 4, jnp.uint8)
+        level = level.at[PRIOR_SLOT].set(0) if sparse else level
+        return cls(level, jnp.full(blocks, MAX_RINGS, jnp.uint8))
 
 
 def block_levels(
-    occupancy: Float[Array, "blocks cells"], ids: Int[Array, "n"], blocks: tuple[int, int, int], threshold: float
+    occupancy: Float[Array, "rows cells"],
+    ids: Int[Array, "n"],
+    blocks: Blocks,
+    threshold: float,
+    table: BlockTable | None = None,
 ) -> UInt8[Array, "n cells"]:
     """``level`` rows of the blocks ``ids``, read from their cells and the first layer of the next blocks."""
-    base = block_coordinates(ids, blocks) * BLOCK
-    limit = jnp.asarray(blocks) * BLOCK - 1  # cubes past the last cell repeat it: there is nothing beyond the grid
-    cell = jnp.minimum(base[:, None, :] + _WINDOW, limit)
-    flat = sum(axis_offsets(cell[..., 0], cell[..., 1], cell[..., 2], blocks))
-    window = occupancy.reshape(-1).at[flat].get(mode="promise_in_bounds") > threshold
-    window = window.reshape(-1, BLOCK + 1, BLOCK + 1, BLOCK + 1)
-    x = window[:, :-1] | window[:, 1:]
-    y = x[:, :, :-1] | x[:, :, 1:]
-    cube = y[..., :-1] | y[..., 1:]
-    level = jnp.zeros(cube.shape, jnp.uint8)
+    # Cubes past the last cell repeat it: there is nothing beyond the grid.
+    cells = [
+        jnp.minimum(b[:, None] * BLOCK + _WINDOW[:, a], blocks[a] * BLOCK - 1)
+        for a, b in enumerate(block_coordinates(ids, blocks))
+    ]
+    flat = cell_offset(cells, blocks, table)
+    above = occupancy.reshape(-1).at[flat].get(mode="promise_in_bounds") > threshold
+    # Nine cells along z as nine bits: what follows handles a whole row of cubes in one operation.
+    bits = jnp.sum(above.reshape(-1, BLOCK + 1, BLOCK + 1, BLOCK + 1).astype(jnp.int32) << _EDGE, axis=-1)
+    bits = bits | (bits >> 1)
+    bits = bits[:, :-1] | bits[:, 1:]
+    bits = (bits[:, :, :-1] | bits[:, :, 1:]) & 0xFF
+    z = np.arange(BLOCK)
+    level = jnp.zeros((ids.shape[0], BLOCK, BLOCK, BLOCK), jnp.int32)
     for size in (1, 2, 4, 8):
-        n = BLOCK // size
-        boxes = cube.reshape(-1, n, size, n, size, n, size).any(axis=(2, 4, 6))
-        wide = boxes[:, :, None, :, None, :, None]
-        wide = jnp.broadcast_to(wide, (boxes.shape[0], n, size, n, size, n, size)).reshape(cube.shape)
-        level = level + (~wide).astype(jnp.uint8)
-    return level.reshape(-1, CELLS)
+        if size > 1:
+            bits = bits[:, 0::2] | bits[:, 1::2]
+            bits = bits[:, :, 0::2] | bits[:, :, 1::2]
+            bits = bits | (bits >> (size // 2))  # a box's bit is that of its lower half
+        boxes = jnp.repeat(jnp.repeat(bits, size, axis=1), size, axis=2)
+        level = level + (1 - ((boxes[..., None] >> (z // size * size)) & 1))
+    return level.astype(jnp.uint8).reshape(-1, CELLS)
 
 
-def empty_rings(level: UInt8[Array, "blocks cells"], blocks: tuple[int, int, int]) -> Int[Array, "bx by bz"]:
-    """Chebyshev distance, in blocks, to the nearest block with an occupied cube; capped at ``MAX_RINGS``."""
-    occupied = (level[:, 0] < 4).reshape(blocks)  # an empty block has level 4 in every cube, so one cube tells
-    rings = jnp.where(occupied, 0, MAX_RINGS).astype(jnp.int32)
-    reached = occupied
-    for r in range(1, MAX_RINGS):
-        for axis in range(3):
-            pad = [(1, 1) if a == axis else (0, 0) for a in range(3)]
-            padded = jnp.pad(reached, pad)
-            n = reached.shape[axis]
-            low = jax.lax.slice_in_dim(padded, 0, n, axis=axis)
-            high = jax.lax.slice_in_dim(padded, 2, n + 2, axis=axis)
-            reached = reached | low | high
-        rings = jnp.where(reached & (rings == MAX_RINGS), r, rings)
-    return rings
+def empty_rings(occupied: Bool[Array, "bx by bz"]) -> UInt8[Array, "bx by bz"]:
+    """Chebyshev distance, in blocks, to the nearest occupied block; capped at ``MAX_RINGS``."""
+    bx, by, bz = occupied.shape
+    words = -(-bz // 32)
+    bit = np.arange(32, dtype=np.uint32)
+    padded = jnp.pad(occupied, ((0, 0), (0, 0), (0, 32 * words - bz))).reshape(bx, by, words, 32)
+    reached = jnp.sum(padded.astype(jnp.uint32) << bit, axis=-1, dtype=jnp.uint32)
+
+    def ring(_, carry):
+        reached, planes = carry
+        counted, add = [], ~reached  # one more ring where not reached: addition on bit planes, a block a bit
+        for plane in planes:
+            counted.append(plane ^ add)
+            add = plane & add
+        edge = jnp.pad(reached, ((1, 1), (1, 1), (1, 1)))
+        carried = jnp.roll(edge >> 31, 1, axis=2) | jnp.roll(edge << 31, -1, axis=2)
+        along_z = (edge | (edge << 1) | (edge >> 1) | carried)[:, :, 1:-1]
+        along_y = along_z[:, :-2] | along_z[:, 1:-1] | along_z[:, 2:]
+        return along_y[:-2] | along_y[1:-1] | along_y[2:], counted
+
+    planes = [jnp.zeros_like(reached)] * MAX_RINGS.bit_length()
+    _, planes = jax.lax.fori_loop(0, MAX_RINGS, ring, (reached, planes))
+    rings = sum(((plane[..., None] >> bit) & 1) << p for p, plane in enumerate(planes))
+    return rings.astype(jnp.uint8).reshape(bx, by, -1)[:, :, :bz]
 
 
-def build(occupancy: Float[Array, "blocks cells"], blocks: tuple[int, int, int], threshold: float = 0.0) -> EmptySpace:
+def build(
+    occupancy: Float[Array, "rows cells"], blocks: Blocks, table: BlockTable | None = None, threshold: float = 0.0
+) -> EmptySpace:
     """The index of a whole grid, in chunks so that the 9^3 windows never stand in memory together."""
-    ids = jnp.arange(occupancy.shape[0], dtype=jnp.int32)
-    level = jax.lax.map(lambda i: block_levels(occupancy, i[None], blocks, threshold)[0], ids, batch_size=256)
-    return EmptySpace(level, empty_rings(level, blocks))
+    n, rows = blocks[0] * blocks[1] * blocks[2], occupancy.shape[0]
+    chunk = min(n, 256)
+
+    def one_chunk(i, carry):
+        level, occupied = carry
+        block = jnp.minimum(i * chunk + jnp.arange(chunk), n - 1)  # the last chunk repeats the last block
+        found = block_levels(occupancy, block, blocks, threshold, table)
+        row = block
+        if table is not None:
+            row = jnp.where(table.rows(block) == PRIOR_SLOT, rows, table.rows(block))
+        return level.at[row].set(found, mode="drop"), occupied.at[block].set(found[:, 0] < 4)
+
+    start = EmptySpace.of_prior(rows, blocks, table is not None)
+    level, occupied = jax.lax.fori_loop(0, -(-n // chunk), one_chunk, (start.level, jnp.zeros(n, bool)))
+    return EmptySpace(level, empty_rings(occupied.reshape(blocks)))

@@ -1,32 +1,36 @@
-"""``vssm-gym bench``: how fast it is here, and how far tracking is off (DESIGN; SPEC 6, 12)."""
+"""``vssm-gym bench``: how fast it is here, and how far tracking is off (DESIGN; SPEC 3, 6, 12)."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4}
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1}
 
 
 def bench(
-    suite: Annotated[Literal["speed", "tracker", "drift"], tyro.conf.Positional] = "speed",
+    suite: Annotated[Literal["speed", "tracker", "drift", "slam"], tyro.conf.Positional] = "speed",
+    sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
     scene: str = "oak",
     out: Path = Path("out/bench"),
     trials: int | None = None,
     workers: int = 2,
     seed: int = 0,
 ) -> None:
-    """Measure on this machine: `speed` of every stage, accuracy of the `tracker`, or `drift` over 100 m.
+    """Measure on this machine: `speed` of every stage, accuracy of the `tracker`, `drift` over 100 m, or `slam`.
 
     `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `tracker`
     drives trajectories of 100 steps by the true pose and prints the tracker's location RMSE. `drift` chains goals over
-    100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images.
+    100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images. `slam` runs
+    SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's dense SLAM, where that is installed.
 
     Args:
         suite: what to measure.
+        sequence: TUM folder, for `slam` only.
         scene: built-in name or path of a scene file.
         out: folder for the learned map, which is kept, and for the figures as JSON.
-        trials: drives; 300 for `tracker`, 4 for `drift`.
+        trials: drives or runs; 300 for `tracker`, 4 for `drift`, 1 for `slam`.
         workers: processes of `tracker` and `drift`.
         seed: of the drives.
     """
@@ -35,6 +39,8 @@ def bench(
     from rich.console import Console
 
     from vssm_gym.cli.console import progress_bars
+    from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.errors import InputError
     from vssm_gym.eval.config import DEFAULT_VOXEL
     from vssm_gym.eval.destinations import check_at_least, check_folder
     from vssm_gym.eval.maps import ensure_map, map_hash
@@ -45,24 +51,37 @@ def bench(
     for field, value, least in (("trials", count, 1), ("workers", workers, 1), ("seed", seed, 0)):
         check_at_least("bench", field, value, least)
     check_folder(out)
+    if (sequence is not None) != (suite == "slam"):
+        raise InputError("bench", "SEQUENCE", "a TUM folder after `bench slam`, and nothing after other suites")
+    recording = None if sequence is None else load_sequence(sequence)
     with progress_bars() as progress:
-        map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
-        if suite == "speed":
-            from vssm_gym.eval.bench_speed import speed
+        if recording is not None:
+            from vssm_gym.eval.bench_slam import compare
 
-            result = speed(scene, map_file, seed=seed, progress=progress)
+            result = compare(recording, trials=count, progress=progress)
         else:
-            from vssm_gym.eval import bench_tracking
-
-            run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
-            result = run(scene, map_file, trials=count, workers=workers, seed=seed, progress=progress)
-    result["map_hash"] = map_hash(map_file)
+            map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
+            result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
+            result["map_hash"] = map_hash(map_file)
     out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{suite}-{Path(scene).stem}.json"
+    path = out / f"{suite}-{Path(scene if sequence is None else sequence.resolve()).stem}.json"
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
     _show(suite, result, Console())
     print(path)
+
+
+def _on_a_map(
+    suite: str, scene: str, map_file: Path, trials: int, workers: int, seed: int, progress: Any
+) -> dict[str, Any]:
+    if suite == "speed":
+        from vssm_gym.eval.bench_speed import speed
+
+        return speed(scene, map_file, seed=seed, progress=progress)
+    from vssm_gym.eval import bench_tracking
+
+    run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
+    return run(scene, map_file, trials=trials, workers=workers, seed=seed, progress=progress)
 
 
 def _show(suite: str, result: dict[str, Any], console: Any) -> None:
@@ -78,6 +97,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         console.print(f"pixels where search and march differ: {result['pixels_where_search_and_march_differ']:.2e}")
         console.print(f"recompilations after the first step: {result['recompilations_after_the_first_step']}")
         console.print(f"machine: {result['machine']}")
+        return
+    if suite == "slam":
+        _show_slam(table, result, console)
         return
     if suite == "tracker":
         table.add_column("location RMSE over 100 steps")
@@ -97,3 +119,24 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         table.add_row("RMSE of the drive", *(f"{method['rmse_m']:.3f}" for method in methods.values()))
         table.caption = f"astar / no_map, each drive: {result['astar_over_no_map']}"
     console.print(table)
+
+
+def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
+    """One row a stage: median and 95th percentile, and the error of the whole run beside its step."""
+    for name in ("method, image, voxel", "stage", "ms", "95 %", "ATE cm", "max cm", "> 5 cm"):
+        table.add_column(name, justify="left" if name in ("method, image, voxel", "stage") else "right", no_wrap=True)
+    for row in result["rows"]:
+        what = f"{row['method']} {'x'.join(map(str, row['size']))} {100 * row['voxel']:g} cm"
+        off = ["-"] * 3
+        if row["ate_m"] is not None:
+            off = [f"{100 * row['ate_m']:.2f}", f"{100 * row['ate_max_m']:.1f}", str(row["astray"])]
+        for stage, times in row["stages_ms"].items():
+            first = stage == "step"
+            ms = [f"{times['p50']:.1f}", f"{times['p95']:.1f}"]
+            table.add_row(what if first else "", stage, *ms, *(off if first else [""] * 3))
+    table.caption = "median and 95th percentile; ATE, its largest and the frames beyond 5 cm after SE(3) alignment"
+    console.print(table)
+    for notice in result["notices"]:
+        print(f"warning: {notice}", file=sys.stderr)
+    if result["missing"]:
+        console.print(f"compared with nothing: {result['missing']}", soft_wrap=True)

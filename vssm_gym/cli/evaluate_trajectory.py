@@ -3,20 +3,21 @@
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+ALIGNMENTS = {"se3": "SE(3)", "sim3": "Sim(3)", "first": "of the first pose", "none": "none"}
 SHOWN = ("rmse", "mean", "median", "min", "max")
 
 
 def evaluate_trajectory(
     estimate: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="EST")],
     truth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRUE")],
-    scale: bool = False,
+    alignment: Annotated[Literal["se3", "sim3", "first", "none"], tyro.conf.arg(name="align")] = "se3",
     tolerance: float = 0.01,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
 ) -> None:
@@ -25,8 +26,9 @@ def evaluate_trajectory(
     Args:
         estimate: trajectory as TUM text (time tx ty tz qx qy qz qw, one line a pose) or EuRoC csv.
         truth: the true trajectory, in either format.
-        scale: align by a similarity, Sim(3), instead of a rigid motion, SE(3): for monocular estimates, whose scale
-            nobody knows. The relative errors are then those of the scaled estimate.
+        alignment: se3: the rigid motion of least squared error; sim3: the similarity, for monocular estimates, whose
+            scale nobody knows (the relative errors are then those of the scaled estimate); first: the first pair of
+            poses, so that errors are the drift since then; none: both files have one frame.
         tolerance: seconds that the stamps of a pair of poses may be apart.
         json_file: also write every statistic to this file.
     """
@@ -47,26 +49,27 @@ def evaluate_trajectory(
     of_est, of_true = associate(times_est, times_true, tolerance)
     if len(of_est) == 0:
         raise InputError(estimate, "times", f"a stamp within {tolerance} s of one in {truth}")
-    alignment, factor = "SE(3)", 1.0
-    if scale:
+    stated, scale = ALIGNMENTS[alignment], 1.0
+    if alignment == "sim3":
         similarity = align(T_est[of_est, :3, 3], T_true[of_true, :3, 3], with_scale=True)
-        alignment, factor = f"Sim(3) with scale {similarity.scale:.6f}", similarity.scale
-        T_est = similarity.apply(T_est)
-    result = evaluate(times_est, T_est, times_true, T_true, tolerance)
+        T_est, scale = similarity.apply(T_est), similarity.scale
+        stated = f"{stated} with scale {scale:.6f}"
+    result = evaluate(times_est, T_est, times_true, T_true, tolerance, alignments=(alignment,))
     if json_file is not None:
-        result["scale"] *= factor  # of the estimate as it was read
-        content = {"estimate": str(estimate), "truth": str(truth), "alignment": alignment, **result}
+        if alignment == "sim3":
+            result["scale"] = scale  # of the estimate as it was read
+        content = {"estimate": str(estimate), "truth": str(truth), "alignment": stated, **result}
         with atomic_write(json_file) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n")
     console = Console(soft_wrap=True, highlight=False)
     console.print(
         f"{result['pairs']} pairs of {len(times_est)} estimated and {len(times_true)} true poses, "
-        f"stamps within {tolerance:g} s, alignment {alignment}"
+        f"stamps within {tolerance:g} s, alignment {stated}"
     )
-    console.print(_table(result))
+    console.print(_table(result, alignment))
 
 
-def _table(result: dict[str, Any]) -> "Table":
+def _table(result: dict[str, Any], alignment: str) -> "Table":
     """One row a kind of error: its name and unit, then :data:`SHOWN`."""
     from rich.table import Table
 
@@ -75,7 +78,7 @@ def _table(result: dict[str, Any]) -> "Table":
     table.add_column("unit")
     for statistic in SHOWN:
         table.add_column(statistic, justify="right")
-    rows = [("ATE position", "m", "ate_translation_se3"), ("ATE rotation", "deg", "ate_rotation_se3")]
+    rows = [("ATE position", "m", f"ate_translation_{alignment}"), ("ATE rotation", "deg", f"ate_rotation_{alignment}")]
     for name in result:
         if match := re.fullmatch(r"rpe_(translation|rotation)_(\d+)", name):
             kind, unit = ("position", "m") if match[1] == "translation" else ("rotation", "deg")

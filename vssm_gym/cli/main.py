@@ -27,6 +27,7 @@ COMMANDS: dict[str, Any] = {
     "slam": "slam.slam",
     "evaluate-trajectory": "evaluate_trajectory.evaluate_trajectory",
     "bench": "bench.bench",
+    "study": {"map-update": "study.map_update"},
     "doctor": "doctor.doctor",
 }
 

@@ -1,24 +1,76 @@
-"""``vssm-gym record --scene S --out DIR``: drive through a scene and record a TUM folder (DESIGN)."""
+"""``vssm-gym record --scene S --out DIR``: record a scene as a TUM folder (DESIGN)."""
 
+import re
 from pathlib import Path
+from typing import Literal
 
 
-def record(scene: str, out: Path, noise: str = "low", seed: int = 0) -> None:
-    """Drive a survey of a scene and record colour, depth, commands and true poses as a TUM folder.
+def record(
+    scene: str,
+    out: Path,
+    motion: Literal["survey", "handheld"] = "survey",
+    noise: str | None = None,
+    sensor_noise: str = "none",
+    metres: float | None = None,
+    rate: float | None = None,
+    size: str = "160x120",
+    seed: int = 0,
+) -> None:
+    """Record colour, depth, commands and true poses of a scene as a TUM folder.
+
+    A `survey` is a robot's drive that shows all of the floor, to make a map from. `handheld` is a camera carried from
+    room to room, about 1.3 m up, at 0.3 to 0.6 m/s: what SLAM is tried on.
 
     Args:
         scene: built-in name (oak) or path of a scene file.
         out: new or empty folder; it appears when the recording is complete.
-        noise: execution noise of the drive: none, low, mid or high; the recorded poses are the true ones.
-        seed: of the route and of the noise.
+        motion: what carries the camera.
+        noise: execution noise of a survey's drive: none, low (default), mid or high; recorded poses are the true ones.
+        sensor_noise: none (exact images), kinect or stereo.
+        metres: length of a handheld path at least; 50 by default.
+        rate: frames a second of a handheld camera; 10 by default.
+        size: WIDTHxHEIGHT of the images.
+        seed: of the path and of all noise.
     """
     from vssm_gym.cli.console import print_notices, progress_bars
     from vssm_gym.data import recording
+    from vssm_gym.envs import sensor_noise as sensors
+    from vssm_gym.envs.sensors import CameraConfig
+    from vssm_gym.errors import InputError
     from vssm_gym.eval.destinations import check_at_least, check_folder
 
     check_at_least("record", "seed", seed, 0)
     check_folder(out)
+    for name, value, owner in (("noise", noise, "survey"), ("metres", metres, "handheld"), ("rate", rate, "handheld")):
+        if value is not None and motion != owner:
+            raise InputError("record", name, f"none with --motion {motion}: it belongs to {owner}")
+    if not (match := re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", size.strip())):
+        raise InputError("record", "size", f"WIDTHxHEIGHT in pixels, as 160x120, not {size!r}")
+    camera = CameraConfig(int(match[1]), int(match[2]))
+    sensors.sensor_noise(sensor_noise)  # an unknown name is refused before anything starts
     print_notices([scene])
     with progress_bars() as progress:
-        frames = recording.record(scene, out, noise=noise, seed=seed, progress=progress)
-    print(f"{frames} frames: {out}\nnext: vssm-gym map build {out} --out map.npz")
+        if motion == "survey":
+            frames = recording.record(
+                scene,
+                out,
+                noise=noise or "low",
+                sensor_noise=sensor_noise,
+                camera=camera,
+                seed=seed,
+                progress=progress,
+            )
+            following = f"vssm-gym map build {out} --out map.npz"
+        else:
+            frames = recording.record_handheld(
+                scene,
+                out,
+                metres=50.0 if metres is None else metres,
+                rate=10.0 if rate is None else rate,
+                sensor_noise=sensor_noise,
+                camera=camera,
+                seed=seed,
+                progress=progress,
+            )
+            following = f"vssm-gym slam {out} --out slam"
+    print(f"{frames} frames: {out}\nnext: {following}")

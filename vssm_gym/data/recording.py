@@ -1,24 +1,35 @@
-"""Drive through a scene and record it as a TUM folder: what maps are learned from (``vssm-gym record``).
+"""Record a scene as a TUM folder (``vssm-gym record``): a robot's survey of it, or a hand-held camera's walk.
 
-The driver knows the floor plan and the true pose; what it leaves behind is images, commands and ground truth, as a
-motion-capture hall would. Agents get the map made from them, never the recording or the plan.
+Driver and walker know the floor plan and the true pose; what they leave behind is images, commands and ground truth, as
+a motion-capture hall would. Agents get the map made from them, never the recording or the plan.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vssm_gym.camera import Camera
+from vssm_gym.data.handheld import walk
 from vssm_gym.data.sequences import SequenceWriter
-from vssm_gym.envs.pointnav import PointNavEnv
+from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.pointnav import STREAMS, PointNavEnv
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
+from vssm_gym.envs.sensors import CameraConfig, raycast_camera
 from vssm_gym.envs.survey import Waypoint, survey_route
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
+from vssm_gym.geometry import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer
+
+Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
 PROVENANCE = "recording.json"  # beside TUM's files: which scene, driven how
 ARRIVED = 0.06  # m from a waypoint; nearer than the noise of a step makes no sense
@@ -29,8 +40,10 @@ def record(
     out: Path,
     *,
     noise: str = "low",
+    sensor_noise: str = "none",
+    camera: CameraConfig | None = None,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> int:
     """Drive the survey route of ``scene`` and turn around once at each viewpoint; returns the number of frames.
 
@@ -38,31 +51,93 @@ def record(
         scene: built-in name or path of a scene file.
         out: new or empty folder; it appears whole or not at all.
         noise: execution noise of the drive; the recorded poses are the true ones.
-        seed: of the route and of the noise.
+        sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
+        camera: size and angle of the images.
+        seed: of the route and of both noises.
         progress: told ("recording", waypoints passed, waypoints) after every waypoint.
 
     Raises:
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(out, "folder", "an empty or new folder: a recording is never overwritten")
-    env = PointNavEnv(scene=str(scene), noise=noise, observe_pose=True, reward="sparse")
+    _check_new(out)
+    measured = noise_model(sensor_noise)
+    env = PointNavEnv(scene=str(scene), noise=noise, camera=camera, observe_pose=True, reward="sparse")
     route = survey_route(env.apartment, env.robot, seed)
-    provenance = {
-        "scene": env.apartment.name,
-        "scene_hash": env.apartment.content_hash(),
-        "noise": noise,
-        "renderer": env.renderer_name,
-        "seed": seed,
-    }
-    out.parent.mkdir(parents=True, exist_ok=True)
+    about = {"motion": "survey", "noise": noise, "sensor_noise": sensor_noise, "renderer": env.renderer_name}
     try:
-        with atomic_write(out) as unfinished:
-            frames = _drive(env, route, unfinished, seed, progress)
-            (unfinished / PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
+        with _recording(out, env.apartment, about | {"seed": seed}) as unfinished:
+            return _drive(env, route, unfinished, measured, seed, progress)
     finally:
         env.close()
-    return frames
+
+
+def record_handheld(
+    scene: str | Path,
+    out: Path,
+    *,
+    metres: float = 50.0,
+    rate: float = 10.0,
+    sensor_noise: str = "none",
+    camera: CameraConfig | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> int:
+    """Carry a camera through ``scene`` (:func:`handheld.walk`); returns the number of frames.
+
+    Args:
+        scene: built-in name or path of a scene file.
+        out: new or empty folder; it appears whole or not at all.
+        metres: length of the path at least.
+        rate: frames a second.
+        sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
+        camera: size and angle of the images.
+        seed: of the path and of the sensor.
+        progress: told ("recording", frames, of how many) now and then.
+
+    Raises:
+        InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
+    """
+    _check_new(out)
+    measured = noise_model(sensor_noise)
+    apartment = load_scene(scene)
+    path = walk(apartment, metres, rate, seed)
+    eye = raycast_camera(World(apartment, HolonomicRobot()), camera or CameraConfig())
+    about = {"motion": "handheld", "metres": metres, "rate": rate, "body_radius": path.body}
+    about |= {"sensor_noise": sensor_noise, "renderer": eye.tracer.name, "seed": seed}
+    T_body_cam = np.eye(4)
+    T_body_cam[:3, :3] = R_BODY_CAM
+    try:
+        with _recording(out, apartment, about) as unfinished:
+            writer = SequenceWriter(unfinished, eye.camera, T_body_cam, controls=False)
+            sensor = NoisySensor(measured, eye.camera, _sensor_stream(seed))
+            for i, (time, T_world_cam) in enumerate(zip(path.times, path.T_world_cam, strict=True)):
+                writer.append(time, *sensor(*eye.render(T_world_cam), 1.0 / rate), T_world_cam)
+                if progress and (i % 20 == 0 or i + 1 == len(path.times)):
+                    progress("recording", i + 1, len(path.times))
+            writer.close()
+    finally:
+        eye.close()
+    return len(path.times)
+
+
+def _check_new(out: Path) -> None:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(out, "folder", "an empty or new folder: a recording is never overwritten")
+
+
+@contextmanager
+def _recording(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
+    """A folder to record into, which becomes ``out`` once it is whole, with what made it beside the images."""
+    provenance = {"scene": apartment.name, "scene_hash": apartment.content_hash(), **about}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out) as unfinished:
+        yield unfinished
+        (unfinished / PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
+
+
+def _sensor_stream(seed: int) -> np.random.Generator:
+    """The sensor's own random numbers, whatever the path and the drive use."""
+    return np.random.default_rng(np.random.SeedSequence(seed).spawn(len(STREAMS))[STREAMS.index("sensors")])
 
 
 def read_provenance(recording: Path) -> dict[str, Any]:
@@ -77,8 +152,9 @@ def _drive(
     env: PointNavEnv,
     route: list[Waypoint],
     folder: Path,
+    measured: SensorNoise,
     seed: int,
-    progress: Callable[[str, int, int], None] | None,
+    progress: Progress | None,
 ) -> int:
     """Follow the route from its first waypoint and write every image; returns how many."""
     ahead = next((w for w in route[1:]), route[0])
@@ -88,12 +164,13 @@ def _drive(
     observation, info = env.reset(seed=seed, options={"task": task})
     camera = Camera.from_matrix(info["K"], env.camera.width, env.camera.height)
     writer = SequenceWriter(folder, camera, env.robot.T_body_cam)
+    sensor = NoisySensor(measured, camera, _sensor_stream(seed))
     frames = 0
 
     def write() -> None:
         nonlocal frames
-        control, rgb, depth = info["control"], observation["rgb"], observation["depth"]
-        writer.append(frames * env.robot.dt, rgb, depth, info["T_world_cam"], control)
+        rgb, depth = sensor(observation["rgb"], observation["depth"], env.robot.dt)
+        writer.append(frames * env.robot.dt, rgb, depth, info["T_world_cam"], info["control"])
         frames += 1
 
     def command(turn: float, offset: float, step: float) -> None:

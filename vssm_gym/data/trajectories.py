@@ -87,3 +87,13 @@ def interpolate(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndar
     result[:, :3, :3] = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
     result[:, :3, 3] = np.stack([np.interp(at, times, poses[:, a, 3]) for a in range(3)], axis=1)
     return result
+
+
+def velocities(times: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """``(n - 1, 6)`` velocities over each interval, world frame: linear (m/s), angular (rad/s).
+
+    ``t' = t + v dt``, ``R' = exp(w dt) R`` (SPEC 1): each leads exactly to the next pose.
+    """
+    dt = np.diff(times)[:, None]
+    turn = Rotation.from_matrix(poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], 1, 2)).as_rotvec()
+    return np.concatenate([np.diff(poses[:, :3, 3], axis=0), turn], axis=1) / dt

@@ -1,23 +1,21 @@
-"""Pose by MAP: ``argmin_T L_geo + L_rgb - log q(T)``, robust Gauss-Newton over all pixels (SPEC 3, step 2; PRISM).
+"""Residuals of the pose: ``r_geo = <p^ - T p, n^>`` and ``r_rgb = I^[pi(T p)] - I[pi(p)]`` (SPEC 3, step 2; PRISM).
 
-An observed RGB-D image is aligned to a reference image, rendered from the map or taken earlier. With ``T = T_ref_cam``
-and projective association, ``r_geo = <p^ - T p, n^>`` and ``r_rgb = I^[pi(T p)] - I[pi(p)]`` on luminance. Each is
-scaled by its standard deviation and made robust by Huber's function, which is the published L1 norm beyond the elbow
-and quadratic below it, where Gauss-Newton needs a curvature. The motion lives in a subspace ``T = T_prior exp(B xi)``:
-``B`` is the identity for a free camera and the three planar twists for a robot on a floor, which then stays on it
-exactly.
+An observed RGB-D image is aligned to a reference image, rendered from the map or taken earlier, by ``T = T_ref_cam``
+and projective association; the image residual is on luminance. The solvers (:mod:`gauss_newton`, :mod:`adam`) minimise
+``L_geo + L_rgb - log q(T)`` over motions in a subspace ``T = T_prior exp(B xi)``: ``B`` is the identity for a free
+camera and the three planar twists for a robot on a floor, which then stays on it exactly.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
-from vssm_gym.geometry import inverse, se3_exp, se3_log
+from vssm_gym.geometry import se3_adjoint
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,9 @@ class AlignConfig:
     geo_gate: float = 0.30  # m; pairs farther apart are different surfaces
     rgb_gate: float = 0.30  # luminance
     rgb_weight: float = 0.6  # of photometry against geometry
+    seen_weight: float = 0.6  # of photometry against the image seen at the reference pose
     pixels_per_datum: float = 30.0  # neighbouring pixels err together: so many count as one independent residual
+    pixels: int = 5000  # observed pixels used at most, on a regular grid: more say the same again
     levels: tuple[int, ...] = (4, 2, 1)  # image shrink factors, coarse to fine
     iterations: tuple[int, ...] = (6, 5, 5)  # at most, per level
     tolerance: float = 1e-5  # m and rad: a smaller step ends the level
@@ -44,6 +44,8 @@ class Reference(eqx.Module):
     plane: Float[Array, "4 pixels"]  # unit normal and its offset <n, p>, camera frame; all 0 where unknown
     image: Float[Array, "3 pixels"]  # luminance and its two derivatives per pixel
     textured: Bool[Array, "pixels"]  # where the image means anything
+    seen: Float[Array, "3 pixels"] | None = None  # as ``image``, of the camera image taken at the reference pose
+    spread: Float[Array, "pixels"] | None = None  # m, std of the planes beyond the sensor's: what the map does not know
 
 
 class Observed(eqx.Module):
@@ -62,6 +64,11 @@ class AlignInfo(eqx.Module):
     photometric: Float[Array, ""]  # mean |r_rgb| / sigma
     information: Float[Array, "dof dof"]  # of the data about xi: sum J^T J of the scaled residuals, per datum
     iterations: Array  # on the finest level
+
+
+def score(info: AlignInfo) -> Float[Array, ""]:
+    """Inlier share times ``min(1, coverage / 0.4)``: near 1 where an image fits its reference (MEASURED)."""
+    return info.inlier_share * jnp.minimum(1.0, info.coverage / 0.4)
 
 
 def luminance(rgb: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
@@ -86,6 +93,16 @@ def shrink_image(image: Array, factor: int) -> Array:
     return image[: h * factor, : w * factor].reshape(h, factor, w, factor).mean(axis=(1, 3))
 
 
+def shrink_rgbd(image: RGBD, factor: int) -> RGBD:
+    """The image at a smaller size, as a camera of that size would have it."""
+    if factor == 1:
+        return image
+    rgb = jnp.stack([shrink_image(image.rgb[..., c], factor) for c in range(3)], axis=-1)
+    return RGBD(
+        shrink_depth(image.depth, factor), rgb, shrink_depth(image.hit, factor), shrink_depth(image.known, factor)
+    )
+
+
 def shrink_camera(camera: Camera, factor: int) -> Camera:
     """The camera whose pixels are the kept depth readings.
 
@@ -105,8 +122,31 @@ def shrink_camera(camera: Camera, factor: int) -> Camera:
     )
 
 
-def make_reference(image: RGBD, camera: Camera, config: AlignConfig, factor: int = 1) -> Reference:
-    """Planes and image derivatives of an RGB-D image, shrunk by ``factor``."""
+def _linear(grey: Array) -> Array:
+    """Luminance and its central differences, ``(3, pixels)``."""
+    du = 0.5 * (jnp.roll(grey, -1, 1) - jnp.roll(grey, 1, 1))
+    dv = 0.5 * (jnp.roll(grey, -1, 0) - jnp.roll(grey, 1, 0))
+    return jnp.stack([grey, du, dv]).reshape(3, -1)
+
+
+def make_reference(
+    image: RGBD,
+    camera: Camera,
+    config: AlignConfig,
+    factor: int = 1,
+    seen: Array | None = None,
+    spread: Array | None = None,
+) -> Reference:
+    """Planes and image derivatives of an RGB-D image, shrunk by ``factor``.
+
+    Args:
+        image: Rendered from the map, or taken.
+        camera: Its intrinsics.
+        config: Limits.
+        factor: To shrink by.
+        seen: Luminance of a camera image taken at the same pose.
+        spread: Std of the image's depth, m.
+    """
     depth = shrink_depth(jnp.where(image.known, image.depth, 0.0), factor)
     p = shrink_camera(camera, factor).backproject(depth)
 
@@ -129,133 +169,146 @@ def make_reference(image: RGBD, camera: Camera, config: AlignConfig, factor: int
     plane = jnp.concatenate([normal, jnp.sum(normal * p, -1, keepdims=True)], axis=-1)
     plane = jnp.where(smooth[..., None], plane, 0.0)
     grey = shrink_image(luminance(image.rgb), factor)
-    (right, left), (down, up) = sides(grey, 1), sides(grey, 0)
     known = shrink_image(image.known.astype(jnp.float32), factor) > 0.999
     textured = known & inner
     for neighbour in (*sides(known, 0), *sides(known, 1)):
         textured &= neighbour
-    linear = jnp.stack([grey, 0.5 * (right - left), 0.5 * (down - up)])
-    return Reference(jnp.moveaxis(plane, -1, 0).reshape(4, -1), linear.reshape(3, -1), textured.reshape(-1))
+    return Reference(
+        plane=jnp.moveaxis(plane, -1, 0).reshape(4, -1),
+        image=_linear(grey),
+        textured=textured.reshape(-1),
+        seen=None if seen is None else _linear(shrink_image(seen, factor)),
+        spread=None if spread is None else shrink_depth(spread, factor).reshape(-1),
+    )
 
 
-def make_observed(image: RGBD, camera: Camera, factor: int = 1) -> Observed:
-    """Points and luminance of an observed image, shrunk by ``factor``."""
+def stride(camera: Camera, factor: int, config: AlignConfig) -> int:
+    """Every how many pixels of the shrunk image are used, so that about ``config.pixels`` remain."""
+    pixels = (camera.width // factor) * (camera.height // factor)
+    return max(1, round((pixels / config.pixels) ** 0.5))
+
+
+def make_observed(image: RGBD, camera: Camera, factor: int = 1, every: int = 1) -> Observed:
+    """Points and luminance of an observed image, shrunk by ``factor``; then of every ``every``-th row and column."""
     depth = shrink_depth(jnp.where(image.hit, image.depth, 0.0), factor)
-    p = shrink_camera(camera, factor).backproject(depth)
+    p = jnp.moveaxis(shrink_camera(camera, factor).backproject(depth), -1, 0)
     grey = shrink_image(luminance(image.rgb), factor)
-    return Observed(jnp.moveaxis(p, -1, 0).reshape(3, -1), grey.reshape(-1), (depth > 0.0).reshape(-1))
+    grid = (..., slice(every // 2, None, every), slice(every // 2, None, every))
+    return Observed(p[grid].reshape(3, -1), grey[grid].reshape(-1), (depth[grid] > 0.0).reshape(-1))
 
 
-def _linearise(
-    T: Array, basis: Array, ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
-) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array, float]]:
-    """Residuals, weights and Jacobians (dof, pixels) in the basis at ``T`` = T_ref_cam, both kinds stacked."""
+class Term(NamedTuple):
+    """One kind of residual at a pose, in standard deviations."""
+
+    residual: Float[Array, "pixels"]
+    weight: Float[Array, "pixels"]  # Huber's, times the share of an independent datum; 0 where not used
+    jacobian: Float[Array, "6 pixels"]  # by a twist d in the reference's frame, T' = exp(d) T
+    usable: Bool[Array, "pixels"]  # falls on a plane (geometry), on a known part of the image (photometry)
+
+
+def linearise(
+    T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
+) -> tuple[Term, ...]:
+    """Geometry, photometry and, where the reference has it, photometry against the image seen there.
+
+    Args:
+        T: T_ref_cam.
+        ref: What is aligned to, shrunk by ``factor``.
+        obs: What is aligned, likewise.
+        camera: Of the images before shrinking.
+        factor: They were shrunk by.
+        config: Scales and gates.
+    """
     view = shrink_camera(camera, factor)
-    R, t = T[:3, :3], T[:3, 3]
-    p = obs.points
-    q = R @ p + t[:, None]
+    q = T[:3, :3] @ obs.points + T[:3, 3][:, None]
     ahead = obs.valid & (q[2] > 0.05)
     inverse_z = 1.0 / jnp.where(ahead, q[2], 1.0)
     u, v = q[0] * inverse_z * view.fx + view.cx, q[1] * inverse_z * view.fy + view.cy
-    i, j = jnp.round(u).astype(jnp.int32), jnp.round(v).astype(jnp.int32)
+    i, j = jnp.round(u), jnp.round(v)
     inside = ahead & (i >= 0) & (i < view.width) & (j >= 0) & (j < view.height)
-    pixel = jnp.where(inside, j * view.width + i, 0)
+    pixel = jnp.where(inside, j * view.width + i, 0.0).astype(jnp.int32)
+    # One gather of whole rows: eight would each compute the projection again.
+    images = [ref.image] if ref.seen is None else [ref.image, ref.seen]
+    spread = [] if ref.spread is None else [ref.spread[None]]
+    rows = jnp.concatenate([ref.plane, ref.textured[None].astype(ref.image.dtype), *images, *spread]).T
+    nx, ny, nz, offset, textured, *linear = rows.at[pixel].get(mode="promise_in_bounds").T
+    r_geo = offset - (nx * q[0] + ny * q[1] + nz * q[2])
+    planar = inside & (nx * nx + ny * ny + nz * nz > 0.5)
+    known = inside & (textured > 0.5)
+    near = jnp.abs(r_geo) < config.geo_gate
+    depth = obs.points[2]
+    sigma_geo = config.geo_sigma + config.geo_sigma_quadratic * depth * depth
+    if ref.spread is not None:
+        sigma_geo = jnp.hypot(sigma_geo, linear.pop())
+    scale_geo = 1.0 / sigma_geo
+    scale_rgb = 1.0 / config.rgb_sigma
+    share = (factor * stride(camera, factor, config)) ** 2 / config.pixels_per_datum
 
-    def look(a):
-        return a.at[pixel].get(mode="promise_in_bounds")
+    def term(residual, use, scale, share, x, y, z, usable):
+        """``x, y, z``: gradient of the residual by the point q; exp(d) moves it by d_t + d_r x q."""
+        s = residual * scale
+        weight = share * use * jnp.minimum(1.0, config.huber / jnp.maximum(jnp.abs(s), 1e-9))
+        x, y, z = x * scale, y * scale, z * scale
+        J = jnp.stack([x, y, z, q[1] * z - q[2] * y, q[2] * x - q[0] * z, q[0] * y - q[1] * x])
+        return Term(s, weight, J, usable)
 
-    n = [look(ref.plane[c]) for c in range(3)]
-    planar = inside & (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5)
-    r_geo = look(ref.plane[3]) - (n[0] * q[0] + n[1] * q[1] + n[2] * q[2])
-    grey, du, dv = (look(ref.image[c]) for c in range(3))
-    r_rgb = grey + du * (u - i) + dv * (v - j) - obs.luminance
-    textured = inside & look(ref.textured)
-    # dI/dq through the projection, in the reference frame
-    gx, gy = du * view.fx * inverse_z, dv * view.fy * inverse_z
-    g = [gx, gy, -(gx * q[0] + gy * q[1]) * inverse_z]
-
-    def jacobian(m, sign):
-        """Of a residual with gradient ``sign m`` by the point: T exp(d) moves it by R (d_t + d_r x p)."""
-        a = R.T @ jnp.stack(m)
-        moment = jnp.stack([p[1] * a[2] - p[2] * a[1], p[2] * a[0] - p[0] * a[2], p[0] * a[1] - p[1] * a[0]])
-        return sign * (basis.T @ jnp.concatenate([a, moment]))
-
-    sigma_geo = config.geo_sigma + config.geo_sigma_quadratic * p[2] * p[2]
-    scaled_geo, scaled_rgb = r_geo / sigma_geo, r_rgb / config.rgb_sigma
-    use_geo = planar & (jnp.abs(r_geo) < config.geo_gate)
-    use_rgb = textured & (jnp.abs(r_rgb) < config.rgb_gate) & (jnp.abs(r_geo) < config.geo_gate)
-
-    def huber(s):
-        return jnp.minimum(1.0, config.huber / jnp.maximum(jnp.abs(s), 1e-9))
-
-    residual = jnp.concatenate([scaled_geo, scaled_rgb])
-    share = 1.0 / config.pixels_per_datum * factor * factor
-    weight = share * jnp.concatenate([use_geo * huber(scaled_geo), config.rgb_weight * use_rgb * huber(scaled_rgb)])
-    J = jnp.concatenate([jacobian(n, -1.0) / sigma_geo, jacobian(g, 1.0) / config.rgb_sigma], axis=1)
-    return residual, weight, J, (planar, scaled_geo, textured, scaled_rgb, share)
+    inner = inside & (i > 0) & (i < view.width - 1) & (j > 0) & (j < view.height - 1)
+    terms = [term(r_geo, planar & near, scale_geo, share, -nx, -ny, -nz, planar)]
+    weights = (config.rgb_weight, config.seen_weight)
+    for grey, du, dv, usable, weight in zip(*[iter(linear)] * 3, (known, inner), weights, strict=False):
+        r = grey + du * (u - i) + dv * (v - j) - obs.luminance
+        # dI/dq through the projection
+        gx, gy = du * view.fx * inverse_z, dv * view.fy * inverse_z
+        gz = -(gx * q[0] + gy * q[1]) * inverse_z
+        use = usable & near & (jnp.abs(r) < config.rgb_gate)
+        terms.append(term(r, use, scale_rgb, share * weight, gx, gy, gz, usable))
+    return tuple(terms)
 
 
-def align(
-    T_prior: Float[Array, "4 4"],
-    prior_precision: Float[Array, "dof dof"],
-    T_start: Float[Array, "4 4"],
+def disagreement(
+    T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
+) -> Float[Array, ""]:
+    """Mean of ``min(|r|, 3)`` in standard deviations over all observed pixels: what tells a good start from a bad one.
+
+    A pixel that falls on nothing known counts as 3, so that looking away from the reference is no way to agree with it.
+    """
+    geo, rgb, *_ = linearise(T, ref, obs, camera, factor, config)
+    far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), 3.0), 3.0)
+    off = jnp.where(rgb.usable, jnp.minimum(jnp.abs(rgb.residual), 3.0), 3.0)
+    return jnp.sum((far + config.rgb_weight * off) * obs.valid) / jnp.maximum(jnp.sum(obs.valid), 1)
+
+
+def normal_equations(*terms: Term) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
+    """``sum w J J^T`` and ``sum w J r`` by twists in the reference's frame."""
+    total = jnp.zeros((7, 7))
+    for term in terms:
+        rows = jnp.concatenate([term.jacobian, term.residual[None]])
+        total = total + (rows * term.weight) @ rows.T
+    return total[:6, :6], total[:6, 6]
+
+
+def agreement(
+    T: Float[Array, "4 4"],
     basis: Float[Array, "6 dof"],
-    reference: RGBD,
-    observed: RGBD,
+    ref: Reference,
+    obs: Observed,
     camera: Camera,
     config: AlignConfig,
-) -> tuple[Float[Array, "4 4"], AlignInfo]:
-    """``argmin_xi  sum rho(r_geo) + rho(r_rgb) + 1/2 xi^T P xi``, ``T_ref_cam = T_prior exp(B xi)``.
-
-    Args:
-        T_prior: Mean of the prior on T_ref_cam.
-        prior_precision: P, in the basis' coordinates.
-        T_start: Where the search begins; differs from ``T_prior`` by a motion inside the basis.
-        basis: B, the twists (translation, rotation; camera frame) the camera may move along.
-        reference: RGB-D image at the reference pose.
-        observed: RGB-D image at the unknown pose.
-        camera: Intrinsics of both.
-        config: Scales, gates, effort.
-
-    Returns:
-        T_ref_cam at the optimum and how well the images agree there.
-    """
-    coordinates = jnp.linalg.pinv(basis)
-    T_inverse_prior = inverse(T_prior)
-
-    def solve_level(T, factor, iterations):
-        ref = make_reference(reference, camera, config, factor)
-        obs = make_observed(observed, camera, factor)
-
-        def step(carry):
-            T, _, count = carry
-            residual, weight, J, _ = _linearise(T, basis, ref, obs, camera, factor, config)
-            xi = coordinates @ se3_log(T_inverse_prior @ T)
-            wJ = J * weight
-            H = wJ @ J.T + prior_precision
-            gradient = wJ @ residual + prior_precision @ xi
-            # A little damping keeps an unobserved direction (zero rows) finite; it is far below any real information.
-            delta = -jnp.linalg.solve(H + 1e-6 * jnp.eye(H.shape[0]) * (1.0 + jnp.trace(H)), gradient)
-            return T @ se3_exp(basis @ delta), jnp.max(jnp.abs(delta)), count + 1
-
-        def unfinished(carry):
-            return (carry[2] < iterations) & (carry[1] > config.tolerance)
-
-        T, _, count = jax.lax.while_loop(unfinished, step, (T, jnp.inf, 0))
-        return T, count, ref, obs
-
-    T = T_start
-    for factor, iterations in zip(config.levels, config.iterations, strict=True):
-        T, count, ref, obs = solve_level(T, factor, iterations)
-    _, _, J, (planar, geo, textured, rgb, share) = _linearise(T, basis, ref, obs, camera, factor, config)
-    inlier = planar & (jnp.abs(geo) < 2.5)
-    used = jnp.concatenate([inlier, config.rgb_weight * (textured & (jnp.abs(rgb) < 2.5))])
-    projected = jnp.maximum(jnp.sum(planar), 1)
-    info = AlignInfo(
-        inlier_share=jnp.sum(inlier) / projected,
-        coverage=jnp.sum(planar) / jnp.maximum(jnp.sum(obs.valid), 1),
-        photometric=jnp.sum(jnp.abs(rgb) * textured) / jnp.maximum(jnp.sum(textured), 1),
-        information=(J * used * share) @ J.T,
-        iterations=jnp.asarray(count),
+    iterations: Array | int,
+) -> AlignInfo:
+    """How well an image agrees with its reference at ``T`` = T_ref_cam, both at full size."""
+    geo, rgb, *seen = linearise(T, ref, obs, camera, 1, config)
+    share = stride(camera, 1, config) ** 2 / config.pixels_per_datum
+    close_geo = geo.usable & (jnp.abs(geo.residual) < 2.5)
+    close_rgb = rgb.usable & (jnp.abs(rgb.residual) < 2.5)
+    H, _ = normal_equations(
+        geo._replace(weight=share * close_geo), rgb._replace(weight=share * config.rgb_weight * close_rgb), *seen
     )
-    return T, info
+    twists = se3_adjoint(T) @ basis
+    return AlignInfo(
+        inlier_share=jnp.sum(close_geo) / jnp.maximum(jnp.sum(geo.usable), 1),
+        coverage=jnp.sum(geo.usable) / jnp.maximum(jnp.sum(obs.valid), 1),
+        photometric=jnp.sum(jnp.abs(rgb.residual) * rgb.usable) / jnp.maximum(jnp.sum(rgb.usable), 1),
+        information=twists.T @ H @ twists,
+        iterations=jnp.asarray(iterations),
+    )

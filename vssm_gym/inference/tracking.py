@@ -19,7 +19,9 @@ from vssm_gym import emission
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix, se3_adjoint
-from vssm_gym.inference.alignment import AlignConfig, AlignInfo, align
+from vssm_gym.inference.adam import AdamConfig, align_adam
+from vssm_gym.inference.alignment import AlignConfig, AlignInfo, score
+from vssm_gym.inference.gauss_newton import align
 from vssm_gym.transition import MotionNoise, PlanarBelief, planar_predict
 from vssm_gym.voxel_map import VoxelMap
 
@@ -36,6 +38,7 @@ class TrackerConfig:
     min_score: float = 0.5  # inlier share times min(1, coverage / 0.4) below this is lost
     max_photometric: float = 5.0  # mean |r_rgb| / sigma above this is lost
     process_std: tuple[float, float, float] = (0.004, 0.004, 0.002)  # what the motion model misses: slip at a contact
+    adam: AdamConfig | None = None  # the published solver, in place of Gauss-Newton
 
 
 class RobotRig(eqx.Module):
@@ -95,24 +98,51 @@ def _correct(
     config: TrackerConfig,
 ) -> tuple[TrackerState, TrackerInfo]:
     """Align the image to a reference and combine with the prediction; keep the prediction where they do not fit."""
-    basis = se3_adjoint(inverse(rig.T_body_cam)) @ jnp.asarray(_PLANAR_TWISTS, jnp.float32)
+    basis = planar_basis(rig)
     T_ref_cam = inverse(T_world_ref) @ planar_to_matrix(predicted.planar) @ rig.T_body_cam
-    spread = predicted.covariance + jnp.diag(jnp.asarray(config.process_std) ** 2)
-    precision = jnp.linalg.inv(spread)
-    T, agreement = align(T_ref_cam, precision, T_ref_cam, basis, reference, image, rig.camera, config.align)
-    score = agreement.inlier_share * jnp.minimum(1.0, agreement.coverage / 0.4)
-    fits = (score >= config.min_score) & (agreement.photometric <= config.max_photometric)
+    problem = (T_ref_cam, prior_precision(predicted, config), T_ref_cam, basis, reference, image, rig.camera)
+    if config.adam is None:
+        T, agreement = align(*problem, config.align)
+    else:
+        # The same pixels at every step: a step stays a function of its arguments.
+        T, agreement = align_adam(*problem, config.align, jax.random.key(0), config.adam)
+    return conclude(state, predicted, T_world_ref @ T, agreement, image, rig, config)
+
+
+def planar_basis(rig: RobotRig) -> Float[Array, "6 3"]:
+    """The camera's twists when the body goes forward, left, and turns."""
+    return se3_adjoint(inverse(rig.T_body_cam)) @ jnp.asarray(_PLANAR_TWISTS, jnp.float32)
+
+
+def prior_precision(predicted: PlanarBelief, config: TrackerConfig) -> Float[Array, "3 3"]:
+    """Of ``p(z_t | z_t-1, u_t-1)``, what the motion model misses included."""
+    return jnp.linalg.inv(predicted.covariance + jnp.diag(jnp.asarray(config.process_std) ** 2))
+
+
+def conclude(
+    state: TrackerState,
+    predicted: PlanarBelief,
+    T_world_cam: Float[Array, "4 4"],
+    agreement: AlignInfo,
+    image: RGBD,
+    rig: RobotRig,
+    config: TrackerConfig,
+) -> tuple[TrackerState, TrackerInfo]:
+    """The belief at the MAP pose (Laplace, SPEC 3, step 3), or the prediction where the images do not agree there."""
+    precision = prior_precision(predicted, config)
+    fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
     corrected = PlanarBelief(
-        matrix_to_planar(T_world_ref @ T @ inverse(rig.T_body_cam)),
-        jnp.linalg.inv(2.0 * agreement.information + precision),  # Laplace (SPEC 3, step 3)
+        matrix_to_planar(T_world_cam @ inverse(rig.T_body_cam)),
+        jnp.linalg.inv(2.0 * agreement.information + precision),
     )
+    spread = predicted.covariance + jnp.diag(jnp.asarray(config.process_std) ** 2)
     belief = jax.tree.map(lambda a, b: jnp.where(fits, a, b), corrected, PlanarBelief(predicted.planar, spread))
     lost = jnp.where(fits, 0, state.lost + 1)
     return TrackerState(belief, image, lost), TrackerInfo(jnp.where(fits, OK, LOST), agreement)
 
 
 @jax.jit
-def _predict(belief: PlanarBelief, control: Array, noise: MotionNoise, rig: RobotRig) -> tuple[PlanarBelief, Array]:
+def predict(belief: PlanarBelief, control: Array, noise: MotionNoise, rig: RobotRig) -> tuple[PlanarBelief, Array]:
     """The belief after the control, and the camera's pose at its mean."""
     predicted = planar_predict(belief, control, noise)
     return predicted, planar_to_matrix(predicted.planar) @ rig.T_body_cam
@@ -143,7 +173,7 @@ def step_map(
     """
     # Three compiled calls, not one: in one, the compiler fuses the renderer into each of the many places that read its
     # image and computes it again there (25 ms more a step; it ignores optimization barriers on the CPU).
-    predicted, T_world_ref = _predict(state.belief, control, noise, rig)
+    predicted, T_world_ref = predict(state.belief, control, noise, rig)
     reference = emission.render(m, T_world_ref, rig.camera)
     return _correct(state, predicted, reference, T_world_ref, image, rig, config)
 

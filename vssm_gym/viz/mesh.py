@@ -5,7 +5,6 @@ zero. Only triangles whose vertices were observed, as the renderer understands i
 update the field falls back to "just free", and that crossing is no surface.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from skimage.measure import marching_cubes
 
+from vssm_gym.block_table import BLOCK
 from vssm_gym.emission import KNOWN_SHARE
+from vssm_gym.files import atomic_write
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -34,7 +35,12 @@ def surface_mesh(m: VoxelMap) -> Mesh:
 
     Ambiguous cubes get vertices in their inside, off the zero by a fraction of a voxel; smooth surfaces have none.
     """
-    occupancy = np.array(m.dense(m.occupancy))  # a copy: marching cubes refuses JAX's read-only memory
+    # A crossing lies in a block that rays may not skip, or reaches from it into the next: only that box is laid out.
+    blocks = np.argwhere(np.asarray(m.empty.rings) == 0)
+    if len(blocks) == 0:
+        return _mesh(m, np.zeros((0, 3)), np.zeros((0, 3), int))
+    first, end = blocks.min(axis=0), np.minimum(blocks.max(axis=0) + 2, m.blocks)
+    occupancy = np.array(m.dense(m.occupancy, first, end))  # a copy: marching cubes refuses JAX's read-only memory
     above = occupancy > 0.0
     crossed = _of_cube(above, np.logical_or) & ~_of_cube(above, np.logical_and)
     cubes = np.argwhere(crossed)
@@ -45,7 +51,7 @@ def surface_mesh(m: VoxelMap) -> Mesh:
     mask[1:, 1:, 1:] = crossed[_box(low, high)]  # scikit-image names a cube by its last cell
     # It names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
     cells, faces, _, _ = marching_cubes(occupancy[_box(low, high + 1)], 0.0, gradient_direction="ascent", mask=mask)
-    vertices = np.asarray(m.origin, np.float64) + (cells + low) * float(m.voxel_size)
+    vertices = np.asarray(m.origin, np.float64) + (cells + low + BLOCK * first) * float(m.voxel_size)
     known = np.asarray(m.observed_at(_inside(m, vertices))) >= KNOWN_SHARE
     faces = faces[known[faces].all(axis=1)]
     used, faces = np.unique(faces, return_inverse=True)
@@ -96,9 +102,5 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     vertices["xyz"], vertices["rgb"], vertices["variance"] = mesh.vertices, mesh.colours, mesh.variance
     faces = np.empty(len(mesh.faces), [("count", "u1"), ("indices", "<i4", 3)])
     faces["count"], faces["indices"] = 3, mesh.faces
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(header.encode("ascii") + vertices.tobytes() + faces.tobytes())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

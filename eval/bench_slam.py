@@ -1,0 +1,119 @@
+"""``bench slam``: our whole step beside Open3D's dense SLAM, on the same frames of a recording in one process.
+
+Both see the undistorted, resized images of :class:`FrameReader` at the same rate. A step is all that a frame costs once
+its image is read: tracking, uncertainty, map update and the rendering for the next frame; first steps, which compile or
+allocate, are not counted. The two take turns, run by run, so that a machine that slows down slows both.
+"""
+
+import functools
+import os
+import platform
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from vssm_gym.data.sequences import FrameReader, Sequence
+from vssm_gym.errors import InputError
+from vssm_gym.eval import trajectory
+from vssm_gym.eval.open3d_slam import STAGES, Open3dSlam
+from vssm_gym.eval.slam_run import SlamOptions, prefetch, run_slam, thin
+
+# Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
+OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}
+MAX_DEPTH = 8.0  # m, of Open3D's map and tracking
+RATE = 10.0  # frames a second
+LARGE = 0.05  # m; a frame further off than this counts as astray
+
+Progress = Callable[[str, int, int], None]
+
+
+def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, progress: Progress | None = None) -> dict:
+    """Run both ``trials`` times at every size that the recording has.
+
+    Args:
+        sequence: with ground truth, if there are to be errors.
+        trials: runs of each at each size; times are of all runs, errors of the last.
+        voxel: of our map, m.
+        progress: told after every frame.
+
+    Returns:
+        ``rows``: one dict a method and size, see :func:`_row`; ``missing``: why there is no Open3D, or None;
+        ``notices``: what was wrong with the recording; the machine.
+
+    Raises:
+        InputError: a recording whose images are smaller than the smallest size.
+    """
+    size_of = (sequence.camera.width, sequence.camera.height)
+    sizes = [size for size in OPEN3D_VOXEL if size[0] <= size_of[0] and size[1] <= size_of[1]]
+    if not sizes:
+        raise InputError(sequence.root, "size", f"images of at least 160x120, not {size_of[0]}x{size_of[1]}")
+    missing: str | None = None
+    rows = []
+    for size in sizes:
+        ours: list[dict[str, np.ndarray]] = []
+        theirs: list[dict[str, np.ndarray]] = []
+        for _ in range(trials):
+            told = None if progress is None else functools.partial(_told, progress)
+            run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), progress=told)
+            ours.append({"step": np.array([frame.step_s for frame in run.frames if frame.warm])})
+            if missing is None:
+                try:
+                    poses_theirs, failed, seconds = _theirs(sequence, size, progress)
+                    theirs.append(seconds)
+                except InputError as reason:
+                    missing = str(reason)
+        rows.append(_row("vssm-gym", size, voxel, ours, _errors(sequence, run.times, run.poses)))
+        if theirs:
+            row = _row("Open3D", size, OPEN3D_VOXEL[size], theirs, _errors(sequence, *poses_theirs))
+            rows.append(row | {"odometry_failures": failed})
+    notices = [*sequence.notices, *run.reader.notices]
+    machine = {"cores": os.cpu_count(), "processor": platform.machine()}
+    result = {"scene": sequence.root.name, "rate": RATE, "rows": rows, "missing": missing}
+    return result | {"notices": notices, "machine": machine}
+
+
+def _told(progress: Progress, _: str, done: int, total: int) -> None:
+    progress("vssm-gym", done, total)
+
+
+def _theirs(
+    sequence: Sequence, size: tuple[int, int], progress: Progress | None
+) -> tuple[tuple[np.ndarray, np.ndarray], int, dict[str, np.ndarray]]:
+    """Times and poses, failures of its odometry, and the seconds of every step after the first."""
+    reader, indices = FrameReader(sequence, size), thin(sequence.times, RATE)
+    slam = Open3dSlam(reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH)
+    steps = []
+    for done, (rgb, depth, _) in enumerate(prefetch(reader, indices), start=1):
+        steps.append(slam.step(rgb, depth))
+        if progress:
+            progress(f"Open3D {slam.version}", done, len(indices))
+    seconds = np.array([step.seconds for step in steps[1:]])
+    by_stage = {"step": seconds.sum(axis=1)} | {stage: seconds[:, i] for i, stage in enumerate(STAGES)}
+    poses = np.stack([step.T_world_cam for step in steps])
+    return (sequence.times[indices], poses), sum(step.failed for step in steps), by_stage
+
+
+def _row(
+    method: str, size: tuple[int, int], voxel: float, runs: list[dict[str, np.ndarray]], errors: dict[str, Any]
+) -> dict[str, Any]:
+    """``stages_ms``: median (``p50``) and ``p95`` of each stage over all runs; what it was, and how far it was off."""
+    stages = {}
+    for stage in runs[0]:
+        p50, p95 = 1e3 * np.percentile(np.concatenate([run[stage] for run in runs]), [50, 95])
+        stages[stage] = {"p50": float(p50), "p95": float(p95)}
+    return {"method": method, "size": list(size), "voxel": voxel, "stages_ms": stages, **errors}
+
+
+def _errors(sequence: Sequence, times: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
+    """``ate_m`` (RMSE) and ``ate_max_m`` after SE(3) alignment and ``astray``, frames further off than LARGE; None
+    without ground truth.
+    """
+    if sequence.truth is None:
+        return {"ate_m": None, "ate_max_m": None, "astray": None}
+    of_est, of_true = trajectory.associate(times, sequence.truth[0])
+    if len(of_est) < 3:
+        return {"ate_m": None, "ate_max_m": None, "astray": None}
+    off = trajectory.ate(poses[of_est], sequence.truth[1][of_true]).translation
+    statistics = trajectory.Statistics.of(off)
+    return {"ate_m": statistics.rmse, "ate_max_m": statistics.max, "astray": int(np.sum(off > LARGE))}

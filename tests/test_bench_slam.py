@@ -1,0 +1,86 @@
+"""``bench slam``: what it reports, with and without Open3D, on a short recording of a small apartment."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+from box_rooms import furniture, two_rooms
+
+from vssm_gym.camera import Camera
+from vssm_gym.data.recording import record_handheld
+from vssm_gym.data.sequences import load_sequence
+from vssm_gym.envs.scene import save_scene
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.errors import InputError
+from vssm_gym.eval import bench_slam, open3d_slam
+
+TABLE = furniture("table", (1.5, 2.0, 0.25), (0.6, 0.6, 0.5))
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bench")
+    save_scene(two_rooms(pieces=(TABLE,)), folder / "rooms.json")
+    record_handheld(folder / "rooms.json", folder / "walk", metres=0.6, camera=CameraConfig(160, 120))
+    return load_sequence(folder / "walk")
+
+
+@pytest.fixture
+def no_open3d(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+
+
+def test_without_open3d_ours_is_reported_and_the_reason_said(sequence, no_open3d):
+    heard = []
+    result = bench_slam.compare(sequence, trials=2, progress=lambda *event: heard.append(event))
+    (row,) = result["rows"]
+    assert row["method"] == "vssm-gym"
+    assert row["size"] == [160, 120]  # the recording is no larger
+    assert 0.0 < row["stages_ms"]["step"]["p50"] <= row["stages_ms"]["step"]["p95"]
+    assert 0.0 <= row["ate_m"] <= row["ate_max_m"] < 0.05
+    assert row["astray"] == 0
+    assert "pip install open3d" in result["missing"]
+    assert "libusb-1.0-0 libgl1" in result["missing"]
+    assert "\n" not in result["missing"]
+    assert result["notices"] == []
+    assert heard[-1] == ("vssm-gym", len(sequence.frames), len(sequence.frames))
+
+
+def test_open3d_is_imported_only_to_be_compared_with(no_open3d):
+    with pytest.raises(InputError, match="Debian"):
+        open3d_slam.Open3dSlam(Camera.from_hfov(8, 8, 1.0), 0.03, 8.0)
+
+
+def test_open3d_follows_a_slow_camera(sequence):
+    """The reference is run as its authors do: over a short clean walk it holds track, in the same frame as ours."""
+    try:
+        importlib.import_module("open3d")
+    except (ImportError, OSError):
+        pytest.skip("Open3D cannot be imported here")
+    (times, poses), failed, seconds = bench_slam._theirs(sequence, (160, 120), None)
+    assert failed == 0
+    np.testing.assert_allclose(poses[0], np.eye(4))
+    assert bench_slam._errors(sequence, times, poses)["ate_m"] < 0.05
+    assert set(seconds) == {"step", *open3d_slam.STAGES}
+    np.testing.assert_allclose(seconds["step"], sum(seconds[stage] for stage in open3d_slam.STAGES))
+    assert len(seconds["step"]) == len(times) - 1
+
+
+def test_a_recording_that_is_too_small_is_refused(sequence, tmp_path):
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    record_handheld(tmp_path / "rooms.json", tmp_path / "walk", metres=0.2, camera=CameraConfig(80, 60))
+    with pytest.raises(InputError, match="at least 160x120, not 80x60"):
+        bench_slam.compare(load_sequence(tmp_path / "walk"))
+
+
+def test_errors_by_hand(sequence):
+    """A trajectory moved as a whole has none; one frame 30 cm off is astray; without truth there is nothing to say."""
+    poses = np.linalg.inv(sequence.true_poses()[0]) @ sequence.true_poses()
+    clean = bench_slam._errors(sequence, sequence.times, poses)
+    assert clean["ate_m"] < 1e-6
+    assert clean["astray"] == 0
+    poses[3, 0, 3] += 0.3
+    assert bench_slam._errors(sequence, sequence.times, poses)["astray"] == 1
+    nothing = {"ate_m": None, "ate_max_m": None, "astray": None}
+    assert bench_slam._errors(sequence, sequence.times + 1e6, poses) == nothing

@@ -1,0 +1,54 @@
+"""Lists of set flags with static shapes: what a loop with a dynamic trip count needs to visit only what matters.
+
+``jnp.nonzero`` of a large mask costs milliseconds on a CPU, of which most are spent on flags that are not set.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+ROW = 128
+GROUP = 64  # flags that are looked at together
+TURN = 1024  # flags a loop turn
+
+
+def first_set(mask: Bool[Array, "n"], size: int) -> Int[Array, "size"]:
+    """``jnp.nonzero(mask, size=size, fill_value=n)`` at a third of its cost; set flags beyond ``size`` are left out."""
+    n = mask.shape[0]
+    table = jnp.pad(mask, (0, -n % ROW)).reshape(-1, ROW).astype(jnp.float32)
+    within = table @ jnp.triu(jnp.ones((ROW, ROW), jnp.float32))  # running counts along rows, exact in float32
+    before = jnp.cumsum(within[:, -1]) - within[:, -1]
+    place = (before[:, None] + within - 1.0).astype(jnp.int32).reshape(-1)[:n]
+    at = jnp.where(mask, place, size)
+    return jnp.full(size, n, jnp.int32).at[at].set(jnp.arange(n, dtype=jnp.int32), mode="drop")
+
+
+def empty_list(n: int) -> tuple[Array, Array]:
+    """A list with room for the numbers ``0..n-1``, each once, filled with ``n``; and its length, 0."""
+    return jnp.full(n + TURN, n, jnp.int32), jnp.asarray(0, jnp.int32)
+
+
+def append(listed: tuple[Array, Array], numbers: Int[Array, "turn"], mask: Bool[Array, "turn"]) -> tuple[Array, Array]:
+    """The list with those of ``TURN`` numbers whose flag is set at its end."""
+    buffer, length = listed
+    fill = buffer.shape[0] - TURN
+    chosen = numbers.at[first_set(mask, TURN)].get(mode="fill", fill_value=fill)
+    return jax.lax.dynamic_update_slice(buffer, chosen, (length,)), length + jnp.sum(mask, dtype=jnp.int32)
+
+
+def set_numbers(mask: Bool[Array, "n"]) -> tuple[Array, Array]:
+    """The numbers of the set flags in ascending order, then ``n``; and how many they are."""
+    n = mask.shape[0]
+    table = jnp.pad(mask, (0, -n % GROUP)).reshape(-1, GROUP)
+    busy = jnp.any(table, axis=1)
+    groups = table.shape[0]
+    at_once = TURN // GROUP
+    order = jnp.pad(first_set(busy, groups), (0, at_once), constant_values=groups)
+
+    def turn(i, listed):
+        group = jax.lax.dynamic_slice(order, (i * at_once,), (at_once,))
+        flags = table.at[group].get(mode="fill", fill_value=False)
+        numbers = group[:, None] * GROUP + jnp.arange(GROUP)
+        return append(listed, numbers.reshape(-1), flags.reshape(-1))
+
+    return jax.lax.fori_loop(0, -(-jnp.sum(busy, dtype=jnp.int32) // at_once), turn, empty_list(n))

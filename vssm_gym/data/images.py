@@ -1,0 +1,45 @@
+"""One image file of a recording: its pixels, or one clear error that names the file."""
+
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+
+from vssm_gym.errors import InputError
+
+
+def read_image(path: Path) -> np.ndarray:
+    """The pixels of an image file, as stored."""
+    if not path.is_file():
+        raise InputError(path, "file", "an existing image, as the sequence's index lists it")
+    try:
+        return iio.imread(path, plugin="pillow")
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow calls a broken PNG chunk a syntax error
+        raise InputError(path, "pixels", f"a readable image ({error})") from error
+
+
+def colour_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
+    """RGB uint8 of a colour or grey image; ``size`` (width, height) is what it must have."""
+    rgb = read_image(path)
+    _check_size(path, rgb, size)
+    if rgb.dtype != np.uint8:
+        raise InputError(path, "pixels", "8 bits a colour channel")
+    if rgb.ndim == 2 or rgb.shape[2] < 3:  # grey, maybe with transparency
+        rgb = np.repeat(rgb.reshape(*rgb.shape[:2], -1)[..., :1], 3, axis=2)
+    return rgb[..., :3]
+
+
+def depth_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
+    """Depth as stored, one channel; ``size`` (width, height) is what it must have."""
+    depth = read_image(path)
+    _check_size(path, depth, size)
+    if depth.ndim != 2 or depth.dtype.kind not in "uif":
+        raise InputError(path, "pixels", "one 16-bit channel of depth")
+    return depth
+
+
+def _check_size(path: Path, image: np.ndarray, size: tuple[int, int] | None) -> None:
+    found = image.shape[1::-1]
+    if size is not None and found != size:
+        expected = f"{size[0]}x{size[1]} pixels, as the sequence's other images"
+        raise InputError(path, "size", f"{expected}; found {found[0]}x{found[1]}")

@@ -1,0 +1,163 @@
+"""Which images of a TUM folder make a frame: ``associations.txt``, or ``rgb.txt`` and ``depth.txt`` by nearest stamps.
+
+Recordings have flaws: stamps out of order or twice, images that were never copied, colour without depth, gaps. None of
+them stops the reading while a frame is left; each is said once, in a notice for the user.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import imageio.v3 as iio
+import numpy as np
+
+from vssm_gym.data.trajectories import numbered_lines
+from vssm_gym.errors import InputError
+
+T = TypeVar("T")
+Row = tuple[float, list[str]]  # of an index file: its time (s) and all its words
+
+ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame, or between a frame and its pose
+GAP = 0.5  # s between two frames that is worth a notice, where it is also five times the usual
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One RGB-D frame on disk, stamped with its colour image's time (s)."""
+
+    time: float
+    rgb: Path
+    depth: Path
+
+
+def read_frames(root: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
+    """The frames of a sequence by time, every stamp once and all images there, and what was wrong with the index.
+
+    Raises:
+        InputError: an index file is missing or malformed, or no frame is left.
+    """
+    notices: list[str] = []
+    pairs = root / "associations.txt"
+    if pairs.is_file():
+        rows = _clean(pairs, _rows(pairs, 4), notices)
+        colour, depth = 1, 3
+        if _depth_comes_first(root, rows):  # as in ICL-NUIM, and where TUM's script was called so
+            colour, depth = 3, 1
+        frames = [Frame(float(words[colour - 1]), root / words[colour], root / words[depth]) for _, words in rows]
+        frames.sort(key=lambda frame: frame.time)
+        frames = _existing(pairs, frames, [(frame.rgb, frame.depth) for frame in frames], notices)
+    else:
+        colour_rows, depth_rows = (_images(root / name, notices) for name in ("rgb.txt", "depth.txt"))
+        frames = _associated(root, colour_rows, depth_rows, notices)
+    _note_gaps(np.array([frame.time for frame in frames]), notices)
+    return tuple(frames), tuple(notices)
+
+
+def associate_one_to_one(first: np.ndarray, second: np.ndarray, tolerance: float) -> list[tuple[int, int]]:
+    """Index pairs of stamps at most ``tolerance`` s apart, none used twice: the nearest pair first, then the nearest of
+    those left (TUM's ``associate.py``); in the order of ``first``. Both sorted.
+    """
+    low = np.searchsorted(second, first - tolerance - 1e-9)
+    high = np.searchsorted(second, first + tolerance + 1e-9, side="right")
+    taken_first: set[int] = set()
+    taken_second: set[int] = set()
+    pairs = []
+    near = [(abs(second[j] - first[i]), i, j) for i in range(len(first)) for j in range(low[i], high[i])]
+    for _, i, j in sorted(near):
+        if i not in taken_first and j not in taken_second:
+            taken_first.add(i)
+            taken_second.add(j)
+            pairs.append((i, j))
+    return sorted(pairs)
+
+
+def _rows(path: Path, columns: int) -> list[Row]:
+    """The lines of an index file: the time that opens each (s), and all its words. Every other word is a time."""
+    if not path.is_file():
+        raise InputError(path, "file", "this index file of the sequence")
+    rows = []
+    for number, line in numbered_lines(path):
+        words = line.split()
+        try:
+            times = [float(word) for word in words[:columns:2]]
+        except ValueError:
+            times = [math.nan]
+        if len(words) < columns or not np.isfinite(times).all():
+            raise InputError(path, f"line {number}", f"{columns} columns, a time in seconds first, then a file")
+        rows.append((times[0], words))
+    if not rows:
+        raise InputError(path, "file", "at least one image")
+    return rows
+
+
+def _clean(path: Path, rows: list[Row], notices: list[str]) -> list[Row]:
+    """The rows by time, the first of those with one stamp."""
+    times = [time for time, _ in rows]
+    if backwards := int(np.sum(np.diff(times) < 0.0)):
+        notices.append(f"{path.name}: time runs backwards {_times(backwards)}; sorted")
+    kept: list[Row] = []
+    for row in sorted(rows, key=lambda row: row[0]):
+        if not kept or row[0] > kept[-1][0]:
+            kept.append(row)
+    if doubled := len(rows) - len(kept):
+        notices.append(f"{path.name}: {doubled} of {len(rows)} lines repeat a stamp; left out")
+    return kept
+
+
+def _images(index: Path, notices: list[str]) -> list[Row]:
+    """The rows of an index of one kind of images, by time, without doubles and missing ones."""
+    rows = _clean(index, _rows(index, 2), notices)
+    return _existing(index, rows, [(index.parent / words[1],) for _, words in rows], notices)
+
+
+def _existing(index: Path, items: list[T], images: list[tuple[Path, ...]], notices: list[str]) -> list[T]:
+    """Those of ``items`` whose images are all there."""
+    missing = [next((path for path in paths if not path.is_file()), None) for paths in images]
+    kept = [item for item, gone in zip(items, missing, strict=True) if gone is None]
+    first = next((gone for gone in missing if gone is not None), None)
+    if not kept:
+        raise InputError(index, "images", f"existing files; all {len(items)} are missing, as {first}")
+    if first is not None:
+        lost = len(items) - len(kept)
+        notices.append(f"{index.name}: {lost} of {len(items)} lines name a missing image, as {first}; left out")
+    return kept
+
+
+def _associated(root: Path, colour: list[Row], depth: list[Row], notices: list[str]) -> list[Frame]:
+    """Frames of the colour and depth images whose stamps are nearest to each other."""
+    of_colour, of_depth = (np.array([time for time, _ in rows]) for rows in (colour, depth))
+    pairs = associate_one_to_one(of_colour, of_depth, ASSOCIATION_TOLERANCE)
+    if not pairs:
+        raise InputError(root, "rgb.txt, depth.txt", f"images within {ASSOCIATION_TOLERANCE} s of each other")
+    if alone := len(colour) - len(pairs):
+        limit = f"{1000 * ASSOCIATION_TOLERANCE:g} ms"
+        notices.append(f"rgb.txt: {alone} of {len(colour)} images have no depth image within {limit}; left out")
+    return [Frame(colour[i][0], root / colour[i][1][1], root / depth[j][1][1]) for i, j in pairs]
+
+
+def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
+    """Whether the images named first have one 16-bit channel and those named second are in colour."""
+    for _, words in rows:
+        try:
+            first, second = (iio.improps(root / words[i], plugin="pillow") for i in (1, 3))
+        except (OSError, ValueError, SyntaxError):
+            continue  # missing or damaged: the next pair tells
+        return len(first.shape) == 2 and first.dtype != np.uint8 and len(second.shape) == 3
+    return False
+
+
+def _note_gaps(times: np.ndarray, notices: list[str]) -> None:
+    """A notice of stretches without frames."""
+    steps = np.diff(times)
+    if len(steps) == 0:
+        return
+    gaps = steps > max(GAP, 5.0 * float(np.median(steps)))
+    if gaps.any():
+        longest = int(np.argmax(steps))
+        where = f"the longest {steps[longest]:.2f} s, after {times[longest]:.6f} s"
+        notices.append(f"frames are missing {_times(int(gaps.sum()))} for more than {GAP:g} s; {where}")
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

@@ -1,0 +1,80 @@
+"""Recovery of a lost pose: align the image to the map from several starts, keep the best that fits (MEASURED).
+
+Without it a test for loss of track is worse than none: a filter that only refuses images refuses good ones for ever.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from vssm_gym import emission
+from vssm_gym.camera import Camera
+from vssm_gym.emission import RGBD
+from vssm_gym.inference import gauss_newton
+from vssm_gym.inference.alignment import AlignConfig, AlignInfo, score
+from vssm_gym.voxel_map import VoxelMap
+
+
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """Where to look and what to believe."""
+
+    align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(4, 2, 1), iterations=(10, 6, 5)))
+    translation_std: float = 0.5  # m, of the pose around a start
+    rotation_std: float = 0.5  # rad
+    keyframes: int = 3  # most similar ones to start from
+    min_score: float = 0.65  # a little above tracking's: a wrong place must not pass
+    max_photometric: float = 4.0
+
+
+class Attempt(eqx.Module):
+    """The best of several starts."""
+
+    T_world_cam: Float[Array, "4 4"]
+    agreement: AlignInfo
+    fits: Bool[Array, ""]
+
+
+@partial(jax.jit, static_argnums=4)
+def _align(T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, config: RecoveryConfig) -> Attempt:
+    std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
+    identity = jnp.eye(4)
+    T, info = gauss_newton.align(
+        identity, jnp.diag(std**-2), identity, jnp.eye(6), rendered, image, camera, config.align
+    )
+    fits = (score(info) >= config.min_score) & (info.photometric <= config.max_photometric)
+    return Attempt(T_world_start @ T, info, fits)
+
+
+def recover(
+    m: VoxelMap,
+    T_world_starts: Float[Array, "starts 4 4"],
+    image: RGBD,
+    camera: Camera,
+    max_depth: float,
+    config: RecoveryConfig,
+) -> Attempt:
+    """Align to the map rendered at every start; of those that fit, the one that fits best.
+
+    A start far off converges on the second rendering, taken where the first alignment led.
+
+    Args:
+        m: The map.
+        T_world_starts: Poses to start from.
+        image: The image, at tracking size.
+        camera: Its intrinsics.
+        max_depth: Of the rendering, m.
+        config: Effort and thresholds.
+    """
+    attempts = []
+    for T_world_start in T_world_starts:
+        attempt = _align(T_world_start, emission.render(m, T_world_start, camera, max_depth), image, camera, config)
+        again = emission.render(m, attempt.T_world_cam, camera, max_depth)
+        attempts.append(_align(attempt.T_world_cam, again, image, camera, config))
+    every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
+    best = jnp.argmax(every.fits + jnp.nan_to_num(jax.vmap(score)(every.agreement)))
+    return jax.tree.map(lambda leaf: leaf[best], every)

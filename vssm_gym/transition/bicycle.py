@@ -1,0 +1,123 @@
+"""Kinematic bicycle: ``p(z' | z, u)`` of a car's ``(x, y, heading)`` at the rear axle (SPEC 1(e), 7).
+
+    T' = T exp(s, 0, s k),   s = (speed + e_v) dt,   k = tan(steering + e_d) / wheelbase
+
+Under a constant control the rear axle drives an arc of length ``s`` and curvature ``k``, integrated exactly. Then slip
+moves the pose by ``exp(e)``. Speed errs in proportion to itself: a car that stands does not creep.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.geometry import planar_to_matrix, wrap_angle
+from vssm_gym.transition import planar
+from vssm_gym.transition.base import QUOTED_STEP, normal_log_prob
+from vssm_gym.transition.planar import PlanarBelief
+
+
+class BicycleNoise(eqx.Module):
+    """Standard deviations of a step of 0.1 s; the variance of what they displace is proportional to ``dt``."""
+
+    speed: Float[Array, ""] | float = 0.05  # share of the commanded speed
+    steering: Float[Array, ""] | float = 0.02  # rad
+    slip_forward: Float[Array, ""] | float = 0.002  # m
+    slip_left: Float[Array, ""] | float = 0.002  # m
+    slip_turn: Float[Array, ""] | float = 0.002  # rad
+
+    def control_stds(self, control: Float[Array, "*batch 2"], dt: float | Array) -> Float[Array, "*batch 2"]:
+        """Of the executed speed (m/s) and steering (rad): errors average out over a longer step."""
+        shrink = jnp.sqrt(QUOTED_STEP / dt)
+        speed = self.speed * jnp.abs(control[..., 0]) * shrink
+        return jnp.stack([speed, jnp.full_like(speed, self.steering) * shrink], axis=-1)
+
+    def slip_variances(self, dt: float | Array) -> Float[Array, "3"]:
+        """Of (forward, left, turn) after ``dt`` seconds."""
+        return jnp.stack([jnp.asarray(s) for s in (self.slip_forward, self.slip_left, self.slip_turn)]) ** 2 * (
+            dt / QUOTED_STEP
+        )
+
+
+def arc(control: Float[Array, "*batch 2"], dt: float | Array, wheelbase: float | Array) -> Float[Array, "*batch 3"]:
+    """``exp(s, 0, s k)``: displacement (forward, left, m) and turn (rad) of one step, in the body frame at its start.
+
+    Args:
+        control: Speed (m/s, negative backwards) and steering angle (rad, left positive, |steering| < pi/2).
+        dt: Length of the step, s.
+        wheelbase: Between the axles, m.
+    """
+    s = control[..., 0] * dt
+    turn = s * jnp.tan(control[..., 1]) / wheelbase
+    # sin(a)/a and (1 - cos a)/a = a/2 (sin(a/2) / (a/2))^2: neither cancels, and their derivatives do not at zero
+    return jnp.stack([s * _sinc(turn), s * 0.5 * turn * _sinc(0.5 * turn) ** 2, turn], axis=-1)
+
+
+def _sinc(a: Array) -> Array:
+    """``sin(a) / a``, by its series near zero."""
+    near = jnp.abs(a) < 0.1
+    safe = jnp.where(near, 1.0, a)
+    return jnp.where(near, 1.0 - a**2 / 6.0 * (1.0 - a**2 / 20.0), jnp.sin(safe) / safe)
+
+
+def integrate(
+    state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array, wheelbase: float | Array
+) -> Float[Array, "*batch 3"]:
+    """The noise-free step: ``(x, y, heading)`` at the end of :func:`arc`, heading in [-pi, pi)."""
+    forward, left, turn = jnp.moveaxis(arc(control, dt, wheelbase), -1, 0)
+    c, s = jnp.cos(state[..., 2]), jnp.sin(state[..., 2])
+    x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left
+    return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
+
+
+def predict(
+    belief: PlanarBelief, control: Float[Array, "2"], dt: float | Array, wheelbase: float | Array, noise: BicycleNoise
+) -> PlanarBelief:
+    """``int p(z' | z, u) N(z) dz`` to first order: ``F P F^T + G Q G^T + slip`` in the body frame after the step."""
+    dx, dy, turn = arc(control, dt, wheelbase)
+    c, s = jnp.cos(turn), jnp.sin(turn)
+    # xi' = Ad(exp(u)^-1) xi: the old error seen from the new body frame
+    F = jnp.array([[c, s, c * -dy + s * dx], [-s, c, s * dy + c * dx], [0.0, 0.0, 1.0]])
+    back = jnp.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    G = back @ jax.jacfwd(arc)(control, dt, wheelbase) * noise.control_stds(control, dt)
+    covariance = F @ belief.covariance @ F.T + G @ G.T + jnp.diag(noise.slip_variances(dt))
+    return PlanarBelief(integrate(belief.planar, control, dt, wheelbase), covariance)
+
+
+class Bicycle(eqx.Module):
+    """The car as a :class:`~vssm_gym.transition.base.Transition`; controls (..., 2) = (speed, steering)."""
+
+    noise: BicycleNoise = BicycleNoise()
+    dt: Float[Array, ""] | float = QUOTED_STEP  # s
+    wheelbase: Float[Array, ""] | float = 0.26  # m, of the QCar (SPEC 7)
+
+    def sample(
+        self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"]
+    ) -> Float[Array, "*batch 3"]:
+        """``z' ~ p(z' | z, u)``: the arc of the executed control, then slip."""
+        by_control, by_slip = jax.random.split(key)
+        e = jax.random.normal(by_control, (*state.shape[:-1], 2)) * self.noise.control_stds(control, self.dt)
+        executed = integrate(state, control + e, self.dt, self.wheelbase)
+        slip = jax.random.normal(by_slip, state.shape) * jnp.sqrt(self.noise.slip_variances(self.dt))
+        return planar.perturb(executed, slip)
+
+    def log_prob(
+        self, following: Float[Array, "*batch 3"], state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"]
+    ) -> Float[Array, "*batch"]:
+        """Of the first-order Gaussian of :func:`predict` from a known pose."""
+
+        def one(following, state, control):
+            known = PlanarBelief(state, jnp.zeros((3, 3)))
+            predicted = predict(known, control, self.dt, self.wheelbase, self.noise)
+            xi = planar.error(predicted.planar, following)
+            return normal_log_prob(xi, predicted.covariance) - planar.log_volume(xi)
+
+        return jnp.vectorize(one, signature="(n),(n),(m)->()")(following, state, control)
+
+    def pose(self, state: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4 4"]:
+        """``T_world_body`` of the rear axle on the floor."""
+        return planar_to_matrix(state)
+
+    perturb = staticmethod(planar.perturb)
+    error = staticmethod(planar.error)
+    log_volume = staticmethod(planar.log_volume)
