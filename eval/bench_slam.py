@@ -1,8 +1,9 @@
 """``bench slam``: our whole step beside Open3D's dense SLAM, on the same frames of a recording in one process.
 
 Both see the undistorted, resized images of :class:`FrameReader` at the same rate. A step is all that a frame costs once
-its image is read: tracking, uncertainty, map update and the rendering for the next frame; first steps, which compile or
-allocate, are not counted. The two take turns, run by run, so that a machine that slows down slows both.
+its image is read: tracking, uncertainty, map update and the rendering for the next frame. Its stages stand below it.
+First steps, which compile or allocate, are not counted. The two take turns, run by run, so that a machine that slows
+down slows both.
 """
 
 import functools
@@ -17,12 +18,13 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
 from vssm_gym.eval.open3d_slam import STAGES, Open3dSlam
-from vssm_gym.eval.slam_run import SlamOptions, prefetch, run_slam, thin
+from vssm_gym.eval.slam_run import SlamOptions, SlamRun, prefetch, run_slam, thin
 
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
 OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}
 MAX_DEPTH = 8.0  # m, of Open3D's map and tracking
 RATE = 10.0  # frames a second
+OURS = ("track", "map", "anchor", "recover")  # stages of our step, those of :data:`open3d_slam.STAGES` beside them
 LARGE = 0.05  # m; a frame further off than this counts as astray
 
 Progress = Callable[[str, int, int], None]
@@ -56,7 +58,7 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, progres
         for _ in range(trials):
             told = None if progress is None else functools.partial(_told, progress)
             run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), progress=told)
-            ours.append({"step": np.array([frame.step_s for frame in run.frames if frame.warm])})
+            ours.append(_stages(run))
             if missing is None:
                 try:
                     poses_theirs, failed, seconds = _theirs(sequence, size, progress)
@@ -67,10 +69,18 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, progres
         if theirs:
             row = _row("Open3D", size, OPEN3D_VOXEL[size], theirs, _errors(sequence, *poses_theirs))
             rows.append(row | {"odometry_failures": failed})
-    notices = [*sequence.notices, *run.reader.notices]
+    notices = list(run.notices)
     machine = {"cores": os.cpu_count(), "processor": platform.machine()}
     result = {"scene": sequence.root.name, "rate": RATE, "rows": rows, "missing": missing}
     return result | {"notices": notices, "machine": machine}
+
+
+def _stages(run: SlamRun) -> dict[str, np.ndarray]:
+    """Seconds of every step but those that compile, whole and by stage; an anchor, say, is not rendered at each."""
+    warm = [frame for frame in run.frames if frame.warm]
+    ran = {name for frame in warm for name in frame.stages}
+    seconds = {name: np.array([f.stages[name] for f in warm if name in f.stages]) for name in OURS if name in ran}
+    return {"step": np.array([frame.step_s for frame in warm])} | seconds
 
 
 def _told(progress: Progress, _: str, done: int, total: int) -> None:
@@ -99,8 +109,8 @@ def _row(
 ) -> dict[str, Any]:
     """``stages_ms``: median (``p50``) and ``p95`` of each stage over all runs; what it was, and how far it was off."""
     stages = {}
-    for stage in runs[0]:
-        p50, p95 = 1e3 * np.percentile(np.concatenate([run[stage] for run in runs]), [50, 95])
+    for stage in dict.fromkeys(name for run in runs for name in run):
+        p50, p95 = 1e3 * np.percentile(np.concatenate([run[stage] for run in runs if stage in run]), [50, 95])
         stages[stage] = {"p50": float(p50), "p95": float(p95)}
     return {"method": method, "size": list(size), "voxel": voxel, "stages_ms": stages, **errors}
 

@@ -28,7 +28,12 @@ MAX_CELLS = 40_000_000  # 25 bytes each
 NOISE = "low"  # of the drive that a map is learned from
 
 
-def build_map(sequence: Sequence, voxel: float, progress: Progress | None = None) -> VoxelMap:
+def build_map(
+    sequence: Sequence,
+    voxel: float,
+    progress: Progress | None = None,
+    warn: Callable[[tuple[str, ...]], None] | None = None,
+) -> VoxelMap:
     """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence with ground-truth poses.
 
     The grid spans what the depth images show, not what anybody knows of the scene.
@@ -37,6 +42,7 @@ def build_map(sequence: Sequence, voxel: float, progress: Progress | None = None
         sequence: with ``groundtruth.txt``.
         voxel: cell size, m.
         progress: told after every frame.
+        warn: told in the end which frames were damaged; they count as empty.
 
     Raises:
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
@@ -60,6 +66,8 @@ def build_map(sequence: Sequence, voxel: float, progress: Progress | None = None
         )
         if progress:
             progress("map", i + 1, len(poses))
+    if warn:
+        warn(reader.notices)
     return voxel_map
 
 

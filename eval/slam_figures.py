@@ -5,24 +5,28 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse
 
 from vssm_gym import emission
+from vssm_gym.block_table import BLOCK, CELLS, PRIOR_SLOT
 from vssm_gym.data.sequences import Sequence
-from vssm_gym.errors import InputError
-from vssm_gym.eval import trajectory
 from vssm_gym.eval.slam_run import SlamRun, TrackedFrame
+from vssm_gym.eval.slam_states import Truth, tidy
 from vssm_gym.geometry import R_BODY_CAM, inverse, transform
-from vssm_gym.inference.slam import SlamConfig
+from vssm_gym.inference import prism
+from vssm_gym.inference.prism import PrismConfig
 from vssm_gym.viz import pictures
-from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 
 OBSERVED_COLOUR = "#0072b2"
 MARGIN = 0.4  # m around what a slice shows
 PIXELS = 420  # of a slice along its longer edge, at most
+STAGES = {"track": "#0072b2", "map": "#0b6e4f", "anchor": "#e69f00", "recover": "#56b4e9"}
+ELLIPSES = 25  # drawn along a path
+REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -32,25 +36,15 @@ class Display:
     T_display_world: Float[np.ndarray, "4 4"]
     note: str  # how up is known
     truth: Float[np.ndarray, "n 3"] | None  # true positions, m
-    errors: Float[np.ndarray, "k 2"] | None  # time (s) and position error (m) of the associated frames
+    errors: Float[np.ndarray, "k 2"] | None  # time (s) and position error (m) of the frames with a true pose
 
     @classmethod
-    def of(cls, run: SlamRun, sequence: Sequence) -> "Display":
+    def of(cls, run: SlamRun, sequence: Sequence, truth: Truth | None) -> "Display":
         """The truth's frame where the run can be aligned to it, else the frame of the body that carries the camera."""
-        if sequence.truth is not None:
-            times, T_true = sequence.truth
-            i, j = trajectory.associate(run.times, times)
-            try:
-                alignment = trajectory.align(run.poses[i, :3, 3], T_true[j, :3, 3])
-            except InputError:
-                pass  # too few or too straight: the page says so beside the errors
-            else:
-                T = np.eye(4)
-                T[:3, :3], T[:3, 3] = alignment.rotation, alignment.translation
-                off = np.linalg.norm(transform(T, run.poses[i, :3, 3]) - T_true[j, :3, 3], axis=-1)
-                inside = (times >= run.times[0]) & (times <= run.times[-1])
-                errors = np.stack([run.times[i], off], axis=-1)
-                return cls(T, "the ground truth's frame, after SE(3) alignment", T_true[inside, :3, 3], errors)
+        if truth is not None:
+            off = np.linalg.norm(run.poses[truth.rows, :3, 3] - truth.T_world_cam[:, :3, 3], axis=-1)
+            errors = np.stack([run.times[truth.rows], off], axis=-1)
+            return cls(truth.T_truth_world, "the ground truth's frame, after SE(3) alignment", truth.positions, errors)
         if sequence.T_body_cam is not None:
             return cls(sequence.T_body_cam, "the first frame's body frame", None, None)
         T = np.eye(4)
@@ -58,53 +52,94 @@ class Display:
         return cls(T, "up is the first camera's up: true only if it was held level", None, None)
 
 
-def _tidy(axes: Axes) -> None:
-    axes.grid(alpha=0.3, linewidth=0.5)
-    axes.spines[["top", "right"]].set_visible(False)
+def path(run: SlamRun, display: Display) -> tuple[bytes, float]:
+    """Top view, side view and, where the truth is known, the position error over time, as SVG.
 
-
-def path(run: SlamRun, display: Display) -> bytes:
-    """Top view, side view and, where the truth is known, the position error over time, as SVG."""
+    Returns:
+        The picture, and how many times larger than they are the ellipses of 95 % of the position are drawn.
+    """
     panels = 2 if display.errors is None else 3
     figure = Figure(figsize=(11.5, 3.6), layout="constrained")
     all_axes = np.atleast_1d(figure.subplots(1, panels))
     p = transform(display.T_display_world, run.poses[:, :3, 3])
+    spread = _position_spread(run, display)
+    largest = max((REGION_95 * np.sqrt(np.trace(covariance)) for _, covariance in spread), default=1.0)
+    room = 0.05 * float(np.ptp(p, axis=0).max())
+    magnified = max(1.0, 10.0 ** np.floor(np.log10(max(room / largest, 1.0))))
     for axes, (a, b), title in zip(all_axes, ((0, 1), (0, 2)), ("from above", "from the side"), strict=False):
         if display.truth is not None:
             axes.plot(display.truth[:, a], display.truth[:, b], color=pictures.TRUE_COLOUR, linewidth=1.6)
         axes.plot(p[:, a], p[:, b], color=pictures.ESTIMATE_COLOUR, linewidth=1.2, linestyle=pictures.DASHES)
         axes.plot(*p[0, [a, b]], "o", color=pictures.ESTIMATE_COLOUR, markersize=5)
         axes.plot(p[run.lost, a], p[run.lost, b], "x", color="black", markersize=5)
+        for centre, covariance in spread:
+            axes.add_patch(_ellipse(centre[[a, b]], covariance[np.ix_([a, b], [a, b])], magnified))
         axes.set(title=title, xlabel="x, m", ylabel=f"{'xyz'[b]}, m", aspect="equal", adjustable="datalim")
-        _tidy(axes)
+        tidy(axes)
     if display.errors is not None:
         axes = all_axes[2]
         axes.plot(display.errors[:, 0] - run.times[0], 100.0 * display.errors[:, 1], color=pictures.ESTIMATE_COLOUR)
         axes.set(title="distance to the truth", xlabel="time, s", ylabel="position error, cm")
         axes.set_ylim(bottom=0.0)
-        _tidy(axes)
+        tidy(axes)
     handles = [
         Line2D([], [], color=pictures.ESTIMATE_COLOUR, linestyle=pictures.DASHES, label="estimate"),
+        Line2D(
+            [],
+            [],
+            color=pictures.ESTIMATE_COLOUR,
+            alpha=0.5,
+            marker="o",
+            fillstyle="none",
+            linestyle="",
+            markersize=9,
+            label=f"95 % of the position, {magnified:g}x",
+        ),
         Line2D([], [], color=pictures.ESTIMATE_COLOUR, marker="o", linestyle="", markersize=5, label="first frame"),
     ]
     if display.truth is not None:
         handles.insert(0, Line2D([], [], color=pictures.TRUE_COLOUR, linewidth=1.6, label="ground truth"))
     if run.lost.any():
         handles.append(Line2D([], [], color="black", marker="x", linestyle="", markersize=5, label="lost frame"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    return pictures.svg(figure)
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    return pictures.svg(figure), magnified
 
 
-def slices(run: SlamRun, display: Display) -> bytes:
-    """Mean and std of occupancy on the horizontal and the vertical plane that cut most free space, as WebP."""
+def _position_spread(run: SlamRun, display: Display) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Position (m) and its covariance (m^2) in the display's frame, of frames spread over the run."""
+    known = [(f.T_world_cam, f.covariance) for f in run.frames if f.covariance is not None and not f.lost]
+    result = []
+    for T_world_cam, covariance in known[:: max(1, len(known) // ELLIPSES)]:
+        T = display.T_display_world @ T_world_cam
+        result.append((T[:3, 3], T[:3, :3] @ covariance[:3, :3] @ T[:3, :3].T))
+    return result
+
+
+def _ellipse(centre: np.ndarray, covariance: np.ndarray, magnified: float) -> Ellipse:
+    variance, axes = np.linalg.eigh(covariance)
+    width, height = 2.0 * REGION_95 * magnified * np.sqrt(np.maximum(variance, 0.0))
+    angle = np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))
+    colour = pictures.ESTIMATE_COLOUR
+    return Ellipse(
+        (centre[0], centre[1]), width, height, angle=angle, fill=False, color=colour, alpha=0.5, linewidth=0.8
+    )
+
+
+def slices(run: SlamRun, display: Display, counted: float) -> bytes:
+    """Mean and std of occupancy on the horizontal and the vertical plane that cut most free space, as WebP.
+
+    ``counted`` is the std that the update gave each observation (``MapUpdateConfig.std``); a real one has
+    ``OBSERVATION_STD``, so that is what the std shown is scaled to.
+    """
     cameras = transform(display.T_display_world, run.poses[:, :3, 3])
     voxel = float(run.map.voxel_size)
-    free = transform(display.T_display_world, _cells(run.map, np.asarray(run.map.occupancy) < -voxel))
-    seen = transform(display.T_display_world, _cells(run.map, True))
+    free = transform(display.T_display_world, _cells(run.map, below=-voxel))
+    seen = transform(display.T_display_world, _cells(run.map))
     figure = Figure(figsize=(11.5, 8.4), layout="constrained")
     for row, (a, b) in zip(figure.subplots(2, 2), ((0, 1), (0, 2)), strict=True):
         fixed = 3 - a - b
-        layers, counts = np.unique(np.round((free if len(free) else seen)[:, fixed] / voxel), return_counts=True)
+        most = next(places for places in (free, seen, cameras) if len(places))
+        layers, counts = np.unique(np.round(most[:, fixed] / voxel), return_counts=True)
         height = voxel * float(layers[np.argmax(counts)])
         shown = np.concatenate([seen[np.abs(seen[:, fixed] - height) <= voxel], cameras])
         low, high = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
@@ -113,18 +148,20 @@ def slices(run: SlamRun, display: Display) -> bytes:
         p = np.empty((len(v), len(u), 3))
         p[..., a], p[..., b], p[..., fixed] = u, v[:, None], height
         mean, std = _belief(run.map, transform(inverse(display.T_display_world), p))
+        std *= 1e3 * OBSERVATION_STD / counted
         extent = (u[0], u[-1], v[0], v[-1])
-        surest = min(0.5, float(np.nanmin(std, initial=0.5)))
+        once = 1e3 * OBSERVATION_STD
+        surest = min(0.5 * once, float(np.nanmin(std, initial=once)))
         panels = (
             (mean, "RdBu_r", Normalize(-2.0 * voxel, 2.0 * voxel), "mean occupancy, m"),
-            (std, "viridis", LogNorm(surest, 1.0), "std of occupancy, m"),
+            (std, "viridis", LogNorm(surest, once), "std of occupancy, mm"),
         )
         for axes, (values, colours, norm, label) in zip(row, panels, strict=True):
             axes.set_facecolor(pictures.UNKNOWN_COLOUR)
             image = axes.imshow(values, origin="lower", extent=extent, interpolation="nearest", cmap=colours, norm=norm)
             bar = figure.colorbar(image, ax=axes, label=label, shrink=0.85)
             if values is std:
-                bar.set_ticks([tick for tick in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if tick >= surest])
+                bar.set_ticks([tick for tick in (0.5, 1, 2, 5, 10, 20, 30) if surest <= tick <= once])
                 bar.ax.yaxis.set_major_formatter("{x:g}")
                 bar.ax.minorticks_off()
             axes.plot(cameras[:, a], cameras[:, b], color="black", linewidth=0.7)
@@ -132,27 +169,31 @@ def slices(run: SlamRun, display: Display) -> bytes:
     return pictures.webp(figure)
 
 
-def _cells(m: VoxelMap, chosen: np.ndarray | bool) -> np.ndarray:
-    """Centres ``(n, 3)`` of the ``chosen`` (blocks, cells) among those whose occupancy was observed, m, map frame."""
-    observed = chosen & (np.asarray(m.occupancy_precision) > OBSERVED_PRECISION)
-    return np.asarray(m.origin, float) + np.argwhere(np.asarray(m.dense(jnp.asarray(observed)))) * float(m.voxel_size)
+def _cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
+    """Centres ``(n, 3)`` of the observed cells whose mean occupancy is below a limit (m), map frame."""
+    chosen = (np.asarray(m.occupancy_precision) > OBSERVED_PRECISION) & (np.asarray(m.occupancy) < below)
+    row, cell = np.nonzero(chosen)  # by storage row: a sparse map's cube need not fit into memory
+    block = np.arange(len(chosen))
+    if m.table is not None:
+        slot = np.asarray(m.table.slot).reshape(-1)
+        stored = np.flatnonzero(slot != PRIOR_SLOT)
+        block[slot[stored]] = stored
+    corner = np.stack(np.unravel_index(block[row], m.blocks), axis=-1) * BLOCK
+    within = np.stack(np.unravel_index(np.arange(CELLS), (BLOCK,) * 3), axis=-1)[cell]
+    return np.asarray(m.origin, float) + (corner + within) * float(m.voxel_size)
 
 
 def _belief(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and std of occupancy (m) at points, NaN where one of the eight cells around was not observed.
+    """Mean of occupancy (m) and precision^-1/2 at points, NaN where one of the eight cells around was not observed.
 
     Across that border the mean passes through a zero that is no surface.
     """
-    observed = np.asarray(m.dense(m.occupancy_precision)) > OBSERVED_PRECISION
-    low = np.floor((p_world - m.bounds[0]) / float(m.voxel_size)).astype(int)
-    inside = ((low >= 0) & (low < np.array(m.shape) - 1)).all(axis=-1)
-    low = np.where(inside[..., None], low, 0)
-    for corner in np.ndindex(2, 2, 2):
-        i, j, k = np.moveaxis(low + corner, -1, 0)
-        inside &= observed[i, j, k]
     p = jnp.asarray(p_world, jnp.float32)
-    mean, precision = np.asarray(m.field(p))[..., 0], np.asarray(m.precision(p))[..., 0]
-    return np.where(inside, mean, np.nan), np.where(inside, precision**-0.5, np.nan)
+    corners, _, inside = m.corners(p)
+    observed = np.asarray(m.occupancy_precision).reshape(-1) > OBSERVED_PRECISION
+    known = np.asarray(inside) & np.all([observed[np.asarray(corner)] for corner in corners], axis=0)
+    mean, precision = np.asarray(m.occupancy_at(p)), np.asarray(m.precision(p))[..., 0]
+    return np.where(known, mean, np.nan), np.where(known, precision**-0.5, np.nan)
 
 
 def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, float]]]:
@@ -199,49 +240,62 @@ def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, f
     return pictures.webp(figure), numbers
 
 
-def fit(run: SlamRun, config: SlamConfig) -> bytes:
+def fit(run: SlamRun, config: PrismConfig) -> bytes:
     """What the loss test sees, over time, with its limits: score and photometric residual, as SVG."""
     figure = Figure(figsize=(11.5, 2.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     aligned = [frame for frame in run.frames if frame.inlier_share is not None]
     t = np.array([frame.time for frame in aligned]) - run.times[0]
-    lost = np.array([frame.lost for frame in aligned], bool)
+    status = np.array([frame.status for frame in aligned], int)
+    marks = (
+        (np.isin(status, (prism.LOST, prism.NO_READING)), "x", "lost"),
+        (status == prism.RECOVERED, "^", "found again"),
+    )
     score = np.array([_score(frame) for frame in aligned])
-    photometric = np.array([frame.photometric for frame in aligned])
+    photometric = np.array([np.nan if frame.photometric is None else frame.photometric for frame in aligned])
     for axes, values, limit in ((left, score, config.min_score), (right, photometric, config.max_photometric)):
         axes.plot(t, values, color=OBSERVED_COLOUR, linewidth=1.0)
-        axes.plot(t[lost], values[lost], "x", color="black", markersize=5)
+        for chosen, marker, label in marks:
+            if chosen.any():
+                axes.plot(t[chosen], values[chosen], marker, color="black", markersize=5, label=label)
         axes.axhline(limit, color="#a3203a", linewidth=1.0, linestyle="--")
         axes.set_xlabel("time, s")
-        _tidy(axes)
-    left.set(ylabel="score", title="geometry: lost below the limit", ylim=(0.0, 1.02))
-    right.set(ylabel="mean |r| / sigma", title="photometry: lost above the limit")
+        tidy(axes)
+    if any(chosen.any() for chosen, _, _ in marks):
+        left.legend(frameon=False, fontsize=8)
+    left.set(ylabel="score", title="geometry: must be above the limit", ylim=(0.0, 1.02))
+    right.set(ylabel="mean |r| / sigma", title="photometry: must be below the limit")
     right.set_ylim(bottom=0.0)
     return pictures.svg(figure)
 
 
 def _score(frame: TrackedFrame) -> float:
-    """Inlier share times ``min(1, coverage / 0.4)``, as the loss test of :mod:`vssm_gym.inference.slam`."""
+    """Inlier share times ``min(1, coverage / 0.4)``: :func:`vssm_gym.inference.alignment.score` of what was kept."""
     return (frame.inlier_share or 0.0) * min(1.0, (frame.coverage or 0.0) / 0.4)
 
 
 def latency(run: SlamRun) -> bytes:
     """Milliseconds of each stage, frame by frame and as the share of frames below, as SVG."""
-    figure = Figure(figsize=(11.5, 2.8), layout="constrained")
+    figure = Figure(figsize=(11.5, 3.2), layout="constrained")
     series, below = figure.subplots(1, 2)
-    stages = (
-        ("track and update", [frame for frame in run.frames if frame.warm], "step_s", pictures.ESTIMATE_COLOUR),
-        ("read (beside the filter)", run.frames, "read_s", OBSERVED_COLOUR),
-        ("wait for image", run.frames[1:], "wait_s", "#e69f00"),
-    )
-    for label, frames, name, colour in stages:
-        ms = 1e3 * np.array([getattr(frame, name) for frame in frames])
-        if len(ms):
-            series.plot([frame.time - run.times[0] for frame in frames], ms, color=colour, linewidth=0.8, label=label)
+    warm = [frame for frame in run.frames if frame.warm]
+    stages = [
+        ("whole step", [(frame.time, frame.step_s) for frame in warm], pictures.ESTIMATE_COLOUR),
+        ("read (beside the filter)", [(frame.time, frame.read_s) for frame in run.frames], "0.6"),
+        ("wait for image", [(frame.time, frame.wait_s) for frame in run.frames[1:]], "0.3"),
+    ]
+    for stage, colour in STAGES.items():
+        stages.append((stage, [(f.time, f.stages[stage]) for f in warm if stage in f.stages], colour))
+    for label, points, colour in stages:
+        if points:
+            t, ms = np.array(points).T * [[1.0], [1e3]]
+            few = len(ms) < 0.9 * len(run.frames)  # a stage that only some frames need is no line
+            drawn = {"linestyle": "", "marker": ".", "markersize": 3} if few else {"linewidth": 0.8}
+            series.plot(t - run.times[0], ms, color=colour, label=label, **drawn)
             below.step(np.sort(ms), np.arange(1, len(ms) + 1) / len(ms), where="post", color=colour)
     series.set(xlabel="time in the recording, s", ylabel="ms", yscale="log")
-    below.set(xlabel="ms", ylabel="share of frames", xscale="log", ylim=(0.0, 1.02))
+    below.set(xlabel="ms", ylabel="share of the frames with this stage", xscale="log", ylim=(0.0, 1.02))
     for axes in (series, below):
-        _tidy(axes)
-    figure.legend(*series.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+        tidy(axes)
+    figure.legend(*series.get_legend_handles_labels(), loc="outside lower center", ncols=7, frameon=False, fontsize=9)
     return pictures.svg(figure)

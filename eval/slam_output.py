@@ -4,6 +4,7 @@ import json
 import os
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -12,22 +13,42 @@ from typing import Any, TextIO
 import jax
 import numpy as np
 
-from vssm_gym.data.sequences import Sequence
+from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.data.trajectories import tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
 from vssm_gym.eval.destinations import check_folder
+from vssm_gym.eval.slam_figures import STAGES
 from vssm_gym.eval.slam_report import page
 from vssm_gym.eval.slam_run import Progress, SlamOptions, SlamRun, TrackedFrame, run_slam
+from vssm_gym.eval.slam_states import Truth, calibration_summary
 from vssm_gym.eval.version import package_version
+from vssm_gym.files import atomic_write
+from vssm_gym.inference.prism import OK, RECOVERED, STATUS
 from vssm_gym.viz.mesh import surface_mesh, write_ply
+from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
 STATS, REPORT = "stats.json", "report.html"
+LATENCY_NOTE = (
+    "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
+    "the images, MAP, Laplace and velocity; map: the closed-form update, and moving the window where the camera leaves "
+    "it; anchor: rendering the map where the camera has left the last anchor; recover: aligning a lost image to the "
+    "map from several starts; the rest is shrinking the image and keeping keyframes. read: decoding, undistorting and "
+    "resizing, in a thread beside the filter; wait: the filter idle until the image is there. Frames on which a stage "
+    "ran for the first time, and was compiled, are left out"
+)
 OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # what an unfinished run leaves: the report comes last
 
 
-def process(sequence: Sequence, out: Path, options: SlamOptions, progress: Progress | None = None) -> dict[str, Any]:
+def process(
+    sequence: Sequence,
+    out: Path,
+    options: SlamOptions,
+    progress: Progress | None = None,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
+    viewer: Viewer | None = None,
+) -> dict[str, Any]:
     """Run SLAM over a sequence and write everything to ``out``; returns what ``stats.json`` holds.
 
     Each file appears whole or not at all. Where the run ends early, the poses of the finished frames stay in
@@ -36,24 +57,39 @@ def process(sequence: Sequence, out: Path, options: SlamOptions, progress: Progr
     Args:
         sequence: the recording.
         out: new or empty folder, or one that an unfinished run left.
-        options: image size, rate, grid.
+        options: image size, rate, grid, solver.
         progress: told after every frame, and of every file.
+        on_frame: told of every frame as it is finished.
+        viewer: shows every frame, and the surface in the end.
 
     Raises:
         InputError: bad input; nothing is written before the first frame is done.
     """
     check_free(out)
     start = time.perf_counter()
+    images = FrameReader(sequence, options.size)  # the viewer's own: the run keeps none of its images
+
+    def finished(frame: TrackedFrame) -> None:
+        file.append(frame)
+        if viewer:
+            pixels = images[frame.index]
+            viewer.frame(frame.time, frame.T_world_cam, *pixels, lost=frame.lost, step_ms=1e3 * frame.step_s)
+        if on_frame:
+            on_frame(frame)
+
     with _TrajectoryFile(out) as file:
-        run = run_slam(sequence, options, file.append, progress)
-    stats = summarise(run, sequence, options, time.perf_counter() - start)
+        run = run_slam(sequence, options, finished, progress)
+    truth = Truth.of(run, sequence)
+    stats = summarise(run, sequence, options, time.perf_counter() - start, truth)
     mesh = surface_mesh(run.map)
     stats["map"] |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    if viewer:
+        viewer.surface(mesh)
     writers = (
         lambda: run.map.save(out / MAP, sequence=sequence.root.resolve().name, frames=len(run.frames)),
         lambda: write_ply(out / MESH, mesh),
-        lambda: _write_whole(out / STATS, json.dumps(stats, indent=1, allow_nan=False) + "\n"),
-        lambda: _write_whole(out / REPORT, page(run, sequence, mesh, stats, options.slam)),
+        lambda: _write(out / STATS, json.dumps(stats, indent=1, allow_nan=False) + "\n"),
+        lambda: _write(out / REPORT, page(run, sequence, truth, mesh, stats, options.prism)),
     )
     for done, write in enumerate(writers, start=1):
         write()
@@ -62,22 +98,18 @@ def process(sequence: Sequence, out: Path, options: SlamOptions, progress: Progr
     return stats
 
 
-def summarise(run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float) -> dict[str, Any]:
+def summarise(
+    run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float, truth: Truth | None
+) -> dict[str, Any]:
     """What a reader needs to judge and repeat a run, as plain JSON values."""
     frames = run.frames
-    warm = [frame for frame in frames if frame.warm]
-    stages = {
-        "read": [frame.read_s for frame in frames],
-        "wait for image": [frame.wait_s for frame in frames[1:]],
-        "track and update": [frame.step_s for frame in warm],
-    }
     fits = {
-        name: [value for frame in frames if (value := getattr(frame, name)) is not None]
+        name: [value for frame in frames if (value := getattr(frame, name)) is not None and np.isfinite(value)]
         for name in ("inlier_share", "coverage", "photometric", "in_grid")
     }
-    config = asdict(options) | {"size": "x".join(map(str, options.size))}
     camera = sequence.camera
     K = camera.K
+    table = run.map.table
     return {
         "version": package_version(),
         "machine": {
@@ -86,7 +118,7 @@ def summarise(run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: f
             "jax": f"{jax.__version__} {jax.default_backend()}",
         },
         "sequence": sequence.root.resolve().name,
-        "config": config,
+        "config": asdict(options) | {"size": "x".join(map(str, options.size))},
         "camera": {
             "width": camera.width,
             "height": camera.height,
@@ -94,29 +126,56 @@ def summarise(run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: f
             "distortion_k1_k2_p1_p2_k3": sequence.distortion.tolist(),
             "depth_scale": sequence.depth_scale,
         },
+        "notices": list(notices(run)),
         "frames_recorded": len(sequence.frames),
         "frames": len(frames),
         "sequence_s": float(run.times[-1] - run.times[0]),
         "run_s": seconds,
-        "lost": [{"index": frame.index, "time": frame.time} for frame in frames if frame.lost],
+        "lost": [{"index": f.index, "time": f.time, "status": STATUS[f.status]} for f in frames if f.lost],
+        "found_again": [{"index": f.index, "time": f.time} for f in frames if f.status == RECOVERED],
         "fit_median": {name: float(np.median(values)) if values else None for name, values in fits.items()},
-        "latency_ms": {stage: percentiles(values) for stage, values in stages.items() if values},
-        "latency_note": (
-            "read: decoding, undistorting and resizing, in a thread beside the filter; wait: the filter idle until the "
-            "image is there; track and update: from the image to the pose and the updated map, one compiled function, "
-            "without the first two calls, which compile"
-        ),
-        "first_calls_s": [frame.step_s for frame in frames if not frame.warm and not frame.lost],
-        "map": {"cells": int(np.prod(run.map.shape)), "shape": list(run.map.shape), "voxel": options.voxel},
+        "latency_ms": latency(frames),
+        "latency_note": LATENCY_NOTE,
+        "compiling_s": [f.step_s for f in frames if not f.warm and (f.stages or f.status == OK)],
+        "map": {
+            "cells": int(np.prod(run.map.shape)),
+            "shape": list(run.map.shape),
+            "voxel": options.voxel,
+            "storage": "dense" if table is None else "block-sparse",
+            "blocks_forgotten": sum(frame.left_window for frame in frames),
+        },
         "errors": errors(run, sequence),
+        "calibration": calibration_summary(run, truth),
     }
 
 
+def notices(run: SlamRun) -> tuple[str, ...]:
+    """What was wrong with the input, and with the map's storage, a sentence each."""
+    table = run.map.table
+    refused = 0 if table is None else int(table.refused)
+    if not refused:
+        return run.notices
+    return (
+        *run.notices,
+        f"the map's storage is full: {refused:,} observations of blocks were left out; use larger voxels",
+    )
+
+
+def latency(frames: tuple[TrackedFrame, ...]) -> dict[str, dict[str, float]]:
+    """Milliseconds of the whole step, of each of its stages over the frames that needed it, and of the images."""
+    warm = [frame for frame in frames if frame.warm]
+    names = dict.fromkeys(stage for stage in STAGES for frame in warm if stage in frame.stages)
+    seconds = {"whole step": [frame.step_s for frame in warm]}
+    seconds |= {stage: [frame.stages[stage] for frame in warm if stage in frame.stages] for stage in names}
+    seconds |= {"read": [frame.read_s for frame in frames], "wait for image": [frame.wait_s for frame in frames[1:]]}
+    return {stage: percentiles(values) for stage, values in seconds.items() if values}
+
+
 def percentiles(seconds: list[float]) -> dict[str, float]:
-    """Median, 90th and 99th percentile, largest and mean, milliseconds, and how many."""
+    """Median, 95th and 99th percentile, largest and mean, milliseconds, and how many."""
     ms = 1e3 * np.asarray(seconds)
-    p50, p90, p99 = (float(value) for value in np.percentile(ms, (50, 90, 99)))
-    return {"p50": p50, "p90": p90, "p99": p99, "max": float(ms.max()), "mean": float(ms.mean()), "n": len(ms)}
+    p50, p95, p99 = (float(value) for value in np.percentile(ms, (50, 95, 99)))
+    return {"p50": p50, "p95": p95, "p99": p99, "max": float(ms.max()), "mean": float(ms.mean()), "n": len(ms)}
 
 
 def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
@@ -142,13 +201,9 @@ def check_free(out: Path) -> None:
         raise InputError(out, "folder", "a new or empty folder, or that of a run which did not end")
 
 
-def _write_whole(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+def _write(path: Path, text: str) -> None:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 class _TrajectoryFile:

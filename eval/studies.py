@@ -4,12 +4,15 @@ A study is one file ``study_NAME.py`` with ``run(...) -> Study``; the command li
 """
 
 import json
+import os
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
 
+from vssm_gym.eval.maps import Progress
 from vssm_gym.eval.report import STYLE
 from vssm_gym.eval.report_tables import html_table
 from vssm_gym.eval.version import package_version
@@ -32,6 +35,11 @@ class Study:
     notes: tuple[str, ...] = field(default=())  # how it was measured, one paragraph each
 
 
+def labelled(progress: Progress | None, label: str) -> Progress | None:
+    """``progress`` told ``label`` instead of the stage: many runs of one kind have a bar each."""
+    return None if progress is None else lambda _, done, total: progress(label, done, total)
+
+
 def write_study(study: Study, out: Path) -> Path:
     """Write ``NAME.json``, ``NAME.svg`` and ``NAME.html`` under ``out``, each whole or not at all; returns the page.
 
@@ -40,7 +48,8 @@ def write_study(study: Study, out: Path) -> Path:
         out: folder; an older outcome of the same study is replaced, nothing else.
     """
     out.mkdir(parents=True, exist_ok=True)
-    stored = {"version": package_version(), "setting": study.setting, "figures": study.figures}
+    machine = {"cores": os.cpu_count(), "processor": platform.machine()}
+    stored = {"version": package_version(), "machine": machine, "setting": study.setting, "figures": study.figures}
     files = {
         "json": (json.dumps(stored, indent=1, allow_nan=False) + "\n").encode(),
         "svg": study.picture,
@@ -61,6 +70,10 @@ def page(study: Study, stored: dict[str, Any]) -> str:
         f"<h1>{escape(study.question)}</h1><p>{escape(study.answer)}</p>"
         f"<img src='{pictures.data_url(study.picture, 'image/svg+xml')}' alt='{escape(study.question)}'>"
         f"<div class=wide>{html_table(study.header, study.lines, 1)}</div>{notes}"
-        f"<details><summary>setting</summary><pre>{escape(json.dumps(stored['setting'], indent=1))}</pre></details>"
+        f"<details><summary>setting</summary><pre>{escape(_without_figures(stored))}</pre></details>"
         "</body></html>\n"
     )
+
+
+def _without_figures(stored: dict[str, Any]) -> str:
+    return json.dumps({name: value for name, value in stored.items() if name != "figures"}, indent=1)

@@ -22,7 +22,10 @@ from jaxtyping import install_import_hook
 
 # Annotated shapes and dtypes of these modules are checked at every call (STYLE 2). Simulation and planning are left
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
-CHECKED = ["geometry", "camera", "empty_space", "voxel_map", "emission", "transition", "inference"]
+CHECKED = [
+    *("geometry", "camera", "compaction", "block_table", "empty_space", "map_file", "voxel_map", "emission"),
+    *("emission_uncertainty", "transition", "model", "predictive", "inference"),
+]
 
 already_imported = [name for name in CHECKED if f"vssm_gym.{name}" in sys.modules]
 if already_imported:

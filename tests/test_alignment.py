@@ -13,14 +13,27 @@ from random_maps import seeds
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD, render
 from vssm_gym.geometry import inverse, se3_adjoint, se3_exp, se3_log
-from vssm_gym.inference import alignment
-from vssm_gym.inference.alignment import AlignConfig, AlignInfo, make_observed, make_reference, shrink_camera
-from vssm_gym.inference.slam import SlamConfig, camera_rotation
+from vssm_gym.inference.alignment import (
+    AlignConfig,
+    Term,
+    disagreement,
+    linearise,
+    luminance,
+    make_observed,
+    make_reference,
+    normal_equations,
+    score,
+    shrink_camera,
+    shrink_rgbd,
+    stride,
+)
+from vssm_gym.inference.gauss_newton import align
 
 CONFIG = AlignConfig()
 FREE, NO_PRIOR, IDENTITY = jnp.eye(6), 1e-3 * jnp.eye(6), jnp.eye(4)
 MAP = ROOM.to_map(*GRID)
 align_jit = jax.jit(align, static_argnums=7)
+disagree_jit = jax.jit(disagreement, static_argnums=(4, 5))
 
 
 def f32(a: np.ndarray) -> jax.Array:
@@ -188,37 +201,158 @@ def test_another_place_is_told_apart() -> None:
     here, there = camera_pose((-0.5, 0.0, 0.5), 0.0), camera_pose((0.3, 0.2, 0.9), 2.4, 0.3)
     _, same = solve(ROOM.image(here, CAMERA), ROOM.image(here, CAMERA), precision=1e3 * np.eye(6))
     _, other = solve(ROOM.image(here, CAMERA), ROOM.image(there, CAMERA), precision=1e3 * np.eye(6))
-
-    def score(info: AlignInfo) -> float:
-        return float(info.inlier_share * jnp.minimum(1.0, info.coverage / 0.4))
-
-    assert score(same) > 0.95
-    assert score(other) < 0.5
+    assert float(score(same)) > 0.95
+    assert float(score(other)) < 0.5
     assert float(other.photometric) > 3 * float(same.photometric) + 1.0
+
+
+def terms_at(T, reference: RGBD, observed: RGBD, factor: int = 1, config: AlignConfig = CONFIG, **more):
+    ref = make_reference(reference, CAMERA, config, factor, **more)
+    return linearise(T, ref, make_observed(observed, CAMERA, factor), CAMERA, factor, config)
 
 
 @pytest.mark.parametrize("factor", [1, 2, 4])
 def test_jacobians_are_those_of_the_residuals(factor: int) -> None:
-    """Against central differences, wherever a pixel keeps its partner."""
+    """Of every term, by a twist in the reference's frame: central differences in float64."""
     rng = np.random.default_rng(11)
-    T_world_ref, T = room_pose(rng), f32(motion(rng, 0.03, 0.03))
-    ref = make_reference(ROOM.image(T_world_ref, CAMERA), CAMERA, CONFIG, factor)
-    obs = make_observed(ROOM.image(T_world_ref @ motion(rng, 0.02, 0.02), CAMERA), CAMERA, factor)
+    T_world_ref = room_pose(rng)
+    T = np.asarray(motion(rng, 0.03, 0.03), float)
+    reference, observed = ROOM.image(T_world_ref, CAMERA), ROOM.image(T_world_ref @ motion(rng, 0.02, 0.02), CAMERA)
+    with jax.enable_x64(True):
+        wide = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), float if a.dtype == jnp.float32 else a.dtype), (
+            reference, observed, 0.9 * luminance(reference.rgb) + 0.02, 0.01 + 0.002 * reference.depth))  # fmt: skip
+        reference, observed, seen, spread = wide
+        ref = make_reference(reference, CAMERA, CONFIG, factor, seen, spread)
+        obs = make_observed(observed, CAMERA, factor)
+        at = jax.jit(lambda T: linearise(T, ref, obs, CAMERA, factor, CONFIG))
+        middle, h = at(jnp.asarray(T)), 1e-6
+        sides = [[at(se3_exp(s * h * jnp.eye(6)[axis]) @ jnp.asarray(T)) for s in (1, -1)] for axis in range(6)]
+    assert len(middle) == 3
+    for k, term in enumerate(middle):
+        used = np.asarray(term.weight) > 0.0
+        assert used.mean() > 0.5
+        for axis, (high, low) in enumerate(sides):
+            slope = (np.asarray(high[k].residual) - np.asarray(low[k].residual)) / (2 * h)
+            J = np.asarray(term.jacobian[axis])
+            wrong = np.abs(slope - J) > 1e-4 * np.abs(J).max()
+            assert np.mean(wrong[used]) < 1e-3  # those that crossed into the next pixel
 
-    @jax.jit
-    def linearise(T):
-        residual, weight, J, _ = alignment._linearise(T, FREE, ref, obs, CAMERA, factor, CONFIG)
-        return residual, weight, J
 
-    _, weight, J = (np.asarray(a, float) for a in linearise(T))
-    used, h = weight > 0.0, 2e-4
-    assert used.mean() > 0.5
-    for axis in range(6):
-        (high, w_high, _), (low, w_low, _) = (linearise(T @ se3_exp(s * h * FREE[axis])) for s in (1, -1))
-        slope = (np.asarray(high, float) - np.asarray(low, float)) / (2 * h)
-        kept = used & (np.asarray(w_high) > 0) & (np.asarray(w_low) > 0)
-        wrong = np.abs(slope - J[axis]) > 0.02 * np.abs(J[axis]).max()
-        assert np.mean(wrong[kept]) < 0.06  # those that crossed into the next pixel
+def test_normal_equations_are_weighted_sums() -> None:
+    """``sum w J J^T`` and ``sum w J r`` over all terms, in float64."""
+    rng = np.random.default_rng(6)
+    terms = [
+        Term(
+            *(f32(a) for a in (rng.normal(size=50), rng.uniform(size=50), rng.normal(size=(6, 50)))), jnp.ones(50, bool)
+        )
+        for _ in range(3)
+    ]
+    H, g = normal_equations(*terms)
+    J, w, r = (np.concatenate([np.asarray(t[i], float) for t in terms], -1) for i in (2, 1, 0))
+    np.testing.assert_allclose(np.asarray(H), (J * w) @ J.T, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(np.asarray(g), (J * w) @ r, rtol=1e-4, atol=1e-4)
+
+
+def information(T_world_ref, T_ref_cam, config: AlignConfig = CONFIG, **more) -> np.ndarray:
+    """Of the data, at the solution."""
+    reference, observed = ROOM.image(T_world_ref, CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA)
+    _, info = align_jit(IDENTITY, NO_PRIOR, IDENTITY, FREE, reference, observed, CAMERA, config, **more)
+    return np.asarray(info.information, float)
+
+
+@given(seeds)
+def test_a_reference_that_is_not_sure_says_less(seed: int) -> None:
+    """Spread adds to the variance of the planes: the images say less in every direction."""
+    rng = np.random.default_rng(seed)
+    T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.01, 0.01)
+    sure, unsure = (information(T_world_ref, T_ref_cam, spread=f32(np.full((48, 64), s))) for s in (0.0, 0.02))
+    scale = np.diag(1.0 / np.sqrt(np.diag(sure)))
+    assert np.linalg.eigvalsh(scale @ (sure - unsure) @ scale).min() > -0.02  # a pixel at the gate may come in
+    assert np.trace(scale @ unsure @ scale) < 0.9 * 6
+
+
+def test_no_spread_is_a_spread_of_zero() -> None:
+    rng = np.random.default_rng(8)
+    T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.02, 0.02)
+    sure, none = (information(T_world_ref, T_ref_cam, spread=s) for s in (jnp.zeros((48, 64)), None))
+    np.testing.assert_allclose(sure, none, rtol=1e-4, atol=1e-3 * np.abs(none).max())
+
+
+def test_spread_widens_residuals_as_variances_add() -> None:
+    """``sigma^2 = (a + b depth^2)^2 + spread^2``, at the pixel of the reference."""
+    T_world_ref = room_pose(np.random.default_rng(10))
+    image = ROOM.image(T_world_ref, CAMERA)
+    spread = np.random.default_rng(0).uniform(0.0, 0.05, (48, 64))
+    T = f32(motion(np.random.default_rng(1), 0.002, 0.0))  # well below a pixel: each keeps its own
+    plain, wide = terms_at(T, image, image)[0], terms_at(T, image, image, spread=f32(spread))[0]
+    depth = np.asarray(image.depth, float).reshape(-1)
+    sigma = CONFIG.geo_sigma + CONFIG.geo_sigma_quadratic * depth**2
+    used = np.asarray(plain.weight) > 0
+    expected = np.asarray(plain.residual, float) * sigma / np.hypot(sigma, spread.reshape(-1))
+    np.testing.assert_allclose(np.asarray(wide.residual)[used], expected[used], rtol=1e-3, atol=1e-4)
+
+
+def test_the_image_seen_at_the_reference_pose_is_a_third_witness() -> None:
+    """A rendered image without any texture leaves a turn about a wall's normal to the image that was taken there."""
+    rng = np.random.default_rng(12)
+    wall = Room(((-9.0, -9.0, -9.0), (1.5, 9.0, 9.0)))
+    T_world_ref = camera_pose((0.0, 0.0, 0.0), 0.0)
+    T_ref_cam = motion(rng, 0.0, 0.03)
+    T_ref_cam[:2, 3] = [0.02, -0.01]
+    taken, observed = wall.image(T_world_ref, CAMERA), wall.image(T_world_ref @ T_ref_cam, CAMERA)
+    bare = RGBD(taken.depth, 0 * taken.rgb + jnp.mean(luminance(taken.rgb)), taken.hit, taken.known)
+    arguments = (IDENTITY, 10.0 * FREE, IDENTITY, FREE, bare, observed, CAMERA, CONFIG)
+    without, with_it = align_jit(*arguments)[0], align_jit(*arguments, seen=luminance(taken.rgb))[0]
+    assert errors(with_it, T_ref_cam)[0] < 1e-3
+    assert errors(without, T_ref_cam)[0] > 0.01
+
+
+def test_where_the_reference_is_textured_the_image_seen_there_agrees() -> None:
+    """The same image twice: the same pose, and more information about it."""
+    rng = np.random.default_rng(13)
+    T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.03, 0.03)
+    reference, observed = ROOM.image(T_world_ref, CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA)
+    arguments = (IDENTITY, NO_PRIOR, IDENTITY, FREE, reference, observed, CAMERA, CONFIG)
+    (one, of_one), (two, of_two) = align_jit(*arguments), align_jit(*arguments, seen=luminance(reference.rgb))
+    assert errors(two, np.asarray(one, float))[0] < 1e-3
+    gained = np.asarray(of_two.information - of_one.information, float)
+    assert np.linalg.eigvalsh(gained).min() > -1e-3 * np.trace(gained)
+    assert np.trace(gained) > 0
+
+
+def test_fewer_pixels_say_as_much() -> None:
+    """A grid of every third pixel: each counts for the pixels that it stands for."""
+    rng = np.random.default_rng(14)
+    T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.01, 0.01)
+    few = AlignConfig(pixels=340)
+    assert (stride(CAMERA, 1, CONFIG), stride(CAMERA, 1, few)) == (1, 3)
+    all_of_them, sample = information(T_world_ref, T_ref_cam), information(T_world_ref, T_ref_cam, few)
+    values = np.linalg.eigvals(np.linalg.solve(all_of_them, sample)).real
+    assert (values > 0.5).all()
+    assert (values < 2.0).all()
+    assert np.trace(sample) == pytest.approx(np.trace(all_of_them), rel=0.25)
+
+
+@given(seeds, st.floats(0.02, 0.3))
+def test_images_disagree_more_off_the_true_pose(seed: int, away: float) -> None:
+    """What picks the start of the search is least at the truth, and grows with the distance from it."""
+    rng = np.random.default_rng(seed)
+    T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.02, 0.02)
+    ref = make_reference(ROOM.image(T_world_ref, CAMERA), CAMERA, CONFIG, 2)
+    obs = make_observed(ROOM.image(T_world_ref @ T_ref_cam, CAMERA), CAMERA, 2)
+    off = T_ref_cam @ motion(rng, away, away)
+    there, here = (float(disagree_jit(f32(T), ref, obs, CAMERA, 2, CONFIG)) for T in (off, T_ref_cam))
+    assert here < there
+
+
+def test_looking_away_is_no_agreement() -> None:
+    """A pose from which nothing falls on the reference is the worst there is."""
+    image = ROOM.image(room_pose(np.random.default_rng(15)), CAMERA)
+    ref, obs = make_reference(image, CAMERA, CONFIG, 2), make_observed(image, CAMERA, 2)
+    back = np.linalg.inv(camera_pose((0.0, 0.0, 0.0), 0.0)) @ camera_pose((0.0, 0.0, 0.0), 3.1)
+    worst = 3.0 * (1.0 + CONFIG.rgb_weight)
+    assert float(disagree_jit(f32(back), ref, obs, CAMERA, 2, CONFIG)) == pytest.approx(worst)
+    assert float(disagree_jit(IDENTITY, ref, obs, CAMERA, 2, CONFIG)) < 0.5 * worst
 
 
 def faces_of(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -294,11 +428,13 @@ def test_an_image_aligned_to_itself_stays(factor: int) -> None:
     np.testing.assert_allclose(np.asarray(T), np.eye(4), atol=1e-5)
 
 
-def test_the_rotation_of_an_image_to_itself_is_none() -> None:
-    image = ROOM.image(room_pose(np.random.default_rng(5)), CAMERA)
-    config = SlamConfig(rotation_sizes=(16, 32))
-    T = jax.jit(camera_rotation, static_argnums=3)(image, image, CAMERA, config)
-    np.testing.assert_allclose(np.asarray(T), np.eye(4), atol=1e-5)
+def test_an_image_shrunk_twice_is_an_image_shrunk_once() -> None:
+    """By 2 and 2 as by 4, up to which of a block's readings is the nearest to its centre."""
+    image = ROOM.image(room_pose(np.random.default_rng(4)), CAMERA)
+    twice, once = shrink_rgbd(shrink_rgbd(image, 2), 2), shrink_rgbd(image, 4)
+    np.testing.assert_allclose(np.asarray(twice.rgb), np.asarray(once.rgb), atol=1e-6)
+    assert twice.depth.shape == once.depth.shape == (12, 16)
+    np.testing.assert_array_equal(np.asarray(once.depth), np.asarray(image.depth)[2::4, 2::4])
 
 
 def test_aligning_compiles_once() -> None:

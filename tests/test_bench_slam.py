@@ -6,8 +6,10 @@ import sys
 import numpy as np
 import pytest
 from box_rooms import furniture, two_rooms
+from rich.console import Console
 
 from vssm_gym.camera import Camera
+from vssm_gym.cli.bench import _show
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.envs.scene import save_scene
@@ -38,6 +40,8 @@ def test_without_open3d_ours_is_reported_and_the_reason_said(sequence, no_open3d
     assert row["method"] == "vssm-gym"
     assert row["size"] == [160, 120]  # the recording is no larger
     assert 0.0 < row["stages_ms"]["step"]["p50"] <= row["stages_ms"]["step"]["p95"]
+    assert list(row["stages_ms"])[:4] == ["step", "track", "map", "anchor"]
+    assert sum(row["stages_ms"][stage]["p50"] for stage in ("track", "map")) < row["stages_ms"]["step"]["p95"]
     assert 0.0 <= row["ate_m"] <= row["ate_max_m"] < 0.05
     assert row["astray"] == 0
     assert "pip install open3d" in result["missing"]
@@ -84,3 +88,23 @@ def test_errors_by_hand(sequence):
     assert bench_slam._errors(sequence, sequence.times, poses)["astray"] == 1
     nothing = {"ate_m": None, "ate_max_m": None, "astray": None}
     assert bench_slam._errors(sequence, sequence.times + 1e6, poses) == nothing
+
+
+def test_a_stage_that_one_run_did_not_need_is_told_of_the_others():
+    """Recovery, say; and its times are those of the frames in which it ran."""
+    runs = [{"step": np.array([0.010, 0.012])}, {"step": np.array([0.014]), "recover": np.array([0.002])}]
+    row = bench_slam._row("vssm-gym", (160, 120), 0.07, runs, {"ate_m": None})
+    assert row["stages_ms"]["step"]["p50"] == pytest.approx(12.0)
+    assert row["stages_ms"]["recover"] == {"p50": pytest.approx(2.0), "p95": pytest.approx(2.0)}
+
+
+def test_the_tracker_table_names_every_method(capsys):
+    methods = {
+        name: {"drives": 6, "rmse_m_median": 0.01 * k, "ms_a_step": 10.0 * k}
+        for k, name in enumerate(("astar", "adam"), start=1)
+    }
+    result = {"scene": "oak", "trials": 9, "share_below_0.1m": 1.0, "rmse_m": {"0.5": 0.01}, "lost_steps": 0.0}
+    _show("tracker", result | {"methods": methods}, Console(width=100))
+    shown = capsys.readouterr().out
+    assert "adam: RMSE median of 6 drives" in shown
+    assert "2.00 cm, 20.0 ms" in shown

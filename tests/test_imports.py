@@ -18,10 +18,14 @@ LAYERS = [
     ["axes", "errors", "files"],
     ["geometry"],
     ["camera"],
+    ["compaction", "block_table"],
     ["empty_space"],
+    ["map_file"],
     ["voxel_map"],
     ["emission", "transition", "learned_transition"],
+    ["emission_uncertainty"],
     ["model"],
+    ["predictive"],
     ["inference"],
     ["planning"],
     ["agents"],
@@ -38,14 +42,17 @@ ALLOWED: dict[str, set[str]] = {
 ALLOWED["__init__"] = {"envs.registration"}
 ALLOWED["envs.registration"] = set()
 ALLOWED["envs"] = BASE | {"envs.registration"}
-ALLOWED["data.trajectories"] = set(BASE)
-ALLOWED["data.sequences"] = BASE | {"data.trajectories"}
-ALLOWED["data.recording"] = BASE | {"data.sequences", "envs", "planning"}
-ALLOWED["viz"] = BASE | {"voxel_map", "emission"}
+for _module in ("data.trajectories", "data.images", "data.intrinsics"):
+    ALLOWED[_module] = set(BASE)
+ALLOWED["data.index"] = BASE | {"data.trajectories"}
+ALLOWED["data.sequences"] = BASE | {"data.trajectories", "data.images", "data.index", "data.intrinsics"}
+ALLOWED["data.handheld"] = BASE | {"envs"}
+ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "planning"}
+ALLOWED["viz"] = BASE | {"block_table", "voxel_map", "emission"}
 ALLOWED["eval"] |= {"__init__", "envs", "data.trajectories", "data.sequences", "data.recording", "viz"}
 ALLOWED["cli"] |= ALLOWED["eval"]
 
-ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray"}
+ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray", "open3d", "rerun"}
 TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package
 FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout, not packages of their own
 

@@ -8,6 +8,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -15,18 +17,26 @@ from analytic_room import Room, camera_pose
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vssm_gym.block_table import BlockTable
 from vssm_gym.camera import Camera
 from vssm_gym.cli import main as main_module
+from vssm_gym.cli.slam import print_warnings
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
-from vssm_gym.data.trajectories import read_trajectory
+from vssm_gym.data.trajectories import read_trajectory, velocities
 from vssm_gym.errors import InputError
-from vssm_gym.eval import slam_run, trajectory
-from vssm_gym.eval.slam_run import SlamOptions, prefetch, run_slam, thin
-from vssm_gym.geometry import R_BODY_CAM, inverse, transform
-from vssm_gym.voxel_map import VoxelMap, read_metadata
+from vssm_gym.eval import slam_output, slam_report, slam_run, slam_states, trajectory
+from vssm_gym.eval.slam_figures import _belief, _cells
+from vssm_gym.eval.slam_run import SlamOptions, SlamRun, TrackedFrame, prefetch, run_slam, thin
+from vssm_gym.geometry import R_BODY_CAM, inverse, se3_exp, transform
+from vssm_gym.inference import prism
+from vssm_gym.inference.map_update import update
+from vssm_gym.inference.tracking import observe
+from vssm_gym.viz import stream
+from vssm_gym.viz.mesh import surface_mesh
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap, read_metadata
 
 FRAMES = 10
-SIZE = "80x60"  # one size everywhere: each compiles the step anew
+SIZE = "80x60"  # one size and one grid everywhere: each compiles the step anew
 GRID = ("--voxel", "0.08", "--extent", "6.4")
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
 ROOM = Room(((-2.0, -1.6, 0.0), (2.2, 1.7, 2.3)), (((0.9, -0.4, 0.0), (1.4, 0.5, 0.8)),))
@@ -39,17 +49,24 @@ def true_pose(k: int) -> np.ndarray:
     return camera_pose(place, 0.02 * k - 0.1, 0.2 + 0.01 * k, 0.01 * k)
 
 
+def image_from(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """RGB uint8 and z-depth (m)."""
+    image = ROOM.image(T_world_cam, CAMERA)
+    return np.rint(255.0 * np.asarray(image.rgb)).astype(np.uint8), np.asarray(image.depth)
+
+
+def frame_of(k: int) -> tuple[np.ndarray, np.ndarray]:
+    return image_from(true_pose(k))
+
+
 def write_sequence(folder: Path, strange: int | None = None, blank: int = 0) -> Path:
     """A TUM folder of the room; frame ``strange`` looks the other way, the first ``blank`` frames have no depth."""
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = R_BODY_CAM
     writer = SequenceWriter(folder, CAMERA, T_body_cam)
     for k in range(FRAMES):
-        seen_from = camera_pose((0.3, 0.0, 1.2), 2.8, 0.4) if k == strange else true_pose(k)
-        image = ROOM.image(seen_from, CAMERA)
-        rgb = np.rint(255.0 * np.asarray(image.rgb)).astype(np.uint8)
-        depth = np.asarray(image.depth) * (k >= blank)
-        writer.append(1000.0 + 0.1 * k, rgb, depth, true_pose(k), np.zeros(0))
+        rgb, depth = frame_of(k) if k != strange else image_from(camera_pose((0.3, 0.0, 1.2), 2.8, 0.4))
+        writer.append(1000.0 + 0.1 * k, rgb, depth * (k >= blank), true_pose(k), np.zeros(0))
     writer.close()
     return folder
 
@@ -119,8 +136,15 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     assert stats["lost"] == []
     assert stats["config"]["size"] == SIZE
     assert stats["latency_ms"]["read"]["n"] == FRAMES
-    assert stats["latency_ms"]["track and update"]["n"] == FRAMES - 2  # the first frame and the step that compiles
-    assert len(stats["first_calls_s"]) == 2
+    latency = stats["latency_ms"]
+    # The first frame, the first step and the first new anchor compile something.
+    assert latency["whole step"]["n"] == FRAMES - len(stats["compiling_s"]) >= FRAMES - 3
+    assert latency["track"]["n"] == latency["map"]["n"] == latency["whole step"]["n"]
+    assert latency["track"]["p50"] + latency["map"]["p50"] <= 1.2 * latency["whole step"]["p50"]
+    assert latency["whole step"]["p50"] <= latency["whole step"]["p95"] <= latency["whole step"]["max"]
+    assert "recover" not in latency
+    assert stats["notices"] == stats["found_again"] == []
+    assert stats["calibration"] is None  # too few frames that have a true velocity
     assert stats["version"]
 
     # What it reports is what the command for it says of the file.
@@ -131,8 +155,9 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
 
     page = (out / "report.html").read_text()
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
-    assert page.count("<img src='data:image/") == 5
+    assert page.count("<img src='data:image/") == 7
     assert "No frame was lost" in page
+    assert "Damaged input" not in page
     assert f"{100 * stats['errors']['ate_translation_se3']['rmse']:.2f} cm" in page
 
     # A finished run is never overwritten.
@@ -153,6 +178,7 @@ def test_a_lost_frame_is_said_to_be_lost_and_leaves_the_map_alone(vssm, tmp_path
     assert "ATE" not in printed
     stats = json.loads((tmp_path / "out" / "stats.json").read_text())
     assert [frame["index"] for frame in stats["lost"]] == [6]
+    assert stats["lost"][0]["status"].startswith("lost track")
     assert stats["errors"] is None
 
     _, poses = poses_of(tmp_path / "out" / "trajectory.txt")
@@ -171,15 +197,15 @@ def test_a_lost_frame_is_said_to_be_lost_and_leaves_the_map_alone(vssm, tmp_path
 
 def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    real, calls = slam_run.slam.step, []
+    real, calls = prism.step, []
 
-    def interrupted(*arguments):
+    def interrupted(*arguments, **named):
         calls.append(1)
         if len(calls) == 4:
             raise KeyboardInterrupt
-        return real(*arguments)
+        return real(*arguments, **named)
 
-    monkeypatch.setattr(slam_run.slam, "step", interrupted)
+    monkeypatch.setattr(slam_run.prism, "step", interrupted)
     code, _, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)
     assert code == 130
     assert err.splitlines()[-1].startswith("interrupted")
@@ -214,8 +240,10 @@ def test_the_readings_outside_a_small_grid_are_counted(recording):
     small = replace(sequence, frames=sequence.frames[:1])
     run = run_slam(small, SlamOptions(size=(80, 60), voxel=0.08, extent=4.8))
     _, depth = FrameReader(small, (80, 60))[0]
-    p_cam = np.asarray(CAMERA.rays()) * depth[..., None]
-    assert run.frames[0].in_grid == pytest.approx((np.abs(p_cam) < 2.4).all(axis=-1).mean(), abs=0.05)
+    p_world = np.asarray(CAMERA.rays()) * depth[..., None]
+    low, high = run.map.bounds  # whole blocks: a little more than what was asked for
+    inside = ((p_world >= low) & (p_world <= high)).all(axis=-1)
+    assert run.frames[0].in_grid == pytest.approx(inside[depth > 0.0].mean(), abs=0.05)  # it samples
     assert 0.1 < run.frames[0].in_grid < 0.9
 
 
@@ -236,6 +264,179 @@ def test_the_whole_real_sequence_at_the_default_settings(shared_data):
     assert len(run.frames) == 266
     assert result["ate_translation_se3"]["rmse"] < 0.03
     assert run.lost.mean() < 0.05
+
+
+# The states of a run and what the report says of them
+
+
+STD = np.array([0.003, 0.004, 0.005, 0.002, 0.003, 0.004, 0.05, 0.06, 0.07, 0.1, 0.2, 0.3])
+
+
+def made_up_run(sequence, frames: int, seed: int = 0, **changes) -> SlamRun:
+    """Frames that err just as their covariance says, fields of some changed (``at_3={...}``)."""
+    rng = np.random.default_rng(seed)
+    times, truth = sequence.truth
+    start = inverse(truth[0])
+    v = velocities(times, start @ truth)
+    made = []
+    for k in range(frames):
+        error = STD * rng.standard_normal(12) * (k > 0)  # the first frame is the world
+        T = np.asarray(start @ truth[k] @ np.asarray(se3_exp(jnp.asarray(error[:6]))), float)
+        frame = TrackedFrame(
+            index=k, time=times[k], T_world_cam=T, status=prism.OK, inlier_share=0.9, coverage=0.9, photometric=2.0,
+            in_grid=1.0, read_s=0.01, wait_s=0.0, step_s=0.02, stages={"track": 0.012, "map": 0.004}, warm=k > 0,
+            velocity=None if k == 0 else v[k - 1] + error[6:], covariance=None if k == 0 else np.diag(STD**2),
+            left_window=0,
+        )  # fmt: skip
+        made.append(replace(frame, **changes.get(f"at_{k}", {})))
+    m = VoxelMap.cube((0.0, 0.0, 0.0), 6.4, 0.08)
+    return SlamRun(tuple(made), m, FrameReader(sequence, (80, 60)), ())
+
+
+@pytest.fixture(scope="module")
+def long_sequence(tmp_path_factory):
+    """300 true poses that turn and move in all directions; only the first image exists, and only it is looked at."""
+    folder = write_sequence(tmp_path_factory.mktemp("long") / "room")
+    sequence = load_sequence(folder)
+    times = 1000.0 + 0.1 * np.arange(300)
+    poses = np.stack([true_pose(k) for k in range(300)])
+    return replace(sequence, truth=(times, poses))
+
+
+def test_a_filter_that_errs_as_it_says_is_calibrated(long_sequence):
+    """In the camera's tangent and in the world: an error of order, frame or side would show in the NEES at once."""
+    run = made_up_run(long_sequence, 300)
+    truth = slam_states.Truth.of(run, long_sequence)
+    summary = slam_states.calibration_summary(run, truth)
+    assert summary["pose"]["nees"] == pytest.approx(6.0, abs=0.7)
+    assert summary["velocity"]["nees"] == pytest.approx(6.0, abs=0.7)
+    assert min(summary["velocity"]["share_in_band"]) > 0.9
+    # Told a third of the std, it is nine times too sure.
+    sure = replace(
+        run, frames=tuple(replace(f, covariance=None if f.covariance is None else f.covariance / 9) for f in run.frames)
+    )
+    assert slam_states.calibration_summary(sure, truth)["pose"]["nees"] == pytest.approx(9 * summary["pose"]["nees"])
+
+
+def test_the_calibration_does_not_depend_on_the_frame_of_the_truth(long_sequence):
+    run = made_up_run(long_sequence, 60)
+    times, poses = long_sequence.truth
+    moved = replace(long_sequence, truth=(times, camera_pose((3.0, -2.0, 1.0), 2.0, 0.7) @ poses))
+    summaries = [slam_states.calibration_summary(run, slam_states.Truth.of(run, s)) for s in (long_sequence, moved)]
+    for state in ("pose", "velocity"):
+        assert summaries[0][state]["nees"] == pytest.approx(summaries[1][state]["nees"], rel=1e-6)
+
+
+def test_lost_frames_have_no_velocity_and_are_no_part_of_the_calibration(long_sequence):
+    lost = {"status": prism.LOST, "covariance": np.eye(12), "velocity": np.zeros(6), "photometric": np.nan}
+    run = made_up_run(long_sequence, 40, at_7=lost)
+    truth = slam_states.Truth.of(run, long_sequence)
+    mean, std = slam_states.velocity_bands(run)
+    assert np.isnan(mean[[0, 7]]).all()
+    assert np.isfinite(np.delete(mean, [0, 7], axis=0)).all()
+    assert np.isfinite(np.delete(std, [0, 7], axis=0)).all()
+    assert slam_states.calibrations(run, truth)["velocity"].whitened.shape == (38, 6)
+
+
+def test_every_status_is_said(long_sequence):
+    """A lost frame, one without depth, one found again, a grid that moved, a warning; and a map that holds nothing."""
+    run = made_up_run(
+        long_sequence,
+        10,
+        at_3={"status": prism.LOST, "photometric": np.nan, "stages": {"track": 0.01, "recover": 0.3}},
+        at_4={"status": prism.NO_READING, "inlier_share": np.nan},
+        at_5={"status": prism.RECOVERED, "left_window": 12, "stages": {"track": 0.01, "recover": 0.2}},
+    )
+    run = replace(run, notices=("rgb.txt: odd",))
+    truth = slam_states.Truth.of(run, long_sequence)
+    stats = slam_output.summarise(run, long_sequence, options(), 1.0, truth)
+    assert json.loads(json.dumps(stats, allow_nan=False)) == stats
+    assert [(frame["index"], frame["status"]) for frame in stats["lost"]] == [
+        (3, prism.STATUS[prism.LOST]),
+        (4, prism.STATUS[prism.NO_READING]),
+    ]
+    assert [frame["index"] for frame in stats["found_again"]] == [5]
+    assert stats["map"]["blocks_forgotten"] == 12
+    assert stats["map"]["storage"] == "dense"
+    assert stats["latency_ms"]["recover"]["n"] == 2
+    assert stats["notices"] == ["rgb.txt: odd"]
+    stats["map"] |= {"vertices": 0, "faces": 0}
+    shown = slam_report.page(run, long_sequence, truth, surface_mesh(run.map), stats, options().prism)
+    for text in ("2 of 10 frames were lost", "found again 1 time", "12 observed blocks", "1 warning.", "rgb.txt: odd"):
+        assert text in shown
+    for status in (prism.LOST, prism.NO_READING, prism.RECOVERED):
+        assert prism.STATUS[status] in shown
+
+
+def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
+    """The same belief with rows for the observed blocks only, last ones first."""
+    stored = np.flatnonzero((np.asarray(m.occupancy_precision) > OBSERVED_PRECISION).any(axis=1))[::-1]
+    assert len(stored) < slots
+    sparse = VoxelMap.prior(m.origin, float(m.voxel_size), m.shape, slots=slots)
+    arrays = ("occupancy", "occupancy_precision", "colour", "colour_precision")
+    rows = [getattr(sparse, name).at[1 : 1 + len(stored)].set(getattr(m, name)[stored]) for name in arrays]
+    table = BlockTable.of(m.blocks, slots, stored)
+    return eqx.tree_at(lambda s: (*(getattr(s, name) for name in arrays), s.table), sparse, (*rows, table))
+
+
+def test_slices_read_a_sparse_map_as_a_dense_one():
+    """Where cells are and which points are known: by storage row, without laying out the cube."""
+    image, config = observe(*frame_of(0)), options().prism.update
+    dense = update(options().prior(), image.depth, image.rgb, jnp.eye(4), CAMERA, config)
+    sparse = stored_sparsely(dense, 900)
+    for below in (np.inf, -0.1):
+        a, b = (np.array(sorted(map(tuple, _cells(m, below)))) for m in (dense, sparse))
+        assert len(a) > 500
+        np.testing.assert_allclose(a, b, atol=1e-6)
+        at_cells = np.asarray(dense.occupancy_at(jnp.asarray(a, jnp.float32)))
+        assert at_cells.max() < below + 1e-4
+        assert (np.asarray(dense.precision(jnp.asarray(a, jnp.float32)))[:, 0] > 0.9).all()
+    p = np.random.default_rng(0).uniform(-3.0, 3.0, (4000, 3))
+    (mean, std), (sparse_mean, sparse_std) = _belief(dense, p), _belief(sparse, p)
+    np.testing.assert_allclose(mean, sparse_mean, atol=1e-6)
+    np.testing.assert_allclose(std, sparse_std, atol=1e-6)
+    assert 0 < np.isfinite(mean).sum() < len(p)
+    assert np.nanmax(std) <= 1.0
+
+
+def test_storage_that_ran_out_is_said(long_sequence):
+    run = made_up_run(long_sequence, 2)
+    full = eqx.tree_at(lambda m: m.table.refused, stored_sparsely(run.map, 8), jnp.int32(5))
+    assert slam_output.notices(run) == ()
+    (notice,) = slam_output.notices(replace(run, map=full))
+    assert notice.startswith("the map's storage is full: 5 ")
+
+
+def test_the_viewer_is_shown_every_frame_and_the_surface(vssm, recording, tmp_path, monkeypatch):
+    shown = []
+
+    class Screen:
+        def __init__(self, name, camera):
+            shown.append((name, camera.width, camera.height))
+
+        def frame(self, time, T_world_cam, rgb, depth, *, lost, step_ms):
+            shown.append((time, rgb.shape, depth.shape, lost, step_ms > 0.0))
+
+        def surface(self, mesh):
+            shown.append(len(mesh.vertices) > 500)
+
+        def close(self):
+            shown.append("closed")
+
+    monkeypatch.setattr(stream, "open_viewer", Screen)
+    code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *GRID, "--viewer")
+    assert code == 0, err
+    assert shown[0] == ("room", 80, 60)
+    assert [frame[1:] for frame in shown[1:-2]] == FRAMES * [((60, 80, 3), (60, 80), False, True)]
+    assert shown[-2:] == [True, "closed"]
+
+
+def test_without_rerun_the_viewer_is_refused_before_any_work(vssm, recording, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--viewer")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "vssm-gym[viz]" in err
+    assert names(tmp_path) == []
 
 
 # Thinning and reading ahead
@@ -321,6 +522,9 @@ def test_reading_stops_when_nobody_asks():
         (("--voxel", "nan"), "voxel"),
         (("--extent", "-3"), "extent"),
         (("--extent", "100", "--voxel", "0.02"), "cells"),
+        (("--solver", "newton"), "gauss_newton, adam"),
+        (("--samples", "0"), "samples"),
+        (("--seed", "-1"), "seed"),
         (("--intrinsics", "500,500,320"), "intrinsics"),
         (("--intrinsics", "a,b,c,d"), "intrinsics"),
         (("--intrinsics", "0,500,320,240"), "intrinsics"),
@@ -361,29 +565,39 @@ def test_a_folder_with_other_content_is_left_alone(vssm, recording, tmp_path):
     assert names(tmp_path) == ["thesis.tex"]
 
 
-def test_a_missing_image_is_named_before_anything_is_written(vssm, recording, tmp_path):
+@pytest.mark.parametrize(("fault", "result"), [("damaged", "10 frames, 1 lost"), ("missing", "9 frames, 0 lost")])
+def test_a_bad_image_is_warned_of_and_costs_one_frame(vssm, recording, tmp_path, fault, result):
+    """A file that is not there is no frame; one that cannot be read is a frame without a reading."""
     source = tmp_path / "room"
     shutil.copytree(recording, source)
-    gone = sorted((source / "depth").iterdir())[5]
-    gone.unlink()
+    bad = sorted((source / "depth").iterdir())[5]
+    if fault == "missing":
+        bad.unlink()
+    else:
+        bad.write_bytes(bad.read_bytes()[:40])
     out = tmp_path / "out"
-    code, _, err = vssm("slam", source, "--out", out, "--size", SIZE, *GRID)
-    assert code == 2
-    assert gone.name in err
-    assert not out.exists() or not names(out)
+    code, printed, err = vssm("slam", source, "--out", out, "--size", SIZE, *GRID)
+    assert code == 0, err
+    (warning,) = (line for line in err.splitlines() if line.startswith("warning: "))
+    assert bad.name in warning
+    assert result in printed
+    stats = json.loads((out / "stats.json").read_text())
+    assert [bad.name in notice for notice in stats["notices"]] == [True]
+    lost = [(frame["index"], frame["status"][:8]) for frame in stats["lost"]]
+    assert lost == ([(5, "no depth")] if fault == "damaged" else [])
+    shown = (out / "report.html").read_text()
+    assert "Damaged input" in shown
+    assert bad.name in shown
+    assert len(poses_of(out / "trajectory.txt")[0]) == stats["frames"]
 
 
-def test_an_image_damaged_in_the_middle_is_named_and_what_came_before_is_kept(vssm, recording, tmp_path):
-    source = tmp_path / "room"
-    shutil.copytree(recording, source)
-    damaged = sorted((source / "depth").iterdir())[5]
-    damaged.write_bytes(damaged.read_bytes()[:40])
-    out = tmp_path / "out"
-    code, _, err = vssm("slam", source, "--out", out, "--size", SIZE, *GRID)
-    assert code == 2
-    assert damaged.name in err
-    assert names(out) == ["trajectory.partial.txt"]
-    assert len(poses_of(out / "trajectory.partial.txt")[0]) == 5
+def test_many_warnings_are_counted(capsys):
+    print_warnings([f"image {i}" for i in range(12)])
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["warning: image 0", "warning: image 1"]
+    assert lines[-1] == "warning: and 7 more like these"
+    print_warnings([])
+    assert capsys.readouterr().err == ""
 
 
 def test_a_sequence_without_any_depth_is_refused(vssm, tmp_path):

@@ -108,6 +108,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         for q, value in result["rmse_m"].items():
             table.add_row(f"{100 * float(q):.0f} % of trials are below", f"{100 * value:.2f} cm")
         table.add_row("steps said lost", f"{100 * result['lost_steps']:.2f} %")
+        for name, method in result["methods"].items():
+            value = f"{100 * method['rmse_m_median']:.2f} cm, {method['ms_a_step']:.1f} ms"
+            table.add_row(f"{name}: RMSE median of {method['drives']} drives", value)
     else:
         methods = result["methods"]
         table.add_column("mean location error, m")
@@ -134,7 +137,10 @@ def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
             first = stage == "step"
             ms = [f"{times['p50']:.1f}", f"{times['p95']:.1f}"]
             table.add_row(what if first else "", stage, *ms, *(off if first else [""] * 3))
-    table.caption = "median and 95th percentile; ATE, its largest and the frames beyond 5 cm after SE(3) alignment"
+    table.caption = (
+        "median and 95th percentile of the frames in which a stage ran; ATE, its largest and the frames beyond 5 cm "
+        "after SE(3) alignment"
+    )
     console.print(table)
     for notice in result["notices"]:
         print(f"warning: {notice}", file=sys.stderr)

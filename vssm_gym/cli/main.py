@@ -27,7 +27,12 @@ COMMANDS: dict[str, Any] = {
     "slam": "slam.slam",
     "evaluate-trajectory": "evaluate_trajectory.evaluate_trajectory",
     "bench": "bench.bench",
-    "study": {"map-update": "study.map_update"},
+    "study": {
+        "map-update": "study.map_update",
+        "resolution": "study.resolution",
+        "runtime": "study.runtime",
+        "calibration": "study.calibration",
+    },
     "doctor": "doctor.doctor",
 }
 

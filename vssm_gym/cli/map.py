@@ -17,6 +17,7 @@ def build(
         voxel: size of a cell, metres.
     """
     from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.slam import print_warnings
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
     from vssm_gym.eval.destinations import check_file
@@ -25,8 +26,12 @@ def build(
     if not 0.0 < voxel <= 0.5:
         raise InputError("map build", "voxel", f"a cell size in (0, 0.5] m, found {voxel}")
     check_file(out)
+    recording = load_sequence(sequence)
+    print_warnings(recording.notices)
+    damaged: list[str] = []
     with progress_bars() as progress:
-        voxel_map = build_map(load_sequence(sequence), voxel, progress)
+        voxel_map = build_map(recording, voxel, progress, damaged.extend)
+    print_warnings(damaged)
     voxel_map.save(out)
     size = " x ".join(f"{n * voxel:.1f}" for n in voxel_map.shape)
     print(f"{size} m in cells of {voxel} m: {out}")

@@ -1,10 +1,21 @@
 """``vssm-gym slam SEQUENCE --out DIR``: a trajectory and a dense map from an RGB-D recording (DESIGN)."""
 
+import contextlib
 import re
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from vssm_gym.eval.slam_run import TrackedFrame
+
+WARNINGS = 5  # printed; stats.json has all
+RECENT = 20  # frames that the frame rate is told from
 
 
 def slam(
@@ -15,6 +26,10 @@ def slam(
     voxel: float = 0.07,
     extent: float = 14.0,
     intrinsics: str | None = None,
+    solver: str = "gauss_newton",
+    samples: int = 1,
+    seed: int = 0,
+    viewer: bool = False,
 ) -> None:
     """Track a hand-held RGB-D camera and map what it saw, frame by frame.
 
@@ -27,28 +42,80 @@ def slam(
         size: WIDTHxHEIGHT that images are resized to.
         rate: frames a second at most; others are left out.
         voxel: size of a cell, metres.
-        extent: edge of the cube that is mapped around the first camera, metres.
+        extent: edge of the cube that is mapped around the camera, metres.
         intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of those that the folder states.
+        solver: of the pose: gauss_newton, or adam as PRISM was published (slower).
+        samples: poses drawn for the map update; from 2 on, the uncertainties of pose and map reach each other.
+        seed: of what is drawn: the samples, and the pixels of adam.
+        viewer: show the run as it happens in rerun (the extra vssm-gym[viz]).
     """
-    from vssm_gym.cli.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval import slam_output
     from vssm_gym.eval.slam_run import SlamOptions
+    from vssm_gym.viz.stream import open_viewer
 
-    options = SlamOptions(_size(size), rate, voxel, extent)
+    options = SlamOptions(_size(size), rate, voxel, extent, solver, samples, seed)
     slam_output.check_free(out)
     recording = load_sequence(sequence, None if intrinsics is None else _intrinsics(intrinsics))
-    with progress_bars() as progress:
-        stats = slam_output.process(recording, out, options, progress)
-    step = stats["latency_ms"].get("track and update")
+    print_warnings(recording.notices)
+    with contextlib.ExitStack() as stack:
+        shown = None
+        if viewer:
+            shown = open_viewer(recording.root.resolve().name, recording.camera.resized(*options.size))
+            stack.callback(shown.close)
+        progress, on_frame = stack.enter_context(_live())
+        stats = slam_output.process(recording, out, options, progress, on_frame, shown)
+    print_warnings(stats["notices"][len(recording.notices) :])
+    step = stats["latency_ms"].get("whole step")
     speed = f", {step['p50']:.0f} ms a frame (median)" if step else ""
-    print(f"{stats['frames']} frames, {len(stats['lost'])} lost{speed}")
+    print(f"{stats['frames']} frames, {len(stats['lost'])} lost, {len(stats['found_again'])} found again{speed}")
     errors = stats["errors"] or {}
     if "impossible" in errors:
         print(f"no errors against the ground truth: {errors['impossible']}")
     elif errors:
         print(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment")
     print(out / slam_output.REPORT)
+
+
+def print_warnings(notices: Sequence[str]) -> None:
+    """What was wrong with the input, one line each on stderr: the first ones, and how many more there are."""
+    for notice in notices[:WARNINGS]:
+        print(f"warning: {notice}", file=sys.stderr)
+    if len(notices) > WARNINGS:
+        print(f"warning: and {len(notices) - WARNINGS} more like these", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["TrackedFrame"], None]]]:
+    """Bars on stderr, that of the frames with frames a second and how many were lost: what to tell, and of frames."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:>24}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    bars: dict[str, TaskID] = {}
+    ends, lost = deque([time.perf_counter()], maxlen=RECENT + 1), 0
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                bars[stage] = bar.add_task(stage, total=total, note="")
+            bar.update(bars[stage], completed=done)
+
+        def tell_frame(frame: "TrackedFrame") -> None:
+            nonlocal lost
+            lost += frame.lost
+            ends.append(time.perf_counter())
+            speed = (len(ends) - 1) / (ends[-1] - ends[0])
+            for task in bars.values():  # before the first frame is told of there is none
+                bar.update(task, note=f"{speed:.1f} frames/s, {lost} lost")
+
+        yield tell, tell_frame
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -1,10 +1,12 @@
 """``vssm-gym study NAME SEQUENCE --out DIR``: the comparisons of the papers, rerun by anyone (SPEC 13)."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import tyro
 
+Number = TypeVar("Number", int, float)
 SequenceFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
 
 
@@ -40,3 +42,117 @@ def map_update(
         study = study_map_update.run(recording, size=_size(size), frames=frames, voxel=voxel, progress=progress)
     print(study.answer)
     print(write_study(study, out))
+
+
+def resolution(
+    sequence: SequenceFolder,
+    out: Path,
+    voxels: str = "0.04,0.07,0.10",
+    render_widths: str = "80,160",
+    seeds: int = 3,
+    size: str = "160x120",
+    rate: float = 10.0,
+) -> None:
+    """Compare map resolutions and the resolutions that images are tracked at, by error and time.
+
+    OUT gets resolution.json, resolution.svg and resolution.html: trajectory error, lost frames and milliseconds a step
+    (PRISM, table 4).
+
+    Args:
+        sequence: TUM folder with groundtruth.txt.
+        out: folder for the results.
+        voxels: sizes of a cell, metres, with commas between.
+        render_widths: widths that images are tracked at, pixels, with commas between.
+        seeds: runs of each setting; every one starts a frame later.
+        size: WIDTHxHEIGHT that images are resized to.
+        rate: frames a second at most.
+    """
+    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.slam import _size
+    from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.eval import study_resolution
+    from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.eval.studies import write_study
+
+    check_at_least("study", "seeds", seeds, 1)
+    cells, widths = _numbers("voxels", voxels, float), _numbers("render-widths", render_widths, int)
+    check_folder(out)
+    recording = load_sequence(sequence)
+    with progress_bars() as progress:
+        study = study_resolution.run(
+            recording, voxels=cells, render_widths=widths, size=_size(size), rate=rate, seeds=seeds, progress=progress
+        )
+    print(study.answer)
+    print(write_study(study, out))
+
+
+def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
+    """Break down the time of a step into its stages, at several image sizes, cell sizes and extents of the map.
+
+    OUT gets runtime.json, runtime.svg and runtime.html: median and 95th percentile of every stage (PRISM, fig. 5).
+
+    Args:
+        sequence: TUM folder; its images set the largest size.
+        out: folder for the results.
+        rate: frames a second at most.
+    """
+    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.eval import study_runtime
+    from vssm_gym.eval.destinations import check_folder
+    from vssm_gym.eval.studies import write_study
+
+    check_folder(out)
+    recording = load_sequence(sequence)
+    with progress_bars() as progress:
+        study = study_runtime.run(recording, rate=rate, progress=progress)
+    print(study.answer)
+    print(write_study(study, out))
+
+
+def calibration(
+    sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE SEQUENCE ...")],
+    out: Path,
+    size: str = "160x120",
+    rate: float = 10.0,
+    voxel: float = 0.07,
+    extent: float = 14.0,
+) -> None:
+    """Judge the filter's uncertainty of poses and velocities over several sequences.
+
+    OUT gets calibration.json, calibration.svg and calibration.html: NEES of every sequence as stated and with the scale
+    that the other sequences give, calibration curves, whitened residuals, velocities (PRISM, figs. 7 and 8).
+
+    Args:
+        sequences: at least two TUM folders with groundtruth.txt.
+        out: folder for the results.
+        size: WIDTHxHEIGHT that images are resized to.
+        rate: frames a second at most.
+        voxel: size of a cell, metres.
+        extent: edge of the cube that is mapped around the first camera, metres.
+    """
+    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.slam import _size
+    from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.eval import study_calibration
+    from vssm_gym.eval.destinations import check_folder
+    from vssm_gym.eval.slam_run import SlamOptions
+    from vssm_gym.eval.studies import write_study
+
+    options = SlamOptions(size=_size(size), rate=rate, voxel=voxel, extent=extent)
+    check_folder(out)
+    recordings = [load_sequence(sequence) for sequence in sequences]
+    with progress_bars() as progress:
+        study = study_calibration.run(recordings, options=options, progress=progress)
+    print(study.answer)
+    print(write_study(study, out))
+
+
+def _numbers(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
+    """Of ``text``, with commas between; each once, in their order."""
+    from vssm_gym.errors import InputError
+
+    try:
+        return tuple(dict.fromkeys(kind(word) for word in text.split(",")))
+    except ValueError:
+        raise InputError("study", field, f"numbers with commas between, not {text!r}") from None

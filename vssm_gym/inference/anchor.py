@@ -66,7 +66,9 @@ def take(
 
 
 @jax.jit
-def left(anchor: Anchor, T_world_cam: Float[Array, "4 4"], distance: float, angle: float) -> Bool[Array, ""]:
+def left(
+    anchor: Anchor, T_world_cam: Float[Array, "4 4"], distance: float | Array, angle: float | Array
+) -> Bool[Array, ""]:
     """Whether a camera is farther from its anchor than ``distance`` (m) or turned by more than ``angle`` (rad)."""
     xi = se3_log(inverse(anchor.T_world_cam) @ T_world_cam)
     return (jnp.linalg.norm(xi[:3]) >= distance) | (jnp.linalg.norm(xi[3:]) >= angle)

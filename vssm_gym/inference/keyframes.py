@@ -82,7 +82,8 @@ def similar(
         T_world_cam guesses, best first; identities where there are fewer keyframes.
     """
     image = shrink_image(grey, _small(camera))
-    correlation = keyframes.thumbnails @ _thumbnail(image)
+    kept = jnp.arange(keyframes.thumbnails.shape[0]) < keyframes.count
+    correlation = jnp.where(kept, keyframes.thumbnails @ _thumbnail(image), -2.0)  # any keyframe before none
     order = jnp.argsort(-correlation)[:best]
     view = shrink_camera(camera, _small(camera))
 

@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.geometry import inverse, se3_exp, se3_log
-from vssm_gym.inference import anchor, belief, gauss_newton, keyframes, map_update, recentre
+from vssm_gym.inference import anchor, belief, drift, gauss_newton, keyframes, map_update, recentre
 from vssm_gym.inference.adam import align_adam
 from vssm_gym.inference.alignment import (
     AlignConfig,
@@ -62,7 +62,10 @@ STATUS = {
 class PrismConfig:
     """Noise, solver and effort. Stds of the motion are those of a hand; SPEC 3's are ``RigidNoise()``."""
 
-    align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(2, 1), iterations=(6, 5)))
+    # Flatter in depth than one pixel's noise: far points are few but they hold the rotation.
+    align: AlignConfig = field(
+        default_factory=lambda: AlignConfig(0.006, 0.001, edge=0.02, levels=(2, 1), iterations=(6, 5))
+    )
     rotation: RotationConfig = field(default_factory=RotationConfig)
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
@@ -71,11 +74,14 @@ class PrismConfig:
     samples: int = 1  # of the pose in the map update; from 2 on the map's uncertainty also widens the pose's residuals
     smoothing: float = 0.8  # of the Laplace covariance over time
     track_width: int = 160  # pixels: images are shrunk to about this for tracking; the map takes them whole
-    anchor_distance: float = 0.05  # m and
-    anchor_angle: float = 0.05  # rad: the anchor serves until the camera is farther from it than either
+    anchor_distance: float = 0.15  # m and
+    anchor_angle: float = 0.15  # rad: the anchor serves until the camera is farther from it than either
     window_margin: float = 0.25  # of the map's edge: the window follows a camera farther than this from its middle
     min_score: float = 0.6  # of :func:`alignment.score`
     max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
+    max_surprise: float = (
+        12.0  # std of the predicted pose, beyond which the camera jumped: the prior would hold it back
+    )
     start_velocity: tuple[float, float] = (0.5, 1.0)  # m/s, rad/s: std of an unknown velocity
 
 
@@ -97,11 +103,12 @@ class PrismState(eqx.Module):
     """What the next step needs."""
 
     map: VoxelMap  # q_t(M)
-    belief: RigidBelief  # q_t(z_t), of the camera: T_world_cam and its velocity
+    belief: RigidBelief  # q_t(z_t), of the camera against the map: T_world_cam and its velocity
     last: RGBD  # the last image that fitted, tracking size,
     T_world_last: Float[Array, "4 4"]  # and its pose
     anchor: Anchor
     keyframes: Keyframes
+    drift: Float[Array, "6 6"]  # covariance of the map's frame around the camera in the world, tangent of the world
     key: PRNGKeyArray
 
 
@@ -109,7 +116,7 @@ class PrismInfo(eqx.Module):
     """How a step went."""
 
     status: int  # a key of STATUS
-    belief: RigidBelief  # where the image fits nothing: the last pose that did, its spread growing
+    belief: RigidBelief  # in the world, the map's drift included; lost: the last pose that fitted, its spread growing
     agreement: AlignInfo  # against the anchor; of the best start, where track was found again
     left_window: int = 0  # observed blocks that the map forgot, because the camera left its window
 
@@ -117,6 +124,7 @@ class PrismInfo(eqx.Module):
 class _Tracked(eqx.Module):
     belief: RigidBelief
     predicted: RigidBelief
+    T_world_turned: Float[Array, "4 4"]  # the last pose, turned by the rotation between the images
     agreement: AlignInfo
     fits: Bool[Array, ""]
 
@@ -180,14 +188,15 @@ def _track(
     both = belief.joint(Gaussian(moved, smoothed), velocity_given_pose)
     posterior = RigidBelief(perturb(predicted.state, both.mean), both.covariance)
     fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
-    return _Tracked(posterior, predicted, agreement, fits & jnp.all(jnp.isfinite(both.covariance)))
+    fits &= moved @ precision @ moved <= config.max_surprise**2
+    return _Tracked(posterior, predicted, T_world_turned, agreement, fits & jnp.all(jnp.isfinite(both.covariance)))
 
 
 @partial(jax.jit, static_argnums=2)
 def _draw_poses(posterior: RigidBelief, key: Array, samples: int) -> Float[Array, "samples 4 4"]:
     """Poses from ``q(z_pose)``, the mean among them: an expectation of few samples must not move the map."""
     root = jnp.linalg.cholesky(posterior.covariance[:6, :6] + 1e-12 * jnp.eye(6))
-    half = jax.random.normal(key, ((samples - 1 + 1) // 2, 6)) @ root.T
+    half = jax.random.normal(key, (samples // 2, 6)) @ root.T
     errors = jnp.concatenate([jnp.zeros((1, 6)), half, -half])[:samples]
     return posterior.state.T_world_body @ se3_exp(errors)
 
@@ -227,7 +236,7 @@ def init(
     m = clock("map", map_update.update(m, image.depth, image.rgb, T, camera, config.update))
     kept = keyframes.remember(keyframes.empty(view), T, luminance(small.rgb), view)
     against = clock("anchor", anchor.take(m, T, small, view, config.update.max_depth, config.samples > 1))
-    return PrismState(m, _at_rest(T, 1e-8 * jnp.eye(6), config), small, T, against, kept, key)
+    return PrismState(m, _at_rest(T, 1e-8 * jnp.eye(6), config), small, T, against, kept, jnp.zeros((6, 6)), key)
 
 
 _shrink = jax.jit(shrink_rgbd, static_argnums=1)
@@ -274,20 +283,23 @@ def step(
         clock("recover", posterior)
         if status != RECOVERED:
             lost = eqx.tree_at(lambda s: s.belief, state, posterior)
-            return lost, PrismInfo(status, posterior, agreement)
+            return lost, PrismInfo(status, drift.in_world(posterior, state.drift), agreement)
     T = posterior.state.T_world_body
     m, dropped = state.map, 0
     shift = _shift(m, T[:3, 3], config.window_margin * min(m.shape) * m.voxel_size)
     if shift.any():
         m, fell = recentre.recentre(m, shift)
         dropped = int(fell)
+    drifted = drift.grow(state.drift, m, posterior, small, view)
     m = clock("map", _mapped(m, image, posterior, camera, mapping, config))
     kept = keyframes.remember(state.keyframes, T, luminance(small.rgb), view)
     against = state.anchor
     if status == RECOVERED or anchor.left(against, T, config.anchor_distance, config.anchor_angle):
         against = anchor.take(m, T, small, view, config.update.max_depth, config.samples > 1)
         against = clock("anchor", against)
-    return PrismState(m, posterior, small, T, against, kept, key), PrismInfo(status, posterior, agreement, dropped)
+    return PrismState(m, posterior, small, T, against, kept, drifted, key), PrismInfo(
+        status, drift.in_world(posterior, drifted), agreement, dropped
+    )
 
 
 def _search(
@@ -299,7 +311,7 @@ def _search(
         similar = keyframes.similar(
             state.keyframes, luminance(image.rgb), camera, config.rotation, config.recovery.keyframes
         )
-        starts = jnp.stack([tracked.predicted.state.T_world_body, state.T_world_last, *similar])
+        starts = jnp.stack([tracked.T_world_turned, tracked.predicted.state.T_world_body, state.T_world_last, *similar])
         attempt = recover(state.map, starts, image, camera, config.update.max_depth, config.recovery)
         if attempt.fits:
             covariance = jnp.linalg.inv(2.0 * attempt.agreement.information + jnp.eye(6))

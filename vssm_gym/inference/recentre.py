@@ -20,7 +20,7 @@ from vssm_gym.voxel_map import PRIOR_COLOUR_STD, PRIOR_OCCUPANCY_MEAN, PRIOR_OCC
 _PRIOR = (PRIOR_OCCUPANCY_MEAN, PRIOR_OCCUPANCY_STD**-2, 0.0, PRIOR_COLOUR_STD**-2, 4)  # of a row, in _rows' order
 
 
-def shift_to_centre(m: VoxelMap, position: Float[Array, "3"], margin: float) -> Int[Array, "3"]:
+def shift_to_centre(m: VoxelMap, position: Float[Array, "3"], margin: float | Float[Array, ""]) -> Int[Array, "3"]:
     """The shift (blocks) that brings a position (m, world) to within half a block of the window's middle.
 
     0 while no coordinate is farther than ``margin`` metres from the middle, so that the window stays for a while.

@@ -15,7 +15,7 @@ from vssm_gym import emission
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.inference import gauss_newton
-from vssm_gym.inference.alignment import AlignConfig, AlignInfo, score
+from vssm_gym.inference.alignment import AlignConfig, AlignInfo, luminance, score
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -29,6 +29,7 @@ class RecoveryConfig:
     keyframes: int = 3  # most similar ones to start from
     min_score: float = 0.65  # a little above tracking's: a wrong place must not pass
     max_photometric: float = 4.0
+    max_unexplained: float = 0.55  # of the image's contrast: 0.3 to 0.4 at the right place, 0.6 to 1.4 at wrong ones
 
 
 class Attempt(eqx.Module):
@@ -46,7 +47,11 @@ def _align(T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, co
     T, info = gauss_newton.align(
         identity, jnp.diag(std**-2), identity, jnp.eye(6), rendered, image, camera, config.align
     )
-    fits = (score(info) >= config.min_score) & (info.photometric <= config.max_photometric)
+    # A picture of low contrast differs little from any other. Below one sigma there is nothing to tell by.
+    grey = luminance(image.rgb)
+    contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
+    limit = jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)
+    fits = (score(info) >= config.min_score) & (info.photometric <= limit)
     return Attempt(T_world_start @ T, info, fits)
 
 

@@ -1,0 +1,77 @@
+"""A hand-held walk through the analytic room, filtered once for every test that looks at it."""
+
+from collections.abc import Iterator
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from analytic_room import Room, camera_pose
+
+from vssm_gym.camera import Camera
+from vssm_gym.emission import RGBD
+from vssm_gym.geometry import se3_log
+from vssm_gym.inference import prism
+from vssm_gym.inference.prism import PrismConfig, PrismInfo, PrismState
+from vssm_gym.voxel_map import VoxelMap
+
+CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
+ROOM = Room(((-2.0, -1.6, 0.0), (2.2, 1.7, 2.3)), (((0.9, -0.4, 0.0), (1.4, 0.5, 0.8)),))
+DT = 0.1  # s
+CONFIG = PrismConfig()
+EXPECTED = PrismConfig(samples=3)
+EXTENT, VOXEL = 6.4, 0.08  # m
+
+
+def true_pose(k: float) -> np.ndarray:
+    """A hand that moves 2 to 3 cm and about a degree a frame; T_room_cam."""
+    place = (-0.8 + 0.025 * k, 0.2 * np.sin(0.25 * k), 1.1 + 0.05 * np.sin(0.4 * k))
+    return camera_pose(place, 0.02 * k - 0.1, 0.2 + 0.01 * k, 0.01 * k)
+
+
+def image(k: float) -> RGBD:
+    return ROOM.image(true_pose(k), CAMERA)
+
+
+def error(belief, T_room_cam: np.ndarray, T_room_world: np.ndarray | None = None) -> tuple[float, float]:
+    """Of an estimated pose, m and degrees; the world is the first camera's frame."""
+    start = true_pose(0) if T_room_world is None else T_room_world
+    truth = np.linalg.inv(start) @ T_room_cam
+    off = np.linalg.inv(truth) @ np.asarray(belief.state.T_world_body, float)
+    xi = np.asarray(se3_log(jnp.asarray(off, jnp.float32)))
+    return float(np.linalg.norm(xi[:3])), float(np.degrees(np.linalg.norm(xi[3:])))
+
+
+def copy(state: PrismState) -> PrismState:
+    """A state to step from twice: a step consumes what it is given."""
+    return jax.tree.map(lambda a: a.copy(), state)
+
+
+def start(config: PrismConfig = CONFIG, extent: float = EXTENT, seed: int = 0, first: RGBD | None = None) -> PrismState:
+    prior = VoxelMap.cube((0.0, 0.0, 0.0), extent, VOXEL)
+    return prism.init(prior, image(0) if first is None else first, CAMERA, config, jax.random.key(seed))
+
+
+def walk(state: PrismState, frames, config: PrismConfig = CONFIG) -> Iterator[tuple[PrismState, PrismInfo]]:
+    """A step for every frame number of the path, 0.1 s apart."""
+    for k in frames:
+        state, info = prism.step(state, image(k), DT, CAMERA, config)
+        yield state, info
+
+
+@cache
+def _walked(config: PrismConfig, frames: int) -> tuple[PrismState, tuple[PrismInfo, ...]]:
+    steps = list(walk(start(config), range(1, frames + 1), config))
+    return steps[-1][0], tuple(info for _, info in steps)
+
+
+def walked(frames: int = 12, config: PrismConfig = CONFIG) -> tuple[PrismState, tuple[PrismInfo, ...]]:
+    """The state after so many frames, free to be consumed, and how each went."""
+    state, infos = _walked(config, frames)
+    return copy(state), infos
+
+
+def same_map(a: VoxelMap, b: VoxelMap) -> bool:
+    """Bit for bit."""
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in pairs)

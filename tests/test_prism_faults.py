@@ -1,0 +1,151 @@
+"""What befalls a hand-held camera: none of it is fatal, none is silent, and none gets into the map."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from analytic_room import camera_pose
+from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, true_pose, walked
+
+from vssm_gym.emission import RGBD, render
+from vssm_gym.inference import prism
+from vssm_gym.inference.prism import LOST, NO_READING, OK, RECOVERED, STATUS, PrismState
+from vssm_gym.inference.tracking import observe
+
+WALKED = 12  # frames before anything happens
+TRACKED = (OK, RECOVERED)
+BEHIND = camera_pose((0.2, 0.3, 1.2), 2.7, 0.4)  # sees what the walk never saw
+
+
+def without_depth(taken: RGBD, rgb: float = 1.0) -> RGBD:
+    nothing = jnp.zeros_like(taken.hit)
+    return RGBD(jnp.zeros_like(taken.depth), rgb * taken.rgb, nothing, nothing)
+
+
+def black() -> RGBD:
+    return without_depth(image(0), 0.0)
+
+
+def step(state: PrismState, taken: RGBD, dt: float = DT, config=CONFIG):
+    state, info = prism.step(state, taken, dt, CAMERA, config)
+    assert info.status in STATUS
+    assert all(np.isfinite(np.asarray(a)).all() for a in (info.belief.covariance, info.belief.state.T_world_body))
+    return state, info
+
+
+def check_map(state: PrismState, k: float) -> None:
+    """Rendered from where the camera truly is, the map shows the room."""
+    T = jnp.asarray(np.linalg.inv(true_pose(0)) @ true_pose(k), jnp.float32)
+    seen = render(state.map, T, CAMERA, CONFIG.update.max_depth)
+    known = np.asarray(seen.known)
+    off = np.abs(np.asarray(seen.depth, float) - ROOM.depth(true_pose(k), CAMERA))[known]
+    assert known.mean() > 0.8
+    assert np.median(off) < 0.01
+    assert np.quantile(off, 0.9) < 0.06
+
+
+def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
+    """From frame ``k`` on the camera is tracked as if nothing had been, and the map is whole."""
+    for j in range(k, k + frames):
+        state, info = step(state, image(j))
+        assert info.status in TRACKED, f"frame {j}: {STATUS[info.status]}"
+        metres, degrees = error(info.belief, true_pose(j))
+        assert metres < 0.02
+        assert degrees < 1.0
+    assert info.status == OK
+    check_map(state, k + frames - 1)
+
+
+@pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
+def test_frames_that_are_dropped(config: prism.PrismConfig) -> None:
+    """Half a second without an image, while the hand moves 12 cm and 6 degrees."""
+    state, _ = walked(WALKED, config)
+    state, info = step(state, image(WALKED + 5), 0.5, config)
+    assert info.status in TRACKED
+    assert error(info.belief, true_pose(WALKED + 5))[0] < 0.02
+    back_on_the_walk(state, WALKED + 6)
+
+
+@pytest.mark.parametrize(("what", "frames"), [("black", 10), ("no depth", 10), ("no depth", 1)])
+def test_images_without_a_reading(what: str, frames: int) -> None:
+    """Said to have none; the map stays bit for bit, the pose where it was and its spread grows."""
+    state, infos = walked(WALKED)
+    before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.state.T_world_body), 0.0
+    for k in range(WALKED + 1, WALKED + 1 + frames):
+        state, info = step(state, black() if what == "black" else without_depth(image(k)))
+        assert info.status == NO_READING
+        np.testing.assert_array_equal(np.asarray(info.belief.state.T_world_body), stood)
+        assert spread < (spread := float(jnp.trace(info.belief.covariance[:3, :3])))
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 1 + frames)
+
+
+@pytest.mark.parametrize(
+    ("value", "share"), [(np.nan, 0.3), (np.inf, 0.3), (-1.0, 0.3), (0.0, 0.7), (1e9, 0.1), (1e-9, 0.1)]
+)
+def test_readings_that_are_none(value: float, share: float) -> None:
+    """Every strange number in a depth image is no reading there; the others count."""
+    state, _ = walked(WALKED)
+    rng = np.random.default_rng(0)
+    for k in range(WALKED + 1, WALKED + 4):
+        depth = ROOM.depth(true_pose(k), CAMERA).astype(np.float32)
+        depth[rng.uniform(size=depth.shape) < share] = value
+        rgb = np.rint(255.0 * np.asarray(image(k).rgb)).astype(np.uint8)
+        state, info = step(state, observe(rgb, depth))
+        assert info.status == OK
+        assert error(info.belief, true_pose(k))[0] < 0.015
+    assert all(np.isfinite(np.asarray(a)).all() for a in (state.map.occupancy, state.map.colour))
+    back_on_the_walk(state, WALKED + 4)
+
+
+def test_a_depth_image_of_nan_alone() -> None:
+    state, _ = walked(WALKED)
+    before = copy(state).map
+    state, info = step(state, observe(np.full((60, 80, 3), 90, np.uint8), np.full((60, 80), np.nan, np.float32)))
+    assert info.status == NO_READING
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 2)
+
+
+@pytest.mark.parametrize("to", [0, 4])
+def test_a_camera_carried_back_to_where_it_was(to: int) -> None:
+    """In one step, by 35 cm and 15 degrees: found again there."""
+    state, _ = walked(14)
+    state, info = step(state, image(to))
+    assert info.status in TRACKED
+    assert error(info.belief, true_pose(to))[0] < 0.02
+    back_on_the_walk(state, to + 1)
+
+
+def test_a_camera_carried_to_where_it_never_was() -> None:
+    """Lost, and said so, while it is there; the map stays bit for bit. Found again when it comes back."""
+    state, _ = walked(WALKED)
+    before = copy(state).map
+    for _ in range(5):
+        state, info = step(state, ROOM.image(BEHIND, CAMERA))
+        assert info.status == LOST
+        assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED - 2)
+
+
+def test_noise_in_place_of_an_image() -> None:
+    """A broken cable: colours and depths at random."""
+    state, _ = walked(WALKED)
+    before = copy(state).map
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        depth = rng.uniform(0.3, 6.0, (60, 80)).astype(np.float32)
+        state, info = step(state, observe(rng.integers(0, 256, (60, 80, 3)).astype(np.uint8), depth))
+        assert info.status == LOST
+        assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 4)
+
+
+def test_the_same_image_again() -> None:
+    """A camera that hangs: the pose stays, the belief of a standstill is kept."""
+    state, _ = walked(WALKED)
+    for _ in range(5):
+        state, info = step(state, image(WALKED))
+        assert info.status == OK
+        assert error(info.belief, true_pose(WALKED))[0] < 0.01
+    assert np.abs(np.asarray(info.belief.state.velocity)).max() < 0.1
+    back_on_the_walk(state, WALKED + 1)
