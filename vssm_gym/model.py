@@ -47,7 +47,7 @@ class LogJoint(NamedTuple):
 
     cells: Float[Array, ""]  # log p(M)
     start: Float[Array, ""]  # log p(z_1)
-    transitions: Float[Array, "time-1"]  # log p(z_t | z_t-1, u_t-1)
+    transitions: Float[Array, "step"]  # log p(z_t | z_t-1, u_t-1)
     images: Float[Array, "time"]  # log p(x_t | z_t, M), over all pixels
 
     @property
@@ -68,7 +68,7 @@ def log_joint(
     model: SpatialModel,
     start: Belief,
     states: State,
-    controls: Float[Array, "time-1 control"],
+    controls: Float[Array, "step control"],
     images: RGBD,
     M: VoxelMap,
 ) -> LogJoint:
