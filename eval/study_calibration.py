@@ -99,9 +99,8 @@ def run(recordings: Sequence[sequences.Sequence], *, options: SlamOptions, progr
         },
         figures={"scale_of_all": scale, "sequences": rows},
         notes=(
-            "Poses after first-pose alignment: drift counts as error, though the covariance is that of a pose given "
-            "the map, so the raw NEES shows how far the map has drifted too, and on real data how true the recorded "
-            "first pose is. NEES / 6 is 1 where calibrated. The scale multiplies all covariances of a sequence and is "
+            "Poses after first-pose alignment: drift counts as error, and on real data so does the error of the first "
+            "recorded pose. NEES / 6 is 1 where calibrated. The scale multiplies all covariances of a sequence and is "
             "the mean NEES / 6 of the other sequences' frames.",
             "Bias: mean signed distance of the calibration curve from the diagonal, -0.5 to 0.5, positive where the "
             "filter is pessimistic. Velocity: share of components inside their own 95 % band as stated, and "

@@ -10,7 +10,7 @@ import pytest
 from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, start, true_pose, walk, walked
 
 from vssm_gym.geometry import inverse, se3_log
-from vssm_gym.inference import prism
+from vssm_gym.inference import prism, process_noise
 from vssm_gym.inference.prism import OK, PrismConfig, PrismState
 from vssm_gym.transition.rigid import RigidBelief, predict
 
@@ -39,10 +39,10 @@ def test_covariances_are_symmetric_and_positive() -> None:
         assert (scale < 1.0).all()
 
 
-def track(state: PrismState, prior: RigidBelief, k: float):
+def track(state: PrismState, prior: RigidBelief, unrest: process_noise.Level, k: float):
     last = (state.last, state.T_world_last)
     arguments = (jnp.zeros(6), jnp.float32(DT), last, state.anchor, image(k), CAMERA, state.key, CONFIG)
-    return prism._track(prior, *arguments)
+    return prism._track(prior, unrest, *arguments)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -58,8 +58,8 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
         root = np.random.default_rng(seed).standard_normal((12, 16)) / 4.0
         scale = np.repeat([0.01, 0.01, 0.2, 0.3], 3)
         prior = RigidBelief(prior.state, jnp.asarray((root @ root.T) * np.outer(scale, scale), jnp.float32))
-    tracked = track(state, prior, FRAMES + 1)
-    predicted = predict(prior, jnp.zeros(6), jnp.float32(DT), CONFIG.noise)
+    tracked = track(state, prior, state.unrest, FRAMES + 1)
+    predicted = predict(prior, jnp.zeros(6), jnp.float32(DT), process_noise.scaled(CONFIG.noise, state.unrest))
     P = np.asarray(predicted.covariance, float)
     P_pose = np.linalg.inv(P[:6, :6])
     laplace = np.linalg.inv(2.0 * np.asarray(tracked.agreement.information, float) + P_pose)
@@ -86,7 +86,7 @@ def test_an_overwhelming_prior_holds_the_pose() -> None:
     last = (state.last, state.T_world_last)
     prior = RigidBelief(state.belief.state, jnp.asarray(sure + 1e-14 * np.eye(12), jnp.float32))
     arguments = (jnp.zeros(6), jnp.float32(DT), last, state.anchor, image(FRAMES), CAMERA, state.key, noise)
-    held = prism._track(prior, *arguments)
+    held = prism._track(prior, process_noise.full(), *arguments)
     moved = inverse(held.predicted.state.T_world_body) @ held.belief.state.T_world_body
     assert np.abs(np.asarray(se3_log(moved))).max() < 1e-4
     assert error(held.predicted, true_pose(FRAMES))[0] > 0.01  # a step further on than the image
@@ -117,6 +117,19 @@ def test_velocity_is_in_its_band_on_a_path_of_constant_velocity() -> None:
             assert np.linalg.norm(off[:3]) < 0.06
             assert np.linalg.norm(off[3:]) < 0.06
     assert (std < [0.3] * 3 + [0.5] * 3).all()
+
+
+def test_a_steady_hand_narrows_the_prior_and_a_jerk_widens_it() -> None:
+    state, _ = walked(FRAMES)
+    assert (np.asarray(state.unrest) < 0.8).all()
+    steady = track(state, state.belief, state.unrest, FRAMES + 1)
+    jerked = track(state, state.belief, state.unrest, FRAMES + 4)
+    assert (np.asarray(jerked.unrest) > np.asarray(steady.unrest)).all()
+    doubtful = track(state, state.belief, process_noise.full(), FRAMES + 1)
+    by = [np.sqrt(np.diag(np.asarray(t.belief.covariance, float))[6:]) for t in (steady, doubtful)]
+    assert (by[0] < by[1]).all()
+    # Both take the jerk, which the images show, for what it is.
+    assert error(jerked.belief, true_pose(FRAMES + 4))[0] < 0.01
 
 
 def test_a_known_acceleration_is_added() -> None:

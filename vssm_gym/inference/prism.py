@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.geometry import inverse, se3_exp, se3_log
-from vssm_gym.inference import anchor, belief, drift, gauss_newton, keyframes, map_update, recentre
+from vssm_gym.inference import anchor, belief, drift, gauss_newton, keyframes, map_update, process_noise, recentre
 from vssm_gym.inference.adam import align_adam
 from vssm_gym.inference.alignment import (
     AlignConfig,
@@ -64,7 +64,7 @@ class PrismConfig:
 
     # Flatter in depth than one pixel's noise: far points are few but they hold the rotation.
     align: AlignConfig = field(
-        default_factory=lambda: AlignConfig(0.006, 0.001, edge=0.02, levels=(2, 1), iterations=(6, 5))
+        default_factory=lambda: AlignConfig(0.006, 0.001, edge=0.02, levels=(4, 2, 1), iterations=(6, 4, 4))
     )
     rotation: RotationConfig = field(default_factory=RotationConfig)
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
@@ -109,6 +109,7 @@ class PrismState(eqx.Module):
     anchor: Anchor
     keyframes: Keyframes
     drift: Float[Array, "6 6"]  # covariance of the map's frame around the camera in the world, tangent of the world
+    unrest: process_noise.Level  # how much of the configured process noise this hand has needed of late
     key: PRNGKeyArray
 
 
@@ -123,7 +124,8 @@ class PrismInfo(eqx.Module):
 
 class _Tracked(eqx.Module):
     belief: RigidBelief
-    predicted: RigidBelief
+    predicted: RigidBelief  # with the configured noise: where the camera may be at all
+    unrest: process_noise.Level
     T_world_turned: Float[Array, "4 4"]  # the last pose, turned by the rotation between the images
     agreement: AlignInfo
     fits: Bool[Array, ""]
@@ -149,9 +151,10 @@ def _at_rest(T_world_cam: Array, pose_covariance: Array, config: PrismConfig) ->
     return RigidBelief(RigidState(T_world_cam, jnp.zeros(6)), covariance)
 
 
-@partial(jax.jit, static_argnums=8)
+@partial(jax.jit, static_argnums=9)
 def _track(
     prior: RigidBelief,
+    unrest: process_noise.Level,
     control: Array,
     dt: Array,
     last: tuple[RGBD, Array],
@@ -162,7 +165,8 @@ def _track(
     config: PrismConfig,
 ) -> _Tracked:
     """Steps 1 to 4: the belief over pose and velocity given the image."""
-    predicted = predict(prior, control, dt, config.noise)
+    possible = predict(prior, control, dt, config.noise)
+    predicted = predict(prior, control, dt, process_noise.scaled(config.noise, unrest))
     pose, velocity_given_pose = belief.split(Gaussian(jnp.zeros(12), predicted.covariance), 6)
     last_image, T_world_last = last
     R = camera_rotation(luminance(image.rgb), luminance(last_image.rgb), camera, config.rotation)
@@ -188,8 +192,10 @@ def _track(
     both = belief.joint(Gaussian(moved, smoothed), velocity_given_pose)
     posterior = RigidBelief(perturb(predicted.state, both.mean), both.covariance)
     fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
-    fits &= moved @ precision @ moved <= config.max_surprise**2
-    return _Tracked(posterior, predicted, T_world_turned, agreement, fits & jnp.all(jnp.isfinite(both.covariance)))
+    fits &= moved @ jnp.linalg.solve(possible.covariance[:6, :6], moved) <= config.max_surprise**2
+    fits &= jnp.all(jnp.isfinite(both.covariance))
+    unrest = process_noise.adapt(unrest, moved, dt, config.noise)
+    return _Tracked(posterior, possible, unrest, T_world_turned, agreement, fits)
 
 
 @partial(jax.jit, static_argnums=2)
@@ -236,7 +242,9 @@ def init(
     m = clock("map", map_update.update(m, image.depth, image.rgb, T, camera, config.update))
     kept = keyframes.remember(keyframes.empty(view), T, luminance(small.rgb), view)
     against = clock("anchor", anchor.take(m, T, small, view, config.update.max_depth, config.samples > 1))
-    return PrismState(m, _at_rest(T, 1e-8 * jnp.eye(6), config), small, T, against, kept, jnp.zeros((6, 6)), key)
+    return PrismState(
+        m, _at_rest(T, 1e-8 * jnp.eye(6), config), small, T, against, kept, jnp.zeros((6, 6)), process_noise.full(), key
+    )
 
 
 _shrink = jax.jit(shrink_rgbd, static_argnums=1)
@@ -275,14 +283,19 @@ def step(
     state = eqx.tree_at(lambda s: s.key, state, key)
     acceleration = jnp.zeros(6) if control is None else control
     last = (state.last, state.T_world_last)
-    tracked = _track(state.belief, acceleration, jnp.float32(dt), last, state.anchor, small, view, solving, config)
-    tracked = clock("track", tracked)
-    posterior, agreement, status = tracked.belief, tracked.agreement, OK
+    tracked = clock(
+        "track",
+        _track(
+            state.belief, state.unrest, acceleration, jnp.float32(dt), last, state.anchor, small, view, solving, config
+        ),
+    )
+    posterior, agreement, unrest, status = tracked.belief, tracked.agreement, tracked.unrest, OK
     if not tracked.fits:
         posterior, agreement, status = _search(state, tracked, small, view, config)
         clock("recover", posterior)
+        unrest = process_noise.full()
         if status != RECOVERED:
-            lost = eqx.tree_at(lambda s: s.belief, state, posterior)
+            lost = eqx.tree_at(lambda s: (s.belief, s.unrest), state, (posterior, unrest))
             return lost, PrismInfo(status, drift.in_world(posterior, state.drift), agreement)
     T = posterior.state.T_world_body
     m, dropped = state.map, 0
@@ -297,7 +310,7 @@ def step(
     if status == RECOVERED or anchor.left(against, T, config.anchor_distance, config.anchor_angle):
         against = anchor.take(m, T, small, view, config.update.max_depth, config.samples > 1)
         against = clock("anchor", against)
-    return PrismState(m, posterior, small, T, against, kept, drifted, key), PrismInfo(
+    return PrismState(m, posterior, small, T, against, kept, drifted, unrest, key), PrismInfo(
         status, drift.in_world(posterior, drifted), agreement, dropped
     )
 
