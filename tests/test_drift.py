@@ -1,12 +1,12 @@
 """Drift of the map's frame: what it adds to a pose, and when."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from prism_room import CAMERA, image, start, walked
 from scipy.linalg import expm, logm
 
-from vssm_gym.emission import RGBD
 from vssm_gym.inference import drift
 from vssm_gym.transition.rigid import RigidBelief, RigidState
 
@@ -67,5 +67,5 @@ def test_only_new_space_lets_the_frame_walk() -> None:
     assert known < 0.1
     partly = grown(start().map, belief_of(T, S))
     assert 1.5 * known < np.trace(back @ partly @ back.T) / np.trace(drift.ALIKE * S) < 0.5
-    none = RGBD(*(jnp.zeros_like(a) for a in seen))
+    none = jax.tree.map(jnp.zeros_like, seen)
     np.testing.assert_array_equal(drift.grow(before, state.map, here, none, CAMERA), before)
