@@ -18,6 +18,7 @@ from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD, PointNavEnv
 from vssm_gym.envs.progress import SPACING, GoalDistance
 from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks import Task, TaskSampler, make_tasks
 from vssm_gym.errors import InputError
 
@@ -288,7 +289,8 @@ def test_spawned_workers_run_it():
         ({"noise": [1, 2]}, "noise", "[1, 2]"),
         ({"scene": None}, "scene", "None"),
         ({"scene": 3}, "scene", "Apartment"),
-        ({"sensor_noise": "kinect"}, "sensor_noise", "'none'"),
+        ({"sensor_noise": "thick fog"}, "name", "kinect"),
+        ({"sensor_noise": 3}, "sensor_noise", "SensorNoise"),
         ({"renderer": "gl"}, "renderer", "'raycast'"),
         ({"physics": "bullet"}, "physics", "'mujoco'"),
         ({"end_on": "whim"}, "end_on", "'reach'"),
@@ -366,5 +368,6 @@ def test_noise_may_be_given_in_numbers():
 
 
 def test_every_keyword_is_documented():
-    for name in list(inspect.signature(PointNavEnv.__init__).parameters)[1:]:
-        assert f"        {name}: " in (PointNavEnv.__doc__ or "")
+    for documented in (PointNavEnv, Simulation):
+        for name in list(inspect.signature(documented.__init__).parameters)[1:]:
+            assert f"        {name}: " in (documented.__doc__ or "")

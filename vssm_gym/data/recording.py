@@ -16,12 +16,13 @@ from vssm_gym.camera import Camera
 from vssm_gym.data.handheld import walk
 from vssm_gym.data.sequences import SequenceWriter
 from vssm_gym.envs.mjcf import World
-from vssm_gym.envs.pointnav import STREAMS, PointNavEnv
+from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensor_noise import NoisySensor
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
 from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.simulation import STREAMS
 from vssm_gym.envs.survey import Waypoint, survey_route
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.errors import InputError
@@ -60,13 +61,14 @@ def record(
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
     _check_new(out)
-    measured = noise_model(sensor_noise)
-    env = PointNavEnv(scene=str(scene), noise=noise, camera=camera, observe_pose=True, reward="sparse")
+    env = PointNavEnv(
+        scene=str(scene), noise=noise, sensor_noise=sensor_noise, camera=camera, observe_pose=True, reward="sparse"
+    )
     route = survey_route(env.apartment, env.robot, seed)
     about = {"motion": "survey", "noise": noise, "sensor_noise": sensor_noise, "renderer": env.renderer_name}
     try:
         with _recording(out, env.apartment, about | {"seed": seed}) as unfinished:
-            return _drive(env, route, unfinished, measured, seed, progress)
+            return _drive(env, route, unfinished, seed, progress)
     finally:
         env.close()
 
@@ -152,7 +154,6 @@ def _drive(
     env: PointNavEnv,
     route: list[Waypoint],
     folder: Path,
-    measured: SensorNoise,
     seed: int,
     progress: Progress | None,
 ) -> int:
@@ -164,13 +165,12 @@ def _drive(
     observation, info = env.reset(seed=seed, options={"task": task})
     camera = Camera.from_matrix(info["K"], env.camera.width, env.camera.height)
     writer = SequenceWriter(folder, camera, env.robot.T_body_cam)
-    sensor = NoisySensor(measured, camera, _sensor_stream(seed))
     frames = 0
 
     def write() -> None:
         nonlocal frames
-        rgb, depth = sensor(observation["rgb"], observation["depth"], env.robot.dt)
-        writer.append(frames * env.robot.dt, rgb, depth, info["T_world_cam"], info["control"])
+        images = observation["rgb"], observation["depth"]
+        writer.append(frames * env.robot.dt, *images, info["T_world_cam"], info["control"])
         frames += 1
 
     def command(turn: float, offset: float, step: float) -> None:

@@ -2,14 +2,21 @@
 
 import gymnasium as gym
 
-POINTNAV_STEPS = 500  # a default of 80 m at full speed; `gym.make(..., max_episode_steps=N)` overrides it
+# Id -> module, class, steps after which an episode is truncated (`gym.make(..., max_episode_steps=N)` overrides).
+ENVIRONMENTS = {
+    "vssm_gym/PointNav-v0": ("pointnav", "PointNavEnv", 500),  # 80 m at full speed
+    "vssm_gym/ImageNav-v0": ("imagenav", "ImageNavEnv", 500),
+    "vssm_gym/Explore-v0": ("explore", "ExploreEnv", 2000),  # 320 m at full speed
+}
 
 
 def register() -> None:
     """Register the environments; calling it twice changes nothing."""
-    if "vssm_gym/PointNav-v0" not in gym.registry:
-        gym.register(
-            id="vssm_gym/PointNav-v0",
-            entry_point="vssm_gym.envs.pointnav:PointNavEnv",
-            max_episode_steps=POINTNAV_STEPS,
-        )
+    for name, (module, cls, steps) in ENVIRONMENTS.items():
+        if name not in gym.registry:
+            gym.register(
+                id=name,
+                entry_point=f"vssm_gym.envs.{module}:{cls}",
+                vector_entry_point=f"vssm_gym.envs.vector:{module}",
+                max_episode_steps=steps,
+            )

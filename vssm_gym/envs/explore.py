@@ -1,0 +1,128 @@
+"""Explore: a noisy holonomic robot with an RGB-D camera sees as much of an unknown apartment as it can (SPEC 8).
+
+It acts ``(turn, o, s, stop)`` at 5 Hz like PointNav's robot; its pose is observed unless that is switched off. Reward
+and score are the coverage of what a robot of its size could see at all (:mod:`vssm_gym.envs.coverage`). The tables of
+observation, action, reward and termination are in ``docs/envs/explore.md``.
+"""
+
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.axes import PlanarPose
+from vssm_gym.envs.coverage import Coverage
+from vssm_gym.envs.simulation import Simulation, choose
+from vssm_gym.envs.staged import Report, StagedEnv
+from vssm_gym.envs.tasks import MARGIN
+from vssm_gym.errors import InputError
+
+STEP_COST, COVERAGE_REWARD = 0.005, 10.0
+
+
+class ExploreEnv(StagedEnv):
+    """One apartment, one robot; see the module. Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
+
+    Args:
+        reward: ``dense`` (ten times the coverage gained, less a cost a step) or ``sparse`` (1 when finished).
+        finish: coverage at which the episode ends with success; above 1 it never does.
+        observe_pose: whether the observation holds the true pose, as in the published experiments.
+        simulation: ``scene``, ``noise``, ``camera`` and the other keywords of
+            :class:`~vssm_gym.envs.simulation.Simulation`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+
+    def __init__(
+        self,
+        reward: Literal["dense", "sparse"] = "dense",
+        finish: float = 0.99,
+        observe_pose: bool = True,
+        **simulation: Any,
+    ) -> None:
+        choose("Explore", "reward", reward, ("dense", "sparse"))
+        if not finish > 0.0:
+            raise InputError("Explore", "finish", f"a share above 0; found {finish!r}")
+        self.simulation = Simulation(observe_pose=observe_pose, **simulation)
+        self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
+        self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
+        self.camera, self.noise = self.simulation.camera, self.simulation.noise
+        self.renderer_name = self.simulation.stage.renderer_name
+        self.parallel = self.simulation.stage.parallel
+        self.coverage = Coverage(self.simulation.stage.observable, self.simulation.stage.config.hfov)
+        self.action_space = self.simulation.action_space()
+        self.observation_space = gym.spaces.Dict(self.simulation.spaces())
+        self._outcome: tuple[float, bool, dict[str, Any]] | None = None  # reward, terminated, info
+
+    @property
+    def planar(self) -> PlanarPose:
+        """The true ``(x, y, heading)``, m and rad; not for agents."""
+        return self.simulation.planar
+
+    def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Start at ``options["start"]``, ``(x, y, heading)`` in m and rad, or anywhere free, by the task stream.
+
+        Raises :class:`InputError` where the robot does not fit there.
+        """
+        self.simulation.seed(seed)
+        unknown = set(options or {}) - {"start"}
+        if unknown:
+            raise InputError("reset", "options", f"no other key than 'start'; found {sorted(unknown)}")
+        start = self._start((options or {}).get("start"))
+        self.simulation.place(start)
+        self.coverage.reset()
+        self.coverage.see(self.planar)
+        self._outcome = 0.0, False, self._info(np.zeros(3), collision=False) | {"start_pose": start}
+
+    def advance(self, action: np.ndarray) -> None:
+        """Carry out ``(turn, o, s, stop)``; a stop ends the episode and carries out nothing else of the action."""
+        if self._outcome is None:
+            raise gym.error.ResetNeeded("call reset before step")
+        command, stop = self.simulation.parse(action)
+        command = np.zeros(3) if stop else command
+        collision = False if stop else self.simulation.drive(command)
+        gained = self.coverage.see(self.planar)
+        finished = self.coverage.fraction >= self.finish
+        reward = COVERAGE_REWARD * gained - STEP_COST if self.reward == "dense" else float(finished)
+        info = self._info(command, collision)
+        if stop or finished:
+            info["success"] = finished
+        self._outcome = reward, stop or finished, info
+
+    def look(self) -> None:
+        """Take the image."""
+        self.simulation.look()
+
+    def report(self) -> Report:
+        """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
+        assert self._outcome is not None
+        reward, terminated, info = self._outcome
+        return self.simulation.observation(), reward, terminated, False, info
+
+    def render(self) -> np.ndarray | None:
+        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
+        return self.simulation.picture()
+
+    def close(self) -> None:
+        """Let go of the rendering threads."""
+        self.simulation.close()
+
+    def _info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
+        driven = {"coverage": self.coverage.fraction, "path_length": self.simulation.path_length}
+        return self.simulation.info(command, collision) | driven
+
+    def _start(self, given: Any) -> np.ndarray:
+        space, stream = self.simulation.stage.sampler.space, self.simulation.streams["task"]
+        drawn = np.array([*space.sample(stream, 1, MARGIN)[0], stream.uniform(-np.pi, np.pi)])
+        if given is None:
+            return drawn
+        try:
+            start = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            start = np.full(0, np.nan)
+        if start.shape != (3,) or not np.isfinite(start).all():
+            raise InputError("reset", "options['start']", f"finite numbers (x, y, heading); found {given!r:.80}")
+        if not space.contains(start[:2]):
+            touched = ", ".join(space.obstacles_at(start[:2])[:3]) or "the end of the floor"
+            raise InputError("reset", "options['start']", f"a position where the robot fits; it would touch {touched}")
+        return start

@@ -1,0 +1,85 @@
+"""ImageNav: PointNav whose goal is an image, taken where the robot is to go (Zhu et al., ICRA 2017).
+
+The goal's position is never told, only what the robot's own camera, without noise, would see from there. The tables of
+observation, action, reward and termination are in ``docs/envs/imagenav.md``.
+"""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.envs.pointnav import PointNavEnv
+from vssm_gym.envs.staged import Report, StagedEnv
+from vssm_gym.geometry import planar_to_matrix
+
+HEADINGS = 8  # directions, evenly spread, in which a goal image may look
+OPEN = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place
+
+
+class ImageNavEnv(StagedEnv):
+    """One apartment, one robot; see the module. Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
+
+    Args:
+        navigation: the keywords of :class:`~vssm_gym.envs.pointnav.PointNavEnv`, which moves, rewards and ends.
+    """
+
+    metadata = PointNavEnv.metadata
+
+    def __init__(self, **navigation: Any) -> None:
+        self.navigation = PointNavEnv(**navigation)
+        self.render_mode, self.parallel = self.navigation.render_mode, self.navigation.parallel
+        self.renderer_name = self.navigation.renderer_name
+        self.action_space = self.navigation.action_space
+        size = (self.navigation.camera.height, self.navigation.camera.width, 3)
+        spaces = {**self.navigation.simulation.spaces(), "goal_rgb": gym.spaces.Box(0, 255, size, np.uint8)}
+        self.observation_space = gym.spaces.Dict(spaces)
+        self._goal_rgb: np.ndarray | None = None
+
+    def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Start a task as PointNav does; the goal image is the same for the same task, whatever the seed."""
+        self.navigation.begin(seed, options)
+        self._goal_rgb = None
+
+    def advance(self, action: np.ndarray) -> None:
+        """Carry out ``(turn, o, s, stop)`` as PointNav does."""
+        self.navigation.advance(action)
+
+    def look(self) -> None:
+        """Take the image and, at the start of an episode, the goal's."""
+        self.navigation.look()
+        if self._goal_rgb is None:
+            self._goal_rgb = self._goal_image()
+
+    def report(self) -> Report:
+        """PointNav's, with the goal's image in place of its position."""
+        observation, *rest = self.navigation.report()
+        assert self._goal_rgb is not None
+        del observation["goal"]
+        return observation | {"goal_rgb": self._goal_rgb.copy()}, *rest  # type: ignore[return-value]
+
+    def render(self) -> np.ndarray | None:
+        """The camera's image beside the plan."""
+        return self.navigation.render()
+
+    def close(self) -> None:
+        """Let go of the rendering threads."""
+        self.navigation.close()
+
+    def _goal_image(self) -> np.ndarray:
+        """The view from the goal: of eight headings, in an order drawn from the task, the first that is open.
+
+        Where none is (a niche), the one that sees farthest.
+        """
+        task, stage = self.navigation.task, self.navigation.simulation.stage
+        assert task is not None
+        spread = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
+        drawn = np.random.default_rng([task.id, *np.frombuffer(np.array(task.goal).tobytes(), np.uint32)])
+        views = []
+        for heading in drawn.uniform(0.0, 2.0 * np.pi) + drawn.permutation(spread):
+            pose = np.array([*task.goal, heading])
+            rgb, depth = stage.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
+            views.append((float(np.median(depth)), rgb))
+            if views[-1][0] >= OPEN:
+                return rgb
+        return max(views, key=lambda view: view[0])[1]

@@ -1,0 +1,197 @@
+"""A noisy holonomic robot with an RGB-D camera in an apartment: what PointNav, ImageNav and Explore have in common.
+
+An environment owns one :class:`Simulation`, tells it to :meth:`~Simulation.place` and :meth:`~Simulation.drive` the
+robot, and adds goals, rewards and ends of its own. Moving and looking are apart: images are rendered when
+:meth:`~Simulation.look` is called, so that a vector environment moves all robots first and then renders in parallel.
+"""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
+from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise, sensor_noise
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.stage import stage_of
+from vssm_gym.envs.topdown import TopDown
+from vssm_gym.errors import InputError
+from vssm_gym.geometry import planar_to_matrix
+
+STREAMS = ("scene", "task", "dynamics", "sensors")  # one generator each, so that one's use never shifts another's
+EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
+PICTURE = 360  # pixels, height of a rendered picture and width of its plan
+
+
+def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> None:
+    """Raise :class:`InputError` naming ``source`` and ``field`` unless ``value`` is one of ``available``."""
+    if not any(value is one or (isinstance(value, str) and value == one) for one in available):
+        raise InputError(source, field, f"one of {', '.join(map(repr, available))}; found {value!r:.80}")
+
+
+class Simulation:
+    """One robot, its camera and its streams of random numbers; see the module.
+
+    Args:
+        scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
+        noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
+        sensor_noise: what the camera adds to the exact image: ``none``, ``kinect``, ``stereo`` or a
+            :class:`SensorNoise`.
+        camera: size and angle of the images.
+        renderer: ``raycast``. What traced the rays is in ``renderer_name``, to be recorded with results.
+        physics: ``mujoco``.
+        observe_pose: whether the observation holds the true pose (an oracle's privilege).
+        render_mode: ``rgb_array`` or None.
+        threads: threads that share the rendering of an image; by default two where there are two cores.
+    """
+
+    def __init__(
+        self,
+        scene: Any = "oak",
+        noise: str | ExecutionNoise = "low",
+        sensor_noise: str | SensorNoise = "none",
+        camera: CameraConfig | None = None,
+        renderer: str = "raycast",
+        physics: str = "mujoco",
+        observe_pose: bool = False,
+        render_mode: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        choose("environment", "renderer", renderer, ("raycast",))
+        choose("environment", "physics", physics, ("mujoco",))
+        choose("environment", "render_mode", render_mode, (None, "rgb_array"))
+        config = CameraConfig() if camera is None else camera
+        if not isinstance(config, CameraConfig):
+            raise InputError("environment", "camera", f"a CameraConfig; found {camera!r}")
+        self.noise, self.sensor_noise = execution_noise(noise), _sensor_noise(sensor_noise)
+        self.observe_pose, self.render_mode = observe_pose, render_mode
+        self.robot = HolonomicRobot()
+        self.stage = stage_of(load_scene(scene), self.robot, config, renderer, threads)
+        self.apartment, self.camera = self.stage.apartment, self.stage.camera
+        self.world = World(self.apartment, self.robot)
+        self.streams: dict[str, np.random.Generator] = {}
+        self.path_length = 0.0  # m driven since the robot was placed
+        self.path: list[np.ndarray] = []  # its positions
+        self._K = self.camera.K
+        self._sensor: NoisySensor | None = None
+        self._image: tuple[np.ndarray, np.ndarray] | None = None
+        self._plan: TopDown | None = None
+
+    def spaces(self) -> dict[str, gym.Space[Any]]:
+        """The spaces of :meth:`observation`."""
+        size = (self.camera.height, self.camera.width)
+        spaces: dict[str, gym.Space[Any]] = {
+            "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
+            "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
+        }
+        if self.observe_pose:
+            far = np.array([EXTENT, EXTENT, np.pi], np.float32)
+            spaces["pose"] = gym.spaces.Box(-far, far)
+        return spaces
+
+    def action_space(self) -> gym.spaces.Box:
+        """``(turn, o, s, stop)``: rad, rad, m, and above 0.5 for stop."""
+        turn, offset, step = self.robot.limits
+        low, high = [-turn, -offset, 0.0, 0.0], [turn, offset, step, 1.0]
+        return gym.spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
+
+    @property
+    def planar(self) -> PlanarPose:
+        """The true ``(x, y, heading)``, m and rad; not for agents."""
+        return self.world.pose()
+
+    @property
+    def T_world_cam(self) -> Matrix4:
+        """The true camera pose; not for agents."""
+        return planar_to_matrix(self.planar) @ self.robot.T_body_cam
+
+    def seed(self, seed: int | None) -> None:
+        """Restart all streams by a seed; without one they go on, or begin anywhere where there are none yet."""
+        if seed is not None or not self.streams:
+            children = np.random.SeedSequence(seed).spawn(len(STREAMS))
+            self.streams = {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
+            self._sensor = NoisySensor(self.sensor_noise, self.camera, self.streams["sensors"])
+
+    def place(self, start: PlanarPose) -> None:
+        """Put the robot at ``(x, y, heading)``, m and rad: an episode begins."""
+        self.world.reset(start)
+        self.path_length, self.path = 0.0, [self.planar[:2]]
+        self._image = None
+
+    def drive(self, command: np.ndarray) -> bool:
+        """Carry out ``(turn, o, s)`` for one step of ``robot.dt`` s, noise and contacts included.
+
+        Returns whether the robot touched an obstacle.
+        """
+        before = self.planar
+        collision = self.world.drive(execute(before, command, self.noise, self.streams["dynamics"]))
+        self.path_length += float(np.hypot(*(self.planar - before)[:2]))
+        self.path.append(self.planar[:2])
+        self._image = None
+        return collision
+
+    def parse(self, action: Any) -> tuple[np.ndarray, bool]:
+        """``(turn, o, s)`` clipped to the robot's limits, and whether ``stop`` is above 0.5.
+
+        Raises :class:`InputError` for anything but four finite numbers.
+        """
+        try:
+            values = np.asarray(action)
+        except ValueError:  # a ragged list
+            raise InputError("step", "action", f"four numbers (turn, o, s, stop); found {action!r:.80}") from None
+        if values.shape != (4,) or values.dtype.kind not in "fiu":
+            found = f"found shape {values.shape}, type {values.dtype}"
+            raise InputError("step", "action", f"four numbers (turn, o, s, stop); {found}")
+        if not np.isfinite(values).all():
+            raise InputError("step", "action", f"finite numbers (turn, o, s, stop); found {values.tolist()}")
+        return self.robot.clip(values[:3]), bool(values[3] > 0.5)
+
+    def look(self) -> None:
+        """Take the image at the robot's pose, as its sensor measures it; once, however often it is asked for."""
+        if self._image is None:
+            assert self._sensor is not None
+            rgb, depth = self.stage.render(self.T_world_cam)
+            if self.sensor_noise != SensorNoise():
+                rgb, depth = self._sensor(rgb, depth, self.robot.dt)
+            self._image = rgb, depth
+
+    def observation(self) -> dict[str, np.ndarray]:
+        """``rgb``, ``depth`` and, where it is observed, ``pose``; the arrays are the caller's."""
+        self.look()
+        assert self._image is not None
+        observation = {"rgb": self._image[0].copy(), "depth": self._image[1].copy()}
+        if self.observe_pose:
+            observation["pose"] = self.planar.astype(np.float32)
+        return observation
+
+    def info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
+        """What every environment reports beside the observation; agents never see it."""
+        return {"T_world_cam": self.T_world_cam, "K": self._K.copy(), "collision": collision, "control": command}
+
+    def picture(self, goal: np.ndarray | None = None, goal_radius: float = 0.0) -> np.ndarray | None:
+        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``; None if not asked for."""
+        if self.render_mode is None or not self.path:
+            return None
+        if self._plan is None:
+            self._plan = TopDown(self.stage.boxes, PICTURE, PICTURE)
+        self.look()
+        assert self._image is not None
+        rgb = self._image[0]
+        # Nearest pixels: the picture shows what the agent sees.
+        rows = (np.arange(PICTURE) * rgb.shape[0]) // PICTURE
+        columns = (np.arange(PICTURE * rgb.shape[1] // rgb.shape[0]) * rgb.shape[0]) // PICTURE
+        plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
+        return np.concatenate([rgb[rows[:, None], columns[None]], plan], axis=1)
+
+    def close(self) -> None:
+        """Let go of the rendering threads."""
+        self.stage.eye.close()
+
+
+def _sensor_noise(spec: Any) -> SensorNoise:
+    if not isinstance(spec, str | SensorNoise):
+        raise InputError("environment", "sensor_noise", f"a preset's name or a SensorNoise; found {spec!r:.80}")
+    return sensor_noise(spec)

@@ -1,0 +1,53 @@
+"""Environments whose step has stages: move, look, report.
+
+    reset = begin, look, report        step = advance, look, report
+
+Moving takes microseconds and is done one environment after another; looking renders an image and is done in parallel
+by a vector environment (:mod:`vssm_gym.envs.vector`). An environment of this suite implements the stages only.
+"""
+
+import abc
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+Report = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
+
+
+class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
+    """Gymnasium's ``reset`` and ``step`` out of the four stages."""
+
+    parallel: bool = False  # whether several environments may look at once, in threads of one process
+
+    @abc.abstractmethod
+    def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Start an episode; a seed restarts all streams of random numbers, without one they go on."""
+
+    @abc.abstractmethod
+    def advance(self, action: np.ndarray) -> None:
+        """Carry out an action, without looking."""
+
+    @abc.abstractmethod
+    def look(self) -> None:
+        """Render what the sensors see now; it changes nothing else and may run in another thread."""
+
+    @abc.abstractmethod
+    def report(self) -> Report:
+        """Observation, reward, terminated, truncated and info of what happened last."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Start an episode; see :meth:`begin` for seed and options."""
+        super().reset(seed=seed)
+        self.begin(seed, options)
+        self.look()
+        observation, *_, info = self.report()
+        return observation, info
+
+    def step(self, action: np.ndarray) -> Report:
+        """Carry out an action; see :meth:`advance`."""
+        self.advance(action)
+        self.look()
+        return self.report()

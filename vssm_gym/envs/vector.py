@@ -1,0 +1,161 @@
+"""Many environments in one process: all move, then all look at once, in as many threads as there are cores.
+
+``gym.make_vec("vssm_gym/PointNav-v0", num_envs=16)`` gives this. Environments of one scene share its renderer and its
+free space (:mod:`vssm_gym.envs.stage`). Episodes restart as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step
+after the last one of an episode ignores its action and returns the next episode's first observation with reward 0.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+
+from vssm_gym.envs.staged import StagedEnv
+from vssm_gym.errors import InputError
+
+
+class StagedVectorEnv(VectorEnv):
+    """``num_envs`` environments of one class; see the module.
+
+    Args:
+        make: builds one environment from keywords.
+        num_envs: how many.
+        max_episode_steps: steps after which an episode is truncated; -1 for none.
+        scene: one scene for all, or a sequence of scenes that the environments take in turn.
+        threads: threads that look; by default as many as there are cores.
+        keywords: of each environment.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  (Gymnasium's own declaration)
+
+    def __init__(
+        self,
+        make: Callable[..., StagedEnv],
+        num_envs: int = 1,
+        max_episode_steps: int = -1,
+        scene: Any = None,
+        threads: int | None = None,
+        **keywords: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise InputError("make_vec", "num_envs", f"at least 1; found {num_envs!r}")
+        scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
+        if not scenes:
+            raise InputError("make_vec", "scene", "at least one scene; found an empty list")
+        chosen = [{} if scenes == [None] else {"scene": scenes[i % len(scenes)]} for i in range(num_envs)]
+        self.envs = [make(**one, **keywords) for one in chosen]
+        first = self.envs[0]
+        self.metadata = {**first.metadata, **self.metadata}
+        self.num_envs, self.render_mode = num_envs, first.render_mode
+        self.single_action_space, self.single_observation_space = first.action_space, first.observation_space
+        self.action_space = batch_space(first.action_space, num_envs)
+        self.observation_space = batch_space(first.observation_space, num_envs)
+        self.max_episode_steps = max_episode_steps
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self._threads = min(num_envs, cores if threads is None else max(1, threads)) if first.parallel else 1
+        self._pool = ThreadPoolExecutor(self._threads - 1, "look") if self._threads > 1 else None
+        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode everywhere, or where ``options["reset_mask"]`` says so.
+
+        Args:
+            seed: one a environment, or the first of consecutive ones; None: their streams go on.
+            options: of every environment's reset, ``reset_mask`` ``(num_envs,)`` bool excepted.
+        """
+        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if _single(seed) else list(seed)  # type: ignore[arg-type, operator]
+        if len(seeds) != self.num_envs:
+            raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
+        options = dict(options or {})
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise InputError("reset", "options['reset_mask']", f"{self.num_envs} booleans, one of them true")
+        for i in np.flatnonzero(mask):
+            self.envs[i].begin(seeds[i], options or None)
+        self._steps[mask], self._ended[mask] = 0, False
+        observation, _, _, _, infos = self._gather(mask)
+        return observation, infos
+
+    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Carry out one action an environment; those whose episode has ended start their next one instead."""
+        restarted = self._ended.copy()
+        for i, (env, action) in enumerate(zip(self.envs, iterate(self.action_space, actions), strict=True)):
+            if restarted[i]:
+                env.begin()
+                self._steps[i] = 0
+            else:
+                env.advance(action)
+                self._steps[i] += 1
+        observation, rewards, terminated, truncated, infos = self._gather(np.ones(self.num_envs, dtype=bool))
+        truncated |= (self._steps >= self.max_episode_steps) & (self.max_episode_steps > 0) & ~restarted
+        self._ended = terminated | truncated
+        return observation, rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Every environment's picture."""
+        return None if self.render_mode is None else tuple(env.render() for env in self.envs)
+
+    def close_extras(self, **_: Any) -> None:
+        """Let go of the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+        for env in self.envs:
+            env.close()
+
+    def _gather(self, fresh: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Look everywhere and stack the reports; infos are of the ``fresh`` environments."""
+        self._look()
+        reports = [env.report() for env in self.envs]
+        infos: dict[str, Any] = {}
+        for i in np.flatnonzero(fresh):
+            infos = self._add_info(infos, reports[i][4], int(i))
+        empty: Any = create_empty_array(self.single_observation_space, self.num_envs)
+        observation = concatenate(self.single_observation_space, [report[0] for report in reports], empty)
+        rewards = np.array([report[1] for report in reports], dtype=np.float64)
+        terminated = np.array([report[2] for report in reports], dtype=bool)
+        truncated = np.array([report[3] for report in reports], dtype=bool)
+        return observation, rewards, terminated, truncated, infos
+
+    def _look(self) -> None:
+        if self._pool is None:
+            for env in self.envs:
+                env.look()
+            return
+        shares = [self._pool.submit(_look_in_turn, self.envs[k :: self._threads]) for k in range(1, self._threads)]
+        _look_in_turn(self.envs[:: self._threads])
+        for share in shares:
+            share.result()
+
+
+def _look_in_turn(envs: list[StagedEnv]) -> None:
+    for env in envs:
+        env.look()
+
+
+def _single(seed: Any) -> bool:
+    return seed is None or isinstance(seed, int | np.integer)
+
+
+def _of(path: str, **defaults: Any) -> Callable[..., StagedVectorEnv]:
+    """The vector entry point of the environment class at ``module:name``."""
+
+    def make(**keywords: Any) -> StagedEnv:
+        module, name = path.split(":")
+        return getattr(import_module(module), name)(**defaults, **keywords)
+
+    return partial(StagedVectorEnv, make)
+
+
+# An image is one thread's work here: the threads share the environments instead.
+pointnav = _of("vssm_gym.envs.pointnav:PointNavEnv", threads=1)
+imagenav = _of("vssm_gym.envs.imagenav:ImageNavEnv", threads=1)
+explore = _of("vssm_gym.envs.explore:ExploreEnv", threads=1)
