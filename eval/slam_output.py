@@ -30,6 +30,7 @@ from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
 STATS, REPORT = "stats.json", "report.html"
+MOST_OUTSIDE = 0.5  # share of the readings outside the map that is worth a warning
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
     "the images, MAP, Laplace and velocity; map: the closed-form update, and moving the window where the camera leaves "
@@ -150,15 +151,16 @@ def summarise(
 
 
 def notices(run: SlamRun) -> tuple[str, ...]:
-    """What was wrong with the input, and with the map's storage, a sentence each."""
-    table = run.map.table
-    refused = 0 if table is None else int(table.refused)
-    if not refused:
-        return run.notices
-    return (
-        *run.notices,
-        f"the map's storage is full: {refused:,} observations of blocks were left out; use larger voxels",
-    )
+    """What was wrong with the input, and with the map's size and storage, a sentence each."""
+    found = list(run.notices)
+    outside = 1.0 - float(np.median([frame.in_grid for frame in run.frames]))
+    if outside > MOST_OUTSIDE:
+        why = "a larger --extent, or a depth scale that is wrong in camera.json"
+        found.append(f"{outside:.0%} of the depth readings lie outside the map's cube (median over frames): {why}?")
+    refused = 0 if run.map.table is None else int(run.map.table.refused)
+    if refused:
+        found.append(f"the map's storage is full: {refused:,} observations of blocks were left out; use larger voxels")
+    return tuple(found)
 
 
 def latency(frames: tuple[TrackedFrame, ...]) -> dict[str, dict[str, float]]:

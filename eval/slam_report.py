@@ -54,8 +54,8 @@ def page(
         _notices(stats["notices"]),
         _lost(run),
         "<h2>Trajectory</h2>",
-        f"<p class=note>Drawn in {escape(display.note)}. The ellipses hold 95 % of the position, drawn "
-        f"{magnified:g} times larger than they are.</p>",
+        f"<p class=note>Drawn in {escape(display.note)}. The ellipses hold 95 % of the position"
+        f"{'' if magnified == 1.0 else f', drawn {magnified:g} times larger than they are'}.</p>",
         _image(path_picture, "image/svg+xml", "trajectory from above and from the side"),
         _errors(stats["errors"]),
         "<h2>Velocity</h2>",
@@ -65,8 +65,8 @@ def page(
         _image(states.velocity(run, truth), "image/webp", "velocity over time with its band"),
         "<h2>Uncertainty of the pose</h2>",
         "<p class=note>Std of the pose in the camera's own axes: how well each image fixes it in what was mapped so "
-        "far, and how far the map itself may have drifted from the first frame. Drift grows where new space comes into "
-        "view; nothing makes it smaller.</p>",
+        "far, and how far the map itself may have drifted from the first frame. Drift grows most where new space comes "
+        "into view; nothing makes it smaller.</p>",
         _image(states.pose_std(run), "image/webp", "std of the pose over time"),
         _calibration(run, truth, stats["calibration"]),
         "<h2>Rendered against observed</h2>",
@@ -140,7 +140,7 @@ def _in_band(found: dict[str, Any] | None) -> str:
 
 def _calibration(run: SlamRun, truth: Truth | None, found: dict[str, Any] | None) -> str:
     if truth is None or not found:
-        return "<p class=note>Calibration needs ground truth.</p>"
+        return "<p class=note>Calibration needs ground truth of ten tracked frames at least.</p>"
     raw = states.calibrations(run, truth)
     scale = {name: calibration.fit_scale({name: c}) for name, c in raw.items()}
     scaled = {f"{name}, x {scale[name]:.3g}": c.scaled(scale[name]) for name, c in raw.items()}
@@ -249,7 +249,7 @@ def _errors(errors: dict[str, Any] | None) -> str:
     if errors is None:
         return "<p class=note>The sequence has no ground truth.</p>"
     if "impossible" in errors:
-        return f"<p class=bad>No errors: {escape(errors['impossible'])}.</p>"
+        return f"<p class=bad>Errors cannot be computed: {escape(errors['impossible'])}.</p>"
     lines = [
         [label, unit, *(f"{errors[name][statistic]:.4f}" for statistic in STATISTICS)]
         for label, unit, name in ERRORS

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -20,6 +20,7 @@ from vssm_gym.inference.prism import PrismConfig
 from vssm_gym.inference.tracking import observe
 from vssm_gym.voxel_map import VoxelMap
 
+PATIENCE = 3  # frames that may not fit the first one before the map starts anew
 AHEAD = 4  # images that are read while the filter works
 MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
 MAX_CELLS = 1_000_000_000  # a cell of a sparse cube costs a tenth of a byte until something is seen there
@@ -37,7 +38,7 @@ class SlamOptions:
     voxel: float = 0.07  # m
     extent: float = 14.0  # m: edge of the cube that is mapped, around the first camera
     solver: str = "gauss_newton"  # of the pose, a key of prism.SOLVERS
-    samples: int = 1  # of the pose in the map update; from 2 on the map's uncertainty reaches the pose too
+    samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty reaches the pose too
     seed: int = 0
     render_width: int = 160  # pixels: images are tracked at about this width
 
@@ -57,10 +58,10 @@ class SlamOptions:
             )
         if self.solver not in prism.SOLVERS:
             raise InputError("slam", "solver", f"one of {', '.join(prism.SOLVERS)}, not {self.solver!r}")
-        if not 1 <= self.samples <= 16:
-            raise InputError("slam", "samples", f"between 1 and 16, not {self.samples}")
-        if self.seed < 0:
-            raise InputError("slam", "seed", f"at least 0, not {self.seed}")
+        if not 1 <= self.samples <= 15 or self.samples % 2 == 0:
+            raise InputError("slam", "samples", f"an odd number between 1 and 15, not {self.samples}")
+        if not 0 <= self.seed < 2**32:
+            raise InputError("slam", "seed", f"between 0 and 2^32 - 1, not {self.seed}")
         if not SMALLEST[0] <= self.render_width <= LARGEST[0]:
             raise InputError(
                 "slam", "render-width", f"between {SMALLEST[0]} and {LARGEST[0]} pixels, not {self.render_width}"
@@ -180,8 +181,8 @@ def run_slam(
 ) -> SlamRun:
     """Track and map a sequence, frame by frame.
 
-    The world is the first camera's frame and the map a cube around it. Frames before the first one with depth are lost:
-    there is nothing to start from.
+    The world is the first camera's frame and the map a cube around it. Frames before the first one that can be read
+    are lost, and so are those before a new start: see ``_Tracker``.
 
     Args:
         sequence: the recording.
@@ -200,7 +201,10 @@ def run_slam(
         asked = time.perf_counter()
         for index, (rgb, depth, read_s) in zip(indices, images, strict=True):
             wait_s = time.perf_counter() - asked
+            started = tracker.start
             frame = tracker.frame(index, sequence.frames[index].time, rgb, depth, read_s, wait_s)
+            if tracker.start != started:  # what came before belongs to a map that is no more
+                frames = [replace(one, status=prism.LOST) if one.index == started else one for one in frames]
             frames.append(frame)
             if on_frame:
                 on_frame(frame)
@@ -208,8 +212,9 @@ def run_slam(
                 progress("tracking and mapping", len(frames), len(indices))
             asked = time.perf_counter()
     if tracker.state is None:
-        raise InputError(sequence.root, "depth", "readings; every pixel of every frame has none")
-    notices = (*sequence.notices, *reader.notices)
+        share = f"{tracker.config.min_reading:.0%}"
+        raise InputError(sequence.root, "depth", f"a frame with readings at {share} of its pixels; none has")
+    notices = (*sequence.notices, *reader.notices, *tracker.notices)
     return SlamRun(tuple(frames), tracker.state.map, reader, notices)
 
 
@@ -228,12 +233,19 @@ class _Stages:
 
 
 class _Tracker:
-    """The filter's state between frames; ``None`` before the first frame with depth."""
+    """The filter's state between frames; ``None`` before the first frame that can be read.
+
+    A map that starts from a bad image (too dark, hardly any depth, something in front of the camera) fits nothing that
+    follows: where none of ``PATIENCE`` readable frames fits the first one, the map starts anew.
+    """
 
     def __init__(self, options: SlamOptions, camera: Camera) -> None:
         self.options, self.config, self.camera = options, options.prism, camera
         self.state: prism.PrismState | None = None
+        self.notices: list[str] = []
         self.stamp = 0.0  # s, of the last frame
+        self.start = 0  # the frame that the map started from
+        self._misses: int | None = 0  # frames that did not fit since then; None: one did
         self._compiled: set[str] = set()  # stages that ran
         v, u = np.mgrid[
             2 : camera.height : 4, 2 : camera.width : 4
@@ -247,17 +259,24 @@ class _Tracker:
         start, stages = time.perf_counter(), _Stages()
         info = None
         status = prism.OK
-        if self.state is not None:
-            image, dt = observe(rgb, depth), stamp - self.stamp
-            self.state, info = prism.step(self.state, image, dt, self.camera, self.config, clock=stages)
-            jax.block_until_ready(self.state)
+        image = observe(rgb, depth)
+        if self.state is not None and (self._misses is None or self._misses < PATIENCE):
+            self.state, info = prism.step(self.state, image, stamp - self.stamp, self.camera, self.config, clock=stages)
             status = info.status
-        elif (depth > 0.0).any():
+            if status in (prism.OK, prism.RECOVERED):
+                self._misses = None
+            elif status == prism.LOST and self._misses is not None:
+                self._misses += 1
+        elif prism.readable(image, self.config):
+            if self.state is not None:
+                text = f"frames {self.start} to {index - 1}: none fits the first; the map starts anew at frame {index}"
+                self.notices.append(text)
             key = jax.random.key(self.options.seed)
-            self.state = prism.init(self.options.prior(), observe(rgb, depth), self.camera, self.config, key)
-            jax.block_until_ready(self.state)
+            self.state = prism.init(self.options.prior(), image, self.camera, self.config, key)
+            self.start, self._misses = index, 0
         else:
             status = prism.NO_READING
+        jax.block_until_ready(self.state)
         step_s = time.perf_counter() - start
         self.stamp = stamp
         warm = info is not None and stages.seconds.keys() <= self._compiled

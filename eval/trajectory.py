@@ -71,10 +71,12 @@ def align(p_est: Float[np.ndarray, "n 3"], p_true: Float[np.ndarray, "n 3"], wit
         InputError: fewer than three positions, or all on one line, where the rotation is not determined.
     """
     p_est, p_true = np.asarray(p_est, dtype=np.float64), np.asarray(p_true, dtype=np.float64)
+    if len(p_est) < 3:
+        raise InputError("trajectory alignment", "positions", f"at least three; found {len(p_est)}")
     mean_est, mean_true = p_est.mean(axis=0), p_true.mean(axis=0)
     x, y = p_est - mean_est, p_true - mean_true
     U, d, Vt = np.linalg.svd(y.T @ x / len(x))
-    if len(x) < 3 or d[1] <= 1e-12 * d[0] or d[0] == 0.0:
+    if d[1] <= 1e-12 * d[0] or d[0] == 0.0:
         raise InputError("trajectory alignment", "positions", "at least three that do not lie on one line")
     # Umeyama eq. 39: flip the least certain axis where the best orthogonal matrix would be a reflection.
     flip = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])

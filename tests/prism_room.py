@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from functools import cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +45,7 @@ def error(belief, T_room_cam: np.ndarray, T_room_world: np.ndarray | None = None
 
 def copy(state: PrismState) -> PrismState:
     """A state to step from twice: a step consumes what it is given."""
-    return jax.tree.map(lambda a: a.copy(), state)
+    return jax.tree.map(lambda a: a.copy() if eqx.is_array(a) else a, state)
 
 
 def start(config: PrismConfig = CONFIG, extent: float = EXTENT, seed: int = 0, first: RGBD | None = None) -> PrismState:

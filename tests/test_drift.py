@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from prism_room import CAMERA, image, start, walked
+from prism_room import CAMERA, CONFIG, image, start, walked
 from scipy.linalg import expm, logm
 
-from vssm_gym.inference import drift
+from vssm_gym.inference import drift, prism
 from vssm_gym.transition.rigid import RigidBelief, RigidState
 
 
@@ -48,24 +48,46 @@ def test_in_world_is_the_spread_of_a_pose_in_a_frame_that_errs(seed: int) -> Non
     np.testing.assert_array_equal(got.covariance[6:], belief_of(T, S).covariance[6:])
 
 
-def test_only_new_space_lets_the_frame_walk() -> None:
-    """Nothing where the map has seen everything, k Sigma in a map that has seen nothing, a share of it in between."""
-    state, infos = walked()
+def test_the_frame_walks_by_the_share_that_the_image_wrote() -> None:
+    """By hand: a quarter of the readings new, a quarter known as well as one image tells, half beyond the map."""
     before = 1e-6 * jnp.eye(6)
-    T = np.asarray(infos[-1].belief.state.T_world_body, float)
+    T = np.asarray(walked()[1][-1].belief.state.T_world_body, float)
     S = random_covariance(np.random.default_rng(0), 0.002)
-    here, seen = belief_of(np.eye(4), S), image(12)
-
-    def grown(m, relative) -> np.ndarray:
-        return np.asarray(drift.grow(before, m, relative, seen, CAMERA), float) - np.asarray(before, float)
-
-    blank = state.map.__class__.cube((0.0, 0.0, 0.0), 6.4, 0.08)
-    np.testing.assert_allclose(grown(blank, here), drift.ALIKE * S, rtol=1e-3, atol=1e-10)
-    # Through the trace in the body: carrying a covariance to the world makes it larger.
-    back = np.asarray(drift.se3_adjoint(drift.inverse(jnp.asarray(T, jnp.float32))), float)
-    known = np.trace(back @ grown(state.map, belief_of(T, S)) @ back.T) / np.trace(drift.ALIKE * S)
-    assert known < 0.1
-    partly = grown(start().map, belief_of(T, S))
-    assert 1.5 * known < np.trace(back @ partly @ back.T) / np.trace(drift.ALIKE * S) < 0.5
+    seen = image(12)
+    n = seen.hit[2::4, 2::4].size
+    assert bool(seen.hit.all())
+    old = jnp.repeat(jnp.asarray([0.01, 1.0, 7.0, 7.0]), n // 4, total_repeat_length=n)
+    new = jnp.repeat(jnp.asarray([1.01, 2.0, 7.0, 7.0]), n // 4, total_repeat_length=n)
+    grown = np.asarray(drift.grow(before, old, new, belief_of(T, S), seen), float) - np.asarray(before, float)
+    carry = np.asarray(drift.se3_adjoint(jnp.asarray(T, jnp.float32)), float)
+    expected = drift.ALIKE * (0.25 * (1.0 - 0.01 / 1.01) + 0.25 * 0.5) * carry @ S @ carry.T
+    np.testing.assert_allclose(grown, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
     none = jax.tree.map(jnp.zeros_like, seen)
-    np.testing.assert_array_equal(drift.grow(before, state.map, here, none, CAMERA), before)
+    np.testing.assert_array_equal(drift.grow(before, old, new, belief_of(T, S), none), before)
+
+
+def shares(frames, rate: float) -> np.ndarray:
+    """``k nu`` of each step, from the growth of the drift seen from the body and the pose's own covariance."""
+    state, found = start(), []
+    for k in frames:
+        before = np.asarray(state.drift, float)
+        state, info = prism.step(state, image(k), 1.0 / rate, CAMERA, CONFIG)
+        assert info.status == prism.OK
+        back = np.asarray(drift.se3_adjoint(drift.inverse(state.past.T_world_cam)), float)
+        grown = back @ (np.asarray(state.drift, float) - before) @ back.T
+        found.append(np.trace(grown[:3, :3]) / np.trace(np.asarray(state.past.belief.covariance, float)[:3, :3]))
+    return np.array(found)
+
+
+def test_a_camera_that_stands_still_soon_walks_no_more() -> None:
+    """The n-th image of one place writes 1/n of it at most (cells at the image's rim are written by fewer)."""
+    still = shares([0] * 40, 10.0) / drift.ALIKE
+    assert (still <= 1.05 / np.arange(2, 42)).all()
+    assert still[-10:].sum() < 0.3
+
+
+def test_new_space_counts_whole_whatever_the_rate() -> None:
+    """The same walk in steps of a half and of a third: the walk of the map's frame is that of the way, not of time."""
+    coarse, fine = shares(np.arange(2.0, 25.0, 2.0), 5.0), shares(np.arange(1.0, 25.0, 1.0), 10.0)
+    assert coarse.sum() / drift.ALIKE > 1.0
+    assert fine.sum() == pytest.approx(coarse.sum(), rel=0.5)

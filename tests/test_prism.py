@@ -1,6 +1,7 @@
 """PRISM in a room known in closed form: the five steps of the filter, each against what it must be."""
 
 import logging
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, start, true_pose, walk, walked
 
+from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse, se3_log
-from vssm_gym.inference import prism, process_noise
+from vssm_gym.inference import camera_filter, prism, process_noise
+from vssm_gym.inference.camera_filter import Tracked
 from vssm_gym.inference.prism import OK, PrismConfig, PrismState
-from vssm_gym.transition.rigid import RigidBelief, predict
+from vssm_gym.transition.rigid import RigidBelief, RigidNoise, integrate, predict
 
 FRAMES = 12
 
@@ -39,10 +42,13 @@ def test_covariances_are_symmetric_and_positive() -> None:
         assert (scale < 1.0).all()
 
 
-def track(state: PrismState, prior: RigidBelief, unrest: process_noise.Level, k: float):
-    last = (state.last, state.T_world_last)
-    arguments = (jnp.zeros(6), jnp.float32(DT), last, state.anchor, image(k), CAMERA, state.key, CONFIG)
-    return prism._track(prior, unrest, *arguments)
+def track(
+    state: PrismState, k: float, control: jax.Array | None = None, config: PrismConfig = CONFIG, **past
+) -> Tracked:
+    """The image ``k`` with the state's past, parts of it replaced."""
+    before = replace(state.past, **past)
+    acceleration = jnp.zeros(6) if control is None else control
+    return camera_filter.track(before, acceleration, jnp.float32(DT), state.anchor, image(k), CAMERA, state.key, config)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -53,17 +59,17 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
     12 x 12 algebra with neither a split nor a conditional in it.
     """
     state, _ = walked(FRAMES)
-    prior = state.belief
+    prior = state.past.belief
     if seed:  # any correlations between pose and velocity, about as wide as the filter's
         root = np.random.default_rng(seed).standard_normal((12, 16)) / 4.0
         scale = np.repeat([0.01, 0.01, 0.2, 0.3], 3)
         prior = RigidBelief(prior.state, jnp.asarray((root @ root.T) * np.outer(scale, scale), jnp.float32))
-    tracked = track(state, prior, state.unrest, FRAMES + 1)
-    predicted = predict(prior, jnp.zeros(6), jnp.float32(DT), process_noise.scaled(CONFIG.noise, state.unrest))
+    tracked = track(state, FRAMES + 1, belief=prior)
+    predicted = predict(prior, jnp.zeros(6), jnp.float32(DT), process_noise.scaled(CONFIG.noise, state.past.unrest))
     P = np.asarray(predicted.covariance, float)
     P_pose = np.linalg.inv(P[:6, :6])
     laplace = np.linalg.inv(2.0 * np.asarray(tracked.agreement.information, float) + P_pose)
-    smoothed = CONFIG.smoothing * np.asarray(prior.covariance, float)[:6, :6] + (1 - CONFIG.smoothing) * laplace
+    smoothed = CONFIG.smoothing * np.asarray(state.past.laplace, float) + (1 - CONFIG.smoothing) * laplace
     # Multiply N(predicted) by a factor of the pose alone that turns its marginal into the smoothed Gaussian.
     precision = np.linalg.inv(P)
     precision[:6, :6] += np.linalg.inv(smoothed) - P_pose
@@ -82,11 +88,9 @@ def test_an_overwhelming_prior_holds_the_pose() -> None:
     """Step 2 is MAP: a prior surer than all pixels keeps its mean, a vague one gives way to the images."""
     state, _ = walked(FRAMES)
     sure = np.diag(np.repeat([1e-7, 1e-7, 1e-9, 1e-9], 3)) ** 2
-    noise = PrismConfig(noise=prism.RigidNoise(1e-7, 1e-7, 1e-7, 1e-7))
-    last = (state.last, state.T_world_last)
-    prior = RigidBelief(state.belief.state, jnp.asarray(sure + 1e-14 * np.eye(12), jnp.float32))
-    arguments = (jnp.zeros(6), jnp.float32(DT), last, state.anchor, image(FRAMES), CAMERA, state.key, noise)
-    held = prism._track(prior, process_noise.full(), *arguments)
+    noise = PrismConfig(noise=RigidNoise(1e-7, 1e-7, 1e-7, 1e-7))
+    prior = RigidBelief(state.past.belief.state, jnp.asarray(sure + 1e-14 * np.eye(12), jnp.float32))
+    held = track(state, FRAMES, config=noise, belief=prior, unrest=process_noise.full())
     moved = inverse(held.predicted.state.T_world_body) @ held.belief.state.T_world_body
     assert np.abs(np.asarray(se3_log(moved))).max() < 1e-4
     assert error(held.predicted, true_pose(FRAMES))[0] > 0.01  # a step further on than the image
@@ -121,11 +125,11 @@ def test_velocity_is_in_its_band_on_a_path_of_constant_velocity() -> None:
 
 def test_a_steady_hand_narrows_the_prior_and_a_jerk_widens_it() -> None:
     state, _ = walked(FRAMES)
-    assert (np.asarray(state.unrest) < 0.8).all()
-    steady = track(state, state.belief, state.unrest, FRAMES + 1)
-    jerked = track(state, state.belief, state.unrest, FRAMES + 4)
+    assert (np.asarray(state.past.unrest) < 0.8).all()
+    steady = track(state, FRAMES + 1)
+    jerked = track(state, FRAMES + 4)
     assert (np.asarray(jerked.unrest) > np.asarray(steady.unrest)).all()
-    doubtful = track(state, state.belief, process_noise.full(), FRAMES + 1)
+    doubtful = track(state, FRAMES + 1, unrest=process_noise.full())
     by = [np.sqrt(np.diag(np.asarray(t.belief.covariance, float))[6:]) for t in (steady, doubtful)]
     assert (by[0] < by[1]).all()
     # Both take the jerk, which the images show, for what it is.
@@ -135,12 +139,18 @@ def test_a_steady_hand_narrows_the_prior_and_a_jerk_widens_it() -> None:
 def test_a_known_acceleration_is_added() -> None:
     """The control moves the prediction as the transition says, and nothing else."""
     state, _ = walked(FRAMES)
+    state_before = copy(state)
     control = jnp.asarray([0.1, -0.2, 0.05, 0.0, 0.1, 0.0])
     _, with_it = prism.step(copy(state), image(FRAMES + 1), DT, CAMERA, CONFIG, control)
     _, without = prism.step(state, image(FRAMES + 1), DT, CAMERA, CONFIG)
     assert with_it.status == without.status == OK
-    change = np.asarray(with_it.belief.state.velocity - without.belief.state.velocity)
-    assert 0.0 < np.abs(change).max() < np.abs(np.asarray(control)).max() * DT
+    change = np.asarray(with_it.belief.state.velocity - without.belief.state.velocity, float)
+    along = change @ np.asarray(control, float) / np.linalg.norm(control)
+    assert 0.0 < along < np.linalg.norm(control) * DT  # less: the image has its say
+    predicted = track(state_before, FRAMES + 1, control).predicted.state
+    expected = integrate(state_before.past.belief.state, control, jnp.float32(DT))
+    np.testing.assert_allclose(predicted.T_world_body, expected.T_world_body, atol=1e-6)
+    np.testing.assert_allclose(predicted.velocity, expected.velocity, atol=1e-6)
 
 
 # The map
@@ -177,8 +187,8 @@ def test_an_uncertain_pose_teaches_the_map_less() -> None:
     seen = image(FRAMES)
     gained = []
     for config, std in ((CONFIG, 0.0), (EXPECTED, 0.002), (EXPECTED, 0.02), (EXPECTED, 0.06)):
-        covariance = state.belief.covariance.at[:6, :6].set(std**2 * jnp.eye(6))
-        posterior = RigidBelief(state.belief.state, covariance)
+        covariance = state.past.belief.covariance.at[:6, :6].set(std**2 * jnp.eye(6))
+        posterior = RigidBelief(state.past.belief.state, covariance)
         m = jax.tree.map(jnp.copy, state.map)
         m = prism._mapped(m, seen, posterior, CAMERA, jax.random.key(3), config)
         gained.append(
@@ -186,6 +196,37 @@ def test_an_uncertain_pose_teaches_the_map_less() -> None:
         )
     assert gained == sorted(gained, reverse=True)
     assert gained[-1] < 0.9 * gained[0]
+
+
+@pytest.mark.parametrize("samples", [3, 5, 9])
+def test_samples_of_the_pose_have_its_mean_and_covariance(samples: int) -> None:
+    """The mean exactly, whatever the draw; the second moment over many draws."""
+    state, _ = walked(FRAMES)
+    std = jnp.asarray([0.02, 0.01, 0.03, 0.02, 0.04, 0.01])
+    belief = state.past.belief
+    belief = RigidBelief(belief.state, belief.covariance.at[:6, :6].set(jnp.diag(std**2)))
+    T_inverse = inverse(belief.state.T_world_body)
+    drawn = []
+    for key in jax.random.split(jax.random.key(0), 300):
+        poses = prism._draw_poses(belief, key, samples)
+        assert poses.shape == (samples, 4, 4)
+        drawn.append(np.asarray(jax.vmap(lambda T: se3_log(T_inverse @ T))(poses), float))
+    errors = np.array(drawn) / np.asarray(std)
+    np.testing.assert_allclose(errors.mean(axis=1), 0.0, atol=2e-3)
+    second = np.einsum("dsi,dsj->ij", errors, errors) / errors[..., 0].size
+    np.testing.assert_allclose(second, np.eye(6), atol=5.0 * np.sqrt(2.0 / (300 * (samples - 1) / 2)))
+
+
+@pytest.mark.parametrize("samples", [0, 2, 4, -1])
+def test_an_even_number_of_samples_is_refused(samples: int) -> None:
+    with pytest.raises(InputError, match="odd"):
+        PrismConfig(samples=samples)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.1, float("nan"), float("inf")])
+def test_time_must_pass(dt: float) -> None:
+    with pytest.raises(InputError, match="dt"):
+        prism.step(walked(FRAMES)[0], image(FRAMES + 1), dt, CAMERA, CONFIG)
 
 
 def test_the_anchor_serves_until_the_camera_has_left_it() -> None:
@@ -235,7 +276,7 @@ def test_the_same_seed_gives_the_same_bytes(solver: str) -> None:
         assert error(info.belief, true_pose(2))[0] < 0.02
         ends.append(state)
     assert same_map(ends[0].map, ends[1].map)
-    poses = [np.asarray(end.belief.state.T_world_body).tobytes() for end in ends]
+    poses = [np.asarray(end.past.T_world_cam).tobytes() for end in ends]
     assert poses[0] == poses[1]
     assert (poses[0] == poses[2]) == (solver == "gauss_newton")
 

@@ -1,12 +1,15 @@
 """What befalls a hand-held camera: none of it is fatal, none is silent, and none gets into the map."""
 
+from functools import cache
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from analytic_room import camera_pose
-from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, true_pose, walked
+from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, start, true_pose, walked
 
 from vssm_gym.emission import RGBD, render
+from vssm_gym.errors import InputError
 from vssm_gym.inference import prism
 from vssm_gym.inference.prism import LOST, NO_READING, OK, RECOVERED, STATUS, PrismState
 from vssm_gym.inference.tracking import observe
@@ -43,8 +46,18 @@ def check_map(state: PrismState, k: float) -> None:
     assert np.quantile(off, 0.9) < 0.06
 
 
+@cache
+def undisturbed() -> np.ndarray:
+    """Stds of pose and velocity of a walk to which nothing happened."""
+    return stds(walked(WALKED)[1][-1])
+
+
+def stds(info: prism.PrismInfo) -> np.ndarray:
+    return np.sqrt(np.diag(np.asarray(info.belief.covariance, float)))
+
+
 def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
-    """From frame ``k`` on the camera is tracked as if nothing had been, and the map is whole."""
+    """From frame ``k`` on the camera is tracked as if nothing had been, as surely, and the map is whole."""
     for j in range(k, k + frames):
         state, info = step(state, image(j))
         assert info.status in TRACKED, f"frame {j}: {STATUS[info.status]}"
@@ -52,6 +65,7 @@ def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
         assert metres < 0.02
         assert degrees < 1.0
     assert info.status == OK
+    assert (stds(info)[:6] < 2.5 * undisturbed()[:6]).all(), stds(info) / undisturbed()
     check_map(state, k + frames - 1)
 
 
@@ -77,6 +91,56 @@ def test_images_without_a_reading(what: str, frames: int) -> None:
         assert spread < (spread := float(jnp.trace(info.belief.covariance[:3, :3])))
     assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 1 + frames)
+
+
+@pytest.mark.parametrize("pixels", [1, 10, 100])
+def test_next_to_no_depth_is_no_reading(pixels: int) -> None:
+    """So few readings fit anywhere: they move neither pose nor map."""
+    state, infos = walked(WALKED)
+    before, stood = copy(state).map, np.asarray(infos[-1].belief.state.T_world_body)
+    few = np.zeros(60 * 80, bool)
+    few[np.random.default_rng(0).permutation(60 * 80)[:pixels]] = True
+    kept = jnp.asarray(few.reshape(60, 80))
+    for k in range(WALKED + 1, WALKED + 6):
+        seen = image(k)
+        state, info = step(state, RGBD(seen.depth * kept, seen.rgb, seen.hit & kept, seen.known & kept))
+        assert info.status == NO_READING
+        np.testing.assert_array_equal(np.asarray(info.belief.state.T_world_body), stood)
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 6)
+
+
+@pytest.mark.parametrize("gain", [0.3, 0.5, 1.7, 2.2])
+def test_a_camera_that_changes_its_exposure(gain: float) -> None:
+    """At once and by so much: tracked, and the map keeps the brightness it had."""
+    state, _ = walked(WALKED)
+    for k in range(WALKED + 1, WALKED + 6):
+        seen = image(k)
+        state, info = step(state, RGBD(seen.depth, jnp.clip(gain * seen.rgb, 0.0, 1.0), seen.hit, seen.known))
+        assert info.status == OK
+        assert error(info.belief, true_pose(k))[0] < 0.02
+    T = jnp.asarray(np.linalg.inv(true_pose(0)) @ true_pose(WALKED), jnp.float32)
+    seen = render(state.map, T, CAMERA, CONFIG.update.max_depth)
+    known = np.asarray(seen.known)
+    bright = np.asarray(seen.rgb)[known].mean() / np.asarray(image(WALKED).rgb)[known].mean()
+    assert bright == pytest.approx(1.0, abs=0.12)
+    back_on_the_walk(state, WALKED + 6)
+
+
+@pytest.mark.parametrize(("frames", "dt"), [(50, 0.02), (10, 0.1), (2, 0.5)])
+def test_the_spread_of_a_lost_camera_grows_with_time_not_with_images(frames: int, dt: float) -> None:
+    """A second of darkness at an unknown speed of half a metre a second: half a metre, whatever the rate of images."""
+    state, _ = walked(WALKED)
+    for _ in range(frames):
+        state, info = step(state, black(), dt)
+    sigma = np.sqrt(np.diag(np.asarray(info.belief.covariance, float))[:3])
+    assert (sigma > 0.3).all() and (sigma < 0.65).all()
+
+
+def test_a_map_cannot_start_from_an_image_without_depth() -> None:
+    for unreadable in (black(), without_depth(image(0))):
+        with pytest.raises(InputError, match="depth at 5%"):
+            start(first=unreadable)
 
 
 @pytest.mark.parametrize(

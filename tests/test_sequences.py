@@ -9,8 +9,10 @@ import pytest
 from analytic_room import camera_pose
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from vssm_gym.camera import Camera
+from vssm_gym.data.images import depth_image
 from vssm_gym.data.sequences import DEPTH_SCALE, FrameReader, SequenceWriter, distort, load_sequence
 from vssm_gym.errors import InputError
 
@@ -173,6 +175,20 @@ def test_an_impossible_camera_is_refused(folder: Path, change: dict) -> None:
     stored = {**json.loads(path.read_text()), **change}
     path.write_text(json.dumps({k: v for k, v in stored.items() if v is not None}))
     assert_refused(path, "content", lambda: load_sequence(folder))
+
+
+def test_a_camera_of_another_size_is_refused(folder: Path) -> None:
+    """A principal point of 640x480 in a file that states the images' own size."""
+    path = folder / "camera.json"
+    stored = json.loads(path.read_text()) | {"K": [[525.0, 0, 319.5], [0, 525.0, 239.5], [0, 0, 1]]}
+    path.write_text(json.dumps(stored))
+    assert_refused(path, "K", lambda: load_sequence(folder))
+
+
+def test_depth_of_eight_bits_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "depth.png"
+    Image.fromarray(np.full((12, 16), 200, np.uint8)).save(path)
+    assert_refused(path, "pixels", lambda: depth_image(path, None))
 
 
 @pytest.mark.parametrize(

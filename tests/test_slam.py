@@ -59,13 +59,19 @@ def frame_of(k: int) -> tuple[np.ndarray, np.ndarray]:
     return image_from(true_pose(k))
 
 
-def write_sequence(folder: Path, strange: int | None = None, blank: int = 0) -> Path:
-    """A TUM folder of the room; frame ``strange`` looks the other way, the first ``blank`` frames have no depth."""
+def write_sequence(
+    folder: Path, strange: int | None = None, blank: int = 0, first: tuple[np.ndarray, np.ndarray] | None = None
+) -> Path:
+    """A TUM folder of the room; frame ``strange`` looks the other way, the first ``blank`` frames have no depth.
+
+    ``first`` takes the place of the first image.
+    """
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = R_BODY_CAM
     writer = SequenceWriter(folder, CAMERA, T_body_cam)
     for k in range(FRAMES):
         rgb, depth = frame_of(k) if k != strange else image_from(camera_pose((0.3, 0.0, 1.2), 2.8, 0.4))
+        rgb, depth = (rgb, depth) if first is None or k else first
         writer.append(1000.0 + 0.1 * k, rgb, depth * (k >= blank), true_pose(k), np.zeros(0))
     writer.close()
     return folder
@@ -151,7 +157,7 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     code, table, _ = vssm("evaluate-trajectory", out / "trajectory.txt", recording / "groundtruth.txt")
     assert code == 0
     assert f"{FRAMES} pairs" in table
-    assert f"{stats['errors']['ate_translation_se3']['rmse']:.5f}" in table
+    assert f"{stats['errors']['ate_translation_se3']['rmse']:.6f}" in table
 
     page = (out / "report.html").read_text()
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
@@ -232,6 +238,29 @@ def test_the_map_starts_at_the_first_depth(tmp_path):
     np.testing.assert_array_equal(run.poses[:3], np.tile(np.eye(4), (3, 1, 1)))
     expected = inverse(true_pose(2)) @ true_pose(FRAMES - 1)
     assert np.linalg.norm(run.poses[-1, :3, 3] - expected[:3, 3]) < 0.02
+
+
+@pytest.mark.parametrize("first", ["a strip", "another place"])
+def test_a_map_that_starts_from_a_bad_image_starts_anew(tmp_path, first):
+    """Nothing fits it: after three readable frames the map starts again, and that is said."""
+    rgb, depth = frame_of(0)
+    bad = {
+        "a strip": (rgb, depth * (np.arange(80) < 8)),
+        "another place": image_from(camera_pose((0.2, 0.3, 1.2), 2.7, 0.4)),
+    }[first]
+    run = run_slam(load_sequence(write_sequence(tmp_path / "room", first=bad)), options())
+    assert run.lost.tolist() == [True] * 4 + [False] * (FRAMES - 4)
+    assert any("starts anew at frame 4" in notice for notice in run.notices)
+    expected = inverse(true_pose(4)) @ true_pose(FRAMES - 1)
+    assert np.linalg.norm(run.poses[-1, :3, 3] - expected[:3, 3]) < 0.02
+
+
+def test_a_black_first_image_with_depth_is_tracked_by_its_shapes(tmp_path):
+    rgb, depth = frame_of(0)
+    run = run_slam(load_sequence(write_sequence(tmp_path / "room", first=(0 * rgb, depth))), options())
+    assert not run.lost.any()
+    expected = inverse(true_pose(0)) @ true_pose(FRAMES - 1)
+    assert np.linalg.norm(run.poses[-1, :3, 3] - expected[:3, 3]) < 0.03
 
 
 def test_the_readings_outside_a_small_grid_are_counted(recording):
@@ -525,6 +554,8 @@ def test_reading_stops_when_nobody_asks():
         (("--solver", "newton"), "gauss_newton, adam"),
         (("--samples", "0"), "samples"),
         (("--seed", "-1"), "seed"),
+        (("--seed", "99999999999999999999"), "seed"),
+        (("--samples", "2"), "odd"),
         (("--intrinsics", "500,500,320"), "intrinsics"),
         (("--intrinsics", "a,b,c,d"), "intrinsics"),
         (("--intrinsics", "0,500,320,240"), "intrinsics"),
@@ -555,6 +586,30 @@ def test_missing_folders_and_files_are_named(vssm, recording, tmp_path):
     assert out.read_text() == "a file"
     code, _, err = vssm("slam", recording, "--out", out / "below", "--size", SIZE, *GRID)
     assert (code, "folder" in err) == (2, True)
+
+
+def test_a_truth_of_another_time_costs_nothing_but_the_errors(vssm, recording, tmp_path):
+    """Its stamps lie elsewhere: the map is made all the same, and the reason is said."""
+    source = tmp_path / "room"
+    shutil.copytree(recording, source)
+    truth = source / "groundtruth.txt"
+    rows = [line.split() for line in truth.read_text().splitlines() if not line.startswith("#")]
+    truth.write_text("".join(" ".join([str(float(row[0]) + 1e4), *row[1:]]) + "\n" for row in rows))
+    code, printed, err = vssm("slam", source, "--out", tmp_path / "out", "--size", SIZE, *GRID)
+    assert code == 0, err
+    assert "errors against the ground truth cannot be computed" in printed
+    assert names(tmp_path / "out") == FILES
+
+
+def test_readings_beyond_the_map_are_warned_of(vssm, recording, tmp_path):
+    """A depth scale five times too small puts the room's walls outside the cube."""
+    source = tmp_path / "room"
+    shutil.copytree(recording, source)
+    stored = json.loads((source / "camera.json").read_text())
+    (source / "camera.json").write_text(json.dumps(stored | {"depth_scale": stored["depth_scale"] / 5.0}))
+    code, _, err = vssm("slam", source, "--out", tmp_path / "out", "--size", SIZE, *GRID)
+    assert code == 0, err
+    assert "depth readings lie outside the map's cube" in err and "depth scale" in err
 
 
 def test_a_folder_with_other_content_is_left_alone(vssm, recording, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -61,7 +62,7 @@ def evaluate_trajectory(
         content = {"estimate": str(estimate), "truth": str(truth), "alignment": stated, **result}
         with atomic_write(json_file) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n")
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else 120)
     console.print(
         f"{result['pairs']} pairs of {len(times_est)} estimated and {len(times_true)} true poses, "
         f"stamps within {tolerance:g} s, alignment {stated}"
@@ -75,9 +76,9 @@ def _table(result: dict[str, Any], alignment: str) -> "Table":
 
     table = Table(box=None, pad_edge=False)
     table.add_column("error", no_wrap=True)
-    table.add_column("unit")
+    table.add_column("unit", no_wrap=True)
     for statistic in SHOWN:
-        table.add_column(statistic, justify="right")
+        table.add_column(statistic, justify="right", no_wrap=True, overflow="ignore")
     rows = [("ATE position", "m", f"ate_translation_{alignment}"), ("ATE rotation", "deg", f"ate_rotation_{alignment}")]
     for name in result:
         if match := re.fullmatch(r"rpe_(translation|rotation)_(\d+)", name):

@@ -45,7 +45,7 @@ def slam(
         extent: edge of the cube that is mapped around the camera, metres.
         intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of those that the folder states.
         solver: of the pose: gauss_newton, or adam as PRISM was published (slower).
-        samples: poses drawn for the map update; from 2 on, the uncertainties of pose and map reach each other.
+        samples: poses drawn for the map update, an odd number; from 3 on, pose and map hear of each other's doubts.
         seed: of what is drawn: the samples, and the pixels of adam.
         viewer: show the run as it happens in rerun (the extra vssm-gym[viz]).
     """
@@ -68,12 +68,14 @@ def slam(
     print_warnings(stats["notices"][len(recording.notices) :])
     step = stats["latency_ms"].get("whole step")
     speed = f", {step['p50']:.0f} ms a frame (median)" if step else ""
-    print(f"{stats['frames']} frames, {len(stats['lost'])} lost, {len(stats['found_again'])} found again{speed}")
+    lost, again = len(stats["lost"]), len(stats["found_again"])
+    print(f"{stats['frames']} frames, {lost} lost, {again} found again elsewhere{speed}")
     errors = stats["errors"] or {}
     if "impossible" in errors:
-        print(f"no errors against the ground truth: {errors['impossible']}")
+        print(f"errors against the ground truth cannot be computed: {errors['impossible']}")
     elif errors:
-        print(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment")
+        held = ", lost frames held where they were last" if lost else ""
+        print(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{held}")
     print(out / slam_output.REPORT)
 
 

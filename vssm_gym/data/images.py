@@ -15,7 +15,8 @@ def read_image(path: Path) -> np.ndarray:
     try:
         return iio.imread(path, plugin="pillow")
     except (OSError, ValueError, SyntaxError) as error:  # Pillow calls a broken PNG chunk a syntax error
-        raise InputError(path, "pixels", f"a readable image ({error})") from error
+        why = "not a PNG, JPEG or TIFF file" if "given uri" in str(error) else error
+        raise InputError(path, "pixels", f"a readable image ({why})") from error
 
 
 def colour_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
@@ -33,9 +34,14 @@ def depth_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
     """Depth as stored, one channel; ``size`` (width, height) is what it must have."""
     depth = read_image(path)
     _check_size(path, depth, size)
-    if depth.ndim != 2 or depth.dtype.kind not in "uif":
-        raise InputError(path, "pixels", "one 16-bit channel of depth")
+    if depth.ndim != 2 or depth.dtype.kind not in "uif" or depth.dtype.itemsize < 2:
+        raise InputError(path, "pixels", f"one channel of depth, 16 bits at least; found {_layout(depth)}")
     return depth
+
+
+def _layout(image: np.ndarray) -> str:
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    return f"{channels} of {8 * image.dtype.itemsize} bits"
 
 
 def _check_size(path: Path, image: np.ndarray, size: tuple[int, int] | None) -> None:

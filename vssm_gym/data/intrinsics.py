@@ -51,6 +51,7 @@ def read_calibration(root: Path, width: int, height: int, given: tuple[float, ..
         if stated != (width, height):
             found = f"found {stated[0]}x{stated[1]}"
             raise InputError(path, "width, height", f"the images' size, {width}x{height}; {found}")
+        _check_middle(calibration.camera, path, "K")
         return calibration
     for names, (pinhole, lens) in TUM_CAMERAS.items():
         if any(name in root.resolve().name for name in names):
@@ -64,11 +65,16 @@ def _as_given(given: tuple[float, ...], width: int, height: int) -> Calibration:
         raise InputError("--intrinsics", "values", "fx,fy,cx,cy or fx,fy,cx,cy,k1,k2,p1,p2,k3; fx and fy positive")
     fx, fy, cx, cy = map(float, given[:4])
     camera = Camera(width, height, fx, fy, cx, cy)
-    if not all(MIDDLE[0] <= share <= MIDDLE[1] for share in (cx / width, cy / height)):
-        size = f"{width}x{height}"
-        found = f"found cx, cy = {cx:g}, {cy:g}: intrinsics of another size?"
-        raise InputError("--intrinsics", "values", f"a principal point near the middle of the {size} images; {found}")
+    _check_middle(camera, "--intrinsics", "values")
     return Calibration(camera, np.array(given[4:] or (0.0,) * 5, dtype=float), DEPTH_SCALE, None)
+
+
+def _check_middle(camera: Camera, source: object, field: str) -> None:
+    cx, cy = float(camera.K[0, 2]), float(camera.K[1, 2])
+    if not all(MIDDLE[0] <= share <= MIDDLE[1] for share in (cx / camera.width, cy / camera.height)):
+        size = f"{camera.width}x{camera.height}"
+        found = f"found cx, cy = {cx:g}, {cy:g}: intrinsics of another size?"
+        raise InputError(source, field, f"a principal point near the middle of the {size} images; {found}")
 
 
 def _from_json(path: Path) -> Calibration:

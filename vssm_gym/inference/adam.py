@@ -54,11 +54,12 @@ def _rows(ref: Reference, obs: Observed) -> tuple[Array, Array, Array, Array]:
     """Reference and observation with a pixel's numbers side by side, so that a pixel is one gather, not eight.
 
     Returns:
-        ``(pixels, 8)`` reference rows (plane, image, textured), ``(pixels, 4)`` observed rows (point, luminance), the
-        observed pixels that can be used, first in a list as long as the image, and how many they are.
+        ``(pixels, 9)`` reference rows (plane, image, textured, spread), ``(pixels, 4)`` observed rows (point,
+        luminance), the observed pixels that can be used, first in a list as long as the image, and how many they are.
     """
     textured = ref.textured.astype(ref.image.dtype)
-    reference = jnp.concatenate([ref.plane, ref.image, textured[None]]).T
+    spread = jnp.zeros_like(textured) if ref.spread is None else ref.spread
+    reference = jnp.concatenate([ref.plane, ref.image, textured[None], spread[None]]).T
     observed = jnp.concatenate([obs.points, obs.luminance[None]]).T
     (usable,) = jnp.nonzero(obs.valid, size=obs.valid.shape[0], fill_value=0)
     return reference, observed, usable, jnp.sum(obs.valid)
@@ -67,7 +68,9 @@ def _rows(ref: Reference, obs: Observed) -> tuple[Array, Array, Array, Array]:
 def data_loss(
     T: Float[Array, "4 4"], reference: Array, observed: Array, camera: Camera, config: AdamConfig
 ) -> Float[Array, ""]:
-    """``sum_k |r_geo| / s_geo + |r_rgb|_1 / s_rgb`` over observed rows ``(n, 4)``, gated; see :func:`_rows`.
+    """``sum_k |r_geo| / hypot(s_geo, spread) + |r_rgb|_1 / s_rgb`` over observed rows ``(n, 4)``, gated.
+
+    Rows are those of :func:`_rows`.
 
     The image is luminance, because that is what the solvers share; a channel's residual is taken to be luminance's, so
     the L1 norm over the three channels is three times it. Association and gates are constants to the gradient.
@@ -80,12 +83,12 @@ def data_loss(
     i, j = (jnp.round(jax.lax.stop_gradient(a)) for a in (u, v))
     inside = ahead & (i >= 0) & (i < camera.width) & (j >= 0) & (j < camera.height)
     pixel = jnp.where(inside, j * camera.width + i, 0.0).astype(jnp.int32)
-    nx, ny, nz, offset, grey, du, dv, textured = reference.at[pixel].get(mode="promise_in_bounds").T
+    nx, ny, nz, offset, grey, du, dv, textured, spread = reference.at[pixel].get(mode="promise_in_bounds").T
     r_geo = jnp.abs(offset - (nx * q[0] + ny * q[1] + nz * q[2]))
     r_rgb = jnp.abs(grey + du * (u - i) + dv * (v - j) - p[3])
     near = inside & (r_geo < config.geo_gate) & (nx * nx + ny * ny + nz * nz > 0.5)
     alike = near & (textured > 0.5) & (r_rgb < config.rgb_gate)
-    return jnp.sum(near * r_geo) / config.geo_scale + 3.0 * jnp.sum(alike * r_rgb) / config.rgb_scale
+    return jnp.sum(near * r_geo / jnp.hypot(config.geo_scale, spread)) + 3.0 * jnp.sum(alike * r_rgb) / config.rgb_scale
 
 
 def minimise(
@@ -129,6 +132,7 @@ def align_adam(
     config: AlignConfig,
     key: PRNGKeyArray,
     adam: AdamConfig = AdamConfig(),
+    spread: Float[Array, "height width"] | None = None,
 ) -> tuple[Float[Array, "4 4"], AlignInfo]:
     """``argmin_xi L_geo + L_rgb + 1/2 xi^T P xi``, ``T_ref_cam = T_prior exp(B xi)``, as published.
 
@@ -143,11 +147,12 @@ def align_adam(
         config: Which reference depths are edges, and the scales by which agreement is judged at the end.
         key: Of the drawn pixels.
         adam: Scales, gates and effort of the search.
+        spread: Std of the reference's depth, m, where it is a belief; it widens s_geo.
 
     Returns:
         T_ref_cam and how well the images agree there, judged as for every solver.
     """
-    ref, obs = make_reference(reference, camera, config), make_observed(observed, camera)
+    ref, obs = make_reference(reference, camera, config, spread=spread), make_observed(observed, camera)
     ref_rows, obs_rows, usable, count = _rows(ref, obs)
     draws = jax.random.randint(key, (adam.steps, adam.pixels), 0, jnp.maximum(count, 1))
     some = (count > 0).astype(ref_rows.dtype)

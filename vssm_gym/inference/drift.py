@@ -1,10 +1,11 @@
 """Drift: alignment tells the pose against the map, and the map itself was placed by poses (ours, beyond PRISM).
 
-What an image adds to the map stands as uncertain in the world as its own pose does. The map's frame around the camera
-therefore walks at random, ``P <- P + k nu Ad_T Sigma Ad_T^T``, by the share ``nu`` of the image that is new; ``k`` says
-how many images in a row err alike, because they were aligned to one anchor. The walk is that of new space: while the
-camera looks at what it knows, nothing is added, and no revisit makes it smaller either. It stands in for the
-correlation between pose and map that the two marginal filters leave out.
+What an image writes into the map stands as uncertain in the world as its own pose does. The map's frame around the
+camera therefore walks at random, ``P <- P + k nu Ad_T Sigma Ad_T^T``, by the share ``nu`` of what the camera sees that
+this image wrote: of the precision of the map where its readings lie, ``nu = mean((lambda_t - lambda_t-1) / lambda_t)``.
+That is 1 in new space and 1/n where n images were before, so a camera that stands still soon walks no more, and no
+revisit makes the walk smaller either. ``k`` says how many images in a row err alike, because they were aligned to one
+anchor. It stands in for the correlation between pose and map that the two marginal filters leave out.
 """
 
 import jax
@@ -12,33 +13,41 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from vssm_gym.camera import Camera
-from vssm_gym.emission import KNOWN_SHARE, RGBD
+from vssm_gym.emission import RGBD
 from vssm_gym.geometry import inverse, se3_adjoint
 from vssm_gym.transition.rigid import RigidBelief
 from vssm_gym.voxel_map import VoxelMap
 
-ALIKE = 8.0  # k; fitted to three walks through one simulated apartment, and within 1.6 of right in two others
+ALIKE = 8.0  # k; simulated walks ask for 3 to 8, a real Kinect, whose depth errs alike everywhere, for many more
+
+
+@jax.jit
+def precision(m: VoxelMap, T_world_cam: Float[Array, "4 4"], image: RGBD, camera: Camera) -> Float[Array, "readings"]:
+    """``lambda`` of the map's occupancy (1/m^2) where the image's readings lie, of every fourth row and column."""
+    p_cam = camera.backproject(image.depth)[2::4, 2::4].reshape(-1, 3)
+    return m.precision(p_cam @ T_world_cam[:3, :3].T + T_world_cam[:3, 3])[:, 0]
 
 
 @jax.jit
 def grow(
-    drift: Float[Array, "6 6"], m: VoxelMap, relative: RigidBelief, image: RGBD, camera: Camera
+    drift: Float[Array, "6 6"],
+    before: Float[Array, "readings"],
+    after: Float[Array, "readings"],
+    relative: RigidBelief,
+    image: RGBD,
 ) -> Float[Array, "6 6"]:
-    """``P + k nu Ad_T Sigma Ad_T^T``, ``nu`` the share of the image's readings where the map has seen nothing yet.
+    """``P + k nu Ad_T Sigma Ad_T^T``, ``nu`` the share of the map in view that the image wrote.
 
     Args:
         drift: P, covariance of the map's frame in the world, in the world's tangent.
-        m: The map before the image enters it.
+        before: :func:`precision` of the map before the image entered it.
+        after: And after that.
         relative: The belief against the map; Sigma is its pose covariance.
         image: The image.
-        camera: Its intrinsics.
     """
-    p_cam = camera.backproject(image.depth)[2::4, 2::4].reshape(-1, 3)
-    T = relative.state.T_world_body
     read = image.hit[2::4, 2::4].reshape(-1)
-    unseen = m.observed_at(p_cam @ T[:3, :3].T + T[:3, 3]) < KNOWN_SHARE
-    share = jnp.sum(unseen & read) / jnp.maximum(jnp.sum(read), 1)
-    carry = se3_adjoint(T)
+    share = jnp.sum(read * (1.0 - before / after)) / jnp.maximum(jnp.sum(read), 1)
+    carry = se3_adjoint(relative.state.T_world_body)
     return drift + ALIKE * share * carry @ relative.covariance[:6, :6] @ carry.T
 
 

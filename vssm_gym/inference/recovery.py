@@ -16,6 +16,7 @@ from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.inference import gauss_newton
 from vssm_gym.inference.alignment import AlignConfig, AlignInfo, luminance, score
+from vssm_gym.inference.exposure import expose, gain
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -36,12 +37,16 @@ class Attempt(eqx.Module):
     """The best of several starts."""
 
     T_world_cam: Float[Array, "4 4"]
+    gain: Float[Array, ""]  # of the image: see :mod:`exposure`
     agreement: AlignInfo
     fits: Bool[Array, ""]
 
 
 @partial(jax.jit, static_argnums=4)
 def _align(T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, config: RecoveryConfig) -> Attempt:
+    # As bright as the rendering where both show something; the second time, from the right place, that is exact.
+    brightness = gain(luminance(rendered.rgb), luminance(image.rgb), rendered.known)
+    image = expose(image, brightness)
     std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
     identity = jnp.eye(4)
     T, info = gauss_newton.align(
@@ -52,7 +57,7 @@ def _align(T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, co
     contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
     limit = jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)
     fits = (score(info) >= config.min_score) & (info.photometric <= limit)
-    return Attempt(T_world_start @ T, info, fits)
+    return Attempt(T_world_start @ T, brightness, info, fits)
 
 
 def recover(
