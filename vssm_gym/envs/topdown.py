@@ -59,10 +59,10 @@ class TopDown:
         path: np.ndarray,
         robot: PlanarPose,
         robot_radius: float,
-        goal: np.ndarray,
+        goal: np.ndarray | None,
         goal_radius: float,
     ) -> np.ndarray:
-        """The plan with the path ``(n, 2)`` so far, the robot with its direction of view and the goal's disc.
+        """The plan with the path ``(n, 2)`` so far, the robot with its direction of view and the goal's disc if any.
 
         Returns:
             uint8 ``(height, width, 3)``.
@@ -70,9 +70,10 @@ class TopDown:
         width, height = self._size
         image = Image.fromarray(self.background).resize((width * _SMOOTH, height * _SMOOTH), Image.Resampling.NEAREST)
         pen = ImageDraw.Draw(image)
-        goal_at, radius = self.pixels(goal) * _SMOOTH, goal_radius * self._scale * _SMOOTH
-        pen.ellipse(_circle(goal_at, radius), outline=_GOAL, width=2 * _SMOOTH)
-        pen.ellipse(_circle(goal_at, 2.0 * _SMOOTH), fill=_GOAL)
+        if goal is not None:
+            goal_at, radius = self.pixels(goal) * _SMOOTH, goal_radius * self._scale * _SMOOTH
+            pen.ellipse(_circle(goal_at, radius), outline=_GOAL, width=2 * _SMOOTH)
+            pen.ellipse(_circle(goal_at, 2.0 * _SMOOTH), fill=_GOAL)
         if len(path) > 1:
             pen.line([tuple(p) for p in self.pixels(path) * _SMOOTH], fill=_PATH, width=2 * _SMOOTH, joint="curve")
         at, radius = self.pixels(robot[:2]) * _SMOOTH, max(robot_radius * self._scale, 4.0) * _SMOOTH
