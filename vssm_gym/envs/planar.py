@@ -20,6 +20,8 @@ from vssm_gym.envs.solids import SolidBox
 # over a million steps is smaller by some orders of magnitude.
 SKIN = 1e-6
 CONTACTS = 8  # walls that one step may slide along; what is left of the step after them is not driven
+_TOUCH = 1.0 + 1e-12  # squared distances up to this share of the squared radius touch: beyond it no rounding decides
+_LEAST = 1e-12  # m: a shorter push moves nothing, and none is so short that its square vanishes
 _PARALLEL = 1e-30  # a direction's smallest component: its inverse stays finite, and 0 times it is 0
 
 
@@ -81,6 +83,8 @@ def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: n
     grown = radius + SKIN
     touched = False
     for _ in range(CONTACTS):
+        if math.hypot(dx, dy) < _LEAST:
+            break
         first, normal_x, normal_y = 1.0, 0.0, 0.0
         for j in range(len(rectangles)):
             centre_x, centre_y, c, s, half_x, half_y = rectangles[j]
@@ -108,7 +112,7 @@ def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: n
 def _contact(x: float, y: float, dx: float, dy: float, half_x: float, half_y: float, grown: float) -> float:
     """Share of the way ``d`` after which the point meets the rectangle grown by a disc; inf where it does not."""
     away_x, away_y = _away(x, y, half_x, half_y)
-    if away_x * away_x + away_y * away_y <= grown * grown:
+    if away_x * away_x + away_y * away_y <= _TOUCH * grown * grown:
         # Touching already: the grown rectangle is convex, so a point that does not move inwards never enters it.
         inwards = away_x * dx + away_y * dy < 0.0
         return 0.0 if inwards else np.inf
