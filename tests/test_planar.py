@@ -102,11 +102,21 @@ def test_sliding_by_hand():
     assert touched and y == pytest.approx(0.6)
     x, y, touched = slide(x, y, -0.05, 0.0, RADIUS, BLOCK)
     assert not touched and x == pytest.approx(0.35 - RADIUS - SKIN)
-    # Head on against a corner: the normal is the diagonal, and nothing is left to slide along.
-    aim = 0.1 / math.sqrt(2.0)
-    x, y, touched = slide(0.4 - aim, 0.7 + aim, aim, -aim, RADIUS, BLOCK)
-    away = (RADIUS + SKIN) / math.sqrt(2.0)
-    assert touched and (x, y) == (pytest.approx(0.4 - away, abs=1e-9), pytest.approx(0.7 + away, abs=1e-9))
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.7])
+@pytest.mark.parametrize("east", [-1.0, 1.0])
+@pytest.mark.parametrize("north", [-1.0, 1.0])
+def test_a_corner_is_round_to_a_disc(turned, east, north):
+    """Head on against a corner of the block: the normal is the push itself, and nothing is left to slide along."""
+    c, s = math.cos(turned), math.sin(turned)
+    block = np.array([[0.5, 0.5, c, s, 0.1, 0.2]])
+    corner = np.array([0.5, 0.5]) + np.array([[c, -s], [s, c]]) @ (0.1 * east, 0.2 * north)
+    out = np.array([[c, -s], [s, c]]) @ (0.8 * east, 0.6 * north)
+    start = corner + 0.1 * out
+    x, y, touched = slide(*start, *(-0.1 * out), RADIUS, block)
+    assert touched
+    np.testing.assert_allclose((x, y), corner + (RADIUS + SKIN) * out, atol=1e-9)
 
 
 def test_a_wedge_holds_a_disc_and_lets_it_out():
