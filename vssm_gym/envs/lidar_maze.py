@@ -183,7 +183,7 @@ class LidarMazeEnv(gym.Env[dict[str, Any], np.ndarray]):
         return observation, reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The plan with path, robot, goal region and the readings where the robot believes them: ``(480, 480, 3)``."""
+        """The plan with path, robot, goal region and the latest readings around the true pose: ``(480, 480, 3)``."""
         if self.render_mode is None or self.task is None:
             return None
         if self._plan is None:
