@@ -77,6 +77,15 @@ def test_its_tasks_are_all_pairs_of_the_grid_and_frozen(name):
 
 
 @pytest.mark.parametrize("name", MAZES)
+def test_frozen_geodesics_are_those_of_today(name):
+    sampler = load_maze(name).sampler
+    for task in load_maze(name).tasks.tasks[::30]:
+        made = sampler.task(task.start, task.goal, task.id)
+        assert made.geodesic == pytest.approx(task.geodesic, abs=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MAZES)
 def test_frozen_tasks_are_those_made_today(name):
     maze = load_maze(name)
     again = grid_tasks(maze)
