@@ -22,7 +22,7 @@ from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
 from vssm_gym.envs.sensors import CameraConfig, raycast_camera
-from vssm_gym.envs.simulation import STREAMS
+from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.survey import Waypoint, survey_route
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.errors import InputError
@@ -139,7 +139,7 @@ def _recording(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterat
 
 def _sensor_stream(seed: int) -> np.random.Generator:
     """The sensor's own random numbers, whatever the path and the drive use."""
-    return np.random.default_rng(np.random.SeedSequence(seed).spawn(len(STREAMS))[STREAMS.index("sensors")])
+    return seeded_streams(seed)["sensors"]
 
 
 def read_provenance(recording: Path) -> dict[str, Any]:

@@ -12,9 +12,10 @@ import numpy as np
 
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.coverage import Coverage
-from vssm_gym.envs.simulation import Simulation, choose
+from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.staged import Report, StagedEnv
 from vssm_gym.envs.tasks import MARGIN
+from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 
 STEP_COST, COVERAGE_REWARD = 0.005, 10.0

@@ -12,9 +12,10 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.axes import PlanarPose
-from vssm_gym.envs.simulation import EXTENT, Simulation, choose
+from vssm_gym.envs.simulation import EXTENT, Simulation
 from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet
+from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 
 STEP_COST, SUCCESS_REWARD = 0.01, 2.5

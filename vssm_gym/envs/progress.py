@@ -11,18 +11,21 @@ from scipy.sparse.csgraph import dijkstra
 
 from vssm_gym.envs.free_space import FreeSpace
 
-SPACING = 0.1  # m; obstacles grown by the robot's radius are thicker than any edge is long
+SPACING = 0.1  # m, for a radius of 0.1 m; obstacles grown by the robot's radius must be thicker than any edge is long
 _EDGES = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)]
 
 
 class GoalDistance:
-    """Distance to a goal through free space; :meth:`aim` costs some milliseconds, a call some microseconds."""
+    """Distance to a goal through free space; :meth:`aim` costs some milliseconds, a call some microseconds.
 
-    def __init__(self, free_space: FreeSpace) -> None:
+    ``spacing`` m lies between nodes; the longest edge is sqrt(5) times as long.
+    """
+
+    def __init__(self, free_space: FreeSpace, spacing: float = SPACING) -> None:
         low, high = np.split(np.array(free_space.region.bounds), 2)
-        shape = np.ceil((high - low) / SPACING).astype(int) + 1
-        self._origin, self._shape = low, shape
-        self._nodes = low + SPACING * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
+        shape = np.ceil((high - low) / spacing).astype(int) + 1
+        self._origin, self._shape, self._spacing = low, shape, spacing
+        self._nodes = low + spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
         self._free = free_space.contains(self._nodes)
         self._graph = self._edges()
         self._goal = np.zeros(2)
@@ -38,7 +41,7 @@ class GoalDistance:
             both = self._free[a] & self._free[b]
             rows.append(index[a][both])
             columns.append(index[b][both])
-            lengths.append(np.full(both.sum(), SPACING * np.hypot(dx, dy)))
+            lengths.append(np.full(both.sum(), self._spacing * np.hypot(dx, dy)))
         data = np.concatenate(lengths)
         return csr_array((data, (np.concatenate(rows), np.concatenate(columns))), shape=(index.size, index.size))
 
@@ -53,9 +56,9 @@ class GoalDistance:
     def __call__(self, xy: np.ndarray) -> float:
         """Metres from ``xy (2,)`` to the goal; inf where no node with a path to it is within two spacings."""
         straight = float(np.hypot(*(xy - self._goal)))
-        if straight <= SPACING:
+        if straight <= self._spacing:
             return straight
-        i, j = np.floor((xy - self._origin) / SPACING).astype(int)
+        i, j = np.floor((xy - self._origin) / self._spacing).astype(int)
         around = (slice(max(0, i - 1), max(0, i + 3)), slice(max(0, j - 1), max(0, j + 3)))
         nodes, distance = self._nodes[around], self._distance[around]
         return float(np.min(distance + np.linalg.norm(nodes - xy, axis=-1), initial=np.inf))

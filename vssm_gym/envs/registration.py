@@ -7,6 +7,7 @@ ENVIRONMENTS = {
     "vssm_gym/PointNav-v0": ("pointnav", "PointNavEnv", 500),  # 80 m at full speed
     "vssm_gym/ImageNav-v0": ("imagenav", "ImageNavEnv", 500),
     "vssm_gym/Explore-v0": ("explore", "ExploreEnv", 2000),  # 320 m at full speed
+    "vssm_gym/LidarMaze-v0": ("lidar_maze", "LidarMazeEnv", 1000),  # 20 m at full speed; the longest way is 4 m
 }
 
 

@@ -17,19 +17,14 @@ from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise, sensor_noise
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.stage import stage_of
+from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.topdown import TopDown
+from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 
-STREAMS = ("scene", "task", "dynamics", "sensors")  # one generator each, so that one's use never shifts another's
 EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
 PICTURE = 360  # pixels, height of a rendered picture and width of its plan
-
-
-def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> None:
-    """Raise :class:`InputError` naming ``source`` and ``field`` unless ``value`` is one of ``available``."""
-    if not any(value is one or (isinstance(value, str) and value == one) for one in available):
-        raise InputError(source, field, f"one of {', '.join(map(repr, available))}; found {value!r:.80}")
 
 
 class Simulation:
@@ -111,8 +106,7 @@ class Simulation:
     def seed(self, seed: int | None) -> None:
         """Restart all streams by a seed; without one they go on, or begin anywhere where there are none yet."""
         if seed is not None or not self.streams:
-            children = np.random.SeedSequence(seed).spawn(len(STREAMS))
-            self.streams = {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
+            self.streams = seeded_streams(seed)
             self._sensor = NoisySensor(self.sensor_noise, self.camera, self.streams["sensors"])
 
     def place(self, start: PlanarPose) -> None:

@@ -1,4 +1,4 @@
-"""Pydantic models on files that people bring: the first thing wrong becomes one `InputError`."""
+"""What people bring, files and keywords: the first thing wrong becomes one `InputError`."""
 
 from typing import Any, TypeVar
 
@@ -31,3 +31,9 @@ def validated(model: type[Model], data: Any, source: object, at: str = "") -> Mo
         found = repr(first["input"])
         found = found if len(found) <= 80 else f"{found[:77]}..."
         raise InputError(source, where or "content", f"{expected}; found {found}") from error
+
+
+def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> None:
+    """Raise `InputError` naming ``source`` and ``field`` unless ``value`` is one of ``available``."""
+    if not any(value is one or (isinstance(value, str) and value == one) for one in available):
+        raise InputError(source, field, f"one of {', '.join(map(repr, available))}; found {value!r:.80}")

@@ -158,4 +158,5 @@ def _of(path: str, **defaults: Any) -> Callable[..., StagedVectorEnv]:
 # An image is one thread's work here: the threads share the environments instead.
 pointnav = _of("vssm_gym.envs.pointnav:PointNavEnv", threads=1)
 imagenav = _of("vssm_gym.envs.imagenav:ImageNavEnv", threads=1)
+lidar_maze = _of("vssm_gym.envs.lidar_maze:LidarMazeEnv")
 explore = _of("vssm_gym.envs.explore:ExploreEnv", threads=1)

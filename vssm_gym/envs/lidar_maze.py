@@ -1,0 +1,222 @@
+"""LidarMaze: a noisy disc with a laser scanner drives through a maze of the unit square (SPEC 11).
+
+The plane has no physics beyond contact, so no simulator stands behind it: rays and sliding discs are solved exactly
+(:mod:`vssm_gym.envs.planar`). The robot acts ``(turn, s, stop)``, strays from every command by seeded noise, and sees
+ranges only. The tables of observation, action, reward and termination are in ``docs/envs/lidar_maze.md``.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from PIL import Image, ImageDraw
+
+from vssm_gym.axes import PlanarPose
+from vssm_gym.envs.maze_noise import RangeNoise, measure, motion_noise, range_noise
+from vssm_gym.envs.maze_objectives import Approach, Coverage
+from vssm_gym.envs.mazes import ROBOT, load_maze
+from vssm_gym.envs.planar import clearance, scan, slide
+from vssm_gym.envs.robots import ExecutionNoise, execute
+from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.staged import StagedEnv
+from vssm_gym.envs.streams import seeded_streams
+from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet
+from vssm_gym.envs.topdown import TopDown
+from vssm_gym.envs.validation import choose
+from vssm_gym.errors import InputError
+
+LONGEST = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
+STEP_COST, SUCCESS_REWARD = 0.001, 1.0
+PICTURE = 480  # pixels, height and width of a rendered picture
+_RAY = (236, 140, 40)
+
+
+class LidarMazeEnv(StagedEnv):
+    """One maze, one robot; see the module. Registered as ``vssm_gym/LidarMaze-v0``, truncated after 1000 steps.
+
+    Args:
+        scene: name of a built-in maze, path of a maze in our JSON format, or an :class:`Apartment` of the unit square.
+        noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
+        sensor_noise: how ranges err: the same names or a :class:`RangeNoise`.
+        beams: readings a scan, all around.
+        observe_pose: whether the observation holds the true pose (an oracle's privilege).
+        task: ``navigate`` to a goal, or ``explore``: visit every tile.
+        tasks: the tasks that ``reset`` draws from; by default all pairs of the maze's 5 x 5 grid. ``explore`` takes
+            their starts. A task passed in ``reset(options={"task": task})`` comes before both.
+        end_on: ``stop``: the episode ends when the agent says so, and success is judged there; ``reach``: it ends when
+            the task is done and ``stop`` means nothing.
+        reward: ``dense`` (metres gained, a cost a step, a prize for success) or ``sparse`` (success).
+        render_mode: ``rgb_array`` or None.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+
+    def __init__(
+        self,
+        scene: str | Path | Apartment = "rooms-v1",
+        noise: str | ExecutionNoise = "low",
+        sensor_noise: str | RangeNoise = "none",
+        beams: int = 64,
+        observe_pose: bool = False,
+        task: Literal["navigate", "explore"] = "navigate",
+        tasks: TaskSet | None = None,
+        end_on: Literal["stop", "reach"] = "stop",
+        reward: Literal["dense", "sparse"] = "dense",
+        render_mode: str | None = None,
+    ) -> None:
+        choose("LidarMaze", "task", task, ("navigate", "explore"))
+        choose("LidarMaze", "end_on", end_on, ("stop", "reach"))
+        choose("LidarMaze", "reward", reward, ("dense", "sparse"))
+        choose("LidarMaze", "render_mode", render_mode, (None, "rgb_array"))
+        if isinstance(beams, bool) or not isinstance(beams, int) or not 1 <= beams <= 4096:
+            raise InputError("LidarMaze", "beams", f"1 to 4096 readings a scan, not {beams!r}")
+        self.noise = motion_noise(noise)
+        self.sensor_noise = range_noise(sensor_noise)
+        self.observe_pose, self.end_on, self.reward, self.render_mode = observe_pose, end_on, reward, render_mode
+        self.maze = load_maze(scene)
+        self.robot, self.beams = ROBOT, beams
+        self.success_radius = SUCCESS * self.robot.body_length
+        self.tasks = self.maze.tasks if tasks is None else self._checked_set(tasks)
+        self.objective: Approach | Coverage = Coverage(self.maze.space)
+        if task == "navigate":
+            dense = reward == "dense"
+            self.objective = Approach(self.maze.space, self.robot.body_length, self.success_radius, dense)
+
+        turn, _, step = self.robot.limits
+        self.action_space = gym.spaces.Box(
+            np.array([-turn, 0.0, 0.0], np.float32), np.array([turn, step, 1.0], np.float32)
+        )
+        spaces: dict[str, gym.Space[Any]] = {"scan": gym.spaces.Box(0.0, LONGEST, (beams,), np.float32)}
+        if task == "navigate":
+            spaces["goal"] = gym.spaces.Box(0.0, 1.0, (2,), np.float32)
+        if observe_pose:
+            low, high = np.array([0.0, 0.0, -np.pi], np.float32), np.array([1.0, 1.0, np.pi], np.float32)
+            spaces["pose"] = gym.spaces.Box(low, high)
+        self.observation_space = gym.spaces.Dict(spaces)
+
+        self._streams: dict[str, np.random.Generator] = {}
+        self.task: Task | None = None
+        self.planar: PlanarPose = np.zeros(3)  # the true (x, y, heading), m and rad; not for agents
+        self.path_length = 0.0  # m driven in this episode
+        self._path: list[np.ndarray] = []
+        self._scan = np.zeros(beams, np.float32)
+        self._outcome: tuple[float, bool, dict[str, Any]] = 0.0, False, {}
+        self._plan: TopDown | None = None
+
+    def begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        """The first stage of a reset: streams, task and pose, no scan yet."""
+        if seed is not None or not self._streams:
+            self._streams = seeded_streams(seed)
+        unknown = set(options or {}) - {"task"}
+        if unknown:
+            raise InputError("reset", "options", f"no other key than 'task'; found {sorted(unknown)}")
+        task = (options or {}).get("task")
+        if task is None:
+            task = self.tasks.tasks[self._streams["task"].integers(len(self.tasks.tasks))]
+        else:
+            self._check(task)
+        self.task = task
+        self.planar = np.array(self.task.start, dtype=np.float64)
+        self.path_length, self._path = 0.0, [self.planar[:2]]
+        self.objective.begin(self.task)
+        info = self._info(np.zeros(2), collision=False) | {"task": self.task, "start_pose": self.planar.copy()}
+        self._outcome = 0.0, False, info
+
+    def advance(self, action: np.ndarray) -> None:
+        """The first stage of a step: the robot moves, and what that earns is settled."""
+        if self.task is None:
+            raise gym.error.ResetNeeded("call reset before step")
+        command, stop = self._command(action)
+        collision = False
+        if stop:
+            command = np.zeros(2)
+        else:
+            collision = self._drive(command)
+        gained = self.objective.gained(self.planar[:2])
+        reached = self.objective.reached(self.planar[:2])
+        terminated = stop if self.end_on == "stop" else reached
+        reward = SUCCESS_REWARD if terminated and reached else 0.0
+        if self.reward == "dense":
+            reward += gained - STEP_COST
+        info = self._info(command, collision)
+        if terminated:
+            info["success"] = reached
+        self._outcome = reward, terminated, info
+
+    def look(self) -> None:
+        """The second stage: the scan at the robot's pose, measured with noise."""
+        ranges = scan(self.planar[None], self.maze.rectangles, self.beams)[0]
+        self._scan = measure(ranges, self.sensor_noise, self._streams["sensors"], LONGEST).astype(np.float32)
+
+    def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """The last stage: what Gymnasium's ``step`` returns; ``reset`` returns its first and last."""
+        assert self.task is not None
+        observation = {"scan": self._scan.copy()}
+        if isinstance(self.objective, Approach):
+            observation["goal"] = np.asarray(self.task.goal, dtype=np.float32)
+        if self.observe_pose:
+            observation["pose"] = self.planar.astype(np.float32)
+        reward, terminated, info = self._outcome
+        return observation, reward, terminated, False, info
+
+    def render(self) -> np.ndarray | None:
+        """The plan with path, robot, goal region and the latest readings around the true pose: ``(480, 480, 3)``."""
+        if self.render_mode is None or self.task is None:
+            return None
+        if self._plan is None:
+            self._plan = TopDown(self.maze.apartment.boxes(), PICTURE, PICTURE, margin=0.02)
+        goal = np.asarray(self.task.goal) if isinstance(self.objective, Approach) else None
+        picture = self._plan.draw(np.array(self._path), self.planar, self.robot.radius, goal, self.success_radius)
+        angle = self.planar[2] + 2.0 * np.pi * np.arange(self.beams) / self.beams
+        ends = self.planar[:2] + self._scan[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        image = Image.fromarray(picture)
+        pen = ImageDraw.Draw(image)
+        for column, row in self._plan.pixels(ends[self._scan > 0.0]):
+            pen.ellipse((column - 2.0, row - 2.0, column + 2.0, row + 2.0), fill=_RAY)
+        return np.asarray(image)
+
+    def _drive(self, command: np.ndarray) -> bool:
+        """Move as the noise has it, sliding along walls; whether one was touched."""
+        turn, step = command
+        wanted = execute(self.planar, np.array([turn, 0.0, step]), self.noise, self._streams["dynamics"])
+        x, y = self.planar[:2]
+        x, y, touched = slide(x, y, wanted[0] - x, wanted[1] - y, self.robot.radius, self.maze.rectangles)
+        self.path_length += math.hypot(x - self.planar[0], y - self.planar[1])
+        self.planar = np.array([x, y, wanted[2]])
+        self._path.append(self.planar[:2])
+        return touched
+
+    def _checked_set(self, tasks: Any) -> TaskSet:
+        if not isinstance(tasks, TaskSet) or not tasks.tasks:
+            raise InputError("LidarMaze", "tasks", f"a TaskSet that holds a task; found {tasks!r:.80}")
+        if tasks.scene_hash != self.maze.apartment.content_hash():
+            raise InputError("tasks", "scene_hash", f"tasks of this version of {self.maze.name!r}")
+        return tasks
+
+    def _check(self, task: Any) -> None:
+        if not isinstance(task, Task):
+            raise InputError("reset", "options['task']", f"a Task; found {type(task).__name__}")
+        self.maze.sampler.validate(task)
+        if clearance(*task.start[:2], self.maze.rectangles) < self.robot.radius:
+            raise InputError(f"task {task.id} of {task.scene}", "start", "a position where the robot touches no wall")
+
+    def _command(self, action: np.ndarray) -> tuple[np.ndarray, bool]:
+        try:
+            values = np.asarray(action)
+        except ValueError:  # a ragged list
+            raise InputError("step", "action", f"three numbers (turn, s, stop); found {action!r:.80}") from None
+        if values.shape != (3,) or values.dtype.kind not in "fiu":
+            found = f"found shape {values.shape}, type {values.dtype}"
+            raise InputError("step", "action", f"three numbers (turn, s, stop); {found}")
+        if not np.isfinite(values).all():
+            raise InputError("step", "action", f"finite numbers (turn, s, stop); found {values.tolist()}")
+        turn, _, step = self.robot.clip(np.array([values[0], 0.0, values[1]]))
+        return np.array([turn, step]), bool(values[2] > 0.5) and self.end_on == "stop"
+
+    def _info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
+        info = {"pose": self.planar.copy(), "collision": collision, "control": command}
+        if isinstance(self.objective, Coverage):
+            info["coverage"] = self.objective.ratio
+        return info
