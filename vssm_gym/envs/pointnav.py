@@ -16,7 +16,7 @@ from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.progress import GoalDistance
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.sensors import CameraConfig, make_camera
 from vssm_gym.envs.tasks import SUCCESS, Task, TaskSampler, TaskSet
 from vssm_gym.envs.topdown import TopDown
 from vssm_gym.errors import InputError
@@ -84,9 +84,9 @@ class PointNavEnv(gym.Env[dict[str, Any], np.ndarray]):
             kept = "tasks are drawn from the largest connected part"
             warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
         self.world = World(self.apartment, self.robot)
-        self._eye = raycast_camera(self.world, config, threads)
+        self._eye = make_camera(self.world, config, renderer, threads)
         self.camera = self._eye.camera
-        self.renderer_name = self._eye.tracer.name
+        self.renderer_name = self._eye.name
         self.tasks = None if tasks is None else self._checked_set(tasks)
         self._goal_distance = GoalDistance(self._sampler.space) if reward == "dense" else None
         self._K = self.camera.K
