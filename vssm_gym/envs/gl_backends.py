@@ -101,5 +101,6 @@ def _find(wanted: str) -> str:
         if ok:
             return backend.name
         failures.append(f"{backend.title}: {detail} -> {backend.remedy}")
-    expected = "OpenGL, which no way leads to on this machine (see vssm-gym doctor)"
+    only = f"; MUJOCO_GL={wanted} allows no other way" if wanted else ""
+    expected = f"OpenGL, which no way leads to on this machine (see vssm-gym doctor{only})"
     raise InputError("renderer", "gl", "; ".join([expected, *failures]) + "; or renderer='raycast'")
