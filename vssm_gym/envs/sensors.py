@@ -26,10 +26,10 @@ class CameraConfig:
     hfov: float = math.pi / 2  # rad, edge to edge of the image
 
     def __post_init__(self) -> None:
-        for field in ("width", "height"):
+        for field, least in (("width", 8), ("height", 1)):
             size = getattr(self, field)
-            if isinstance(size, bool) or not (isinstance(size, int) and 1 <= size <= 4096):
-                raise InputError("CameraConfig", field, f"1 to 4096 pixels, not {size!r}")
+            if isinstance(size, bool) or not (isinstance(size, int) and least <= size <= 4096):
+                raise InputError("CameraConfig", field, f"{least} to 4096 pixels, not {size!r}")
         if isinstance(self.hfov, bool) or not isinstance(self.hfov, int | float) or not 0.0 < self.hfov < math.pi:
             raise InputError("CameraConfig", "hfov", f"an angle in radians between 0 and pi, not {self.hfov!r}")
 
