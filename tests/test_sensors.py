@@ -58,6 +58,6 @@ def test_images_of_any_size_are_measured(width, height, noise) -> None:
     seen, z = NoisySensor(sensor_noise(noise), eye.camera, np.random.default_rng(0))(rgb, depth, 0.2)
     assert seen.shape == rgb.shape and seen.dtype == np.uint8 and z.shape == depth.shape and z.dtype == np.float32
     read = z > 0.0
-    assert read.any()
-    assert np.percentile(np.abs(z - depth)[read], 90) < 0.15
+    assert np.isfinite(z).all() and read.mean() > 0.2
+    assert np.median(np.abs(z - depth)[read]) < 0.05
     eye.close()
