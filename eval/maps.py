@@ -14,7 +14,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import load_scene
-from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.sensors import make_tracer
 from vssm_gym.errors import InputError
 from vssm_gym.eval.version import package_version
 from vssm_gym.inference.map_update import MapUpdateConfig, update
@@ -111,7 +111,7 @@ def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: P
     """
     apartment = load_scene(scene)
     name = Path(scene).stem
-    tracer = raycast_camera(World(apartment, HolonomicRobot()), CameraConfig()).tracer.name
+    tracer = make_tracer(World(apartment, HolonomicRobot())).name
     origin: dict[str, str | int] = {
         "scene_hash": apartment.content_hash(),
         "seed": seed,

@@ -403,9 +403,9 @@ def test_noise_of_ones_own():
         (np.array([0, np.inf, 0]), "finite"),
         (np.zeros(4), r"shape \(4,\)"),
         (np.zeros((1, 3)), r"shape \(1, 3\)"),
-        ([0.0, [0.0, 0.1], 0.0], "three numbers"),
-        ("forward", "three numbers"),
-        (None, "three numbers"),
+        ([0.0, [0.0, 0.1], 0.0], "3 numbers"),
+        ("forward", "3 numbers"),
+        (None, "3 numbers"),
     ],
 )
 def test_bad_actions_are_named_and_change_nothing(action, found):

@@ -16,7 +16,7 @@ from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer, RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Material, SolidBox
-from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.sensors import CameraConfig, make_camera
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 
@@ -213,11 +213,12 @@ def test_a_pickled_camera_renders_the_same():
 
 def test_without_embree_the_fallback_says_so(monkeypatch):
     world = World(two_rooms(), ROBOT)
-    assert raycast_camera(world, CameraConfig(64, 48)).tracer.name == "raycast-embree"
+    assert make_camera(world, CameraConfig(64, 48)).name == "raycast-embree"
     monkeypatch.setitem(sys.modules, "embreex", None)  # makes the import fail as it does without a wheel
     with pytest.warns(RuntimeWarning, match="embreex cannot be imported"):
-        camera = raycast_camera(world, CameraConfig(64, 48), threads=2)
-    assert camera.tracer.name == "raycast-mujoco" and camera.threads == 1
+        camera = make_camera(world, CameraConfig(64, 48), threads=2)
+    assert isinstance(camera, RaycastCamera)
+    assert camera.name == "raycast-mujoco" and camera.threads == 1
     assert camera.render(look(1.0, 1.0, 0.4))[1].min() > 0.0
 
 

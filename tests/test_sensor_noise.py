@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.camera import Camera
-from vssm_gym.envs.sensor_noise import PRESETS, NoisySensor, SensorNoise, sensor_noise
+from vssm_gym.envs import sensor_kernels as kernels
+from vssm_gym.envs.sensor_noise import PRESETS, NoisySensor, SensorNoise, _normal, sensor_noise
 from vssm_gym.errors import InputError
 
 CAMERA = Camera.from_hfov(160, 120, 1.2)
@@ -95,11 +96,14 @@ def test_incidence_on_a_plane_is_exact(tilt: float, around: float) -> None:
     normal = np.array([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)])
     depth = plane(CAMERA, tuple(normal), 2.0)
     v, u = np.mgrid[0:120, 0:160]
-    ray = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
+    x, y = (np.arange(160) - CAMERA.cx) / CAMERA.fx, (np.arange(120) - CAMERA.cy) / CAMERA.fy
+    ray = np.stack([x[u], y[v], np.ones(u.shape)], -1)
     cosine = ray @ normal / np.linalg.norm(ray, axis=-1)
     hit = depth > 0.0
     inner = hit & np.roll(hit, 1, 0) & np.roll(hit, -1, 0) & np.roll(hit, 1, 1) & np.roll(hit, -1, 1)
-    np.testing.assert_allclose(sensor("none")._incidence(depth)[inner], cosine[inner], atol=1e-6)
+    np.testing.assert_allclose(
+        kernels.incidence(kernels.inverse_depth(depth), x, y, CAMERA.fx, CAMERA.fy)[inner], cosine[inner], atol=1e-6
+    )
 
 
 def test_the_shadow_of_a_post_is_as_wide_as_triangulation_says() -> None:
@@ -128,9 +132,49 @@ def test_readings_near_an_edge_are_lost_and_slanted_floors_are_not() -> None:
     assert (measured(noise, floor)[0, horizon + radius + 1 :] > 0.0).all()
 
 
+@pytest.mark.parametrize(("grey", "distance"), [(20, 2.0), (12, 3.0), (128, 3.0), (40, 4.0), (0, 0.5)])
+def test_dark_surfaces_return_nothing_from_afar(grey: int, distance: float) -> None:
+    """Lost are ``1.5 - s / min_signal``, within [0, 1], of the readings, ``s = brightness cos / distance^2``."""
+    noise = SensorNoise(min_signal=0.006)
+    rgb = np.full((120, 160, 3), grey, np.uint8)
+    s = sensor(noise)
+    lost = np.mean([s(rgb, np.full((120, 160), distance), 0.1)[1][50:70, 70:90] == 0.0 for _ in range(30)])
+    signal = grey / 255.0 / distance**2
+    assert lost == pytest.approx(np.clip(1.5 - signal / 0.006, 0.0, 1.0), abs=0.025)
+
+
+def test_dark_surfaces_aslant_return_less() -> None:
+    """A grey floor seen from low down is lost beyond the same distance at every size of the image."""
+    noise = SensorNoise(min_signal=0.004)
+    edges = []
+    for width in (80, 160, 320):
+        camera = Camera.from_hfov(width, width * 3 // 4, 1.2)
+        floor = plane(camera, (0.0, 1.0, 0.0), 0.4)
+        rgb = np.full((*floor.shape, 3), 102, np.uint8)
+        z = sensor(noise, camera)(rgb, floor, 0.1)[1]
+        middle = np.abs(np.arange(width) - camera.cx) < 0.1 * width
+        share = [
+            (z[:, middle][(floor[:, middle] > a) & (floor[:, middle] < b)] > 0.0).mean()
+            for a, b in ((2, 2.6), (4.2, 9))
+        ]
+        assert share[0] == 1.0 and share[1] == 0.0
+        edges.append(z[:, middle].max())
+    # s = 0.4 * 0.4 / r^3 falls to half of min_signal at 4.3 m.
+    assert max(edges) <= 4.31 and max(edges) - min(edges) < 0.7
+
+
+@given(st.integers(0, 1000))
+def test_noise_from_sixteen_bits_is_normal(seed: int) -> None:
+    n = _normal(np.random.default_rng(seed), (200_000,)).astype(float)
+    assert n.mean() == pytest.approx(0.0, abs=0.012) and n.std() == pytest.approx(1.0, abs=0.008)
+    assert np.mean(n**4) == pytest.approx(3.0, abs=0.1)
+    assert np.mean(n > 2.0) == pytest.approx(0.02275, abs=0.002)
+
+
 def test_range_ends() -> None:
     for distance, share in ((0.3, 0.0), (0.6, 1.0), (7.0, 1.0), (9.5, 0.0)):
-        read = measured("kinect", plane(CAMERA, (0.0, 0.0, 1.0), distance)) > 0.0
+        noise = dataclasses.replace(PRESETS["kinect"], min_signal=0.0)
+        read = measured(noise, plane(CAMERA, (0.0, 0.0, 1.0), distance)) > 0.0
         assert read.mean() == pytest.approx(share, abs=0.01)
 
 

@@ -4,15 +4,13 @@ import importlib.metadata
 import os
 import platform
 import re
-import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from vssm_gym.cli.cache import cache_folder
-
-TIMEOUT = 120.0  # seconds for one probe; a first import from a cold disk is slow
+from vssm_gym.envs.gl_backends import BACKENDS, TIMEOUT, probe_code, try_python
 
 
 @dataclass(frozen=True)
@@ -73,31 +71,6 @@ assert data.qpos[2] < 1
 print("simulates")
 """
 
-# The context is made directly: MUJOCO_GL is the user's to set, and a wrong value breaks `import mujoco` itself.
-OPENGL = """
-import warnings
-warnings.simplefilter("ignore")
-import mujoco, numpy as np
-from mujoco.{backend} import GLContext
-context = GLContext(64, 64)
-context.make_current()
-model = mujoco.MjModel.from_xml_string(
-    '<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
-)
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-scene, view = mujoco.MjvScene(model, 8), mujoco.MjrRect(0, 0, 64, 64)
-mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, scene)
-renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, renderer)
-mujoco.mjr_render(view, scene, renderer)
-image = np.zeros((64, 64, 3), np.uint8)
-mujoco.mjr_readPixels(image, None, view, renderer)
-assert image.std() > 0, "an empty picture"
-from OpenGL import GL
-print("draws with", GL.glGetString(GL.GL_RENDERER).decode())
-"""
-
 PROBES = (
     Probe("JAX", JAX, "pip install jax"),
     Probe("numba", NUMBA, "pip install numba"),
@@ -108,19 +81,7 @@ PROBES = (
         required=False,
     ),
     Probe("MuJoCo (physics)", PHYSICS, "pip install mujoco"),
-    Probe(
-        "OpenGL, EGL",
-        OPENGL.format(backend="egl"),
-        "a graphics driver, or in software on Debian/Ubuntu: apt-get install libegl1 libgl1 libopengl0 libgl1-mesa-dri",
-        required=False,
-    ),
-    Probe(
-        "OpenGL, OSMesa",
-        OPENGL.format(backend="osmesa"),
-        "Debian/Ubuntu: apt-get install libosmesa6 libgl1 libopengl0",
-        required=False,
-    ),
-    Probe("OpenGL, window", OPENGL.format(backend="glfw"), "a screen (X11 or Wayland)", required=False),
+    *(Probe(backend.title, probe_code(backend), backend.remedy, required=False) for backend in BACKENDS),
 )
 
 
@@ -151,15 +112,7 @@ def doctor() -> int:
 
 def run_probe(probe: Probe) -> Finding:
     """Run one probe in a process of its own; the reason of a failure is the last line that it wrote."""
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", probe.code], capture_output=True, text=True, timeout=TIMEOUT, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return Finding(probe.name, False, f"no answer in {TIMEOUT:.0f} s", probe.remedy, probe.required)
-    ok = done.returncode == 0
-    lines = (done.stdout if ok else done.stderr).strip().splitlines()
-    detail = lines[-1] if lines else f"ended with code {done.returncode}"
+    ok, detail = try_python(probe.code, TIMEOUT)
     return Finding(probe.name, ok, detail, probe.remedy, probe.required)
 
 

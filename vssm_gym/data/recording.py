@@ -21,7 +21,7 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
-from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.sensors import CameraConfig, make_camera
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.survey import Waypoint, survey_route
 from vssm_gym.envs.tasks import TaskSampler
@@ -103,9 +103,9 @@ def record_handheld(
     measured = noise_model(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
-    eye = raycast_camera(World(apartment, HolonomicRobot()), camera or CameraConfig())
+    eye = make_camera(World(apartment, HolonomicRobot()), camera or CameraConfig())
     about = {"motion": "handheld", "metres": metres, "rate": rate, "body_radius": path.body}
-    about |= {"sensor_noise": sensor_noise, "renderer": eye.tracer.name, "seed": seed}
+    about |= {"sensor_noise": sensor_noise, "renderer": eye.name, "seed": seed}
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = R_BODY_CAM
     try:

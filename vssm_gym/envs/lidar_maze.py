@@ -24,7 +24,7 @@ from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet
 from vssm_gym.envs.topdown import TopDown
-from vssm_gym.envs.validation import choose
+from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 
 LONGEST = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
@@ -105,7 +105,7 @@ class LidarMazeEnv(StagedEnv):
         self._outcome: tuple[float, bool, dict[str, Any]] = 0.0, False, {}
         self._plan: TopDown | None = None
 
-    def begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+    def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """The first stage of a reset: streams, task and pose, no scan yet."""
         if seed is not None or not self._streams:
             self._streams = seeded_streams(seed)
@@ -203,15 +203,7 @@ class LidarMazeEnv(StagedEnv):
             raise InputError(f"task {task.id} of {task.scene}", "start", "a position where the robot touches no wall")
 
     def _command(self, action: np.ndarray) -> tuple[np.ndarray, bool]:
-        try:
-            values = np.asarray(action)
-        except ValueError:  # a ragged list
-            raise InputError("step", "action", f"three numbers (turn, s, stop); found {action!r:.80}") from None
-        if values.shape != (3,) or values.dtype.kind not in "fiu":
-            found = f"found shape {values.shape}, type {values.dtype}"
-            raise InputError("step", "action", f"three numbers (turn, s, stop); {found}")
-        if not np.isfinite(values).all():
-            raise InputError("step", "action", f"finite numbers (turn, s, stop); found {values.tolist()}")
+        values = parse_action(action, ("turn", "s", "stop"))
         turn, _, step = self.robot.clip(np.array([values[0], 0.0, values[1]]))
         return np.array([turn, step]), bool(values[2] > 0.5) and self.end_on == "stop"
 

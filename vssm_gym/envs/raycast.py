@@ -159,6 +159,11 @@ class RaycastCamera:
         self._bands = [slice(a, b) for a, b in itertools.pairwise(edges)]
         self._pool: ThreadPoolExecutor | None = None
 
+    @property
+    def name(self) -> str:
+        """What traces the rays, to be recorded with results: ``raycast-embree`` or ``raycast-mujoco``."""
+        return self.tracer.name
+
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_pool": None}
 

@@ -2,12 +2,19 @@
 
 import math
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
+import numpy as np
+
+from vssm_gym.axes import Matrix4
 from vssm_gym.camera import Camera
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer, RaycastCamera, Tracer
 from vssm_gym.errors import InputError
+
+RENDERERS = ("raycast", "gl")
 
 
 @dataclass(frozen=True)
@@ -15,15 +22,15 @@ class CameraConfig:
     """Size and angle of the RGB-D camera; pixels are square and the principal point is the image's middle."""
 
     width: int = 160  # pixels
-    height: int = 120  # pixels
+    height: int = 120  # pixels; 1 for a scan
     hfov: float = math.pi / 2  # rad, edge to edge of the image
 
     def __post_init__(self) -> None:
-        for field in ("width", "height"):
+        for field, least in (("width", 8), ("height", 1)):
             size = getattr(self, field)
-            if not (isinstance(size, int) and 8 <= size <= 4096):
-                raise InputError("CameraConfig", field, f"8 to 4096 pixels, not {size!r}")
-        if not 0.0 < self.hfov < math.pi:
+            if isinstance(size, bool) or not (isinstance(size, int) and least <= size <= 4096):
+                raise InputError("CameraConfig", field, f"{least} to 4096 pixels, not {size!r}")
+        if isinstance(self.hfov, bool) or not isinstance(self.hfov, int | float) or not 0.0 < self.hfov < math.pi:
             raise InputError("CameraConfig", "hfov", f"an angle in radians between 0 and pi, not {self.hfov!r}")
 
     def intrinsics(self) -> Camera:
@@ -31,16 +38,66 @@ class CameraConfig:
         return Camera.from_hfov(self.width, self.height, self.hfov)
 
 
-def raycast_camera(world: World, config: CameraConfig, threads: int | None = None) -> RaycastCamera:
-    """The raycast camera of a world: by Embree, or, with a warning that says why not, by MuJoCo's rays.
+def camera_config(spec: CameraConfig | Mapping[str, Any] | None) -> CameraConfig:
+    """A configuration from itself, from a mapping of its fields (those left out keep their defaults), or the default.
 
-    The renderer's name, ``camera.tracer.name``, belongs with every result.
+    Raises :class:`InputError` for anything else.
     """
-    tracer: Tracer
+    if spec is None:
+        return CameraConfig()
+    if isinstance(spec, CameraConfig):
+        return spec
+    known = [field.name for field in fields(CameraConfig)]
+    if not isinstance(spec, Mapping) or not set(spec) <= set(known):
+        raise InputError("camera", "spec", f"a CameraConfig or a mapping of {', '.join(known)}; found {spec!r:.80}")
+    return CameraConfig(**spec)
+
+
+class SceneCamera(Protocol):
+    """An exact RGB-D camera in a scene; what draws it is recorded with results as ``name``."""
+
+    camera: Camera
+
+    @property
+    def name(self) -> str:
+        """What makes the images, such as ``raycast-embree``."""
+
+    def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
+        """``rgb`` uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)`` in m, 0 where nothing is seen."""
+
+    def close(self) -> None:
+        """Let go of threads and contexts; the next image starts new ones."""
+
+
+def make_camera(
+    world: World, config: CameraConfig, renderer: str = "raycast", threads: int | None = None
+) -> SceneCamera:
+    """The camera of a world by the chosen renderer; one is never replaced by the other.
+
+    Args:
+        world: what it sees.
+        config: size and angle.
+        renderer: ``raycast`` (rays by Embree, or, with a warning that says why not, by MuJoCo) or ``gl`` (MuJoCo's
+            OpenGL renderer).
+        threads: threads that share a raycast image; those of OpenGL are the driver's (``LP_NUM_THREADS`` for Mesa).
+
+    Raises:
+        InputError: an unknown renderer, or ``gl`` on a machine without OpenGL, with the reasons and remedies.
+    """
+    if renderer not in RENDERERS:
+        raise InputError("camera", "renderer", f"one of {', '.join(map(repr, RENDERERS))}; found {renderer!r}")
+    if renderer == "gl":
+        from vssm_gym.envs.mjcf.gl import GlCamera  # most never draw with it
+
+        return GlCamera(world.boxes, config.intrinsics())
+    return RaycastCamera(world.boxes, config.intrinsics(), make_tracer(world), threads)
+
+
+def make_tracer(world: World) -> Tracer:
+    """What finds the first box along rays: Embree, or, with a warning that says why not, MuJoCo's own rays."""
     try:
-        tracer = EmbreeTracer(world.boxes)
+        return EmbreeTracer(world.boxes)
     except ImportError as reason:
-        message = f"embreex cannot be imported ({reason}): images are traced by MuJoCo, several times slower"
-        warnings.warn(message, RuntimeWarning, stacklevel=2)
-        tracer = MujocoTracer(world)
-    return RaycastCamera(world.boxes, config.intrinsics(), tracer, threads)
+        message = f"embreex cannot be imported ({reason}): rays are traced by MuJoCo, several times slower"
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
+        return MujocoTracer(world)

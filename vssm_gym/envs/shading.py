@@ -37,14 +37,21 @@ def shading_tables(boxes: Sequence[SolidBox]) -> tuple[np.ndarray, ...]:
     for i, box in enumerate(boxes):
         c, s = math.cos(box.yaw), math.sin(box.yaw)
         x, y, z = box.center
-        if box.kind in ("wall", "floor", "ceiling"):
-            # One pattern runs through all the pieces of a wall or floor: it starts at the world's origin.
-            origin, corner = (c * x + s * y, c * y - s * x, z), (0.0, 0.0, 0.0)
-        else:  # each face's pattern starts at its upper left corner
-            origin, corner = (0.0, 0.0, 0.0), (0.5 * box.size[0], 0.5 * box.size[1], 0.5 * box.size[2])
+        origin, corner = texture_shifts(box)
         frames[i] = (x, y, z, *(2.0 / extent for extent in box.size), c, s, *origin, *corner)
         looks[i] = (*box.material.color, 1.0 / box.material.scale)
     return frames, looks, textures, *_mips(texture_atlas(names))
+
+
+def texture_shifts(box: SolidBox) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Where a box's patterns start, m along its axes: shifts that turn with the face's direction, and others."""
+    if box.kind in ("wall", "floor", "ceiling"):
+        # One pattern runs through all the pieces of a wall or floor: it starts at the world's origin.
+        c, s = math.cos(box.yaw), math.sin(box.yaw)
+        x, y, z = box.center
+        return (c * x + s * y, c * y - s * x, z), (0.0, 0.0, 0.0)
+    # Each face's pattern starts at its upper left corner.
+    return (0.0, 0.0, 0.0), (0.5 * box.size[0], 0.5 * box.size[1], 0.5 * box.size[2])
 
 
 def _mips(atlas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ robot, and adds goals, rewards and ends of its own. Moving and looking are apart
 :meth:`~Simulation.look` is called, so that a vector environment moves all robots first and then renders in parallel.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -15,11 +16,11 @@ from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise, sensor_noise
-from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.stage import stage_of
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.topdown import TopDown
-from vssm_gym.envs.validation import choose
+from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 
@@ -35,8 +36,9 @@ class Simulation:
         noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
         sensor_noise: what the camera adds to the exact image: ``none``, ``kinect``, ``stereo`` or a
             :class:`SensorNoise`.
-        camera: size and angle of the images.
-        renderer: ``raycast``. What traced the rays is in ``renderer_name``, to be recorded with results.
+        camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
+        renderer: ``raycast``, or ``gl`` where the machine has OpenGL. What made the images is in ``renderer_name``, to
+            be recorded with results.
         physics: ``mujoco``.
         observe_pose: whether the observation holds the true pose (an oracle's privilege).
         render_mode: ``rgb_array`` or None.
@@ -48,23 +50,20 @@ class Simulation:
         scene: Any = "oak",
         noise: str | ExecutionNoise = "low",
         sensor_noise: str | SensorNoise = "none",
-        camera: CameraConfig | None = None,
+        camera: CameraConfig | Mapping[str, Any] | None = None,
         renderer: str = "raycast",
         physics: str = "mujoco",
         observe_pose: bool = False,
         render_mode: str | None = None,
         threads: int | None = None,
     ) -> None:
-        choose("environment", "renderer", renderer, ("raycast",))
+        choose("environment", "renderer", renderer, RENDERERS)
         choose("environment", "physics", physics, ("mujoco",))
         choose("environment", "render_mode", render_mode, (None, "rgb_array"))
-        config = CameraConfig() if camera is None else camera
-        if not isinstance(config, CameraConfig):
-            raise InputError("environment", "camera", f"a CameraConfig; found {camera!r}")
         self.noise, self.sensor_noise = execution_noise(noise), _sensor_noise(sensor_noise)
         self.observe_pose, self.render_mode = observe_pose, render_mode
         self.robot = HolonomicRobot()
-        self.stage = stage_of(load_scene(scene), self.robot, config, renderer, threads)
+        self.stage = stage_of(load_scene(scene), self.robot, camera_config(camera), renderer, threads)
         self.apartment, self.camera = self.stage.apartment, self.stage.camera
         self.world = World(self.apartment, self.robot)
         self.streams: dict[str, np.random.Generator] = {}
@@ -132,15 +131,7 @@ class Simulation:
 
         Raises :class:`InputError` for anything but four finite numbers.
         """
-        try:
-            values = np.asarray(action)
-        except ValueError:  # a ragged list
-            raise InputError("step", "action", f"four numbers (turn, o, s, stop); found {action!r:.80}") from None
-        if values.shape != (4,) or values.dtype.kind not in "fiu":
-            found = f"found shape {values.shape}, type {values.dtype}"
-            raise InputError("step", "action", f"four numbers (turn, o, s, stop); {found}")
-        if not np.isfinite(values).all():
-            raise InputError("step", "action", f"finite numbers (turn, o, s, stop); found {values.tolist()}")
+        values = parse_action(action, ("turn", "o", "s", "stop"))
         return self.robot.clip(values[:3]), bool(values[3] > 0.5)
 
     def look(self) -> None:

@@ -18,8 +18,9 @@ from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.coverage import Observable
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.progress import GoalDistance
+from vssm_gym.envs.raycast import RaycastCamera, Tracer
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.sensors import CameraConfig, make_camera, make_tracer
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.envs.tasks import TaskSampler
 
@@ -57,12 +58,12 @@ class Stage:
     ) -> None:
         self.apartment, self.robot, self.config = apartment, robot, config
         self.renderer, self.threads = renderer, threads
-        world = World(apartment, robot)
-        self.boxes: list[SolidBox] = world.boxes
-        self.eye = raycast_camera(world, config, threads)
-        self.camera = self.eye.camera
-        self.renderer_name = self.eye.tracer.name
-        self.parallel = self.eye.tracer.parallel  # whether several threads may render at once
+        self._world = World(apartment, robot)
+        self.boxes: list[SolidBox] = self._world.boxes
+        self.eye = make_camera(self._world, config, renderer, threads)
+        self.camera, self.renderer_name = self.eye.camera, self.eye.name
+        # Whether several threads may render at once.
+        self.parallel = isinstance(self.eye, RaycastCamera) and self.eye.tracer.parallel
 
     def __reduce__(self) -> Any:
         return stage_of, (self.apartment, self.robot, self.config, self.renderer, self.threads)
@@ -73,9 +74,14 @@ class Stage:
         return TaskSampler(self.apartment, self.robot)
 
     @cached_property
+    def tracer(self) -> Tracer:
+        """What finds the first box along rays."""
+        return self.eye.tracer if isinstance(self.eye, RaycastCamera) else make_tracer(self._world)
+
+    @cached_property
     def observable(self) -> Observable:
         """What a robot could see at all."""
-        return Observable(self.sampler.space, self.eye.tracer, self.robot.camera_height)
+        return Observable(self.sampler.space, self.tracer, self.robot.camera_height)
 
     @cached_property
     def _distance(self) -> GoalDistance:

@@ -2,6 +2,7 @@
 
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from vssm_gym.errors import InputError
@@ -37,3 +38,17 @@ def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> N
     """Raise `InputError` naming ``source`` and ``field`` unless ``value`` is one of ``available``."""
     if not any(value is one or (isinstance(value, str) and value == one) for one in available):
         raise InputError(source, field, f"one of {', '.join(map(repr, available))}; found {value!r:.80}")
+
+
+def parse_action(action: Any, names: tuple[str, ...]) -> np.ndarray:
+    """``action`` as float64, one number for each of ``names``; `InputError` for anything but finite numbers."""
+    wanted = f"{len(names)} numbers ({', '.join(names)})"
+    try:
+        values = np.asarray(action)
+    except ValueError:  # a ragged list
+        raise InputError("step", "action", f"{wanted}; found {action!r:.80}") from None
+    if values.shape != (len(names),) or values.dtype.kind not in "fiu":
+        raise InputError("step", "action", f"{wanted}; found shape {values.shape}, type {values.dtype}")
+    if not np.isfinite(values).all():
+        raise InputError("step", "action", f"finite numbers; found {values.tolist()}")
+    return values.astype(np.float64)

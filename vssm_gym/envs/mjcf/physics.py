@@ -1,6 +1,6 @@
 """Physics: an apartment and a robot as a MuJoCo model, and the world that moves the robot through contacts.
 
-This is the only module that imports MuJoCo. Each box of the apartment appears once as it is, for rays and pictures,
+Each box of the apartment appears once as it is, for rays and pictures,
 and, where the robot could touch it, once more as an invisible upright prism for contacts: motion on the floor then
 meets vertical faces only, so that no table edge can press the robot into the floor. The robot itself is a sphere
 halfway up the prisms, whose contact with them is the cylinder's own, in closed form.

@@ -1,0 +1,129 @@
+"""A planar laser scanner: ranges to the first box along a fan of beams, and how a real one misreads them.
+
+    a_k = fov ((k + 1/2) / beams - 1/2)        direction of beam k, counter-clockwise from the robot's x axis, rad
+    r'  = r + e,  e ~ N(0, sigma(r)^2),        sigma(r) = floor + growth r
+
+Each beam stands for ``fov / beams`` and looks along its middle, so that a full circle has no beam twice. Ranges are
+metres along the beam, float32; **0 = no reading**, as in depth images: nothing within ``max_range``, something nearer
+than ``min_range``, or a lost return.
+
+Sources: data sheets of Hokuyo's URG-04LX (indoor scanner of small robots) and Slamtec's RPLIDAR A1.
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.axes import Matrix4
+from vssm_gym.envs.raycast import Tracer
+from vssm_gym.errors import InputError
+
+
+@dataclass(frozen=True)
+class LidarConfig:
+    """The fan of beams, horizontal in the robot's frame."""
+
+    beams: int = 64
+    fov: float = 2.0 * math.pi  # rad
+    min_range: float = 0.0  # m
+    max_range: float = 10.0  # m
+    height: float = 0.3  # m above the robot's origin
+
+    def __post_init__(self) -> None:
+        if isinstance(self.beams, bool) or not (isinstance(self.beams, int) and 1 <= self.beams <= 65536):
+            raise InputError("LidarConfig", "beams", f"1 to 65536, not {self.beams!r}")
+        if not 0.0 < self.fov <= 2.0 * math.pi:
+            raise InputError("LidarConfig", "fov", f"an angle in radians above 0, 2 pi at most, not {self.fov!r}")
+        if not (0.0 <= self.min_range < self.max_range < math.inf):
+            found = f"{self.min_range!r}, {self.max_range!r}"
+            raise InputError("LidarConfig", "max_range", f"0 <= min_range < max_range, finite, m; found {found}")
+        if not math.isfinite(self.height):
+            raise InputError("LidarConfig", "height", f"a finite number of metres, not {self.height!r}")
+
+    def angles(self) -> Float[np.ndarray, "beams"]:
+        """Direction of each beam, rad, rising."""
+        return self.fov * ((np.arange(self.beams) + 0.5) / self.beams - 0.5)
+
+
+@dataclass(frozen=True)
+class LidarNoise:
+    """How ranges are misread; zero switches an effect off."""
+
+    floor: float = 0.0  # m, standard deviation near by
+    growth: float = 0.0  # of the standard deviation with the range
+    dropout: float = 0.0  # share of returns that are lost
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 <= value < math.inf:
+                raise InputError("LidarNoise", field.name, f"a finite number >= 0, not {value!r}")
+        if self.dropout > 1.0:
+            raise InputError("LidarNoise", "dropout", f"a share, 1 at most, not {self.dropout!r}")
+
+    def range_std(self, ranges: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+        """``sigma(r)``, m, of ranges in m."""
+        return self.floor + self.growth * ranges
+
+
+PRESETS = {
+    "none": LidarNoise(),
+    # The sheets' limits (URG-04LX: 10 mm up to 1 m, then 1 %; A1: 1 to 2 %) are taken for three standard deviations;
+    # shares of lost returns are ours.
+    "hokuyo": LidarNoise(floor=0.001, growth=0.003, dropout=0.005),
+    "rplidar": LidarNoise(floor=0.001, growth=0.005, dropout=0.02),
+}
+
+
+def lidar_noise(spec: str | LidarNoise) -> LidarNoise:
+    """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
+    if isinstance(spec, LidarNoise):
+        return spec
+    if spec not in PRESETS:
+        raise InputError("lidar_noise", "name", f"one of {', '.join(PRESETS)}, or a LidarNoise; found {spec!r}")
+    return PRESETS[spec]
+
+
+class Lidar:
+    """The exact scanner: one call of the tracer a scan.
+
+    Args:
+        config: the fan.
+        tracer: of the scene (:func:`vssm_gym.envs.sensors.make_tracer`).
+    """
+
+    def __init__(self, config: LidarConfig, tracer: Tracer) -> None:
+        self.config = config
+        self._tracer = tracer
+        angles = config.angles()
+        self._beams = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+
+    def scan(self, T_world_body: Matrix4) -> Float[np.ndarray, "beams"]:
+        """Ranges as they are, float32, m; 0 where nothing is within ``max_range``, or something within ``min_range``.
+
+        Args:
+            T_world_body: ``(4, 4)`` pose of the robot, m.
+        """
+        T = np.asarray(T_world_body, dtype=np.float64)
+        origin = T[:3, :3] @ [0.0, 0.0, self.config.height] + T[:3, 3]
+        directions = np.ascontiguousarray(self._beams @ T[:3, :3].T, dtype=np.float32)
+        ranges, _ = self._tracer.trace(origin, directions)  # of unit length, so that multiples are metres
+        return _within(ranges, self.config)
+
+
+def measured(
+    ranges: Float[np.ndarray, "*batch"], noise: LidarNoise, config: LidarConfig, rng: np.random.Generator
+) -> Float[np.ndarray, "*batch"]:
+    """Exact ranges as the scanner reads them: ``r' = r + e``, lost returns, nothing out of range; float32, m.
+
+    Each call draws the same amount from ``rng`` whatever the ranges; the same stream gives the same bytes.
+    """
+    error, chance = rng.standard_normal(ranges.shape), rng.random(ranges.shape)
+    read = ranges + noise.range_std(ranges) * error
+    return _within(np.where((ranges > 0.0) & (chance >= noise.dropout), read, 0.0).astype(np.float32), config)
+
+
+def _within(ranges: np.ndarray, config: LidarConfig) -> np.ndarray:
+    return np.where((ranges < config.min_range) | (ranges > config.max_range), np.float32(0.0), np.maximum(ranges, 0.0))
