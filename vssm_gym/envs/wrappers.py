@@ -1,8 +1,7 @@
-"""Observations as policies want them: wrappers of one environment and, under ``vector``, of many at once.
+"""Observations as policies want them: wrappers of one environment (:mod:`.vector_wrappers` has those of many).
 
-``depth_only``, ``normalized_depth`` and ``relative_goal`` below say what happens to an observation. They act on the last
-axes, so that the classes of this module (for ``gym.make``) and those of :mod:`vssm_gym.envs.vector_wrappers` (for
-``gym.make_vec``) share them.
+``depth_only``, ``normalized_depth`` and ``relative_goal`` below say what happens to an observation. They act on the
+last axes, so that the classes of this module (for ``gym.make``) and those for ``gym.make_vec`` share them.
 """
 
 from typing import Any
@@ -125,7 +124,7 @@ def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.
     found = _observed(space, "goal", "RelativeGoal")
     if found["goal"].shape != (2,):
         raise InputError("RelativeGoal", "goal", f"a point (x, y); found shape {found['goal'].shape}")
-    if "pose" not in found.keys() and action_space.shape != (4,):
+    if "pose" not in found.spaces and action_space.shape != (4,):
         expected = f"an observed pose, or commands (turn, o, s, stop) to reckon with; found actions {action_space}"
         raise InputError("RelativeGoal", "env", expected)
     low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([FAR, 1.0, 1.0], np.float32)
@@ -134,7 +133,7 @@ def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.
 
 def checked_max_depth(max_depth: float) -> float:
     """``max_depth`` as a float; raises :class:`InputError` unless it is positive and finite."""
-    if not (np.isscalar(max_depth) and np.isfinite(max_depth) and max_depth > 0.0):
+    if not (isinstance(max_depth, int | float) and np.isfinite(max_depth) and max_depth > 0.0):
         raise InputError("NormalizedDepth", "max_depth", f"a positive number of metres; found {max_depth!r}")
     return float(max_depth)
 
