@@ -1,4 +1,4 @@
-"""A terminal in a few lines: what a person would see of half-block pictures, parsed independently of what wrote them."""
+"""A terminal in a few lines: what a person would see of half-block pictures, read independently of what wrote them."""
 
 import re
 
@@ -8,7 +8,7 @@ _LEVELS = (0, 95, 135, 175, 215, 255)
 
 
 def pixels(lines: list[str]) -> np.ndarray:
-    """The picture ``(2 lines, columns, 3)`` uint8 that lines of ``▀`` and spaces make; other characters are an error."""
+    """The picture ``(2 lines, columns, 3)`` uint8 that lines of ``▀`` and spaces make; nothing else may occur."""
     rows = []
     for line in lines:
         front = back = (0, 0, 0)

@@ -185,7 +185,7 @@ class Screen:
 
 @contextlib.contextmanager
 def terminal(*arguments: str, before_it: str = "") -> Iterator[Screen]:
-    """``vssm-gym play ARGUMENTS`` (after the statements ``before_it``) in a session of its own, whose controlling terminal is the pseudo terminal."""
+    """``vssm-gym play ARGUMENTS`` (after the statements ``before_it``) with a pseudo terminal as its own."""
     master, slave = pty.openpty()
     ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
     before = termios.tcgetattr(slave)

@@ -1,4 +1,4 @@
-"""``vssm-gym map build SEQUENCE --out map.npz``: learn a map from a recording; ``map export MAP --out DIR`` (DESIGN)."""
+"""``vssm-gym map build SEQUENCE --out map.npz``: learn a map from a recording; ``map export MAP --out DIR``."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""The floor plan of a learned map as free, occupied and unknown cells, and its files as ROS's ``map_server`` reads them.
+"""The floor plan of a learned map as free, occupied and unknown cells, and its files for ROS's ``map_server``.
 
 ROS's conventions: the origin is the lower left corner of the lower left cell, image rows run from the highest y down,
 white is free, black occupied, and what lies between the two thresholds unknown.
