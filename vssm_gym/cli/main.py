@@ -20,8 +20,9 @@ from vssm_gym.errors import InputError
 # In the order of use: the file of this folder and the function in it; a dictionary holds commands of its own.
 COMMANDS: dict[str, Any] = {
     "demo": "demo.demo",
+    "play": "play.play",
     "record": "record.record",
-    "map": {"build": "map.build"},
+    "map": {"build": "map.build", "export": "map.export"},
     "sweep": "sweep.sweep",
     "report": "report.report",
     "slam": "slam.slam",

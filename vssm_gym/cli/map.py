@@ -1,4 +1,4 @@
-"""``vssm-gym map build SEQUENCE --out map.npz``: learn a map from a recording (DESIGN)."""
+"""``vssm-gym map build SEQUENCE --out map.npz``: learn a map from a recording; ``map export MAP --out DIR``."""
 
 from pathlib import Path
 from typing import Annotated
@@ -35,3 +35,49 @@ def build(
     voxel_map.save(out)
     size = " x ".join(f"{n * voxel:.1f}" for n in voxel_map.shape)
     print(f"{size} m in cells of {voxel} m: {out}")
+
+
+def export(
+    map_file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MAP")],
+    out: Path,
+    resolution: float = 0.05,
+    height: float = 0.5,
+) -> None:
+    """Write a learned map as a ROS map and as a mesh.
+
+    OUT gets map.yaml and map.pgm (free, occupied, unknown; what ROS's map_server reads), mesh.ply (colour and variance
+    of each vertex) and mesh.glb (for browsers and Blender).
+
+    Args:
+        map_file: a map of `vssm-gym map build` (.npz).
+        out: new or empty folder.
+        resolution: cell of the ROS map, metres.
+        height: of the robot, metres: obstacles above it are left out of the ROS map.
+    """
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.destinations import check_folder
+    from vssm_gym.files import atomic_write
+    from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, write_ros_map
+    from vssm_gym.viz.glb import write_glb
+    from vssm_gym.viz.mesh import surface_mesh, write_ply
+    from vssm_gym.voxel_map import VoxelMap, read_metadata
+
+    check_folder(out)
+    if out.exists() and any(out.iterdir()):
+        raise InputError(out, "folder", "an empty or new folder: an export is never overwritten")
+    if "sequence" in read_metadata(map_file):
+        expected = "a map whose z axis points up, of `vssm-gym map build`; this one is in its first camera's frame"
+        raise InputError(map_file, "frame", f"{expected} (its mesh.ply lies beside it)")
+    voxel_map = VoxelMap.load(map_file)
+    grid = OccupancyGrid.from_voxel_map(voxel_map, resolution, height)
+    mesh = surface_mesh(voxel_map)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out) as unfinished:
+        unfinished.mkdir()
+        write_ros_map(unfinished / "map.yaml", grid)
+        write_ply(unfinished / "mesh.ply", mesh)
+        write_glb(unfinished / "mesh.glb", mesh)
+    share = {name: (grid.cells == value).mean() for name, value in (("free", FREE), ("occupied", OCCUPIED))}
+    size = " x ".join(str(n) for n in grid.cells.shape)
+    print(f"{size} cells of {resolution} m, {share['free']:.0%} free, {share['occupied']:.0%} occupied")
+    print(f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles\n{out}")

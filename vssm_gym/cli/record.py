@@ -2,7 +2,10 @@
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from vssm_gym.envs.sensors import CameraConfig
 
 
 def record(
@@ -35,7 +38,6 @@ def record(
     from vssm_gym.cli.console import print_notices, progress_bars
     from vssm_gym.data import recording
     from vssm_gym.envs import sensor_noise as sensors
-    from vssm_gym.envs.sensors import CameraConfig
     from vssm_gym.errors import InputError
     from vssm_gym.eval.destinations import check_at_least, check_folder
 
@@ -44,9 +46,7 @@ def record(
     for name, value, owner in (("noise", noise, "survey"), ("metres", metres, "handheld"), ("rate", rate, "handheld")):
         if value is not None and motion != owner:
             raise InputError("record", name, f"none with --motion {motion}: it belongs to {owner}")
-    if not (match := re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", size.strip())):
-        raise InputError("record", "size", f"WIDTHxHEIGHT in pixels, as 160x120, not {size!r}")
-    camera = CameraConfig(int(match[1]), int(match[2]))
+    camera = camera_of("record", size)
     sensors.sensor_noise(sensor_noise)  # an unknown name is refused before anything starts
     print_notices([scene])
     with progress_bars() as progress:
@@ -74,3 +74,13 @@ def record(
             )
             following = f"vssm-gym slam {out} --out slam"
     print(f"{frames} frames: {out}\nnext: {following}")
+
+
+def camera_of(command: str, size: str) -> "CameraConfig":
+    """The camera of ``--size WIDTHxHEIGHT``; raises InputError naming the command."""
+    from vssm_gym.envs.sensors import CameraConfig
+    from vssm_gym.errors import InputError
+
+    if not (match := re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", size.strip())):
+        raise InputError(command, "size", f"WIDTHxHEIGHT in pixels, as 160x120, not {size!r}")
+    return CameraConfig(int(match[1]), int(match[2]))

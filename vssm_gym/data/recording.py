@@ -4,6 +4,7 @@ Driver and walker know the floor plan and the true pose; what they leave behind 
 a motion-capture hall would. Agents get the map made from them, never the recording or the plan.
 """
 
+import itertools
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -120,6 +121,30 @@ def record_handheld(
     finally:
         eye.close()
     return len(path.times)
+
+
+@contextmanager
+def recorded_episode(
+    env: PointNavEnv, out: Path, about: dict[str, Any]
+) -> Iterator[Callable[[dict[str, np.ndarray], dict[str, Any]], None]]:
+    """A function that takes each ``(observation, info)`` of an episode, which becomes the recording ``out``.
+
+    Args:
+        env: whose robot is driven by whoever calls the function.
+        out: new or empty folder; it appears where the block ends without an error.
+        about: what else to tell in ``recording.json``.
+    """
+    _check_new(out)
+    with _recording(out, env.apartment, about | {"renderer": env.renderer_name}) as unfinished:
+        writer = SequenceWriter(unfinished, env.camera, env.robot.T_body_cam)
+        frames = itertools.count()
+
+        def write(observation: dict[str, np.ndarray], info: dict[str, Any]) -> None:
+            time = next(frames) * env.robot.dt
+            writer.append(time, observation["rgb"], observation["depth"], info["T_world_cam"], info["control"])
+
+        yield write
+        writer.close()
 
 
 def _check_new(out: Path) -> None:

@@ -71,12 +71,8 @@ class ClearanceMap:
         A column is occupied where the mean field exceeds zero at any height, and not free either where too few of its
         heights were ever observed. The grid covers the observed free columns with one cell around them.
         """
-        low, high = voxel_map.bounds
-        shape = tuple(int(n) for n in np.floor((high - low)[:2] / resolution).astype(int) + 1)
-        spacing = 0.5 * float(voxel_map.voxel_size)  # finer adds nothing: the field is linear between cells
-        heights = np.linspace(z_min, z_max, max(2, int(np.ceil((z_max - z_min) / spacing)) + 1))
-        top, share = _columns(voxel_map, jnp.asarray(heights, jnp.float32), jnp.float32(resolution), shape)
-        top, share = np.asarray(top, np.float64), np.asarray(share)
+        low = voxel_map.bounds[0]
+        top, share = observed_columns(voxel_map, z_min, z_max, resolution)
         unknown = share < KNOWN_SHARE
         occupied = (top > 0.0) | unknown
         # An unobserved column has no surface to interpolate: half a cell is the unbiased place of its border.
@@ -106,6 +102,22 @@ class ClearanceMap:
         return ClearanceMap(
             np.minimum(self.clearance, disc).astype(np.float32, order="C"), self.origin, self.resolution
         )
+
+
+def observed_columns(
+    voxel_map: VoxelMap, z_min: float, z_max: float, resolution: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Highest mean occupancy (m, -inf where nothing was observed) and observed share of the heights of each column.
+
+    Column ``[ix, iy]`` stands ``resolution * (ix, iy)`` m from the lowest cell centre of the map and is looked at from
+    ``z_min`` to ``z_max`` m; both results are float64 ``(nx, ny)``.
+    """
+    low, high = voxel_map.bounds
+    shape = tuple(int(n) for n in np.floor((high - low)[:2] / resolution).astype(int) + 1)
+    spacing = 0.5 * float(voxel_map.voxel_size)  # finer adds nothing: the field is linear between cells
+    heights = np.linspace(z_min, z_max, max(2, int(np.ceil((z_max - z_min) / spacing)) + 1))
+    top, share = _columns(voxel_map, jnp.asarray(heights, jnp.float32), jnp.float32(resolution), shape)
+    return np.asarray(top, np.float64), np.asarray(share, np.float64)
 
 
 @partial(jax.jit, static_argnames="shape")

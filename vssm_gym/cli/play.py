@@ -1,0 +1,75 @@
+"""``vssm-gym play``: drive a robot by keyboard, in any terminal, also over SSH."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+def play(
+    env: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ENV")] = "PointNav-v0",
+    scene: str = "oak",
+    noise: str = "low",
+    sensor_noise: str = "none",
+    size: str = "160x120",
+    plan: bool = False,
+    colours: Literal["true", "256"] = "true",
+    record: Path | None = None,
+    seed: int = 0,
+) -> None:
+    """Drive a robot by keyboard in the terminal: what it sees, where its goal lies, what it touches.
+
+    No X server is needed; it works over SSH. One key is one step of the robot, so that nothing moves while you think.
+
+    Args:
+        env: the environment's id.
+        scene: built-in name (oak) or path of a scene file.
+        noise: execution noise: none, low, mid or high.
+        sensor_noise: what the camera adds to the exact image.
+        size: WIDTHxHEIGHT of the camera's images.
+        plan: show the plan from above from the start; p switches it.
+        colours: 24-bit (true), or 256 for terminals that show no others.
+        record: new or empty folder: each episode driven becomes a TUM folder in it, 1, 2, ...
+        seed: of tasks and noise.
+    """
+    import gymnasium as gym
+
+    import vssm_gym  # noqa: F401  (registers the environments)
+    from vssm_gym.cli.console import print_notices
+    from vssm_gym.cli.play_session import DRIVES, Session
+    from vssm_gym.cli.record import camera_of
+    from vssm_gym.cli.terminal import check_terminal, whole_terminal
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.destinations import check_at_least, check_folder
+
+    name = env.removeprefix("vssm_gym/")
+    if name not in DRIVES:
+        raise InputError("play", "ENV", f"one of {', '.join(DRIVES)}; found {env!r}")
+    check_at_least("play", "seed", seed, 0)
+    check_terminal("play")
+    if record is not None:
+        check_folder(record)
+        if record.exists() and any(record.iterdir()):
+            raise InputError(record, "folder", "an empty or new folder: a recording is never overwritten")
+    camera = camera_of("play", size)
+    print_notices([scene])
+    world = gym.make(
+        f"vssm_gym/{name}",
+        scene=scene,
+        noise=noise,
+        sensor_noise=sensor_noise,
+        camera=camera,
+    )
+    about = {"motion": "keyboard", "environment": name, "noise": noise, "sensor_noise": sensor_noise, "seed": seed}
+    session = Session(world, DRIVES[name], " · ".join([name, scene, f"noise {noise}"]), record, about, seed)
+    session.plan = plan
+    try:
+        with whole_terminal() as terminal:
+            while not session.left:
+                terminal.draw(session.screen(*terminal.size, colours))
+                for key in terminal.pressed():
+                    session.press(key)
+    finally:
+        session.close()
+        world.close()
+    print("\n".join(session.summary()))

@@ -1,0 +1,84 @@
+"""The wrappers of :mod:`vssm_gym.envs.wrappers` for vector environments, under the same names as Gymnasium does it.
+
+The vector environment resets in the next step or not at all; one that resets in the same step is refused.
+"""
+
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorObservationWrapper, VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+from vssm_gym.envs.wrappers import (
+    MAX_DEPTH,
+    Observation,
+    checked_max_depth,
+    depth_only,
+    normalized_depth,
+    reckoned,
+    relative_goal,
+    with_normalized_depth,
+    with_relative_goal,
+    without_colour,
+)
+from vssm_gym.errors import InputError
+
+
+class DepthOnly(VectorObservationWrapper):
+    """The observations without their colour images."""
+
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        self.single_observation_space = without_colour(env.single_observation_space)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def observations(self, observations: Observation) -> Observation:
+        """The observations of this environment."""
+        return depth_only(observations)
+
+
+class NormalizedDepth(VectorObservationWrapper):
+    """``depth' = min(depth / max_depth, 1)``; 0 = no reading."""
+
+    def __init__(self, env: VectorEnv, max_depth: float = MAX_DEPTH) -> None:
+        super().__init__(env)
+        self.max_depth = checked_max_depth(max_depth)
+        self.single_observation_space = with_normalized_depth(env.single_observation_space)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def observations(self, observations: Observation) -> Observation:
+        """The observations of this environment."""
+        return normalized_depth(observations, self.max_depth)
+
+
+class RelativeGoal(VectorWrapper):
+    """``goal`` becomes ``(distance, cos(bearing), sin(bearing))`` from the observed or dead-reckoned poses."""
+
+    def __init__(self, env: VectorEnv) -> None:
+        super().__init__(env)
+        if env.metadata.get("autoreset_mode") not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
+            found = f"found {env.metadata.get('autoreset_mode')}"
+            raise InputError("RelativeGoal", "env", f"one that resets in the next step, or not by itself; {found}")
+        self.single_observation_space = with_relative_goal(env.single_observation_space, env.single_action_space)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._believed = np.zeros((self.num_envs, 3))
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Start episodes: of all environments, or of those in ``options["reset_mask"]``."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._start(infos)
+        return relative_goal(observations, self._believed), infos
+
+    def step(self, actions: Any) -> tuple[Observation, Any, Any, Any, dict[str, Any]]:
+        """Carry out ``actions``; environments whose episode had ended begin at their new start."""
+        observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        if "pose" not in observations:
+            for i in np.flatnonzero(~self._start(infos)):
+                self._believed[i] = reckoned(self._believed[i], infos["control"][i])
+        return relative_goal(observations, self._believed), rewards, terminations, truncations, infos
+
+    def _start(self, infos: dict[str, Any]) -> np.ndarray:
+        """Put the environments that have just been reset to their known starts; which those are, ``(num_envs,)``."""
+        begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
+        self._believed[begun] = np.asarray(infos["start_pose"], np.float64)[begun] if begun.any() else 0.0
+        return begun

@@ -1,0 +1,105 @@
+"""The floor plan of a learned map as free, occupied and unknown cells, and its files for ROS's ``map_server``.
+
+ROS's conventions: the origin is the lower left corner of the lower left cell, image rows run from the highest y down,
+white is free, black occupied, and what lies between the two thresholds unknown.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+from vssm_gym.planning.clearance import KNOWN_SHARE, observed_columns
+from vssm_gym.voxel_map import VoxelMap
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
+# Grey levels of map_saver and the thresholds that go with them: map_server reads a level v as the probability
+# (255 - v) / 255, and 205 is 0.19608, just above 0.196. With nav2's usual 0.25 unknown space would be free.
+GREY = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
+OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
+Z_MIN = 0.08  # m: above the floor's noise, as for clearance
+
+
+@dataclass(frozen=True)
+class OccupancyGrid:
+    """What a robot of some height would meet in each cell of the floor plan.
+
+    Attributes:
+        cells: ``(nx, ny)`` int8 of :data:`FREE`, :data:`OCCUPIED`, :data:`UNKNOWN`, indexed ``[ix, iy]`` along world
+            x, y.
+        origin: ``(2,)`` world position of the corner of cell ``[0, 0]`` with the lowest x and y, m.
+        resolution: edge of a cell, m.
+    """
+
+    cells: np.ndarray
+    origin: np.ndarray
+    resolution: float
+
+    @classmethod
+    def from_voxel_map(
+        cls, voxel_map: VoxelMap, resolution: float = 0.05, height: float = 0.5, z_min: float = Z_MIN
+    ) -> "OccupancyGrid":
+        """The cells that a robot as high as ``height`` (m) would touch something in, by the map's mean field.
+
+        A cell is looked at in columns half a voxel apart: it is occupied where the field exceeds zero in any of them
+        between ``z_min`` and ``height``, else unknown where less than half of these heights were ever observed. The
+        grid covers what is not unknown.
+
+        Raises:
+            InputError: a resolution or height that makes no map, or a map that shows nothing at these heights.
+        """
+        if not 0.01 <= resolution <= 1.0:
+            raise InputError("map", "resolution", f"a cell size from 0.01 to 1 m; found {resolution}")
+        if not z_min < height <= 5.0:
+            raise InputError("map", "height", f"a robot's height above {z_min} m, up to 5 m; found {height}")
+        per_cell = max(1, int(np.ceil(resolution / (0.5 * float(voxel_map.voxel_size)) - 1e-6)))
+        spacing = resolution / per_cell
+        top, share = observed_columns(voxel_map, z_min, height, spacing)
+        occupied = _blocks(top > 0.0, per_cell).any(axis=(1, 3))
+        unknown = _blocks(share, per_cell).mean(axis=(1, 3)) < KNOWN_SHARE
+        cells = np.where(occupied, OCCUPIED, np.where(unknown, UNKNOWN, FREE)).astype(np.int8)
+        known = np.argwhere(cells != UNKNOWN)
+        if len(known) == 0:
+            raise InputError("map", "belief", f"something observed between {z_min} and {height} m; found nothing")
+        first, last = known.min(axis=0), known.max(axis=0)
+        # The first column stands in the middle of its share of the cell.
+        corner = voxel_map.bounds[0, :2] - 0.5 * spacing + first * resolution
+        window = cells[first[0] : last[0] + 1, first[1] : last[1] + 1]
+        return cls(window, corner, float(resolution))
+
+    def image(self) -> np.ndarray:
+        """The grid as ROS draws it: uint8 ``(ny, nx)``, the first row at the highest y."""
+        grey = np.full(self.cells.shape, GREY[UNKNOWN], np.uint8)
+        grey[self.cells == FREE] = GREY[FREE]
+        grey[self.cells == OCCUPIED] = GREY[OCCUPIED]
+        return np.ascontiguousarray(grey.T[::-1])
+
+
+def _blocks(columns: np.ndarray, n: int) -> np.ndarray:
+    """``(nx, ny)`` columns as ``(cells x, n, cells y, n)``; what a cell at the rim lacks was not observed: zeros."""
+    nx, ny = (-(-size // n) for size in columns.shape)
+    padded = np.zeros((nx * n, ny * n), columns.dtype)
+    padded[: columns.shape[0], : columns.shape[1]] = columns
+    return padded.reshape(nx, n, ny, n)
+
+
+def write_ros_map(path: Path, grid: OccupancyGrid) -> None:
+    """Write ``path`` (.yaml) and the image beside it (.pgm), each whole or not at all, the image first."""
+    image = grid.image()
+    picture = path.with_suffix(".pgm")
+    with atomic_write(picture) as temporary:
+        temporary.write_bytes(f"P5\n{image.shape[1]} {image.shape[0]}\n255\n".encode("ascii") + image.tobytes())
+    x, y = (round(float(value), 6) for value in grid.origin)
+    lines = [
+        f"image: {picture.name}",
+        "mode: trinary",
+        f"resolution: {grid.resolution!r}",
+        f"origin: [{x!r}, {y!r}, 0.0]",
+        "negate: 0",
+        f"occupied_thresh: {OCCUPIED_THRESHOLD}",
+        f"free_thresh: {FREE_THRESHOLD}",
+    ]
+    with atomic_write(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
