@@ -21,6 +21,7 @@ DOWN = math.radians(12.0)  # its pitch: furniture stands below the eye
 HFOV = math.radians(78.0)
 POSITIONS, HEADINGS = 48, 16  # viewpoints tried in a room
 ENOUGH = 4  # rays of the coarse image that must meet a thing for it to count as seen
+NEAR = 0.9  # m; things as close as this spoil a view
 FAR = 8.0  # m; beyond, distance makes a view no better
 _GAP = 4  # pixels between the pictures
 _INK = (24, 92, 196)
@@ -29,7 +30,7 @@ _INK = (24, 92, 196)
 def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "height width 3"]:
     """The plan, north up, and beside it two camera images one above the other.
 
-    The images are taken in the two rooms with most free space (both in the one room of a studio), each from where most
+    The images are taken in the two largest rooms (both in the one room of a studio), each from where most
     pieces of furniture are seen that the other does not show. Blue dots in the plan say from where, their angles
     the field of view. The width follows the plan's proportions.
 
@@ -49,7 +50,8 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     camera, coarse = raycast_camera(world, config), raycast_camera(world, CameraConfig(40, 30, HFOV), 1)
     names = np.array([box.name if box.kind == "furniture" else "" for box in boxes])
 
-    rooms = sorted(space.rooms.values(), key=lambda room: room.intersection(space.largest).area, reverse=True)
+    # Floor far from walls makes a room large to the eye: corridors come last.
+    rooms = sorted(space.rooms.values(), key=lambda room: (room.buffer(-0.8).area, room.area), reverse=True)
     poses: list[Matrix4] = []
     seen: set[str] = set()
     for room in (rooms * 2)[:2]:
@@ -87,7 +89,7 @@ def _best_view(
     coarse: RaycastCamera, names: np.ndarray, positions: Float[np.ndarray, "n 2"], known: set[str]
 ) -> tuple[Matrix4, set[str]]:
     """The pose that shows most pieces not in ``known``, then the deepest view, and the pieces it shows."""
-    best: tuple[float, Matrix4, set[str]] = (-1.0, np.eye(4), set())
+    best: tuple[float, Matrix4, set[str]] = (-math.inf, np.eye(4), set())
     rays = np.asarray(coarse.camera.rays(), dtype=np.float32).reshape(-1, 3)
     for x, y in positions:
         for heading in 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS:
@@ -97,6 +99,7 @@ def _best_view(
             shown = set(met[count >= ENOUGH].tolist()) - {""}
             # What stands right before the eye hides the room: distance counts as much as a handful of pieces.
             score = len(shown - known) + 8.0 * float(np.clip(depth, 0.0, FAR).mean()) / FAR
+            score -= 20.0 * float((depth < NEAR).mean())
             if score > best[0]:
                 best = (score, T_world_cam, shown)
     return best[1], best[2]
