@@ -54,9 +54,8 @@ def toilet(rng: np.random.Generator, style: Style) -> Piece:
     )
 
 
-def vanity(rng: np.random.Generator, style: Style) -> Piece:
-    """A basin in a cabinet under a mirror."""
-    w = cm(rng, 0.7, 1.0, 0.1)
+def vanity(rng: np.random.Generator, style: Style, w: float) -> Piece:
+    """A basin in a cabinet of width w under a mirror."""
     body = Material(color=tinted(rng, (0.55, 0.65, 0.7), 0.12), texture="cabinet", scale=w)
     return one(
         "vanity",
@@ -65,9 +64,9 @@ def vanity(rng: np.random.Generator, style: Style) -> Piece:
             block(
                 0.0, 0.24, 0.8, w + 0.04, 0.48, 0.05, Material(color=(0.95, 0.95, 0.95), texture="marble", scale=0.8)
             ),
-            block(0.0, 0.25, 0.85, 0.46, 0.28, 0.02, CERAMIC),
-            block(0.0, 0.05, 0.85, 0.06, 0.06, 0.2, STEEL),
-            block(0.3, 0.2, 0.85, 0.08, 0.1, 0.15, cushion(rng, 0.15)),
+            block(-0.06, 0.25, 0.85, 0.36, 0.28, 0.02, CERAMIC),
+            block(-0.06, 0.05, 0.85, 0.06, 0.06, 0.2, STEEL),
+            block(round(0.5 * w - 0.1, 3), 0.2, 0.85, 0.08, 0.1, 0.15, cushion(rng, 0.15)),
             block(0.0, 0.02, 1.15, w - 0.1, 0.04, 0.8, Material(color=(0.85, 0.9, 0.92), texture="window", scale=1.6)),
         ],
         front=0.5,

@@ -5,6 +5,7 @@
 
 import itertools
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -138,6 +139,15 @@ class _Room:
         dy = np.maximum(0.0, np.maximum(r[:, 1] - o[:, 1:], o[:, 1:] - r[:, 3]))
         return np.minimum(1.5, np.hypot(dx, dy).min(axis=1))
 
+    def all_of(self, wishes: Sequence[tuple[Callable[[Piece], np.ndarray | None], Piece]]) -> bool:
+        """Place every piece in the first order in which all find a place; none of them where no order does."""
+        before = self.site.state()
+        for order in itertools.permutations(wishes):
+            if all(place(piece) is not None for place, piece in order):
+                return True
+            self.site.restore(before)
+        return False
+
     # ---- things that any room may have
 
     def pictures(self, most: int) -> None:
@@ -261,10 +271,13 @@ def _study(room: _Room) -> None:
 
 def _bathroom(room: _Room) -> None:
     rng, style = room.rng, room.style
-    if room.area < 5.0 or room.corner(bathroom.bathtub(rng, style)) is None:
-        room.corner(bathroom.shower(rng, style))
-    room.corner(bathroom.toilet(rng, style))
-    room.middle(bathroom.vanity(rng, style))
+    tub = bathroom.bathtub(rng, style) if room.area > 5.6 else bathroom.shower(rng, style)
+    basin, seat = bathroom.vanity(rng, style, 0.9), bathroom.toilet(rng, style)
+    small = bathroom.vanity(rng, style, 0.6)
+    for bath, sink in ((tub, basin), (tub, small), (bathroom.shower(rng, style), small)):
+        wishes = ((room.corner, bath), (room.corner, seat), (room.middle, sink))
+        if room.all_of(wishes):
+            break
     if room.chance(0.7):
         room.corner(bathroom.washing_machine(rng, style))
     room.corner(bathroom.hamper(rng, style))
@@ -304,7 +317,8 @@ def _studio(room: _Room) -> None:
     seat = room.middle(living.sofa(rng, style, 1.6))
     room.facing(living.television(rng, style), seat)
     room.centre(living.bistro(rng, style))
-    room.beside(bedroom.wardrobe(rng, style), bed)
+    if room.beside(bedroom.wardrobe(rng, style), bed) is None:
+        room.corner(bedroom.dresser(rng, style))
     room.corner(work.bookshelf(rng, style))
     room.lay(decor.rug(rng, style, 1.6, 1.2))
     room.extras()

@@ -76,6 +76,20 @@ class Piece:
             max(b.high[1] for b in blocks),
         )
 
+    @property
+    def on_floor(self) -> np.ndarray:
+        """(n, 4) what stops a ground robot; parts that overlap, as a chair and its table, count as one rectangle."""
+        merged: list[tuple[float, ...]] = []
+        for part in self.parts:
+            rect: tuple[float, ...] | None = part.on_floor
+            if rect is None:
+                continue
+            met = [r for r in merged if r[0] < rect[2] and rect[0] < r[2] and r[1] < rect[3] and rect[1] < r[3]]
+            merged = [r for r in merged if r not in met]
+            rows = np.array([rect, *met])
+            merged.append((*rows[:, :2].min(axis=0).tolist(), *rows[:, 2:].max(axis=0).tolist()))
+        return np.array(merged).reshape(-1, 4)
+
     def moved(self, x: float, y: float, turned: bool = False) -> "Piece":
         """The piece shifted by (x, y); first turned by half a turn about its origin if asked."""
         return Piece(tuple(_moved(part, x, y, turned) for part in self.parts), self.front, self.airy)

@@ -9,6 +9,7 @@ comparison of numbers: the same on every machine.
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import shapely
@@ -87,6 +88,7 @@ class Site:
         self.edges = [Edge(a, b, self._inset(apartment, a, b, inset)) for a, b in edges]
         self._inside = _contains(corners)
         self._names: dict[str, int] = {}
+        self._walls = len(self.obstacles)  # walls and leaves come first among the obstacles
 
     @staticmethod
     def _inset(apartment: Apartment, a: np.ndarray, b: np.ndarray, default: float) -> float:
@@ -183,14 +185,21 @@ class Site:
                 return np.array([*origins[i], turns[i]])
         return None
 
+    def state(self) -> dict[str, Any]:
+        """What has been placed so far, for `restore`."""
+        return self.__dict__ | {"furniture": list(self.furniture), "_names": dict(self._names)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take away what was placed after `state`."""
+        self.__dict__.update(state | {"furniture": list(state["furniture"]), "_names": dict(state["_names"])})
+
     # ---- rules
 
     def _allowed(
         self, piece: Piece, origins: Float[np.ndarray, "n 2"], turns: Int[np.ndarray, "n"]
     ) -> Bool[np.ndarray, "n"]:
         good = np.zeros(len(origins), dtype=bool)
-        floor = [part.on_floor for part in piece.parts]
-        lying = np.array([rect for rect in floor if rect is not None]).reshape(-1, 4)
+        lying = piece.on_floor
         blocks = np.array([[*b.low, *b.high] for part in piece.parts for b in part.blocks])
         for q in np.unique(turns):
             where = np.flatnonzero(turns == q)
@@ -217,16 +226,9 @@ class Site:
             good[where] = ok
         return good
 
-    @property
-    def _walls(self) -> int:
-        """How many of the obstacles are walls and leaves: they come first."""
-        return len(self.obstacles) - self._added
-
-    _added = 0
-
     def _keeps_ways(self, piece: Piece, origin: np.ndarray, turn: int) -> bool:
         """Whether a disc of radius WIDE still reaches all doors, and little floor is cut off from them."""
-        rects = np.array([part.on_floor for part in piece.parts if part.on_floor is not None]).reshape(-1, 4)
+        rects = piece.on_floor
         if not len(rects):
             return True
         rects = _turned(rects, turn) + np.tile(origin, 2)
@@ -256,10 +258,9 @@ class Site:
 
     def _add(self, piece: Piece, origin: np.ndarray, turn: int) -> None:
         shift4, shift6 = np.tile(origin, 2), np.array([*origin, 0.0, *origin, 0.0])
-        rects = np.array([part.on_floor for part in piece.parts if part.on_floor is not None]).reshape(-1, 4)
+        rects = piece.on_floor
         self.obstacles = np.concatenate([self.obstacles, _turned(rects, turn) + shift4])
         self.airy = np.concatenate([self.airy, np.full(len(rects), piece.airy)])
-        self._added += len(rects)
         if piece.front > 0.0:
             x0, _, x1, y1 = piece.bounds
             ahead = _turned(np.array([[x0, y1, x1, y1 + piece.front]]), turn) + shift4

@@ -150,9 +150,9 @@ ELM = Home(  # an L-shaped house around a long hall; the living room wraps aroun
         DoorPlan((4.2, 1.8), ("hall", "bathroom"), 0.85, "bathroom"),
         DoorPlan((4.2, 3.0), ("hall", "bedroom"), 0.9, "bedroom"),
         DoorPlan((4.2, 7.2), ("hall", "kids room"), 0.9, "kids room"),
-        DoorPlan((5.6, 2.6), ("hall", "kitchen"), 0.9, "kitchen"),
+        DoorPlan((5.6, 0.62), ("hall", "kitchen"), 0.9, "kitchen"),
         DoorPlan((5.6, 5.2), ("hall", "living room"), 1.4),
-        DoorPlan((8.6, 1.6), ("kitchen", "living room"), 1.1),
+        DoorPlan((8.6, 1.4), ("kitchen", "living room"), 1.1),
         DoorPlan((5.6, 10.2), ("hall", "study"), 0.9, "study"),
     ),
     (
