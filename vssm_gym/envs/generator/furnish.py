@@ -21,8 +21,9 @@ Bare = dict[str, frozenset[int]]
 def furnish(apartment: Apartment, seeds: dict[str, int], bare: Bare) -> Apartment:
     """The apartment with furniture; ``seeds`` gives each room by name the seed of its own stream."""
     furniture: list[Furniture] = []
+    boxes = apartment.boxes()
     for room in apartment.rooms:
-        site = Site(apartment, room, bare.get(room.name, frozenset()))
+        site = Site(apartment, boxes, room, bare.get(room.name, frozenset()))
         _Room(site, np.random.default_rng(seeds[room.name])).fill()
         furniture += site.furniture
     return apartment.model_copy(update={"furniture": tuple(furniture)})

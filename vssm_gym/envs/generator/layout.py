@@ -4,6 +4,7 @@ All lengths are whole decimetres; a plan is drawn with the corridor along x and 
 `layout` raises `NoPlan` where the doors of a draw do not fit; the caller draws again.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -33,7 +34,6 @@ _WIDTHS = {
 }
 # Public rooms on one side, private ones on the other, by the number of rooms without the corridor.
 _STRIPS = {
-    3: (("living room", "kitchen"), ("bedroom", "bathroom")),  # one side of the corridor belongs to the living room
     4: (("living room", "kitchen"), ("bedroom", "bathroom")),
     5: (("living room", "kitchen"), ("bedroom", "bathroom", "study")),
     6: (("living room", "kitchen", "study"), ("bedroom", "bathroom", "kids room")),
@@ -84,12 +84,9 @@ def _along_corridor(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]
     The shorter strip ends early where the difference is worth it, which makes the whole plan an L.
     """
     merged = count == 4 or (count < 7 and rng.uniform() < 0.3)  # the living room and the corridor are one room
-    public, private = _STRIPS[count if merged and count > 4 else count - 1]
-    if merged and count == 4:
-        public, private = _STRIPS[4]
-    strips = []
-    for kinds in (public, private):
-        ordered = [str(kind) for kind in rng.permutation(kinds)]
+    strips: list[tuple[list[str], list[float]]] = []
+    for group in _STRIPS[count if merged else count - 1]:
+        ordered = [str(kind) for kind in rng.permutation(group)]
         if "living room" in ordered:  # at an end: it has windows on two sides
             ordered.remove("living room")
             ordered.insert(0, "living room")
@@ -97,13 +94,8 @@ def _along_corridor(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]
     totals = [sum(widths) for _, widths in strips]
     if abs(totals[0] - totals[1]) < 1.6 or merged:  # make both strips equally long
         k = int(totals[0] > totals[1])
-        room = int(np.argmax([_WIDTHS[kind][1] for kind in strips[k][0]])) if k == 0 else len(strips[k][0]) - 1
         kinds, widths = strips[k]
-        share = round(abs(totals[0] - totals[1]), 1)
-        per = np.floor(share / len(widths) * 10) / 10
-        widths = [round(w + per, 1) for w in widths]
-        widths[room] = round(widths[room] + share - per * len(widths), 1)
-        strips[k] = (kinds, widths)
+        _widen(kinds, widths, abs(totals[0] - totals[1]))
     south, corridor, north = cm(rng, 3.6, 4.6, 0.1), cm(rng, 1.3, 1.6, 0.1), cm(rng, 3.4, 4.2, 0.1)
     y1, y2, y3 = round(south, 1), round(south + corridor, 1), round(south + corridor + north, 1)
     cuts = [_cuts(widths) for _, widths in strips]
@@ -129,6 +121,15 @@ def _along_corridor(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]
     if "dining room" in ordered and abs(ordered.index("dining room") - ordered.index("kitchen")) == 1:
         links.append(("dining room", "kitchen", "opening"))
     return rooms, links
+
+
+def _widen(kinds: list[str], widths: list[float], more: float) -> None:
+    """Share out ``more`` m among the rooms that profit from it."""
+    roomy = [i for i, kind in enumerate(kinds) if kind not in ("bathroom", "storage")]
+    per = math.floor(more / len(roomy) * 10.0 + 1e-6) / 10.0
+    for i in roomy:
+        widths[i] = round(widths[i] + per, 1)
+    widths[roomy[0]] = round(widths[roomy[0]] + more - per * len(roomy), 1)
 
 
 def _around_living(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]:

@@ -1,4 +1,4 @@
-"""Where doors and windows go in a plan by seed: doors near corners and clear of each other, windows where wall is left."""
+"""Doors and windows of a plan by seed: doors near corners and clear of each other, windows where wall is left."""
 
 import itertools
 import math

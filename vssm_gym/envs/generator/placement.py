@@ -16,9 +16,10 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from vssm_gym.envs.apartment import Apartment, Box, Furniture, Room
+from vssm_gym.envs.apartment import Apartment, Box, Door, Furniture, Room, Window
 from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.generator.pieces import LOW, STEP, Block, Piece
+from vssm_gym.envs.solids import SolidBox
 
 CLOSED, PASSAGE = 0.11, 0.47  # m: gaps between two things are at most the one or at least the other
 WIDE = 0.21  # m, radius of the disc that reaches every door of a room
@@ -27,7 +28,7 @@ APPROACH = 0.6  # m before and behind a door that stay free
 _WINDOW = 0.15  # m before a window that stay free
 _CELL = 0.02  # m, grid on which ways are followed
 _POCKET = 0.15  # m^2 of floor that a piece may cut off
-_TRIES = 12  # best places of a piece that are examined fully
+_TRIES = 12  # places that would block the way before a piece is given up
 _EPS = 1e-6
 
 _TURNS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the piece's x axis after q quarter turns
@@ -55,18 +56,18 @@ class Site:
 
     Args:
         apartment: walls, doors and windows.
+        boxes: the apartment's boxes.
         room: one of its rooms.
         bare: edges of the room whose walls stay without pictures.
     """
 
-    def __init__(self, apartment: Apartment, room: Room, bare: frozenset[int] = frozenset()) -> None:
+    def __init__(self, apartment: Apartment, boxes: list[SolidBox], room: Room, bare: frozenset[int]) -> None:
         self.room, self.bare, self.ceiling = room, bare, apartment.ceiling_height
         corners = np.array(room.polygon)
-        x0, y0, x1, y1 = *corners.min(axis=0), *corners.max(axis=0)
-        self.low, self.high = np.array([x0, y0]), np.array([x1, y1])
+        self.low, self.high = corners.min(axis=0), corners.max(axis=0)
         inset = max(wall.thickness for wall in apartment.walls) / 2
         solids, floor = [], shapely.Polygon(room.polygon)
-        for box in apartment.boxes():
+        for box in boxes:
             if box.kind not in ("wall", "door", "window"):
                 continue
             # Only this room's half of a wall: a leaf behind it leaves no gap here.
@@ -80,13 +81,12 @@ class Site:
         self.obstacles = self.solids[low][:, [0, 1, 3, 4]]  # (n, 4) what stops a ground robot
         self.airy = np.zeros(len(self.obstacles), dtype=bool)
         self.fronts = np.zeros((0, 4))
-        self.closed = np.zeros((0, 6))  # doors' swings and the air before windows
+        self._inside = _contains(corners)
         self.entries: list[np.ndarray] = []  # a free point before each door
         self.furniture: list[Furniture] = []
         self._holes(apartment)
         edges = list(itertools.pairwise([*corners, corners[0]]))
         self.edges = [Edge(a, b, self._inset(apartment, a, b, inset)) for a, b in edges]
-        self._inside = _contains(corners)
         self._names: dict[str, int] = {}
         self._walls = len(self.obstacles)  # walls and leaves come first among the obstacles
 
@@ -104,30 +104,27 @@ class Site:
         return max(found, default=default)
 
     def _holes(self, apartment: Apartment) -> None:
-        closed = []
-        for hole in (*apartment.doors, *apartment.windows):
+        """The floor that doors need in this room and the air before its windows."""
+        zones = []
+        holes: list[Door | Window] = [*apartment.doors, *apartment.windows]
+        for hole in holes:
             wall = apartment.walls[hole.wall]
             c, s = math.cos(wall.yaw), math.sin(wall.yaw)
             u, n = np.array([c, s]).round(), np.array([-s, c]).round()
             middle = np.array(wall.start) + u * (hole.offset + 0.5 * hole.width)
-            is_door = hole in apartment.doors
-            if is_door and self.room.name not in hole.rooms:  # type: ignore[union-attr]
-                continue
             depth = _WINDOW
-            if is_door:
-                depth = max(hole.width, APPROACH) if hole.leaves else APPROACH  # type: ignore[union-attr]
-            for side in (1.0, -1.0):
-                inward = side * n
-                if not _contains(np.array(self.room.polygon))((middle + 0.3 * inward)[None])[0]:
+            if isinstance(hole, Door):
+                depth = max(hole.width, APPROACH) if hole.leaves else APPROACH
+            for inward in (n, -n):
+                if not self._inside((middle + 0.3 * inward)[None])[0]:
                     continue
-                reach = 0.5 * wall.thickness + depth
-                ends = np.array([middle - 0.5 * hole.width * u, middle + 0.5 * hole.width * u + reach * inward])
+                far = middle + 0.5 * hole.width * u + (0.5 * wall.thickness + depth) * inward
+                ends = np.stack([middle - 0.5 * hole.width * u, far])
                 z0 = wall.base + hole.sill
-                closed.append((*ends.min(axis=0), z0, *ends.max(axis=0), z0 + hole.height))
-                if is_door:
+                zones.append((*ends.min(axis=0), z0, *ends.max(axis=0), z0 + hole.height))
+                if isinstance(hole, Door):
                     self.entries.append(middle + (0.5 * wall.thickness + 0.3) * inward)
-        if closed:
-            self.closed = np.round(np.array(closed), 6)
+        self.closed = np.round(np.array(zones, dtype=np.float64).reshape(-1, 6), 6)
 
     # ---- places
 
@@ -155,10 +152,8 @@ class Site:
         grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
         return np.round(np.concatenate([grid, grid]), 4), np.repeat([0, 1], len(grid))
 
-    def place(
-        self, piece: Piece, places: tuple[np.ndarray, np.ndarray], score: Score, least: float = -math.inf
-    ) -> np.ndarray | None:
-        """Put the piece at the best place that the rules allow and that is worth ``least``; None if there is none.
+    def place(self, piece: Piece, places: tuple[np.ndarray, np.ndarray], score: Score) -> np.ndarray | None:
+        """Put the piece at the best place that the rules allow; None if there is none.
 
         Returns:
             (x, y) of its origin and its quarter turns.
@@ -171,18 +166,22 @@ class Site:
         if not len(origins):
             return None
         worth = score(origins, turns)
-        order = np.argsort(-worth, kind="stable")
-        # The best places lie side by side: examine a spread of them, not a dozen neighbours.
-        chosen: list[int] = []
-        for i in order:
-            if worth[i] < least or len(chosen) == _TRIES:
-                break
-            if all(np.abs(origins[i] - origins[j]).sum() > 0.12 or turns[i] != turns[j] for j in chosen):
-                chosen.append(int(i))
-        for i in chosen:
+        occupied = np.concatenate([self.solids, self.closed])
+        blocks = np.array([[*b.low, *b.high] for part in piece.parts for b in part.blocks])
+        refused: list[int] = []
+        for i in np.argsort(-worth, kind="stable").tolist():
+            # Places lie side by side: where one would block the way, so would its neighbours.
+            if any(np.abs(origins[i] - origins[j]).sum() < 0.12 and turns[i] == turns[j] for j in refused):
+                continue
+            shift = np.array([*origins[i], 0.0, *origins[i], 0.0])
+            if _overlap3(_turned3(blocks, turns[i]) + shift, occupied).any():
+                continue
             if self._keeps_ways(piece, origins[i], int(turns[i])):
                 self._add(piece, origins[i], int(turns[i]))
                 return np.array([*origins[i], turns[i]])
+            refused.append(i)
+            if len(refused) == _TRIES:
+                break
         return None
 
     def state(self) -> dict[str, Any]:
@@ -200,7 +199,6 @@ class Site:
     ) -> Bool[np.ndarray, "n"]:
         good = np.zeros(len(origins), dtype=bool)
         lying = piece.on_floor
-        blocks = np.array([[*b.low, *b.high] for part in piece.parts for b in part.blocks])
         for q in np.unique(turns):
             where = np.flatnonzero(turns == q)
             moved = origins[where]
@@ -219,10 +217,6 @@ class Site:
                 x0, _, x1, y1 = piece.bounds
                 ahead = _turned(np.array([[x0, y1, x1, y1 + piece.front]]), q)[None] + np.tile(moved, 2)[:, None]
                 ok &= ~_overlap(ahead, self.obstacles).any(axis=(1, 2))
-            solid = _turned3(blocks, q)
-            for i in np.flatnonzero(ok):
-                shifted = solid + np.array([*moved[i], 0.0, *moved[i], 0.0])
-                ok[i] = not _overlap3(shifted, np.concatenate([self.solids, self.closed])).any()
             good[where] = ok
         return good
 

@@ -49,8 +49,9 @@ class Home:
         rng = np.random.default_rng(self.seed)
         rooms, bare = [], {}
         for room in self.rooms:
-            plan, edges = looks.room_plan(np.random.default_rng([room.seed, 0]), room.name, room.kind, room.polygon)
-            rooms.append(plan)
+            look = np.random.default_rng([room.seed, 0])
+            room_plan, edges = looks.room_plan(look, room.name, room.kind, room.polygon)
+            rooms.append(room_plan)
             bare[room.name] = edges
         plan = Plan(
             self.name,

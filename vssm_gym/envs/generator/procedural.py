@@ -19,6 +19,8 @@ SIZES: tuple[Size, ...] = get_args(Size)
 """1 to 3, 4 to 6 and 7 to 9 rooms."""
 
 PREFIX = "procedural:"
+"""How the specification of a scene by seed begins."""
+
 LARGEST_SEED = 2**63 - 1
 _DRAWS = 50  # plans drawn before giving up; nine in ten seeds take the first or second
 
