@@ -73,7 +73,7 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
 
 
 def _positions(space: FreeSpace, room: shapely.Polygon) -> Float[np.ndarray, "n 2"]:
-    """About POSITIONS viewpoints spread evenly over the free space well inside a room, or of all rooms if it has none."""
+    """About POSITIONS viewpoints spread over the free space well inside a room, or of all rooms if it has none."""
     inside_doors = space.largest.intersection(room.buffer(-0.5))
     area = inside_doors if inside_doors.area > 0.01 else space.largest
     shapely.prepare(area)

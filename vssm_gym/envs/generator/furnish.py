@@ -80,7 +80,7 @@ class _Room:
 
     def hang(self, piece: Piece) -> np.ndarray | None:
         """At any wall that is not bare."""
-        edges = [i for i in range(len(self.site.edges)) if i not in self.site.bare]
+        edges = [i for i, edge in enumerate(self.site.edges) if edge.side not in self.site.bare]
         return self._along(piece, lambda o, t: 0.5 * self._centred(o, t), edges, spread=3.0)
 
     def lay(self, piece: Piece) -> np.ndarray | None:

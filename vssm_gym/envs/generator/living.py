@@ -147,7 +147,7 @@ def dining(rng: np.random.Generator, style: Style, seats: int) -> Piece:
 
 
 def bistro(rng: np.random.Generator, style: Style) -> Piece:
-    """A square table with two chairs, all within 0.8 m: no way through."""
+    """A square table with two chairs, close enough to leave no way under it."""
     wood = style.timber()
     top = one(
         "table",
@@ -158,7 +158,7 @@ def bistro(rng: np.random.Generator, style: Style) -> Piece:
         ],
     )
     chairs = [one("chair", _chair(rng, style, -0.47, 0.42)).moved(0.0, 0.0, turned=turned) for turned in (False, True)]
-    return joined(top, *chairs)
+    return joined(top, *chairs, airy=True)
 
 
 def sideboard(rng: np.random.Generator, style: Style) -> Piece:

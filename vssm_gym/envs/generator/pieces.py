@@ -57,8 +57,8 @@ class Part:
 class Piece:
     """Parts that are placed together.
 
-    ``front``: metres before the whole piece that stay free, to open or to use it. ``airy``: robots pass under it, so
-    neighbours keep the width of a passage from its legs.
+    ``front``: metres before the whole piece that stay free, to open or to use it. ``airy``: robots pass under it
+    or into its nooks, so everything else keeps the width of a passage from it.
     """
 
     parts: tuple[Part, ...]

@@ -35,16 +35,18 @@ _TURNS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the pie
 
 
 class Edge:
-    """A wall as seen from a room: from ``start`` along ``u`` for ``length`` m, the room to its left; ``turn`` of u."""
+    """A wall of one thickness as seen from a room: from ``start``, on its face, along ``u`` for ``length`` m.
 
-    def __init__(self, start: np.ndarray, end: np.ndarray, inset: float) -> None:
+    The room lies to its left; ``turn`` are the quarter turns of u, ``side`` is the edge of the room's outline.
+    """
+
+    def __init__(self, start: np.ndarray, end: np.ndarray, thickness: float, side: int) -> None:
         self.length = float(np.abs(end - start).sum())
         self.u = np.round((end - start) / self.length)
         self.n = np.array([-self.u[1], self.u[0]])
-        self.start = start + self.n * inset
-        self.margin = inset + GAP
+        self.start = start + self.n * 0.5 * thickness
         self.turn = int(np.flatnonzero((self.u == _TURNS).all(axis=1))[0])
-        self.middle = 0.5 * (start + end)
+        self.side = side
 
 
 Score = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -65,7 +67,7 @@ class Site:
         self.room, self.bare, self.ceiling = room, bare, apartment.ceiling_height
         corners = np.array(room.polygon)
         self.low, self.high = corners.min(axis=0), corners.max(axis=0)
-        inset = max(wall.thickness for wall in apartment.walls) / 2
+        self._margin = max(wall.thickness for wall in apartment.walls) / 2 + GAP
         solids, floor = [], shapely.Polygon(room.polygon)
         for box in boxes:
             if box.kind not in ("wall", "door", "window"):
@@ -85,23 +87,31 @@ class Site:
         self.entries: list[np.ndarray] = []  # a free point before each door
         self.furniture: list[Furniture] = []
         self._holes(apartment)
-        edges = list(itertools.pairwise([*corners, corners[0]]))
-        self.edges = [Edge(a, b, self._inset(apartment, a, b, inset)) for a, b in edges]
+        sides = enumerate(itertools.pairwise([*corners, corners[0]]))
+        self.edges = [edge for i, (a, b) in sides for edge in self._edges(apartment, i, a, b)]
         self._names: dict[str, int] = {}
-        self._walls = len(self.obstacles)  # walls and leaves come first among the obstacles
 
     @staticmethod
-    def _inset(apartment: Apartment, a: np.ndarray, b: np.ndarray, default: float) -> float:
-        """Half the thickness of the thickest wall that runs along a -> b."""
+    def _edges(apartment: Apartment, side: int, a: np.ndarray, b: np.ndarray) -> list[Edge]:
+        """The walls along edge a -> b, joined where they are equally thick."""
         axis = int(abs(b[1] - a[1]) > abs(b[0] - a[0]))
-        found = [
-            wall.thickness / 2
-            for wall in apartment.walls
-            if abs(wall.start[1 - axis] - a[1 - axis]) < 1e-6
-            and abs(wall.end[1 - axis] - a[1 - axis]) < 1e-6
-            and min(a[axis], b[axis]) - 1e-6 < 0.5 * (wall.start[axis] + wall.end[axis]) < max(a[axis], b[axis]) + 1e-6
-        ]
-        return max(found, default=default)
+        low, high = sorted((a[axis], b[axis]))
+        runs: list[tuple[float, float, float]] = []  # from, to, thickness
+        for wall in sorted(apartment.walls, key=lambda w: min(w.start[axis], w.end[axis])):
+            p, q = sorted((wall.start[axis], wall.end[axis]))
+            on_line = max(abs(end[1 - axis] - a[1 - axis]) for end in (wall.start, wall.end)) < _EPS
+            if not on_line or not low < 0.5 * (p + q) < high:
+                continue
+            if runs and runs[-1][2] == wall.thickness:
+                runs[-1] = (runs[-1][0], q, wall.thickness)
+            else:
+                runs.append((p, q, wall.thickness))
+        edges = []
+        for p, q, thickness in runs:
+            start, end = a.copy(), b.copy()
+            start[axis], end[axis] = (p, q) if a[axis] < b[axis] else (q, p)
+            edges.append(Edge(start, end, thickness, side))
+        return edges
 
     def _holes(self, apartment: Apartment) -> None:
         """The floor that doors need in this room and the air before its windows."""
@@ -136,7 +146,7 @@ class Site:
             if edges is not None and i not in edges:
                 continue
             # The ends of the edge lie on the centre lines of the walls that meet it.
-            first, last = edge.margin - x0, edge.length - edge.margin - x1
+            first, last = self._margin - x0, edge.length - self._margin - x1
             if last < first:
                 continue
             at = np.unique(np.round(np.concatenate([np.arange(first, last, 0.05), [last]]), 4))
@@ -210,7 +220,7 @@ class Site:
                 gap = _gaps(low, self.obstacles)
                 closed = np.where(self.airy, -1.0, CLOSED)  # nothing stands close to what robots pass under
                 if piece.airy:
-                    closed = np.where(np.arange(len(self.airy)) < self._walls, closed, -1.0)
+                    closed = np.full(len(self.airy), -1.0)
                 ok &= ((gap <= closed) | (gap >= PASSAGE)).all(axis=(1, 2))
                 ok &= ~_overlap(low, self.fronts).any(axis=(1, 2))
             if piece.front > 0.0:

@@ -117,7 +117,7 @@ CEDAR = Home(  # no corridor: everything opens to an L-shaped living room
         DoorPlan((4.9, 9.4), ("living room", None), 0.95, "living room"),
         DoorPlan((6.2, 0.8), ("living room", "kitchen"), 1.1),
         DoorPlan((6.2, 4.2), ("living room", "bathroom"), 0.85, "bathroom"),
-        DoorPlan((3.6, 5.25), ("living room", "bedroom"), 0.9, "bedroom"),
+        DoorPlan((3.6, 5.2), ("living room", "bedroom"), 0.9, "bedroom"),
         DoorPlan((6.2, 6.4), ("living room", "bedroom 2"), 0.9, "bedroom 2"),
     ),
     (
@@ -148,7 +148,7 @@ ELM = Home(  # an L-shaped house around a long hall; the living room wraps aroun
     ),
     (
         DoorPlan((4.9, 0.0), ("hall", None), 0.95, "hall"),
-        DoorPlan((4.2, 1.8), ("hall", "bathroom"), 0.85, "bathroom"),
+        DoorPlan((4.2, 1.83), ("hall", "bathroom"), 0.85, "bathroom"),
         DoorPlan((4.2, 3.0), ("hall", "bedroom"), 0.9, "bedroom"),
         DoorPlan((4.2, 7.2), ("hall", "kids room"), 0.9, "kids room"),
         DoorPlan((5.6, 0.62), ("hall", "kitchen"), 0.9, "kitchen"),
@@ -277,12 +277,12 @@ MOSS = Home(  # two rooms and a bathroom
     (
         RoomSketch("living kitchen", 71, ((0.0, 0.0), (7.2, 0.0), (7.2, 1.6), (4.6, 1.6), (4.6, 5.8), (0.0, 5.8))),
         RoomSketch("bathroom", 72, rect(4.6, 1.6, 7.2, 3.5)),
-        RoomSketch("bedroom", 73, rect(4.6, 3.5, 8.2, 7.0)),
+        RoomSketch("bedroom", 75, rect(4.6, 3.5, 8.2, 7.0)),
     ),
     (
         DoorPlan((7.2, 0.8), ("living kitchen", None), 0.95, "living kitchen"),
         DoorPlan((6.6, 1.6), ("bathroom", "living kitchen"), 0.85, "bathroom"),
-        DoorPlan((4.6, 4.2), ("bedroom", "living kitchen"), 0.9, "bedroom"),
+        DoorPlan((4.6, 4.1), ("bedroom", "living kitchen"), 0.9, "bedroom"),
     ),
     (
         WindowPlan((1.4, 0.0), 1.4),

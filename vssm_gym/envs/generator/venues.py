@@ -1,6 +1,6 @@
 """Two built-in scenes that are no homes: `arena` for cars and `hall` for flight.
 
-arena: 5 x 4 m inside low-textured walls, obstacles 0.2 to 0.4 m high at random, longest first, so that gaps between them
+arena: 5 x 4 m, obstacles 0.25 to 0.6 m high at random places, longest first, so that gaps between them
 and to the walls are 0.38 m or more. hall: 25 x 25 x 6 m with columns of turned boxes, textured coarsely
 enough for a camera across the hall to see contrast.
 """

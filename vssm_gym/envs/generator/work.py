@@ -28,6 +28,7 @@ def desk(rng: np.random.Generator, style: Style) -> Piece:
         [
             block(0.0, 0.5 * depth, 0.70, width, depth, 0.04, wood),
             block(0.38, 0.5 * depth, 0.0, 0.42, depth - 0.04, 0.70, style.timber("drawers", 0.7)),
+            block(-0.195, 0.11, 0.0, 0.73, 0.22, 0.70, wood),  # a back panel with cables behind it
             block(-0.58, 0.5 * depth, 0.0, 0.04, depth - 0.04, 0.70, wood),
             block(-0.2, 0.14, 0.74, 0.2, 0.16, 0.02, BLACK),
             block(-0.2, 0.12, 0.76, 0.06, 0.04, 0.2, BLACK),
@@ -45,9 +46,9 @@ def desk(rng: np.random.Generator, style: Style) -> Piece:
             block(-0.195, 0.49, 0.44, 0.52, 0.48, 0.08, cover),
             block(-0.195, 0.70, 0.58, 0.44, 0.06, 0.47, cover),
             block(-0.195, 0.70, 0.52, 0.06, 0.06, 0.06, STEEL),
-            block(-0.195, 0.49, 0.1, 0.08, 0.08, 0.34, STEEL),
-            block(-0.195, 0.49, 0.03, 0.52, 0.08, 0.07, BLACK),
-            block(-0.195, 0.49, 0.03, 0.08, 0.48, 0.07, BLACK),
+            block(-0.195, 0.49, 0.07, 0.08, 0.08, 0.37, STEEL),
+            block(-0.195, 0.49, 0.0, 0.52, 0.08, 0.07, BLACK),
+            block(-0.195, 0.49, 0.0, 0.08, 0.48, 0.07, BLACK),
         ],
     )
     return joined(table, chair, front=0.0)
@@ -125,8 +126,8 @@ def coat_rack(rng: np.random.Generator, style: Style) -> Piece:
         "coat rack",
         [
             block(0.0, 0.03, 1.6, 0.8, 0.06, 0.1, style.timber(dark=True)),
-            block(-0.2, 0.12, 1.0, 0.25, 0.12, 0.6, coats[0]),
-            block(0.2, 0.115, 1.1, 0.25, 0.11, 0.5, coats[1]),
+            block(-0.2, 0.09, 1.0, 0.25, 0.12, 0.6, coats[0]),
+            block(0.2, 0.085, 1.1, 0.25, 0.11, 0.5, coats[1]),
         ],
     )
 
