@@ -53,6 +53,10 @@ class _Room:
         """At the end of a wall, or beside what stands there."""
         return self._along(piece, lambda o, t: -self._to_side(piece, o, t) + 0.05 * self._from_doors(o))
 
+    def far_corner(self, piece: Piece) -> np.ndarray | None:
+        """As `corner`, but away from the doors above all."""
+        return self._along(piece, lambda o, t: -self._to_side(piece, o, t) + 0.5 * self._from_doors(o))
+
     def beside(self, piece: Piece, at: np.ndarray | None) -> np.ndarray | None:
         """Along a wall, near a place."""
         if at is None:
@@ -235,7 +239,7 @@ def _bedroom(room: _Room) -> None:
     rng, style = room.rng, room.style
     bed = room.middle(bedroom.double_bed(rng, style)) if room.area > 9.5 else None
     if bed is None:
-        bed = room.corner(bedroom.single_bed(rng, style))
+        bed = room.far_corner(bedroom.single_bed(rng, style))
     room.corner(bedroom.wardrobe(rng, style))
     room.facing(bedroom.dresser(rng, style), bed)
     if room.area > 14.0 and room.chance(0.5):
@@ -247,7 +251,7 @@ def _bedroom(room: _Room) -> None:
 
 def _kids(room: _Room) -> None:
     rng, style = room.rng, room.style
-    room.corner(bedroom.single_bed(rng, style))
+    room.far_corner(bedroom.single_bed(rng, style))
     room.corner(work.desk(rng, style))
     room.corner(work.bookshelf(rng, style))
     room.corner(bedroom.toy_chest(rng, style))
@@ -314,7 +318,7 @@ def _storage(room: _Room) -> None:
 def _studio(room: _Room) -> None:
     rng, style = room.rng, room.style
     _kitchen_run(room, 4)
-    bed = room.corner(bedroom.single_bed(rng, style))
+    bed = room.far_corner(bedroom.single_bed(rng, style))
     seat = room.middle(living.sofa(rng, style, 1.6))
     room.facing(living.television(rng, style), seat)
     room.centre(living.bistro(rng, style))

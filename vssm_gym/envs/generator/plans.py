@@ -290,7 +290,7 @@ MOSS = Home(  # two rooms and a bathroom
         WindowPlan((0.0, 3.0), 1.6),
         WindowPlan((2.3, 5.8), 1.3),
         WindowPlan((7.2, 2.5), 0.7, 0.7, 1.5),
-        WindowPlan((6.4, 7.0), 1.5),
+        WindowPlan((5.5, 7.0), 1.2),
         WindowPlan((8.2, 5.2), 1.3),
     ),
 )
