@@ -17,7 +17,7 @@ def _bed(rng: np.random.Generator, style: Style, width: float, length: float) ->
     return one(
         "bed",
         [
-            block(0.0, 0.03, 0.0, width + 0.1, 0.06, 1.05, head),
+            block(0.0, 0.03, 0.0, width, 0.06, 1.05, head),
             block(0.0, 0.06 + 0.5 * length, 0.15, width, length, 0.2, wood),
             *legs(0.0, 0.06 + 0.5 * length, width - 0.08, length - 0.08, 0.15, 0.08, wood),
             block(0.0, 0.06 + 0.5 * length, 0.35, width - 0.06, length - 0.06, 0.17, linen),
@@ -45,7 +45,7 @@ def _nightstand(rng: np.random.Generator, style: Style) -> Piece:
 def double_bed(rng: np.random.Generator, style: Style) -> Piece:
     """A bed of 1.4 to 1.8 m between two nightstands, with a way on both sides."""
     width = cm(rng, 1.4, 1.8, 0.2)
-    side = 0.5 * (width + 0.1) + 0.05 + 0.23
+    side = 0.5 * width + 0.05 + 0.23
     stands = [_nightstand(rng, style).moved(s * side, 0.0) for s in (-1, 1)]
     return joined(_bed(rng, style, width, 2.0), *stands, front=0.5)
 
@@ -53,7 +53,7 @@ def double_bed(rng: np.random.Generator, style: Style) -> Piece:
 def single_bed(rng: np.random.Generator, style: Style) -> Piece:
     """A bed of 0.9 to 1 m with one nightstand at its right."""
     width = cm(rng, 0.9, 1.0)
-    stand = _nightstand(rng, style).moved(0.5 * (width + 0.1) + 0.05 + 0.23, 0.0)
+    stand = _nightstand(rng, style).moved(0.5 * width + 0.05 + 0.23, 0.0)
     return joined(_bed(rng, style, width, 2.0), stand, front=0.4)
 
 

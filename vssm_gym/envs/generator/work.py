@@ -28,7 +28,7 @@ def desk(rng: np.random.Generator, style: Style) -> Piece:
         [
             block(0.0, 0.5 * depth, 0.70, width, depth, 0.04, wood),
             block(0.38, 0.5 * depth, 0.0, 0.42, depth - 0.04, 0.70, style.timber("drawers", 0.7)),
-            block(-0.195, 0.11, 0.0, 0.73, 0.22, 0.70, wood),  # a back panel with cables behind it
+            block(-0.195, 0.075, 0.0, 0.73, 0.15, 0.70, wood),  # a back panel with cables behind it
             block(-0.58, 0.5 * depth, 0.0, 0.04, depth - 0.04, 0.70, wood),
             block(-0.2, 0.14, 0.74, 0.2, 0.16, 0.02, BLACK),
             block(-0.2, 0.12, 0.76, 0.06, 0.04, 0.2, BLACK),
@@ -43,12 +43,12 @@ def desk(rng: np.random.Generator, style: Style) -> Piece:
     chair = one(
         "chair",
         [
-            block(-0.195, 0.49, 0.44, 0.52, 0.48, 0.08, cover),
+            block(-0.195, 0.41, 0.44, 0.52, 0.48, 0.08, cover),
             block(-0.195, 0.70, 0.58, 0.44, 0.06, 0.47, cover),
-            block(-0.195, 0.70, 0.52, 0.06, 0.06, 0.06, STEEL),
-            block(-0.195, 0.49, 0.07, 0.08, 0.08, 0.37, STEEL),
-            block(-0.195, 0.49, 0.0, 0.52, 0.08, 0.07, BLACK),
-            block(-0.195, 0.49, 0.0, 0.08, 0.48, 0.07, BLACK),
+            block(-0.195, 0.66, 0.52, 0.06, 0.06, 0.06, STEEL),
+            block(-0.195, 0.41, 0.07, 0.08, 0.08, 0.37, STEEL),
+            block(-0.195, 0.41, 0.0, 0.52, 0.08, 0.07, BLACK),
+            block(-0.195, 0.41, 0.0, 0.08, 0.48, 0.07, BLACK),
         ],
     )
     return joined(table, chair, front=0.0)
