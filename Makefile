@@ -39,7 +39,7 @@ $(STAMP): constraints.txt pyproject.toml
 	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \
 	fi
 	@echo "installing into $(VENV) (a minute or two)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt -e '.[dev]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt -e '.[dev,rl]'
 	@touch $@
 
 demo: $(STAMP)

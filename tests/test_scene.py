@@ -338,8 +338,8 @@ def test_a_file_that_is_not_a_scene(tmp_path: Path, content: bytes, expected: st
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"elm: scene: .*oak"):
-        load_scene("elm")
+    with pytest.raises(InputError, match=r"baobab: scene: .*oak.*procedural:SEED"):
+        load_scene("baobab")
 
 
 def test_numbers_are_finite_in_python_too() -> None:

@@ -17,6 +17,7 @@ from vssm_gym.envs.tasks import START_SLACK, Split, TaskSampler, TaskSet, freeze
 from vssm_gym.errors import InputError
 
 ROBOT = HolonomicRobot()
+SLOW = pytest.mark.slow
 SOFA = furniture("sofa", (1.2, 2.0, 0.3), (0.8, 1.6, 0.6))
 
 
@@ -120,18 +121,27 @@ def test_frozen_file_counts_only_for_its_scene(tmp_path: Path, monkeypatch: pyte
     assert len(calls) == 3
 
 
-@pytest.mark.parametrize("scene", built_in_scenes())
+HOMES = [scene for scene in built_in_scenes() if scene not in ("arena", "hall")]  # those have no rooms to go between
+
+
+@pytest.mark.parametrize("scene", HOMES)
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_built_in_scenes_are_frozen(scene: str, split: Split) -> None:
     """If this fails the scene changed: `tasks.freeze(load_scene(name), HolonomicRobot())` writes the files anew."""
     apartment = load_scene(scene)
     frozen = load(tasks_module.FROZEN / f"{scene}-{split}.json", apartment)
     assert len(frozen.tasks) == 200 and frozen.split == split
-    check_definition(frozen, TaskSampler(apartment, ROBOT))
     # The same machine-independent draws: positions are equal, geodesics up to rounding of the geometry library.
-    for task, again in zip(frozen.tasks[:10], make_tasks(apartment, ROBOT, 10, split).tasks, strict=True):
+    for task, again in zip(frozen.tasks[:4], make_tasks(apartment, ROBOT, 4, split).tasks, strict=True):
         assert task.start == again.start and task.goal == again.goal
         assert task.geodesic == pytest.approx(again.geodesic, abs=2e-6)
+
+
+@pytest.mark.parametrize("scene", [scene if scene == "oak" else pytest.param(scene, marks=SLOW) for scene in HOMES])
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_frozen_tasks_keep_the_definition(scene: str, split: Split) -> None:
+    apartment = load_scene(scene)
+    check_definition(load(tasks_module.FROZEN / f"{scene}-{split}.json", apartment), TaskSampler(apartment, ROBOT))
 
 
 def test_impossible_tasks_name_the_field() -> None:

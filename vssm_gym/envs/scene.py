@@ -17,6 +17,7 @@ from vssm_gym.envs.apartment import (
     Window,
     parse_apartment,
 )
+from vssm_gym.envs.generator import PREFIX, generate, parse_spec
 from vssm_gym.envs.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.errors import InputError
@@ -47,7 +48,9 @@ def built_in_scenes() -> list[str]:
 
 
 def load_scene(spec: str | Path | Apartment) -> Apartment:
-    """The apartment of a built-in name ("oak"), of our own JSON file or of a ProcTHOR house (told by its content).
+    """The apartment of a built-in name ("oak"), of a seed, of our own JSON file or of a ProcTHOR house.
+
+    "procedural:7" and "procedural:7:large" are made by `generator.generate`; files are told apart by their content.
 
     An `Apartment` is returned as it is. Raises InputError naming the file and the field that is wrong.
     """
@@ -55,12 +58,14 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
         return spec
     if not isinstance(spec, str | Path):
         raise InputError(f"{spec!r:.80}", "scene", "a built-in name, the path of a JSON file or an Apartment")
+    if str(spec).startswith(PREFIX):
+        return generate(*parse_spec(str(spec)))
     path = Path(spec)
     if str(spec) in built_in_scenes():
         path = ASSETS / f"{spec}.json"
     elif not path.is_file():
         names = ", ".join(built_in_scenes())
-        raise InputError(spec, "scene", f"a built-in name ({names}) or the path of an existing JSON file")
+        raise InputError(spec, "scene", f"a built-in name ({names}), {PREFIX}SEED or the path of an existing JSON file")
     data = _read_json(path)
     if not isinstance(data, dict):
         raise InputError(path, "scene", f"a JSON object; found {type(data).__name__}")
