@@ -1,6 +1,8 @@
 """Everything solid in an apartment as upright boxes: the one geometry that physics, images and free space share."""
 
 import math
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -39,8 +41,11 @@ class SolidBox:
 def solid_boxes(apartment: "Apartment") -> list[SolidBox]:
     """Floor slabs (top at z = 0), ceiling, walls around their holes, door leaves, panes, furniture, in this order."""
     boxes = [*_floor(apartment), _ceiling(apartment)]
-    for index in range(len(apartment.walls)):
-        boxes += _wall(apartment, index)
+    holes: dict[int, list[Door | Window]] = defaultdict(list)
+    for hole in (*apartment.doors, *apartment.windows):
+        holes[hole.wall].append(hole)
+    for index, reach in enumerate(_reaches(apartment)):
+        boxes += _wall(apartment.walls[index], index, reach, sorted(holes[index], key=lambda hole: hole.offset))
     for i, door in enumerate(apartment.doors):
         boxes += door_leaves(f"door {i}", apartment.walls[door.wall], door)
     for i, window in enumerate(apartment.windows):
@@ -126,21 +131,20 @@ def _place(wall: "Wall", along: float, across: float, z: float) -> tuple[float, 
     return (wall.start[0] + c * along - s * across, wall.start[1] + s * along + c * across, z)
 
 
-def _wall(apartment: "Apartment", index: int) -> list[SolidBox]:
+def _wall(
+    wall: "Wall", index: int, reach: tuple[float, float], holes: "Sequence[Door | Window]"
+) -> list[SolidBox]:
     """The wall's solid parts: between holes, below sills and above lintels; two layers where its sides differ."""
-    wall = apartment.walls[index]
     top = wall.base + wall.height
-    openings: list[Door | Window] = [*apartment.doors, *apartment.windows]
-    holes = sorted((hole for hole in openings if hole.wall == index), key=lambda hole: hole.offset)
     parts: list[tuple[float, float, float, float]] = []
-    at = -_reach(apartment, index, at_end=False)
+    at = -reach[0]
     for hole in holes:
         end = hole.offset + hole.width
         parts.append((at, hole.offset, wall.base, top))
         parts.append((hole.offset, end, wall.base, wall.base + hole.sill))
         parts.append((hole.offset, end, wall.base + hole.sill + hole.height, top))
         at = end
-    parts.append((at, wall.length + _reach(apartment, index, at_end=True), wall.base, top))
+    parts.append((at, wall.length + reach[1], wall.base, top))
 
     half = wall.thickness / 2
     layers = [(-half, half, wall.front)]
@@ -156,18 +160,23 @@ def _wall(apartment: "Apartment", index: int) -> list[SolidBox]:
     return boxes
 
 
-def _reach(apartment: "Apartment", index: int, at_end: bool) -> float:
-    """How far the wall runs beyond its end point to close the corner with the walls it meets there, m."""
-    wall = apartment.walls[index]
-    tip = shapely.Point(wall.end if at_end else wall.start)
-    reach = 0.0
-    for other_index, other in enumerate(apartment.walls):
-        if other_index == index or shapely.LineString([other.start, other.end]).distance(tip) > 0.01:
-            continue
-        if abs(math.sin(other.yaw - wall.yaw)) < 0.1:
-            return 0.0  # it continues straight on: the corner is closed already
-        reach = max(reach, other.thickness / 2 - _HIDE)
-    return reach
+def _reaches(apartment: "Apartment") -> list[tuple[float, float]]:
+    """How far each wall runs beyond its start and its end to close the corners with the walls it meets there, m."""
+    walls = apartment.walls
+    lines = shapely.linestrings([[wall.start, wall.end] for wall in walls])
+    tree = shapely.STRtree(lines)
+    yaws, halves = np.array([wall.yaw for wall in walls]), np.array([wall.thickness / 2 for wall in walls])
+    reaches = []
+    for at_end in (False, True):
+        tips = shapely.points([wall.end if at_end else wall.start for wall in walls])
+        index, other = tree.query(tips, predicate="dwithin", distance=0.01)
+        index, other = index[index != other], other[index != other]
+        reach = np.zeros(len(walls))
+        np.maximum.at(reach, index, halves[other] - _HIDE)
+        straight = np.abs(np.sin(yaws[other] - yaws[index])) < 0.1
+        reach[index[straight]] = 0.0  # another wall continues it: the corner is closed already
+        reaches.append(reach.tolist())
+    return list(zip(*reaches, strict=True))
 
 
 def door_leaves(name: str, wall: "Wall", door: "Door") -> list[SolidBox]:
