@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 from shapely import MultiPolygon, Polygon
 
-from vssm_gym.envs.scene import Apartment, SolidBox
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.solids import SolidBox
 from vssm_gym.errors import InputError
 
 STEP_HEIGHT = 0.01  # m; what is lower (rugs, thresholds) does not stop the robot
