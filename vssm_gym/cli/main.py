@@ -20,6 +20,7 @@ from vssm_gym.errors import InputError
 # In the order of use: the file of this folder and the function in it; a dictionary holds commands of its own.
 COMMANDS: dict[str, Any] = {
     "demo": "demo.demo",
+    "scene": {"preview": "scene.preview", "import": "scene.import_", "generate": "scene.generate"},
     "record": "record.record",
     "map": {"build": "map.build"},
     "sweep": "sweep.sweep",

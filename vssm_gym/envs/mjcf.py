@@ -207,8 +207,8 @@ class StaticGeom:
     """A geom of a compiled model at its initial pose, world frame, m.
 
     ``shape`` is MuJoCo's name ("plane", "box", "mesh", ...), ``size`` its three size parameters, ``rotation`` its axes
-    in columns, ``collides`` whether MuJoCo lets anything touch it. ``vertices`` (n, 3) in the geom's frame and ``faces``
-    (m, 3) are a mesh's, empty for other shapes.
+    in columns, ``collides`` whether MuJoCo lets anything touch it. ``vertices`` (n, 3) in the geom's frame and
+    ``faces`` (m, 3) are a mesh's, empty for other shapes.
     """
 
     name: str

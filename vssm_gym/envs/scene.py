@@ -129,4 +129,3 @@ def _pretty(value: Any, indent: int = 0) -> str:
         items = [_pretty(item, indent + 1) for item in value]
     opening, closing = "{}" if isinstance(value, dict) else "[]"
     return f"{opening}\n{pad}" + f",\n{pad}".join(items) + f"\n{' ' * indent}{closing}"
-

@@ -19,6 +19,7 @@ MARGIN = 0.3  # m that floor and ceiling reach beyond the walls' centre lines
 LEAF = 0.04  # m, thickness of a door's leaf
 PANE = 0.02  # m, thickness of a window's pane
 FLOOR_STEP = 0.25  # m, resolution of the border between two floors where it is not parallel to x or y
+CUTS = 1000  # corner coordinates along an axis; where there are more the border of floors has FLOOR_STEP everywhere
 _HIDE = 1e-3  # m by which a wall stays inside the one it runs into, so that no two faces coincide
 
 
@@ -42,7 +43,8 @@ def solid_boxes(apartment: "Apartment") -> list[SolidBox]:
     """Floor slabs (top at z = 0), ceiling, walls around their holes, door leaves, panes, furniture, in this order."""
     boxes = [*_floor(apartment), _ceiling(apartment)]
     holes: dict[int, list[Door | Window]] = defaultdict(list)
-    for hole in (*apartment.doors, *apartment.windows):
+    openings: list[Door | Window] = [*apartment.doors, *apartment.windows]
+    for hole in openings:
         holes[hole.wall].append(hole)
     for index, reach in enumerate(_reaches(apartment)):
         boxes += _wall(apartment.walls[index], index, reach, sorted(holes[index], key=lambda hole: hole.offset))
@@ -64,15 +66,18 @@ def _extent(apartment: "Apartment") -> tuple[np.ndarray, np.ndarray]:
 def _floor(apartment: "Apartment") -> list[SolidBox]:
     """Slabs that tile the apartment's bounding rectangle without gap or overlap, each with its room's floor.
 
-    The rectangle is cut at every corner coordinate, finer where a room has a slanted edge; a cell belongs to the first
-    room that contains its centre (to the first room of all where none does: that ground is outside the walls), and
-    runs of cells of one room merge into one slab.
+    The rectangle is cut at every corner coordinate (up to CUTS of them), finer where a room has a slanted edge; a cell
+    belongs to the first room that contains its centre (to the first room of all where none does: that ground is outside
+    the walls), and runs of cells of one room merge into one slab.
     """
     low, high = _extent(apartment)
     cuts = []
     for axis in range(2):
         values = {low[axis], high[axis]} | {p[axis] for room in apartment.rooms for p in room.polygon}
-        if any(_slanted(room.polygon) for room in apartment.rooms):
+        crowded = len(values) > CUTS
+        if crowded:
+            values = {low[axis], high[axis]}
+        if crowded or any(_slanted(room.polygon) for room in apartment.rooms):
             values |= set(np.arange(low[axis], high[axis], FLOOR_STEP).tolist())
         ordered = sorted(values)
         cuts.append(np.array([v for v, w in zip(ordered, [-math.inf, *ordered[:-1]], strict=True) if v - w > 1e-6]))
@@ -80,7 +85,11 @@ def _floor(apartment: "Apartment") -> list[SolidBox]:
     cx, cy = np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij")
     owner = np.zeros(cx.shape, int)
     for i in reversed(range(len(apartment.rooms))):
-        owner[shapely.contains_xy(shapely.Polygon(apartment.rooms[i].polygon), cx, cy)] = i
+        outline = shapely.Polygon(apartment.rooms[i].polygon)
+        shapely.prepare(outline)
+        x0, y0, x1, y1 = outline.bounds
+        block = np.s_[slice(*np.searchsorted(xs, (x0, x1))), slice(*np.searchsorted(ys, (y0, y1)))]
+        owner[block][shapely.contains_xy(outline, cx[block], cy[block])] = i
     return [
         _span(
             apartment.rooms[o].name, "floor", (xs[x0], ys[y0], -SLAB), (xs[x1], ys[y1], 0.0), apartment.rooms[o].floor
@@ -131,9 +140,7 @@ def _place(wall: "Wall", along: float, across: float, z: float) -> tuple[float, 
     return (wall.start[0] + c * along - s * across, wall.start[1] + s * along + c * across, z)
 
 
-def _wall(
-    wall: "Wall", index: int, reach: tuple[float, float], holes: "Sequence[Door | Window]"
-) -> list[SolidBox]:
+def _wall(wall: "Wall", index: int, reach: tuple[float, float], holes: "Sequence[Door | Window]") -> list[SolidBox]:
     """The wall's solid parts: between holes, below sills and above lintels; two layers where its sides differ."""
     top = wall.base + wall.height
     parts: list[tuple[float, float, float, float]] = []

@@ -15,11 +15,10 @@ import shapely
 from pydantic import BaseModel, ConfigDict, Field
 from shapely import Polygon
 
-from vssm_gym.envs.apartment import Apartment, Door, Furniture, Material, Room, Wall
+from vssm_gym.envs.apartment import Apartment, Coordinate, Door, Furniture, Material, Room, Wall
 from vssm_gym.envs.importers.plan_looks import CEILING, DOOR, PICTURE, floor_material, picture, wall_material
 from vssm_gym.envs.importers.plan_rooms import Opening, split_rooms
 from vssm_gym.envs.importers.plan_walls import Face, square_corners, wall_faces
-from vssm_gym.envs.importers.reading import Coordinate
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
@@ -55,7 +54,9 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
     parts, openings = split_rooms(outline)
     kinds = [_kind(part, plan) for part in parts]
     names = _numbered([kind.capitalize() for kind in kinds])
-    rooms, walls, furniture = [], [], []
+    rooms: list[Room] = []
+    walls: list[Wall] = []
+    furniture: list[Furniture] = []
     for part, kind, room in zip(parts, kinds, names, strict=True):
         corners = [(float(x), float(y)) for x, y in shapely.get_coordinates(part.exterior)[:-1]]
         content = {"name": room, "kind": kind, "polygon": corners, "floor": floor_material(kind, room)}
@@ -65,7 +66,7 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
             walls.append(_wall(face, wall_material(kind, room)))
     doors = [_doorway(opening, parts, names, walls) for opening in openings]
     if doors:
-        notes.append(f"the file has no doors: {len(doors)} doorways were put where the plan is narrow")
+        notes.append(f"the file has no doors: open doorways stand where the plan is narrow ({len(doors)})")
     content = {
         "name": name,
         "rooms": rooms,
@@ -143,9 +144,7 @@ def _doorway(opening: Opening, parts: list[Polygon], names: list[str], walls: li
     material = wall_material("", "lintel")
     thickness = max(opening.thickness, 0.04)
     walls.append(
-        Wall(
-            start=opening.start, end=opening.end, thickness=thickness, height=CEILING, front=material, back=material
-        )
+        Wall(start=opening.start, end=opening.end, thickness=thickness, height=CEILING, front=material, back=material)
     )
     near = np.argsort([part.distance(shapely.Point(middle)) for part in parts], kind="stable")
     return Door(

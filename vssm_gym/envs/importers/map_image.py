@@ -49,7 +49,9 @@ def _pgm(content: bytes, path: Path) -> np.ndarray:
         kind = np.dtype(">u2" if most > 255 else "u1")
         if len(content) - header.end() < count * kind.itemsize:
             found = len(content) - header.end()
-            raise InputError(path, "image", f"{count * kind.itemsize:,} bytes of {width} x {height} pixels; found {found:,}")
+            raise InputError(
+                path, "image", f"{count * kind.itemsize:,} bytes of {width} x {height} pixels; found {found:,}"
+            )
         values = np.frombuffer(content, kind, count, header.end())
     else:
         words = re.sub(rb"#[^\n]*", b"", content[header.end() :]).split(None, count)[:count]

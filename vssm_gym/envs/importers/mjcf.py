@@ -15,10 +15,9 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
-from vssm_gym.envs.apartment import Apartment, Box, Furniture, Material, Room, Wall
+from vssm_gym.envs.apartment import FAR, Apartment, Box, Furniture, Material, Room, Wall
 from vssm_gym.envs.importers.mjcf_xml import StillModel
-from vssm_gym.envs.importers.reading import FAR
-from vssm_gym.envs.importers.voxels import bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
+from vssm_gym.envs.importers.voxels import CELL, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
 from vssm_gym.envs.mjcf import StaticGeom, static_geoms
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
@@ -55,7 +54,7 @@ def import_mjcf(path: Path) -> Apartment:
         notes.append(f"moved by {-level:.3f} m: the floor is z = 0")
     furniture, cut = _furniture([geom for geom in geoms if geom is not floor], level, path)
     if cut:
-        notes.append(f"{cut} geoms that are no upright boxes became small ones, at most {0.04:g} m wide where they are small")
+        notes.append(f"{cut} geoms that are no upright boxes were cut into upright boxes, {CELL:g} m fine")
     rooms, walls = _rooms(floor, furniture, path, notes)
     tops = [box.center[2] + box.size[2] / 2 for piece in furniture for box in piece.boxes]
     content = {
@@ -101,7 +100,9 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path) -> tuple[list[
             if high - low < 1e-4 or high <= 0.0:
                 continue
             at = (float(center[0]), float(center[1]), float(low + high) / 2)
-            solid.append(Box(center=at, size=(float(size[0]), float(size[1]), float(high - low)), yaw=yaw, material=material))
+            solid.append(
+                Box(center=at, size=(float(size[0]), float(size[1]), float(high - low)), yaw=yaw, material=material)
+            )
         total += len(solid)
         if total > BOXES:
             raise InputError(path, "worldbody", f"geoms that make at most {BOXES:,} upright boxes")
@@ -129,7 +130,9 @@ def _boxes(geom: StaticGeom, path: Path) -> tuple[list[tuple[np.ndarray, np.ndar
         points = geom.vertices @ geom.rotation.T + center
         return [((a + b) / 2, b - a, 0.0) for a, b in voxelised_surface(points, geom.faces)], False
     if shape not in ("box", "sphere", "ellipsoid", "cylinder", "capsule"):
-        raise InputError(path, f"geom {geom.name!r}", f"a box, sphere, ellipsoid, cylinder, capsule, mesh or plane; found {shape}")
+        raise InputError(
+            path, f"geom {geom.name!r}", f"a box, sphere, ellipsoid, cylinder, capsule, mesh or plane; found {shape}"
+        )
     corners = bounds_of(shape, size)
     yaw = yaw_of(geom.rotation, corners.max(axis=0))
     c, s = math.cos(yaw), math.sin(yaw)
@@ -153,7 +156,10 @@ def _material(geom: StaticGeom, number: int) -> Material:
     return Material(color=color, texture=texture, scale=1.5 if large else 0.6)
 
 
-def _rooms(floor: StaticGeom, furniture: list[Furniture], path: Path, notes: list[str]) -> tuple[list[Room], list[Wall]]:
+def _rooms(
+    floor: StaticGeom, furniture: list[Furniture], path: Path, notes: list[str]
+) -> tuple[list[Room], list[Wall]]:
+    """The rooms, and walls around all of them; how the floor was found goes to ``notes``."""
     ground = _ground(floor, furniture, path)
     color = np.clip(0.4 + 0.6 * floor.rgba[:3], 0.0, 1.0).tolist()
     material = Material(color=color, texture="tiles", scale=1.5)
@@ -171,7 +177,8 @@ def _rooms(floor: StaticGeom, furniture: list[Furniture], path: Path, notes: lis
         outlines = [Polygon(p.exterior).buffer(GAP, join_style="mitre").simplify(0.01) for p in enclosed]
         outlines = [Polygon(max(shapely.get_parts(outline), key=lambda p: p.area).exterior) for outline in outlines]
         outlines.sort(key=lambda outline: outline.area)
-        notes.append(f"{len(outlines)} enclosed rooms are the floor")
+        notes.append(f"only what the geoms enclose is floor: {len(outlines)} room{'s' * (len(outlines) > 1)}")
+        ground = shapely.box(*shapely.union_all(outlines).buffer(MARGIN).bounds)
     else:
         outlines = [ground]
         notes.append("nothing encloses the floor: low walls stand around it")

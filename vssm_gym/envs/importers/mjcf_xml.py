@@ -1,8 +1,8 @@
 """MJCF text reduced to what stands still: bodies, geoms, their defaults, materials and meshes; the rest stays outside.
 
-The file is untrusted: elements come from a list of known ones, includes and meshes lie in the file's folder and are read
-here within bounds, so that MuJoCo gets a text and some bytes and opens no file itself. Joints are dropped: every body
-stays at its initial pose.
+The file is untrusted: elements come from a list of known ones, includes and meshes lie in the file's folder and are
+read here within bounds, so that MuJoCo gets a text and some bytes and opens no file itself. Joints are dropped: every
+body stays at its initial pose.
 """
 
 import xml.etree.ElementTree as ET
@@ -38,7 +38,7 @@ class _Builder(ET.TreeBuilder):
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
         raise ValueError("a document type declaration is not allowed")
 
-    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:  # type: ignore[override]
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
         self._depth, self._count = self._depth + 1, self._count + 1
         if self._depth > DEPTH or self._count > ELEMENTS:
             raise ValueError(f"more than {ELEMENTS:,} elements or {DEPTH} levels")
@@ -56,6 +56,7 @@ class StillModel:
         self._path, self._folder = path, path.parent.resolve()
         self._includes = 0
         self._bytes = 0
+        self._geoms = 0
         self._left_out: Counter[str] = Counter()
         self.assets: dict[str, bytes] = {}
         root = self._parse(path)
@@ -79,7 +80,7 @@ class StillModel:
     def notes(self) -> list[str]:
         """What of the model is not in the scene."""
         moving = sum(self._left_out[tag] for tag in _MOVING)
-        notes = [f"{moving} joints are frozen: bodies stay at their initial pose"] if moving else []
+        notes = [f"{moving} joint{'s' * (moving > 1)} frozen: bodies stay at their initial pose"] if moving else []
         others = [f"{tag} ({n})" for tag, n in sorted(self._left_out.items()) if tag not in _MOVING | _UNSEEN]
         return notes + ([f"left out: {', '.join(others)}"] if others else [])
 
@@ -140,8 +141,11 @@ class StillModel:
             copies *= int(count)
         for child in element:
             if child.tag not in _KEPT[element.tag]:
-                known = element.tag in ("asset", "default")  # textures; defaults of what is left out
-                self._left_out[child.tag if isinstance(child.tag, str) else "?"] += 0 if known else copies
+                if element.tag not in (
+                    "asset",
+                    "default",
+                ):  # textures, and defaults of what is left out, are not missed
+                    self._left_out[child.tag] += copies
             elif child.tag in _KEPT:
                 result.append(self._kept(child, copies))
             else:
@@ -151,8 +155,7 @@ class StillModel:
     def _leaf(self, element: ET.Element, parent: str, copies: int) -> ET.Element:
         attributes = dict(element.attrib)
         if element.tag == "geom" and parent != "default":
-            self._left_out["geom"] += 0
-            self._geoms = getattr(self, "_geoms", 0) + copies
+            self._geoms += copies
             if self._geoms > GEOMS:
                 raise self._refuse("worldbody", f"at most {GEOMS:,} geoms")
         if element.tag == "material":

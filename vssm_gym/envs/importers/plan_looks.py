@@ -42,16 +42,18 @@ def _hash(name: str) -> int:
 
 def floor_material(kind: str, name: str) -> Material:
     """The floor of a room: by the words in its ``kind``, else one chosen by a hash of its ``name``."""
-    texture, scale, color = next((look[1] for look in _LOOKS if any(word in kind for word in look[0])), None) or (
-        _FLOORS[_hash(name) % len(_FLOORS)]
+    texture, scale, color = (
+        next((look[1] for look in _LOOKS if any(word in kind for word in look[0])), None)
+        or (_FLOORS[_hash(name) % len(_FLOORS)])
     )
     return Material(texture=texture, scale=scale, color=color)
 
 
 def wall_material(kind: str, name: str) -> Material:
     """The walls of a room, chosen like its floor."""
-    texture, scale, color = next((look[2] for look in _LOOKS if any(word in kind for word in look[0])), None) or (
-        _WALLS[_hash(name) % len(_WALLS)]
+    texture, scale, color = (
+        next((look[2] for look in _LOOKS if any(word in kind for word in look[0])), None)
+        or (_WALLS[_hash(name) % len(_WALLS)])
     )
     return Material(texture=texture, scale=scale, color=color)
 
@@ -61,5 +63,7 @@ def picture(name: str, x: float, y: float, yaw: float, width: float) -> Furnitur
     number = _hash(name)
     texture = f"painting_{_PICTURES[number % len(_PICTURES)]}"
     size = (width, PICTURE[2], min(PICTURE[1], 0.75 * width))
-    box = Box(center=(x, y, PICTURE_AT), size=size, yaw=yaw, material=Material(color=(1, 1, 1), texture=texture, scale=width))
+    box = Box(
+        center=(x, y, PICTURE_AT), size=size, yaw=yaw, material=Material(color=(1, 1, 1), texture=texture, scale=width)
+    )
     return Furniture(name=name, category="picture", boxes=(box,))

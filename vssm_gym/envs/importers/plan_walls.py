@@ -4,6 +4,7 @@ Where two parts of the plan are closer than two walls' thickness, each side's wa
 So what the walls leave free is the polygon itself. Metres throughout.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -48,7 +49,7 @@ def wall_faces(room: Polygon, free: Polygon) -> list[Face]:
     shapely.prepare(free)
     points = shapely.get_coordinates(shapely.orient_polygons(room).exterior)
     solid: list[Face] = []
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in itertools.pairwise(points):
         if np.linalg.norm(b - a) > 1e-6 and free.exterior.distance(shapely.Point((a + b) / 2)) < 1e-6:
             solid += _behind(a, b, free)
     # The end of a thin wall is covered by the walls on both its sides; long walls first, so that they stay.
@@ -79,7 +80,7 @@ def _behind(a: np.ndarray, b: np.ndarray, free: Polygon) -> Iterator[Face]:
 
 
 def _closed_corners(face: Face, free: Polygon) -> Face:
-    """The face up to a thickness longer at the ends where that stays behind other walls: no ray slips out at a corner."""
+    """The face up to a thickness longer at ends where that stays behind other walls: no ray slips out at a corner."""
     allowed = free.intersection(face.body()).area + 1e-5
     reach = min(THICKNESS, float(np.linalg.norm(face.end - face.start))) * face.along
     start, end = face.start - reach, face.end + reach

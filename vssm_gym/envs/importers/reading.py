@@ -1,20 +1,15 @@
-"""Files that people bring, read within bounds: size, nesting and decompression; what is wrong becomes one `InputError`."""
+"""Files that people bring, read within bounds of size, nesting and unpacking; what is wrong is one `InputError`."""
 
 import gzip
 import json
 import zlib
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from vssm_gym.errors import InputError
 
 JSON_BYTES = 64 << 20  # of a JSON file; the largest ProcTHOR house has 0.1 MB, the asset database 1.5 MB
 LINES_BYTES = 512 << 20  # unpacked, up to the line that is asked for; all 10,000 ProcTHOR houses of a split have 0.4 GB
-FAR = 1000.0  # m from the origin
-
-Coordinate = Annotated[float, Field(ge=-FAR, le=FAR)]  # m
 
 
 def read_bytes(path: Path, limit: int) -> bytes:

@@ -19,10 +19,10 @@ from jaxtyping import Bool, Int
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import ndimage
 
-from vssm_gym.envs.apartment import Apartment, Room, Wall
+from vssm_gym.envs.apartment import Apartment, Coordinate, Room, Wall
 from vssm_gym.envs.importers.map_image import read_grey
 from vssm_gym.envs.importers.plan_looks import CEILING, floor_material, wall_material
-from vssm_gym.envs.importers.reading import Coordinate, read_bytes
+from vssm_gym.envs.importers.reading import read_bytes
 from vssm_gym.envs.importers.rectangles import Rectangle, cover
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
@@ -67,9 +67,14 @@ def import_ros_map(path: Path) -> Apartment:
     areas = np.bincount(labels.ravel(), minlength=count + 1)[1:] * settings.resolution**2
     kept = [int(i) + 1 for i in np.argsort(-areas, kind="stable") if areas[i] >= LEAST][:ROOMS]
     if not kept:
-        raise InputError(path, "image", f"at least {LEAST} m^2 of connected free cells; found {areas.max(initial=0.0):.2f}")
+        raise InputError(
+            path, "image", f"at least {LEAST} m^2 of connected free cells; found {areas.max(initial=0.0):.2f}"
+        )
     floor = np.isin(labels, kept)
-    notes = [f"{len(areas) - len(kept)} pieces of floor of less than {LEAST} m^2 were left out"] if len(areas) > len(kept) else []
+    notes = []
+    if dropped := len(areas) - len(kept):
+        least = min(areas[label - 1] for label in kept)
+        notes.append(f"{dropped} pieces of floor of less than {max(LEAST, least):.1f} m^2 were left out")
     walls = _walls(floor, settings, path, unknown, notes)
     rooms = [
         # The smaller first: where one lies within another, the floor is its own.
@@ -114,8 +119,7 @@ def _cells(settings: MapFile, image: Path) -> tuple[Bool[np.ndarray, "nx ny"], B
         occupancy = np.where(opacity > 0.0, occupancy, np.nan)
     free = occupancy < settings.free_thresh
     unknown = ~free & ~(occupancy > settings.occupied_thresh)
-    columns, rows = (np.flatnonzero(free.any(axis=axis)) for axis in (0, 1))
-    if not len(rows):
+    if not free.any():
         raise InputError(image, "image", "free cells; found none")
     return tuple(np.pad(cells[::-1].T, BAND) for cells in (free, unknown))  # type: ignore[return-value]
 
@@ -127,10 +131,12 @@ def _walls(floor: np.ndarray, settings: MapFile, path: Path, unknown: np.ndarray
     near = ndimage.binary_dilation(floor, np.ones((3, 3), bool), iterations=BAND) & solid
     rectangles = cover(surrounded | beside, surrounded | near)
     if len(rectangles) > WALLS:
-        raise InputError(path, "image", f"a map of at most {WALLS:,} walls; found {len(rectangles):,}: reduce its resolution")
-    share = np.count_nonzero(unknown & beside) / max(np.count_nonzero(beside), 1)
+        raise InputError(
+            path, "image", f"a map of at most {WALLS:,} walls; found {len(rectangles):,}: reduce its resolution"
+        )
+    share = float((unknown & beside).sum() / beside.sum())
     if share > 0.005:
-        notes.append(f"{share:.0%} of the floor's border is unknown in the map: it became wall, so that no robot leaves the map")
+        notes.append(f"{share:.0%} of the cells around the floor are unknown; they became wall: robots stay on the map")
     return [_wall(rectangle, settings) for rectangle in rectangles]
 
 
@@ -148,7 +154,7 @@ def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
     ends = [(i0, middle[1]), (i1, middle[1])] if lengthwise else [(middle[0], j0), (middle[0], j1)]
     start, end = _world(ends, settings).tolist()
     thickness = min(i1 - i0, j1 - j0) * settings.resolution
-    block = tuple(int(c * settings.resolution // BLOCK) for c in middle)
+    block = [int(c * settings.resolution // BLOCK) for c in middle]
     material = wall_material("", f"block {zlib.crc32(repr(block).encode())}")
     return Wall(start=start, end=end, thickness=thickness, height=CEILING, front=material, back=material)
 

@@ -91,9 +91,8 @@ def inside_of(shape: str, size: Float[np.ndarray, "3"]) -> Callable[[np.ndarray]
     if shape == "cylinder":
         return lambda p: (np.hypot(p[..., 0], p[..., 1]) <= half[0]) & (np.abs(p[..., 2]) <= half[1])
     assert shape == "capsule", shape
-    return lambda p: (
-        np.linalg.norm(np.stack([p[..., 0], p[..., 1], np.maximum(np.abs(p[..., 2]) - size[1], 0.0)]), axis=0) <= half[0]
-    )
+    cap = lambda p: np.maximum(np.abs(p[..., 2]) - size[1], 0.0)
+    return lambda p: p[..., 0] ** 2 + p[..., 1] ** 2 + cap(p) ** 2 <= half[0] ** 2
 
 
 def bounds_of(shape: str, size: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:

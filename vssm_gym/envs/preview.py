@@ -1,0 +1,125 @@
+"""A scene at a glance: its furnished plan beside two camera images, from viewpoints chosen by what they show."""
+
+import math
+
+import numpy as np
+import shapely
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw
+
+from vssm_gym.axes import Matrix4
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.raycast import RaycastCamera
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.topdown import TopDown
+
+EYE = 1.4  # m, height of the preview's camera
+DOWN = math.radians(12.0)  # its pitch: furniture stands below the eye
+HFOV = math.radians(78.0)
+POSITIONS, HEADINGS = 48, 16  # viewpoints tried in a room
+ENOUGH = 4  # rays of the coarse image that must meet a thing for it to count as seen
+FAR = 8.0  # m; beyond, distance makes a view no better
+_GAP = 4  # pixels between the pictures
+_INK = (24, 92, 196)
+
+
+def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "height width 3"]:
+    """The plan, north up, and beside it two camera images one above the other.
+
+    The images are taken in the two rooms with most free space (both in the one room of a studio), each from where most
+    pieces of furniture are seen that the other does not show. Blue dots in the plan say from where, their angles
+    the field of view. The width follows the plan's proportions.
+
+    Args:
+        apartment: the scene.
+        height: pixels, at least 64.
+
+    Raises:
+        InputError: a scene in which no robot fits, which therefore has no viewpoint.
+    """
+    robot = HolonomicRobot()
+    space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
+    boxes = apartment.boxes()
+    view_height = (height - _GAP) // 2
+    config = CameraConfig(view_height * 4 // 3, view_height, HFOV)
+    world = World(apartment, robot)
+    camera, coarse = raycast_camera(world, config), raycast_camera(world, CameraConfig(40, 30, HFOV), 1)
+    names = np.array([box.name if box.kind == "furniture" else "" for box in boxes])
+
+    rooms = sorted(space.rooms.values(), key=lambda room: room.intersection(space.largest).area, reverse=True)
+    poses: list[Matrix4] = []
+    seen: set[str] = set()
+    for room in (rooms * 2)[:2]:
+        pose, shown = _best_view(coarse, names, _positions(space, room), seen)
+        poses.append(pose)
+        seen |= shown
+    views = [camera.render(pose)[0] for pose in poses]
+    camera.close()
+    coarse.close()
+
+    low, high = np.split(np.array(shapely.union_all(list(space.rooms.values())).bounds), 2)
+    aspect = float(np.clip((high[0] - low[0]) / (high[1] - low[1]), 0.5, 2.0))
+    plan = TopDown(boxes, height, round(aspect * height))
+    picture = np.full((height, round(aspect * height) + _GAP + config.width, 3), 255, dtype=np.uint8)
+    picture[:, : round(aspect * height)] = _with_eyes(plan, poses)
+    picture[:view_height, -config.width :] = views[0]
+    picture[height - view_height :, -config.width :] = views[1]
+    return picture
+
+
+def _positions(space: FreeSpace, room: shapely.Polygon) -> Float[np.ndarray, "n 2"]:
+    """About POSITIONS viewpoints spread evenly over the free space of a room, or of all rooms where it has none."""
+    area = space.largest.intersection(room)
+    if area.area < 0.01:
+        area = space.largest
+    shapely.prepare(area)
+    x0, y0, x1, y1 = area.bounds
+    step = math.sqrt(area.area / POSITIONS)
+    grid = np.stack(np.meshgrid(np.arange(x0, x1, step), np.arange(y0, y1, step), indexing="ij"), axis=-1)
+    inside = grid[shapely.contains_xy(area, grid[..., 0], grid[..., 1])]
+    return inside if len(inside) else shapely.get_coordinates(area.representative_point())
+
+
+def _best_view(
+    coarse: RaycastCamera, names: np.ndarray, positions: Float[np.ndarray, "n 2"], known: set[str]
+) -> tuple[Matrix4, set[str]]:
+    """The pose that shows most pieces not in ``known``, then the deepest view, and the pieces it shows."""
+    best: tuple[float, Matrix4, set[str]] = (-1.0, np.eye(4), set())
+    rays = np.asarray(coarse.camera.rays(), dtype=np.float32).reshape(-1, 3)
+    for x, y in positions:
+        for heading in 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS:
+            T_world_cam = _look(x, y, heading)
+            depth, box = coarse.tracer.trace(T_world_cam[:3, 3], (rays @ T_world_cam[:3, :3].T).astype(np.float32))
+            met, count = np.unique(names[box[box >= 0]], return_counts=True)
+            shown = set(met[count >= ENOUGH].tolist()) - {""}
+            # What stands right before the eye hides the room: distance counts as much as a handful of pieces.
+            score = len(shown - known) + 8.0 * float(np.clip(depth, 0.0, FAR).mean()) / FAR
+            if score > best[0]:
+                best = (score, T_world_cam, shown)
+    return best[1], best[2]
+
+
+def _look(x: float, y: float, heading: float) -> Matrix4:
+    """Camera pose at (x, y, EYE), looking along ``heading`` and DOWN below the horizon."""
+    c, s, cd, sd = math.cos(heading), math.sin(heading), math.cos(DOWN), math.sin(DOWN)
+    right, down, forward = (s, -c, 0.0), (-c * sd, -s * sd, -cd), (c * cd, s * cd, -sd)
+    T = np.eye(4)
+    T[:3, :3] = np.column_stack([right, down, forward])
+    T[:3, 3] = (x, y, EYE)
+    return T
+
+
+def _with_eyes(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "height width 3"]:
+    """The plan with a dot at each camera and the borders of its field of view."""
+    image = Image.fromarray(plan.background)
+    pen = ImageDraw.Draw(image)
+    for T in poses:
+        edges = math.atan2(T[1, 2], T[0, 2]) + np.array([-0.5, 0.5]) * HFOV
+        tips = T[:2, 3] + np.stack([np.cos(edges), np.sin(edges)], axis=-1)
+        left, eye, right = (tuple(p) for p in plan.pixels(np.stack([tips[0], T[:2, 3], tips[1]])))
+        pen.line([left, eye, right], fill=_INK, width=2)
+        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=_INK)
+    return np.asarray(image)
