@@ -179,7 +179,10 @@ def _reaches(apartment: "Apartment") -> list[tuple[float, float]]:
         index, other = tree.query(tips, predicate="dwithin", distance=0.01)
         index, other = index[index != other], other[index != other]
         reach = np.zeros(len(walls))
-        np.maximum.at(reach, index, halves[other] - _HIDE)
+        # Up to the other wall's far face, h at right angles; h tan(angle / 2) where a blunt corner would jut out.
+        cosine = np.abs(np.cos(yaws[other] - yaws[index]))
+        blunt = np.where(cosine < 1e-9, 1.0, np.sqrt((1.0 - cosine) / (1.0 + cosine)))
+        np.maximum.at(reach, index, blunt * halves[other] - _HIDE)
         straight = np.abs(np.sin(yaws[other] - yaws[index])) < 0.1
         reach[index[straight]] = 0.0  # another wall continues it: the corner is closed already
         reaches.append(reach.tolist())

@@ -40,7 +40,8 @@ class Opening:
 def split_rooms(outline: Polygon) -> tuple[list[Polygon], list[Opening]]:
     """The parts of ``outline`` between its narrow openings, and the openings; the parts tile the outline."""
     rooms, openings = [outline], []
-    for opening in sorted(_candidates(outline), key=lambda opening: opening.width):
+    # Of equal ones the first: in the middle of a wall's end rather than along its faces.
+    for opening in sorted(_candidates(outline), key=lambda opening: round(opening.width, 2)):
         middle = shapely.Point(np.mean([opening.start, opening.end], axis=0))
         index = next((i for i, room in enumerate(rooms) if room.contains(middle)), None)
         if index is None:
@@ -83,14 +84,16 @@ def _candidates(outline: Polygon) -> list[Opening]:
             found.append(Opening((float(origin[0]), float(origin[1])), (float(end[0]), float(end[1])), thickness))
 
     juts = turn < -0.2
-    for i in range(n):
-        j = (i + 1) % n
-        edge = points[j] - points[i]
-        length = float(np.linalg.norm(edge))
-        if juts[i] and juts[j] and 1e-3 < length <= JAMB:
-            look((points[i] + points[j]) / 2, np.array([-edge[1], edge[0]]) / length, length, WIDE)
-        if juts[j]:  # this edge goes on
-            look(points[j], edge / length, BARE, WIDE_CORNER)
+    edges = np.roll(points, -1, axis=0) - points
+    lengths = np.linalg.norm(edges, axis=1)
+    after = [(i, (i + 1) % n) for i in range(n) if lengths[i] > 1e-3]
+    for i, j in after:
+        if juts[i] and juts[j] and lengths[i] <= JAMB:
+            ahead = np.array([-edges[i, 1], edges[i, 0]]) / lengths[i]
+            look((points[i] + points[j]) / 2, ahead, float(lengths[i]), WIDE)
+    for i, j in after:
+        if juts[j]:  # the edge goes on
+            look(points[j], edges[i] / lengths[i], BARE, WIDE_CORNER)
         if juts[i]:  # backwards
-            look(points[i], -edge / length, BARE, WIDE_CORNER)
+            look(points[i], -edges[i] / lengths[i], BARE, WIDE_CORNER)
     return found

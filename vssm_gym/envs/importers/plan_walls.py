@@ -81,7 +81,7 @@ def _behind(a: np.ndarray, b: np.ndarray, free: Polygon) -> Iterator[Face]:
 
 def _closed_corners(face: Face, free: Polygon) -> Face:
     """The face up to a thickness longer at ends where that stays behind other walls: no ray slips out at a corner."""
-    allowed = free.intersection(face.body()).area + 1e-5
+    allowed = free.intersection(face.body()).area + 1e-7
     reach = min(THICKNESS, float(np.linalg.norm(face.end - face.start))) * face.along
     start, end = face.start - reach, face.end + reach
     at_start = free.intersection(Face(start, face.end, face.depth).body()).area < allowed

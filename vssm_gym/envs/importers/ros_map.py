@@ -150,10 +150,10 @@ def _world(cells: Any, settings: MapFile) -> np.ndarray:
 def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
     i0, i1, j0, j1 = rectangle
     middle = ((i0 + i1) / 2, (j0 + j1) / 2)
-    lengthwise = i1 - i0 >= j1 - j0
-    ends = [(i0, middle[1]), (i1, middle[1])] if lengthwise else [(middle[0], j0), (middle[0], j1)]
-    start, end = _world(ends, settings).tolist()
-    thickness = min(i1 - i0, j1 - j0) * settings.resolution
+    # All walls run the same way: walls that cross at right angles would be prolonged to close a corner, which here is
+    # closed already.
+    start, end = _world([(i0, middle[1]), (i1, middle[1])], settings).tolist()
+    thickness = (j1 - j0) * settings.resolution
     block = [int(c * settings.resolution // BLOCK) for c in middle]
     material = wall_material("", f"block {zlib.crc32(repr(block).encode())}")
     return Wall(start=start, end=end, thickness=thickness, height=CEILING, front=material, back=material)
