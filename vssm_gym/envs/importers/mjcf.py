@@ -3,7 +3,7 @@
 Boxes that stand upright are exact; spheres, capsules, cylinders, ellipsoids, tilted boxes and meshes become small
 upright boxes (`vssm_gym.envs.importers.voxels`), so that rays, physics and free space keep one geometry. The floor is a
 plane, or the largest flat box, that faces up at the lowest level; it moves to z = 0. Where the geoms enclose rooms, the
-rooms are the floor; otherwise all of it is, and low walls keep the robot on it.
+rooms are the floor; otherwise all of it is, and walls stand around it.
 """
 
 import math
@@ -31,7 +31,7 @@ HEADROOM = 2.6  # m, least height of the ceiling
 BODY = (0.02, 1.0)  # m above the floor: geoms here enclose rooms
 GAP = 0.1  # m; narrower gaps do not open a room
 ENCLOSED = 2.0  # m^2 of an enclosed room
-KERB = (0.4, 0.1)  # m, height and thickness of the walls around an open floor
+EDGE = 0.1  # m, thickness of the walls around the floor
 UPRIGHT = 1e-6  # of a unit vector's z: below 0.1 degrees
 
 
@@ -55,14 +55,15 @@ def import_mjcf(path: Path) -> Apartment:
     furniture, cut = _furniture([geom for geom in geoms if geom is not floor], level, path)
     if cut:
         notes.append(f"{cut} geoms that are no upright boxes were cut into upright boxes, {CELL:g} m fine")
-    rooms, walls = _rooms(floor, furniture, path, notes)
     tops = [box.center[2] + box.size[2] / 2 for piece in furniture for box in piece.boxes]
+    ceiling = max([HEADROOM, *(top + 0.05 for top in tops)])
+    rooms, walls = _rooms(floor, furniture, ceiling, path, notes)
     content = {
         "name": path.stem,
         "rooms": rooms,
         "walls": walls,
         "furniture": furniture,
-        "ceiling_height": max([HEADROOM, *(top + 0.05 for top in tops)]),
+        "ceiling_height": ceiling,
         "notes": notes,
     }
     return validated(Apartment, content, path)
@@ -157,7 +158,7 @@ def _material(geom: StaticGeom, number: int) -> Material:
 
 
 def _rooms(
-    floor: StaticGeom, furniture: list[Furniture], path: Path, notes: list[str]
+    floor: StaticGeom, furniture: list[Furniture], height: float, path: Path, notes: list[str]
 ) -> tuple[list[Room], list[Wall]]:
     """The rooms, and walls around all of them; how the floor was found goes to ``notes``."""
     ground = _ground(floor, furniture, path)
@@ -181,12 +182,12 @@ def _rooms(
         ground = shapely.box(*shapely.union_all(outlines).buffer(MARGIN).bounds)
     else:
         outlines = [ground]
-        notes.append("nothing encloses the floor: low walls stand around it")
+        notes.append("nothing encloses the floor: walls were put around it")
     rooms = [
         Room(name=f"Floor {i}", kind="room", polygon=_corners(outline), floor=material)
         for i, outline in enumerate(outlines, 1)
     ]
-    return rooms, _kerb(ground)
+    return rooms, _edge(ground, height)
 
 
 def _corners(outline: Polygon) -> tuple[tuple[float, float], ...]:
@@ -212,13 +213,12 @@ def _ground(floor: StaticGeom, furniture: list[Furniture], path: Path) -> Polygo
     return shapely.box(x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
 
 
-def _kerb(ground: Polygon) -> list[Wall]:
-    """Low walls outside the floor's edges."""
-    height, thickness = KERB
+def _edge(ground: Polygon, height: float) -> list[Wall]:
+    """Walls outside the floor's edges, so that no robot and no ray leaves the scene."""
     material = Material(color=(0.75, 0.72, 0.68), texture="concrete", scale=1.0)
-    corners = shapely.get_coordinates(ground.buffer(thickness / 2, join_style="mitre").exterior)
+    corners = shapely.get_coordinates(ground.buffer(EDGE / 2, join_style="mitre").exterior)
     corners = corners[np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1) > 1e-6]
     return [
-        Wall(start=a, end=b, thickness=thickness, height=height, front=material, back=material)
+        Wall(start=a, end=b, thickness=EDGE, height=height, front=material, back=material)
         for a, b in zip(corners.tolist(), np.roll(corners, -1, axis=0).tolist(), strict=True)
     ]

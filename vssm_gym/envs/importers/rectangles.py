@@ -7,13 +7,12 @@ Rectangle = tuple[int, int, int, int]  # i0, i1, j0, j1 of cells, half open
 
 
 def cover(needed: Bool[np.ndarray, "n m"], allowed: Bool[np.ndarray, "n m"]) -> list[Rectangle]:
-    """Rectangles whose union contains every ``needed`` cell and no cell that is not ``allowed``.
+    """Disjoint rectangles that contain every ``needed`` cell and no cell that is not ``allowed``.
 
     Greedy: the first needed cell left grows into the longest run either way, then into the widest block of such runs;
-    of the two blocks the one that covers more wins. Blocks may overlap: that takes fewer of them. ``needed`` implies
-    ``allowed``.
+    of the two blocks the one that covers more wins. ``needed`` implies ``allowed``.
     """
-    left = needed.copy()
+    left, allowed = needed.copy(), allowed.copy()
     rectangles = []
     for i, j in np.argwhere(needed):
         if not left[i, j]:
@@ -22,6 +21,7 @@ def cover(needed: Bool[np.ndarray, "n m"], allowed: Bool[np.ndarray, "n m"]) -> 
         choices = [rows, (columns[2], columns[3], columns[0], columns[1])]
         best = max(choices, key=lambda r: np.count_nonzero(left[r[0] : r[1], r[2] : r[3]]))
         left[best[0] : best[1], best[2] : best[3]] = False
+        allowed[best[0] : best[1], best[2] : best[3]] = False
         rectangles.append(best)
     return rectangles
 
