@@ -197,23 +197,8 @@ def test_damaged_models(tmp_path: Path, content: bytes) -> None:
     valid_or_refused(lambda: import_mjcf(tmp_path / "scene.xml"))
 
 
-NASTY = [
-    "",
-    "0",
-    "-1",
-    "nan",
-    "1e9",
-    "1e-30",
-    "9" * 400,
-    "1 2",
-    "0 0 0",
-    "5 5 5",
-    "mesh",
-    "hfield",
-    "plane",
-    "sphere",
-    "x",
-]
+NUMBERS = ["", "0", "-1", "nan", "1e9", "1e-30", "9" * 400, "1 2", "0 0 0", "5 5 5"]
+NASTY = [*NUMBERS, "mesh", "hfield", "plane", "sphere", "x"]
 
 
 @given(st.data())

@@ -112,7 +112,7 @@ def sized(x: float, y: float, z: float) -> dict[str, Any]:
         ("objects.0.position.y", -1e12, "objects[0].position.y", "greater than or equal"),
         ("objects.0.rotation.y", 1e300, "objects[0].rotation.y", "less than or equal"),
         ("objects.0.id", "x" * 1000, "objects[0].id", "at most 200"),
-        ("walls", [{}] * 6000, "walls", "at most 5000"),
+        ("walls", small_house()["walls"][:1] * 6000, "walls", "at most 5000"),
         ("walls.0.polygon.2.y", 1e6, "walls[0].polygon[2].y", "less than or equal"),
     ],
 )

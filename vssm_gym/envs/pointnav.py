@@ -32,7 +32,7 @@ class PointNavEnv(gym.Env[dict[str, Any], np.ndarray]):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
 
     Args:
-        scene: built-in name, path of a ProcTHOR house or of our own JSON, or an :class:`Apartment`.
+        scene: built-in name, path of a file that `load_scene` reads, or an :class:`Apartment`.
         noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
         sensor_noise: ``none``: images are exact.
         camera: size and angle of the images.
