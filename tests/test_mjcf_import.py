@@ -154,12 +154,16 @@ BOMB = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'
         ("<oops", "", None, "XML"),
     ],
 )  # fmt: skip
-def test_bad_models_are_refused(tmp_path: Path, body: str, head: str, floor: str | None, expected: str) -> None:
+def test_bad_models_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, head: str, floor: str | None, expected: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     path = written(tmp_path, body, head, '<geom type="plane" size="5 5 .1"/>' if floor is None else floor)
     with pytest.raises(InputError) as caught:
         load_scene(path)
     assert expected in caught.value.expected
     assert caught.value.source == str(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.xml"]  # no log of MuJoCo's
 
 
 def test_document_types_and_other_roots_are_refused(tmp_path: Path) -> None:

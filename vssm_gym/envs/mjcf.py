@@ -224,6 +224,8 @@ class StaticGeom:
 
 def static_geoms(xml: str, assets: Mapping[str, bytes], source: object) -> list[StaticGeom]:
     """The geoms of an MJCF text whose files are ``assets``; InputError where MuJoCo does not compile it."""
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)  # by default warnings go to a file in the working directory
     try:
         model = mujoco.MjModel.from_xml_string(xml, dict(assets))
         data = mujoco.MjData(model)
@@ -231,6 +233,8 @@ def static_geoms(xml: str, assets: Mapping[str, bytes], source: object) -> list[
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise InputError(source, "model", f"a model that MuJoCo compiles ({reason:.200})") from error
+    finally:
+        mujoco.set_mju_user_warning(handler)
     geoms = []
     for i in range(model.ngeom):
         geom, mesh, material = model.geom(i), int(model.geom_dataid[i]), int(model.geom_matid[i])
