@@ -14,7 +14,7 @@ from vssm_gym.cli import doctor as doctor_module
 from vssm_gym.cli import main as main_module
 from vssm_gym.cli.cache import cache_folder
 from vssm_gym.cli.doctor import Probe, run_probe
-from vssm_gym.envs.scene import save_scene
+from vssm_gym.envs.scene import load_scene, save_scene
 from vssm_gym.errors import InputError
 
 HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex"]
@@ -350,3 +350,39 @@ def test_evaluate_trajectory_refuses_what_it_cannot_use(vssm, tmp_path, content,
     assert err.startswith("error: ")
     assert complaint in err
     assert not (tmp_path / "out.json").exists()
+
+
+def test_scene_import_writes_scene_and_picture(vssm, tmp_path):
+    left = [[0, 3], [0, 0], [4, 0], [4, 1]]
+    plan = {"verts": [*left, [4.1, 1], [4.1, 0], [7, 0], [7, 3], [4.1, 3], [4.1, 2], [4, 2], [4, 3]]}
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    code, out, _ = vssm("scene", "import", str(tmp_path / "plan.json"), "--out", str(tmp_path / "flat.json"))
+    assert code == 0
+    assert "plan: 2 rooms, 1 door, 0 windows" in out
+    assert "note: the file has no doors" in out
+    assert load_scene(tmp_path / "flat.json").content_hash() == load_scene(tmp_path / "plan.json").content_hash()
+    assert (tmp_path / "flat.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_scene_preview_draws_a_built_in_scene(vssm, tmp_path):
+    code, out, _ = vssm("scene", "preview", "oak", "--out", str(tmp_path / "oak.png"), "--height", "240")
+    assert code == 0
+    assert "oak: 5 rooms" in out
+    assert (tmp_path / "oak.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("scene", "preview", "oak", "--out", "oak.json"), "a name that ends in .png"),
+        (("scene", "preview", "oak", "--out", "oak.png", "--height", "9"), "120 to 4320 pixels"),
+        (("scene", "import", "no-such-file.xml", "--out", "flat.json"), "the path of an existing file"),
+        (("scene", "import", "oak", "--out", "flat.txt"), "a name that ends in .json"),
+    ],
+)
+def test_scene_commands_refuse_in_one_line(vssm, tmp_path, monkeypatch, arguments, complaint):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = vssm(*arguments)
+    assert code == 2
+    assert complaint in err and err.count("\n") == 1
+    assert not list(tmp_path.iterdir())

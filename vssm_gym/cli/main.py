@@ -21,6 +21,7 @@ from vssm_gym.errors import InputError
 COMMANDS: dict[str, Any] = {
     "demo": "demo.demo",
     "play": "play.play",
+    "scene": {"preview": "scene.preview", "import": "scene.import_", "generate": "scene.generate"},
     "record": "record.record",
     "map": {"build": "map.build", "export": "map.export"},
     "sweep": "sweep.sweep",

@@ -18,11 +18,16 @@ from vssm_gym.envs.textures import TEXTURES
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+FAR = 1000.0  # m, largest coordinate
+EXTENT = 250.0  # m, largest apartment
+ROOMS, WALLS, HOLES, PIECES, CORNERS = 1000, 20_000, 5000, 20_000, 20_000  # most of one apartment
+
+Coordinate = Annotated[float, Field(ge=-FAR, le=FAR)]
+Positive = Annotated[float, Field(gt=0, le=FAR)]
+NonNegative = Annotated[float, Field(ge=0, le=FAR)]
 Unit = Annotated[float, Field(ge=0, le=1)]
-XY = tuple[float, float]
-XYZ = tuple[float, float, float]
+XY = tuple[Coordinate, Coordinate]
+XYZ = tuple[Coordinate, Coordinate, Coordinate]
 
 _FIT = 1e-6  # metres of rounding allowed when a hole is checked against its wall
 
@@ -65,7 +70,7 @@ class Furniture(_Model):
 
     name: str = Field(min_length=1)
     category: str = Field(min_length=1)
-    boxes: tuple[Box, ...] = Field(min_length=1)
+    boxes: tuple[Box, ...] = Field(min_length=1, max_length=PIECES)
 
 
 class Room(_Model):
@@ -77,7 +82,7 @@ class Room(_Model):
 
     name: str = Field(min_length=1)
     kind: str = Field(min_length=1)
-    polygon: tuple[XY, ...] = Field(min_length=3)
+    polygon: tuple[XY, ...] = Field(min_length=3, max_length=CORNERS)
     floor: Material
 
     @model_validator(mode="after")
@@ -166,17 +171,18 @@ class Apartment(_Model):
 
     format: Literal[1] = 1
     name: str = Field(min_length=1)
-    rooms: tuple[Room, ...] = Field(min_length=1)
-    walls: tuple[Wall, ...] = Field(min_length=1)
-    doors: tuple[Door, ...] = ()
-    windows: tuple[Window, ...] = ()
-    furniture: tuple[Furniture, ...] = ()
+    rooms: tuple[Room, ...] = Field(min_length=1, max_length=ROOMS)
+    walls: tuple[Wall, ...] = Field(min_length=1, max_length=WALLS)
+    doors: tuple[Door, ...] = Field((), max_length=HOLES)
+    windows: tuple[Window, ...] = Field((), max_length=HOLES)
+    furniture: tuple[Furniture, ...] = Field((), max_length=PIECES)
     ceiling_height: Positive
     ceiling: Material = Material(color=(0.93, 0.93, 0.91), texture="plaster", scale=2.0)
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        _check_extent(self)
         _check_names(self)
         _check_holes(self)
         return self
@@ -190,6 +196,18 @@ class Apartment(_Model):
         content = self.model_dump(mode="json", exclude={"notes"})
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+
+
+def _check_extent(apartment: Apartment) -> None:
+    for field, shapes in (
+        ("rooms", [room.polygon for room in apartment.rooms]),
+        ("walls", [(wall.start, wall.end) for wall in apartment.walls]),
+    ):
+        for axis in range(2):
+            values = [point[axis] for shape in shapes for point in shape]
+            if max(values) - min(values) > EXTENT:
+                expected = f"at most {EXTENT:g} m across; found {max(values) - min(values):.1f}"
+                raise InputError(apartment.name, field, expected)
 
 
 def _check_names(apartment: Apartment) -> None:

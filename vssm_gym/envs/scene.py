@@ -18,7 +18,10 @@ from vssm_gym.envs.apartment import (
     parse_apartment,
 )
 from vssm_gym.envs.generator import PREFIX, generate, parse_spec
+from vssm_gym.envs.importers.houseexpo import import_houseexpo, is_houseexpo
 from vssm_gym.envs.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets
+from vssm_gym.envs.importers.reading import read_json, read_json_line
+from vssm_gym.envs.importers.ros_map import import_ros_map
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
@@ -40,6 +43,7 @@ __all__ = [
 ]
 
 ASSETS = Path(__file__).parent / "assets"
+LINES = (".jsonl", ".jsonl.gz")
 
 
 def built_in_scenes() -> list[str]:
@@ -48,9 +52,11 @@ def built_in_scenes() -> list[str]:
 
 
 def load_scene(spec: str | Path | Apartment) -> Apartment:
-    """The apartment of a built-in name ("oak"), of a seed, of our own JSON file or of a ProcTHOR house.
+    """The apartment of a built-in name ("oak"), of a seed or of a file.
 
-    "procedural:7" and "procedural:7:large" are made by `generator.generate`; files are told apart by their content.
+    "procedural:7" and "procedural:7:large" are made by `generator.generate`. Files are JSON (our own, a ProcTHOR house
+    or a HouseExpo plan, told by their content), a line of a file of ProcTHOR houses (``houses.jsonl.gz#7``, counted
+    from 0), a ROS map's YAML, or MJCF (XML) with a floor.
 
     An `Apartment` is returned as it is. Raises InputError naming the file and the field that is wrong.
     """
@@ -60,19 +66,52 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
         raise InputError(f"{spec!r:.80}", "scene", "a built-in name, the path of a JSON file or an Apartment")
     if str(spec).startswith(PREFIX):
         return generate(*parse_spec(str(spec)))
-    path = Path(spec)
     if str(spec) in built_in_scenes():
-        path = ASSETS / f"{spec}.json"
-    elif not path.is_file():
+        return _from_json(ASSETS / f"{spec}.json")
+    return _from_file(str(spec))
+
+
+def _from_file(spec: str) -> Apartment:
+    """The apartment in a file, told by the file's name, and JSON by its content."""
+    name, _, number = spec.rpartition("#")
+    if name.endswith(LINES) and number.isdigit():
+        return _from_lines(Path(name), int(number[:9]))
+    path = Path(spec)
+    if not path.is_file():
         names = ", ".join(built_in_scenes())
-        raise InputError(spec, "scene", f"a built-in name ({names}), {PREFIX}SEED or the path of an existing JSON file")
-    data = _read_json(path)
+        raise InputError(spec, "scene", f"a built-in name ({names}), {PREFIX}SEED or the path of an existing file")
+    if spec.endswith(LINES):
+        raise InputError(spec, "scene", f"the line of the house, counted from 0, as in {path.name}#0")
+    if path.suffix in (".yaml", ".yml"):
+        return import_ros_map(path)
+    if path.suffix == ".xml":
+        from vssm_gym.envs.importers.mjcf import import_mjcf  # only here: it loads MuJoCo
+
+        return import_mjcf(path)
+    return _from_json(path)
+
+
+def _from_json(path: Path) -> Apartment:
+    data = read_json(path)
     if not isinstance(data, dict):
         raise InputError(path, "scene", f"a JSON object; found {type(data).__name__}")
-    if not is_procthor(data):
-        return parse_apartment(data, path)
+    if is_procthor(data):
+        return _procthor(data, path, path.stem, path)
+    if is_houseexpo(data):
+        return import_houseexpo(data, path.stem, path)
+    return parse_apartment(data, path)
+
+
+def _from_lines(path: Path, line: int) -> Apartment:
+    """The ProcTHOR house on a line, counted from 0, of a file of houses."""
+    source = f"{path}#{line}"
+    name = f"{path.name.removesuffix('.gz').removesuffix('.jsonl')}#{line}"
+    return _procthor(read_json_line(path, line), path, name, source)
+
+
+def _procthor(data: Any, path: Path, name: str, source: object) -> Apartment:
     database = asset_database_of(path)
-    return import_procthor(data, read_assets(_read_json(database), database), path.stem, path)
+    return import_procthor(data, read_assets(read_json(database), database), name, source)
 
 
 def save_scene(apartment: Apartment, path: str | Path) -> None:
@@ -94,17 +133,3 @@ def _pretty(value: Any, indent: int = 0) -> str:
         items = [_pretty(item, indent + 1) for item in value]
     opening, closing = "{}" if isinstance(value, dict) else "[]"
     return f"{opening}\n{pad}" + f",\n{pad}".join(items) + f"\n{' ' * indent}{closing}"
-
-
-def _read_json(path: Path) -> Any:
-    def refuse(constant: str) -> None:
-        raise InputError(path, "scene", f"finite numbers; found {constant}")
-
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except UnicodeDecodeError as error:
-        raise InputError(path, "scene", "UTF-8 text") from error
-    except RecursionError as error:
-        raise InputError(path, "scene", "JSON nested less deeply") from error
-    except json.JSONDecodeError as error:
-        raise InputError(path, f"line {error.lineno}", f"valid JSON ({error.msg})") from error

@@ -1,6 +1,8 @@
 """Everything solid in an apartment as upright boxes: the one geometry that physics, images and free space share."""
 
 import math
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -17,6 +19,7 @@ MARGIN = 0.3  # m that floor and ceiling reach beyond the walls' centre lines
 LEAF = 0.04  # m, thickness of a door's leaf
 PANE = 0.02  # m, thickness of a window's pane
 FLOOR_STEP = 0.25  # m, resolution of the border between two floors where it is not parallel to x or y
+CUTS = 1000  # corner coordinates along an axis; where there are more the border of floors has FLOOR_STEP everywhere
 _HIDE = 1e-3  # m by which a wall stays inside the one it runs into, so that no two faces coincide
 
 
@@ -39,8 +42,12 @@ class SolidBox:
 def solid_boxes(apartment: "Apartment") -> list[SolidBox]:
     """Floor slabs (top at z = 0), ceiling, walls around their holes, door leaves, panes, furniture, in this order."""
     boxes = [*_floor(apartment), _ceiling(apartment)]
-    for index in range(len(apartment.walls)):
-        boxes += _wall(apartment, index)
+    holes: dict[int, list[Door | Window]] = defaultdict(list)
+    openings: list[Door | Window] = [*apartment.doors, *apartment.windows]
+    for hole in openings:
+        holes[hole.wall].append(hole)
+    for index, reach in enumerate(_reaches(apartment)):
+        boxes += _wall(apartment.walls[index], index, reach, sorted(holes[index], key=lambda hole: hole.offset))
     for i, door in enumerate(apartment.doors):
         boxes += door_leaves(f"door {i}", apartment.walls[door.wall], door)
     for i, window in enumerate(apartment.windows):
@@ -59,15 +66,18 @@ def _extent(apartment: "Apartment") -> tuple[np.ndarray, np.ndarray]:
 def _floor(apartment: "Apartment") -> list[SolidBox]:
     """Slabs that tile the apartment's bounding rectangle without gap or overlap, each with its room's floor.
 
-    The rectangle is cut at every corner coordinate, finer where a room has a slanted edge; a cell belongs to the first
-    room that contains its centre (to the first room of all where none does: that ground is outside the walls), and
-    runs of cells of one room merge into one slab.
+    The rectangle is cut at every corner coordinate (up to CUTS of them), finer where a room has a slanted edge; a cell
+    belongs to the first room that contains its centre (to the first room of all where none does: that ground is outside
+    the walls), and runs of cells of one room merge into one slab.
     """
     low, high = _extent(apartment)
     cuts = []
     for axis in range(2):
         values = {low[axis], high[axis]} | {p[axis] for room in apartment.rooms for p in room.polygon}
-        if any(_slanted(room.polygon) for room in apartment.rooms):
+        crowded = len(values) > CUTS
+        if crowded:
+            values = {low[axis], high[axis]}
+        if crowded or any(_slanted(room.polygon) for room in apartment.rooms):
             values |= set(np.arange(low[axis], high[axis], FLOOR_STEP).tolist())
         ordered = sorted(values)
         cuts.append(np.array([v for v, w in zip(ordered, [-math.inf, *ordered[:-1]], strict=True) if v - w > 1e-6]))
@@ -75,7 +85,11 @@ def _floor(apartment: "Apartment") -> list[SolidBox]:
     cx, cy = np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij")
     owner = np.zeros(cx.shape, int)
     for i in reversed(range(len(apartment.rooms))):
-        owner[shapely.contains_xy(shapely.Polygon(apartment.rooms[i].polygon), cx, cy)] = i
+        outline = shapely.Polygon(apartment.rooms[i].polygon)
+        shapely.prepare(outline)
+        x0, y0, x1, y1 = outline.bounds
+        block = np.s_[slice(*np.searchsorted(xs, (x0, x1))), slice(*np.searchsorted(ys, (y0, y1)))]
+        owner[block][shapely.contains_xy(outline, cx[block], cy[block])] = i
     return [
         _span(
             apartment.rooms[o].name, "floor", (xs[x0], ys[y0], -SLAB), (xs[x1], ys[y1], 0.0), apartment.rooms[o].floor
@@ -126,21 +140,18 @@ def _place(wall: "Wall", along: float, across: float, z: float) -> tuple[float, 
     return (wall.start[0] + c * along - s * across, wall.start[1] + s * along + c * across, z)
 
 
-def _wall(apartment: "Apartment", index: int) -> list[SolidBox]:
+def _wall(wall: "Wall", index: int, reach: tuple[float, float], holes: "Sequence[Door | Window]") -> list[SolidBox]:
     """The wall's solid parts: between holes, below sills and above lintels; two layers where its sides differ."""
-    wall = apartment.walls[index]
     top = wall.base + wall.height
-    openings: list[Door | Window] = [*apartment.doors, *apartment.windows]
-    holes = sorted((hole for hole in openings if hole.wall == index), key=lambda hole: hole.offset)
     parts: list[tuple[float, float, float, float]] = []
-    at = -_reach(apartment, index, at_end=False)
+    at = -reach[0]
     for hole in holes:
         end = hole.offset + hole.width
         parts.append((at, hole.offset, wall.base, top))
         parts.append((hole.offset, end, wall.base, wall.base + hole.sill))
         parts.append((hole.offset, end, wall.base + hole.sill + hole.height, top))
         at = end
-    parts.append((at, wall.length + _reach(apartment, index, at_end=True), wall.base, top))
+    parts.append((at, wall.length + reach[1], wall.base, top))
 
     half = wall.thickness / 2
     layers = [(-half, half, wall.front)]
@@ -156,18 +167,26 @@ def _wall(apartment: "Apartment", index: int) -> list[SolidBox]:
     return boxes
 
 
-def _reach(apartment: "Apartment", index: int, at_end: bool) -> float:
-    """How far the wall runs beyond its end point to close the corner with the walls it meets there, m."""
-    wall = apartment.walls[index]
-    tip = shapely.Point(wall.end if at_end else wall.start)
-    reach = 0.0
-    for other_index, other in enumerate(apartment.walls):
-        if other_index == index or shapely.LineString([other.start, other.end]).distance(tip) > 0.01:
-            continue
-        if abs(math.sin(other.yaw - wall.yaw)) < 0.1:
-            return 0.0  # it continues straight on: the corner is closed already
-        reach = max(reach, other.thickness / 2 - _HIDE)
-    return reach
+def _reaches(apartment: "Apartment") -> list[tuple[float, float]]:
+    """How far each wall runs beyond its start and its end to close the corners with the walls it meets there, m."""
+    walls = apartment.walls
+    lines = shapely.linestrings([[wall.start, wall.end] for wall in walls])
+    tree = shapely.STRtree(lines)
+    yaws, halves = np.array([wall.yaw for wall in walls]), np.array([wall.thickness / 2 for wall in walls])
+    reaches = []
+    for at_end in (False, True):
+        tips = shapely.points([wall.end if at_end else wall.start for wall in walls])
+        index, other = tree.query(tips, predicate="dwithin", distance=0.01)
+        index, other = index[index != other], other[index != other]
+        reach = np.zeros(len(walls))
+        # Up to the other wall's far face, h at right angles; h tan(angle / 2) where a blunt corner would jut out.
+        cosine = np.abs(np.cos(yaws[other] - yaws[index]))
+        blunt = np.where(cosine < 1e-9, 1.0, np.sqrt((1.0 - cosine) / (1.0 + cosine)))
+        np.maximum.at(reach, index, blunt * halves[other] - _HIDE)
+        straight = np.abs(np.sin(yaws[other] - yaws[index])) < 0.1
+        reach[index[straight]] = 0.0  # another wall continues it: the corner is closed already
+        reaches.append(reach.tolist())
+    return list(zip(*reaches, strict=True))
 
 
 def door_leaves(name: str, wall: "Wall", door: "Door") -> list[SolidBox]:

@@ -21,6 +21,7 @@ def validated(model: type[Model], data: Any, source: object, at: str = "") -> Mo
         first = error.errors()[0]
         path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
         where = (at + path).lstrip(".")
+        where = where if len(where) <= 200 else f"{where[:160]}...{where[-37:]}"  # nested deeply
         inner = first.get("ctx", {}).get("error")
         if isinstance(inner, InputError):  # a rule across fields names its own field
             raise InputError(source, f"{where}.{inner.field}".lstrip("."), inner.expected) from error

@@ -23,7 +23,7 @@ import shapely
 from vssm_gym.envs.apartment import XY, Apartment, Door, Furniture, Material, Room, Wall, Window
 from vssm_gym.envs.importers.procthor_format import Asset, Hole, House, HouseWall, Surface, Vector
 from vssm_gym.envs.importers.procthor_looks import RGB, surface_material
-from vssm_gym.envs.importers.procthor_objects import footprint, furniture_of
+from vssm_gym.envs.importers.procthor_objects import footprint, furniture_of, outside
 from vssm_gym.envs.solids import door_leaves
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
@@ -74,7 +74,7 @@ def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: o
         InputError: a field is missing or wrong, an asset is not in the database, or a hole does not fit its wall.
     """
     house = validated(House, data, source)
-    notes = [f"{key}: {text}" for key, text in (house.metadata.warnings or {}).items()]
+    notes = [f"{key}: {text}"[:300] for key, text in list((house.metadata.warnings or {}).items())[:20]]
     names = {room.id: f"{room.roomType} ({room.id})" for room in house.rooms}
     rooms = [
         validated(
@@ -93,6 +93,8 @@ def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: o
     outlines = {room.id: shapely.Polygon(made.polygon) for room, made in zip(house.rooms, rooms, strict=True)}
     walls, faces = _walls(house, outlines, source)
     furniture = furniture_of(house, assets, walls, source, notes)
+    ceiling = max(wall.base + wall.height for wall in walls)
+    notes += outside(furniture, shapely.union_all(list(outlines.values())), ceiling)
     doors = [_door(f"doors[{i}]", hole, names, walls, faces, furniture, source) for i, hole in enumerate(house.doors)]
     windows = [
         validated(Window, _hole(f"windows[{i}]", hole, walls, faces, source), source, at=f"windows[{i}]")
@@ -105,7 +107,7 @@ def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: o
         "doors": doors,
         "windows": windows,
         "furniture": furniture,
-        "ceiling_height": max(wall.base + wall.height for wall in walls),
+        "ceiling_height": ceiling,
         "ceiling": _surface(house.proceduralParameters.ceilingMaterial, "ceiling"),
         "notes": notes,
     }

@@ -7,7 +7,14 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from vssm_gym.envs.apartment import Coordinate
+
 Openness = Annotated[float, Field(ge=0, le=1)]
+Angle = Annotated[float, Field(ge=-1e6, le=1e6)]  # degrees
+Extent = Annotated[float, Field(ge=0, le=100)]  # m
+Name = Annotated[str, Field(max_length=200)]
+
+ROOMS, WALLS, HOLES, OBJECTS, CORNERS = 200, 5000, 500, 5000, 1000  # most of a house; the largest have tens
 
 
 class _Read(BaseModel):
@@ -15,11 +22,27 @@ class _Read(BaseModel):
 
 
 class Vector(_Read):
-    """x, y, z: a point in m, angles in degrees or extents in m."""
+    """x, y, z: a point in m."""
 
-    x: float
-    y: float
-    z: float
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
+
+
+class Angles(_Read):
+    """Turns about x, y, z in degrees."""
+
+    x: Angle
+    y: Angle
+    z: Angle
+
+
+class Extents(_Read):
+    """Full size along x, y, z in m."""
+
+    x: Extent
+    y: Extent
+    z: Extent
 
 
 class Color(_Read):
@@ -33,24 +56,24 @@ class Color(_Read):
 class Surface(_Read):
     """A Unity material by name, with a colour of its own or not."""
 
-    name: str
+    name: Name
     color: Color | None = None
 
 
 class HouseRoom(_Read):
     """A room and the outline of its floor."""
 
-    id: str
-    roomType: str
-    floorPolygon: tuple[Vector, ...] = Field(min_length=3)
+    id: Name
+    roomType: Name
+    floorPolygon: tuple[Vector, ...] = Field(min_length=3, max_length=CORNERS)
     floorMaterial: Surface
 
 
 class HouseWall(_Read):
     """One face of a wall: four corners, a lower and an upper pair; the exterior's faces list the upper first."""
 
-    id: str
-    roomId: str
+    id: Name
+    roomId: Name
     polygon: tuple[Vector, ...] = Field(min_length=4, max_length=4)
     material: Surface
 
@@ -58,11 +81,11 @@ class HouseWall(_Read):
 class Hole(_Read):
     """A door or window: two corners in the frame of ``wall0`` (x along it, y up) and the faces on either side."""
 
-    id: str
-    wall0: str
-    wall1: str
-    room0: str
-    room1: str
+    id: Name
+    wall0: Name
+    wall1: Name
+    room0: Name
+    room1: Name
     holePolygon: tuple[Vector, ...] = Field(min_length=2, max_length=2)
     openness: Openness | None = None
 
@@ -70,11 +93,11 @@ class Hole(_Read):
 class HouseObject(_Read):
     """An object: the centre of its asset's box, rotation in degrees, and what stands on or in it."""
 
-    id: str
-    assetId: str
+    id: Name
+    assetId: Name
     position: Vector
-    rotation: Vector
-    children: tuple["HouseObject", ...] = ()
+    rotation: Angles
+    children: tuple["HouseObject", ...] = Field((), max_length=OBJECTS)
 
 
 class Parameters(_Read):
@@ -92,11 +115,11 @@ class Metadata(_Read):
 class House(_Read):
     """A ProcTHOR house."""
 
-    rooms: tuple[HouseRoom, ...] = Field(min_length=1)
-    walls: tuple[HouseWall, ...] = Field(min_length=1)
-    doors: tuple[Hole, ...] = ()
-    windows: tuple[Hole, ...] = ()
-    objects: tuple[HouseObject, ...] = ()
+    rooms: tuple[HouseRoom, ...] = Field(min_length=1, max_length=ROOMS)
+    walls: tuple[HouseWall, ...] = Field(min_length=1, max_length=WALLS)
+    doors: tuple[Hole, ...] = Field((), max_length=HOLES)
+    windows: tuple[Hole, ...] = Field((), max_length=HOLES)
+    objects: tuple[HouseObject, ...] = Field((), max_length=OBJECTS)
     metadata: Metadata = Metadata()
     proceduralParameters: Parameters = Parameters()
 
@@ -104,6 +127,6 @@ class House(_Read):
 class Asset(_Read):
     """A mesh's name, type and full extents (Unity axes, m)."""
 
-    assetId: str
-    objectType: str
-    boundingBox: Vector
+    assetId: Name
+    objectType: Name
+    boundingBox: Extents

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from vssm_gym.envs.apartment import Box, Furniture, Wall
-from vssm_gym.envs.importers.procthor_format import Asset, House, HouseObject
+from vssm_gym.envs.importers.procthor_format import OBJECTS, Asset, House, HouseObject
 from vssm_gym.envs.importers.procthor_looks import object_material
 from vssm_gym.errors import InputError
 
@@ -55,6 +55,11 @@ def furniture_of(
         if item.assetId not in assets:
             raise InputError(source, f"{field}.assetId", f"an asset of the asset database; found {item.assetId!r}")
         asset = assets[item.assetId]
+        if len(pieces) >= OBJECTS:
+            raise InputError(source, field, f"at most {OBJECTS:,} objects with all their children")
+        if sum(extent > 0.0 for extent in (asset.boundingBox.x, asset.boundingBox.y, asset.boundingBox.z)) < 2:
+            expected = f"an asset with a size; {item.assetId!r} has none in the asset database"
+            raise InputError(source, f"{field}.assetId", expected)
         box, tilt = _box(item, asset)
         if shift is None:  # a top-level object: it may hang on a wall
             shift = _out_of_wall(box, walls)
@@ -72,6 +77,22 @@ def furniture_of(
     for i, item in enumerate(house.objects):
         add(item, f"objects[{i}]", None)
     return pieces
+
+
+def outside(furniture: list[Furniture], floor: shapely.Geometry, ceiling: float) -> list[str]:
+    """A sentence for each piece that no robot could meet: off the ``floor``'s plan, under it or above the ceiling, m.
+
+    They stay where they are: images show them where the file has them.
+    """
+    shapely.prepare(floor)
+    notes = []
+    for piece in furniture:
+        (box,) = piece.boxes
+        if not floor.intersects(footprint(box)):
+            notes.append(f"{piece.name} is outside the walls")
+        elif box.center[2] + box.size[2] / 2 < 0.0 or box.center[2] - box.size[2] / 2 > ceiling:
+            notes.append(f"{piece.name} is {'under the floor' if box.center[2] < 0.0 else 'above the ceiling'}")
+    return notes
 
 
 def _box(item: HouseObject, asset: Asset) -> tuple[Box, float]:

@@ -1,0 +1,121 @@
+"""``vssm-gym scene preview|import|generate``: look at a scene, bring one, make one (DESIGN)."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from vssm_gym.envs.apartment import Apartment
+
+
+def preview(
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")], out: Path, height: int = 720
+) -> None:
+    """Draw a scene: its plan and two views from inside.
+
+    Args:
+        scene: built-in name (oak), procedural:SEED or path of a scene file.
+        out: the picture to write (.png).
+        height: of the picture, pixels.
+    """
+    from vssm_gym.envs.scene import load_scene
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.destinations import check_file
+
+    if not 120 <= height <= 4320:
+        raise InputError("scene preview", "height", f"120 to 4320 pixels; found {height}")
+    check_file(out)
+    _check_ending("scene preview", out, ".png")
+    apartment = load_scene(scene)
+    _draw(apartment, out, height)
+    print(f"{_summary(apartment)}\n{out}")
+
+
+def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")], out: Path) -> None:
+    """Check a scene of another format and write it as ours, with a picture beside.
+
+    FILE is a ProcTHOR house (JSON, or a line of JSONL as in houses.jsonl.gz#7), a HouseExpo plan (JSON), a ROS map
+    (YAML) or an MJCF with a floor (XML).
+
+    Args:
+        file: the scene file.
+        out: the scene to write (.json); the picture gets the same name and the ending .png.
+    """
+    from vssm_gym.envs.scene import load_scene
+
+    _write("scene import", out, lambda: load_scene(file))
+
+
+def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"] = "medium") -> None:
+    """Make a furnished apartment from a seed, with a picture of it beside.
+
+    Args:
+        out: the scene to write (.json); the picture gets the same name and the ending .png.
+        seed: the same seed gives the same apartment.
+        size: small (1 to 3 rooms), medium or large.
+    """
+    from vssm_gym.envs.generator import generate as generated
+    from vssm_gym.eval.destinations import check_at_least
+
+    check_at_least("scene generate", "seed", seed, 0)
+    _write("scene generate", out, lambda: generated(seed, size))
+
+
+def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
+    from vssm_gym.envs.scene import save_scene
+    from vssm_gym.eval.destinations import check_file
+
+    check_file(out)
+    _check_ending(command, out, ".json")
+    apartment = make()
+    summary = _summary(apartment)  # refuses a scene in which the robot fits nowhere, before anything is written
+    save_scene(apartment, out)
+    picture = out.with_suffix(".png")
+    _draw(apartment, picture, 720)
+    print(f"{summary}\n{out}\n{picture}\nnext: vssm-gym record --scene {out} --out recording")
+
+
+def _check_ending(command: str, path: Path, ending: str) -> None:
+    from vssm_gym.errors import InputError
+
+    if path.suffix.lower() != ending:
+        raise InputError(command, "out", f"a name that ends in {ending}; found {path.name!r}")
+
+
+def _draw(apartment: "Apartment", path: Path, height: int) -> None:
+    from PIL import Image
+
+    from vssm_gym.envs.preview import preview as picture
+    from vssm_gym.files import atomic_write
+
+    with atomic_write(path) as temporary:
+        Image.fromarray(picture(apartment, height)).save(temporary, format="PNG")
+
+
+def _summary(apartment: "Apartment") -> str:
+    """What is in the scene, and where the standard robot can be in it."""
+    from vssm_gym.envs.free_space import FreeSpace
+    from vssm_gym.envs.robots import HolonomicRobot
+
+    robot = HolonomicRobot()
+    space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
+    counts = ", ".join(
+        f"{number} {word if number != 1 else word.removesuffix('s')}"
+        for number, word in (
+            (len(apartment.rooms), "rooms"),
+            (len(apartment.doors), "doors"),
+            (len(apartment.windows), "windows"),
+            (len(apartment.furniture), "pieces of furniture"),
+            (len(apartment.boxes()), "solid boxes"),
+        )
+    )
+    lines = [
+        f"{apartment.name}: {counts}; content hash {apartment.content_hash()}",
+        f"rooms: {', '.join(room.name for room in apartment.rooms)}",
+        f"a robot {2 * robot.radius:g} m across can be on {space.largest.area:.1f} m^2",
+    ]
+    if names := space.cut_off_rooms():
+        lines.append(f"cut off from the rest: {', '.join(names)}")
+    return "\n".join(lines + [f"note: {note}" for note in apartment.notes])

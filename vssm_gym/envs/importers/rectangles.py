@@ -1,0 +1,43 @@
+"""Cells to few rectangles: what maps and voxels become walls and boxes with."""
+
+import numpy as np
+from jaxtyping import Bool
+
+Rectangle = tuple[int, int, int, int]  # i0, i1, j0, j1 of cells, half open
+
+
+def cover(needed: Bool[np.ndarray, "n m"], allowed: Bool[np.ndarray, "n m"]) -> list[Rectangle]:
+    """Disjoint rectangles that contain every ``needed`` cell and no cell that is not ``allowed``.
+
+    Greedy: the first needed cell left grows into the longest run either way, then into the widest block of such runs;
+    of the two blocks the one that covers more wins. ``needed`` implies ``allowed``.
+    """
+    left, allowed = needed.copy(), allowed.copy()
+    rectangles = []
+    for i, j in np.argwhere(needed):
+        if not left[i, j]:
+            continue
+        rows, columns = _grow(allowed, i, j), _grow(allowed.T, j, i)
+        choices = [rows, (columns[2], columns[3], columns[0], columns[1])]
+        best = max(choices, key=lambda r: np.count_nonzero(left[r[0] : r[1], r[2] : r[3]]))
+        left[best[0] : best[1], best[2] : best[3]] = False
+        allowed[best[0] : best[1], best[2] : best[3]] = False
+        rectangles.append(best)
+    return rectangles
+
+
+def _grow(allowed: np.ndarray, i: int, j: int) -> Rectangle:
+    """The longest allowed run of row ``i`` through column ``j``, with the neighbouring rows that allow all of it."""
+    j0, j1 = j - _run(allowed[i, :j][::-1]), j + _run(allowed[i, j:])
+    block = allowed[:, j0:j1]
+    i0, i1 = i, i + 1
+    while i0 > 0 and block[i0 - 1].all():
+        i0 -= 1
+    while i1 < len(block) and block[i1].all():
+        i1 += 1
+    return i0, i1, j0, j1
+
+
+def _run(cells: np.ndarray) -> int:
+    """How many cells from the first on are set."""
+    return len(cells) if cells.all() else int(np.argmin(cells))
