@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.data.recording import recorded_episode
+from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.topdown import TopDown
 from vssm_gym.viz.terminal import Colours, depth_picture, side_by_side
 
@@ -48,7 +49,7 @@ HOLONOMIC = Drive(
     "w ↑ ahead   a ← d → turn   z c curve   s ↓ wait   space I am there",
 )
 
-DRIVES: dict[str, Drive] = {"PointNav-v0": HOLONOMIC}
+DRIVES: dict[str, Drive] = {"PointNav-v0": HOLONOMIC, "ImageNav-v0": HOLONOMIC, "Explore-v0": HOLONOMIC}
 """The environments that can be played, by id without ``vssm_gym/``."""
 
 
@@ -73,6 +74,7 @@ class Session:
         self._record, self._about = record, about
         self._recording = contextlib.ExitStack()
         self._world: Any = env.unwrapped
+        self._simulation: Simulation = self._world.simulation
         self._plan: TopDown | None = None
         self._begin(seed)
 
@@ -108,7 +110,7 @@ class Session:
         if self._record is not None:
             if self._write is None:  # an episode without a step leaves no recording
                 folder = self._record / str(self.episodes)
-                self._write = self._recording.enter_context(recorded_episode(self._world, folder, self._about))
+                self._write = self._recording.enter_context(recorded_episode(self._simulation, folder, self._about))
                 self._write(*self._first)
             self._write(self.observation, self.info)
         if terminated:
@@ -135,6 +137,8 @@ class Session:
         if self.info["collision"]:
             status += f"   {BOLD}bump{PLAIN}"
         where = self._goal_line() if self._has_goal() else ""
+        if "coverage" in self.info:
+            where = f"seen {self.info['coverage']:.0%}   "
         result = f"   {BOLD}{self.result}{PLAIN}: r for a new task" if self.result else ""
         text = [
             f"{BOLD}{self.title}{PLAIN}",
@@ -148,10 +152,10 @@ class Session:
     def _plan_picture(self) -> np.ndarray:
         """The floor plan with the robot, its path and its goal; few pixels, so that the robot is still seen in them."""
         if self._plan is None:
-            self._plan = TopDown(self._world.world.boxes, PLAN, PLAN)
+            self._plan = TopDown(self._simulation.stage.boxes, PLAN, PLAN)
         pose = planar_pose(self.info["T_world_cam"])
-        goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (pose[:2], 0.0)
-        return self._plan.draw(np.array(self._path), pose, self._world.robot.radius, goal, radius)
+        goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (None, 0.0)
+        return self._plan.draw(np.array(self._path), pose, self._simulation.robot.radius, goal, radius)
 
     def _has_goal(self) -> bool:
         return np.shape(self.observation.get("goal")) == (2,)

@@ -23,6 +23,7 @@ from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
 from vssm_gym.envs.sensors import CameraConfig, make_camera
+from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.survey import Waypoint, survey_route
 from vssm_gym.envs.tasks import TaskSampler
@@ -125,22 +126,22 @@ def record_handheld(
 
 @contextmanager
 def recorded_episode(
-    env: PointNavEnv, out: Path, about: dict[str, Any]
+    simulation: Simulation, out: Path, about: dict[str, Any]
 ) -> Iterator[Callable[[dict[str, np.ndarray], dict[str, Any]], None]]:
     """A function that takes each ``(observation, info)`` of an episode, which becomes the recording ``out``.
 
     Args:
-        env: whose robot is driven by whoever calls the function.
+        simulation: whose robot is driven by whoever calls the function.
         out: new or empty folder; it appears where the block ends without an error.
         about: what else to tell in ``recording.json``.
     """
     _check_new(out)
-    with _recording(out, env.apartment, about | {"renderer": env.renderer_name}) as unfinished:
-        writer = SequenceWriter(unfinished, env.camera, env.robot.T_body_cam)
+    with _recording(out, simulation.apartment, about | {"renderer": simulation.stage.renderer_name}) as unfinished:
+        writer = SequenceWriter(unfinished, simulation.camera, simulation.robot.T_body_cam)
         frames = itertools.count()
 
         def write(observation: dict[str, np.ndarray], info: dict[str, Any]) -> None:
-            time = next(frames) * env.robot.dt
+            time = next(frames) * simulation.robot.dt
             writer.append(time, observation["rgb"], observation["depth"], info["T_world_cam"], info["control"])
 
         yield write

@@ -29,7 +29,8 @@ class ImageNavEnv(StagedEnv):
     def __init__(self, **navigation: Any) -> None:
         self.navigation = PointNavEnv(**navigation)
         self.render_mode, self.parallel = self.navigation.render_mode, self.navigation.parallel
-        self.renderer_name = self.navigation.renderer_name
+        self.simulation, self.renderer_name = self.navigation.simulation, self.navigation.renderer_name
+        self.success_radius = self.navigation.success_radius
         self.action_space = self.navigation.action_space
         size = (self.navigation.camera.height, self.navigation.camera.width, 3)
         spaces = {**self.navigation.simulation.spaces(), "goal_rgb": gym.spaces.Box(0, 255, size, np.uint8)}
