@@ -12,6 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.apartment import Apartment
@@ -39,11 +40,7 @@ def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
     Geoms are named ``box I`` and ``prism I`` after the index in ``apartment.boxes()``; the body is named ``robot``.
     """
     boxes = apartment.boxes()
-    spec = mujoco.MjSpec()
-    spec.modelname = apartment.name
-    spec.option.gravity = [0.0, 0.0, 0.0]
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_WARMSTART
-    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    spec = _empty_spec(apartment.name)
     mid = 0.5 * robot.height
     for i, box in enumerate(boxes):
         _fixed_box(spec, f"box {i}", box, group=_LOOKS, rgba=[*box.material.color, 1.0])
@@ -84,6 +81,43 @@ def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
     return spec
 
 
+def build_flight_spec(apartment: Apartment, radius: float) -> mujoco.MjSpec:
+    """The apartment's boxes, fixed and solid as they are, and a ball on three slides ``(x, y, z)``; SI units, z up.
+
+    The ball does not turn: without friction nothing that it touches could tell.
+    """
+    spec = _empty_spec(apartment.name)
+    for i, box in enumerate(apartment.boxes()):
+        geom = _fixed_box(spec, f"box {i}", box, group=_LOOKS, rgba=[*box.material.color, 1.0])
+        geom.contype, geom.conaffinity = 1, 1
+    body = spec.worldbody.add_body(name="robot")
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    body.add_geom(
+        name="body",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[radius, 0.0, 0.0],
+        contype=1,
+        conaffinity=1,
+        priority=1,
+        condim=1,  # as the robot's disc
+        solref=[1e-4, 1.0],
+        group=_ROBOT,
+        mass=1.0,
+        rgba=[0.9, 0.5, 0.1, 1.0],
+    )
+    return spec
+
+
+def _empty_spec(name: str) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    return spec
+
+
 def _fixed_box(spec: mujoco.MjSpec, name: str, box: SolidBox, group: int, rgba: list[float]) -> Any:
     return spec.worldbody.add_geom(
         name=name,
@@ -109,9 +143,7 @@ class World:
         self.boxes = self.apartment.boxes()
         self.model = build_spec(self.apartment, self.robot).compile()
         self.data = mujoco.MjData(self.model)
-        geoms = [self.model.geom(i).name.split() for i in range(self.model.ngeom)]
-        # The box behind each geom; -1 for the robot's.
-        self._box_of_geom = np.array([int(words[1]) if words[0] in ("box", "prism") else -1 for words in geoms])
+        self._box_of_geom = _boxes_of_geoms(self.model)
         self._touched: set[int] = set()
         mujoco.mj_forward(self.model, self.data)
 
@@ -164,36 +196,119 @@ class World:
         return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First box along each ray ``origin + t direction`` (``mj_multiRay``); the robot itself is transparent.
+        """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""
+        return cast_rays(self.model, self.data, self._box_of_geom, origin, directions)
 
-        Args:
-            origin: ``(3,)`` world frame, m.
-            directions: ``(n, 3)`` world frame, any length.
+
+class FlightWorld:
+    """A ball in flight among the apartment's boxes; one object is one simulation, for one thread.
+
+    The ball moves as it is told and nothing else pulls at it: what a body's rotors, weight and drag do is the caller's
+    (:mod:`vssm_gym.envs.flight_body`). Boxes stop it without friction.
+    """
+
+    def __init__(self, apartment: Apartment, radius: float) -> None:
+        self.apartment, self.radius = apartment, radius
+        self._build()
+
+    def _build(self) -> None:
+        self.boxes = self.apartment.boxes()
+        self.model = build_flight_spec(self.apartment, self.radius).compile()
+        self.data = mujoco.MjData(self.model)
+        self._box_of_geom = _boxes_of_geoms(self.model)
+        self._touched: set[int] = set()
+        mujoco.mj_forward(self.model, self.data)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"apartment": self.apartment, "radius": self.radius, "at": self.position(), "touched": self._touched}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.apartment, self.radius = state["apartment"], state["radius"]
+        self._build()
+        self.reset(state["at"])
+        self._touched = state["touched"]
+
+    def reset(self, position: Float[np.ndarray, "3"]) -> None:
+        """Put the ball's centre there, m, world frame, at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = position
+        mujoco.mj_kinematics(self.model, self.data)
+        self._touched = set()
+
+    def position(self) -> Float[np.ndarray, "3"]:
+        """The ball's centre, m, world frame; float64."""
+        return self.data.qpos.copy()
+
+    def move(self, velocity: Float[np.ndarray, "3"], seconds: float) -> bool:
+        """Move at ``velocity`` (m/s, world frame) for a time in which the ball covers less than its radius.
 
         Returns:
-            ``t`` float64 ``(n,)``, in multiples of the direction, 0 where nothing is hit; index of the box in
-            ``apartment.boxes()``, int32 ``(n,)``, -1 where nothing is hit.
+            Whether it touched an obstacle (:meth:`contacts` names them); what it kept of its velocity is
+            :meth:`velocity` then.
         """
-        directions = np.asarray(directions, dtype=np.float64)
-        norm = np.linalg.norm(directions, axis=-1)
-        unit = np.ascontiguousarray(directions / norm[:, None]).reshape(-1)
-        n = len(norm)
-        geom, distance = np.full(n, -1, dtype=np.int32), np.zeros(n)
-        groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
-        groups[_LOOKS] = 1
-        mujoco.mj_multiRay(
-            self.model,
-            self.data,
-            np.asarray(origin, dtype=np.float64),
-            unit,
-            groups,
-            True,
-            -1,
-            geom,
-            distance,
-            None,
-            n,
-            mujoco.mjMAXVAL,
-        )
-        box = np.where(geom >= 0, self._box_of_geom[geom], -1).astype(np.int32)
-        return np.where(geom >= 0, distance / norm, 0.0), box
+        self.model.opt.timestep = seconds
+        self.data.qvel[:] = velocity
+        mujoco.mj_step(self.model, self.data)
+        self._touched = set()
+        if self.data.ncon:
+            self._touched.update(self._box_of_geom[self.data.contact.geom].max(axis=1).tolist())
+        return bool(self._touched)
+
+    def velocity(self) -> Float[np.ndarray, "3"]:
+        """The ball's velocity after the last :meth:`move`, m/s, world frame; float64."""
+        return self.data.qvel.copy()
+
+    def contacts(self) -> list[str]:
+        """Names of the obstacles that the last :meth:`move` touched, in the order of the apartment's boxes."""
+        return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
+
+    def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""
+        return cast_rays(self.model, self.data, self._box_of_geom, origin, directions)
+
+
+def _boxes_of_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """The box behind each geom; -1 for the robot's."""
+    geoms = [model.geom(i).name.split() for i in range(model.ngeom)]
+    return np.array([int(words[1]) if words[0] in ("box", "prism") else -1 for words in geoms])
+
+
+def cast_rays(
+    model: mujoco.MjModel, data: mujoco.MjData, box_of_geom: np.ndarray, origin: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """First box along each ray ``origin + t direction`` (``mj_multiRay``); the robot itself is transparent.
+
+    Args:
+        model: the simulation.
+        data: its state.
+        box_of_geom: index of the box behind each geom, -1 for the robot's.
+        origin: ``(3,)`` world frame, m.
+        directions: ``(n, 3)`` world frame, any length.
+
+    Returns:
+        ``t`` float64 ``(n,)``, in multiples of the direction, 0 where nothing is hit; index of the box in
+        ``apartment.boxes()``, int32 ``(n,)``, -1 where nothing is hit.
+    """
+    directions = np.asarray(directions, dtype=np.float64)
+    norm = np.linalg.norm(directions, axis=-1)
+    unit = np.ascontiguousarray(directions / norm[:, None]).reshape(-1)
+    n = len(norm)
+    geom, distance = np.full(n, -1, dtype=np.int32), np.zeros(n)
+    groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
+    groups[_LOOKS] = 1
+    mujoco.mj_multiRay(
+        model,
+        data,
+        np.asarray(origin, dtype=np.float64),
+        unit,
+        groups,
+        True,
+        -1,
+        geom,
+        distance,
+        None,
+        n,
+        mujoco.mjMAXVAL,
+    )
+    box = np.where(geom >= 0, box_of_geom[geom], -1).astype(np.int32)
+    return np.where(geom >= 0, distance / norm, 0.0), box

@@ -5,7 +5,7 @@ import warnings
 from dataclasses import dataclass
 
 from vssm_gym.camera import Camera
-from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.mjcf import FlightWorld, World
 from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer, RaycastCamera, Tracer
 from vssm_gym.errors import InputError
 
@@ -31,7 +31,7 @@ class CameraConfig:
         return Camera.from_hfov(self.width, self.height, self.hfov)
 
 
-def raycast_camera(world: World, config: CameraConfig, threads: int | None = None) -> RaycastCamera:
+def raycast_camera(world: World | FlightWorld, config: CameraConfig, threads: int | None = None) -> RaycastCamera:
     """The raycast camera of a world: by Embree, or, with a warning that says why not, by MuJoCo's rays.
 
     The renderer's name, ``camera.tracer.name``, belongs with every result.
