@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -16,6 +16,8 @@ from vssm_gym.camera import Camera
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.inference import prism
+from vssm_gym.inference.imu_control import ImuControl
+from vssm_gym.inference.map_update import MapUpdateConfig
 from vssm_gym.inference.prism import PrismConfig
 from vssm_gym.inference.tracking import observe
 from vssm_gym.voxel_map import VoxelMap
@@ -26,6 +28,22 @@ MAX_CELLS = 1_000_000_000  # a cell of a sparse cube costs a tenth of a byte unt
 SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation search has nothing left to shrink
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+
+def _good(max_depth: float, **config: Any) -> PrismConfig:
+    """Structured light, active stereo near by."""
+    return PrismConfig(update=MapUpdateConfig(max_depth=max_depth), **config)
+
+
+def _stereo(max_depth: float, **config: Any) -> PrismConfig:
+    """Noisy stereo far away (SPEC 3): a wider band behind surfaces, geometry trusted less."""
+    plain = PrismConfig()
+    align = replace(plain.align, geo_sigma=0.02, geo_sigma_quadratic=0.005)
+    update = MapUpdateConfig(max_depth=max_depth, truncation=4.0)
+    return PrismConfig(align=align, update=update, **config)
+
+
+DEPTHS = {"good": _good, "stereo": _stereo}
 
 
 @dataclass(frozen=True)
@@ -40,6 +58,9 @@ class SlamOptions:
     samples: int = 1  # of the pose in the map update; from 2 on the map's uncertainty reaches the pose too
     seed: int = 0
     render_width: int = 160  # pixels: images are tracked at about this width
+    max_depth: float = 8.0  # m; farther readings are left out
+    depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
+    imu: bool = False  # whether the sequence's IMU drives the prior, in place of constant velocity
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
@@ -59,6 +80,10 @@ class SlamOptions:
             raise InputError("slam", "solver", f"one of {', '.join(prism.SOLVERS)}, not {self.solver!r}")
         if not 1 <= self.samples <= 16:
             raise InputError("slam", "samples", f"between 1 and 16, not {self.samples}")
+        if not 0.5 <= self.max_depth <= 100.0:
+            raise InputError("slam", "max-depth", f"metres between 0.5 and 100, not {self.max_depth}")
+        if self.depth not in DEPTHS:
+            raise InputError("slam", "depth", f"one of {', '.join(DEPTHS)}, not {self.depth!r}")
         if self.seed < 0:
             raise InputError("slam", "seed", f"at least 0, not {self.seed}")
         if not SMALLEST[0] <= self.render_width <= LARGEST[0]:
@@ -74,7 +99,9 @@ class SlamOptions:
     @property
     def prism(self) -> PrismConfig:
         """Of the filter."""
-        return PrismConfig(solver=self.solver, samples=self.samples, track_width=self.render_width)
+        return DEPTHS[self.depth](
+            solver=self.solver, samples=self.samples, track_width=self.render_width, max_depth=self.max_depth
+        )
 
     def prior(self) -> VoxelMap:
         """The map before the first image, around the first camera."""
@@ -194,7 +221,7 @@ def run_slam(
     """
     reader = FrameReader(sequence, options.size)
     indices = thin(sequence.times, options.rate)
-    tracker = _Tracker(options, reader.camera)
+    tracker = _Tracker(options, reader.camera, sequence)
     frames: list[TrackedFrame] = []
     with closing(prefetch(reader, indices)) as images:
         asked = time.perf_counter()
@@ -230,8 +257,12 @@ class _Stages:
 class _Tracker:
     """The filter's state between frames; ``None`` before the first frame with depth."""
 
-    def __init__(self, options: SlamOptions, camera: Camera) -> None:
-        self.options, self.config, self.camera = options, options.prism, camera
+    def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
+        self.options, self.config, self.camera, self.sequence = options, options.prism, camera, sequence
+        if options.imu and (sequence.T_body_cam is None or not len(sequence.imu)):
+            expected = "imu.txt, and T_body_cam in camera.json: the IMU was asked for"
+            raise InputError(sequence.root, "imu", expected)
+        self._imu: ImuControl | None = None
         self.state: prism.PrismState | None = None
         self.stamp = 0.0  # s, of the last frame
         self._compiled: set[str] = set()  # stages that ran
@@ -249,13 +280,17 @@ class _Tracker:
         status = prism.OK
         if self.state is not None:
             image, dt = observe(rgb, depth), stamp - self.stamp
-            self.state, info = prism.step(self.state, image, dt, self.camera, self.config, clock=stages)
+            control = self._control(self.state, stamp)
+            self.state, info = prism.step(self.state, image, dt, self.camera, self.config, control, clock=stages)
             jax.block_until_ready(self.state)
             status = info.status
         elif (depth > 0.0).any():
             key = jax.random.key(self.options.seed)
             self.state = prism.init(self.options.prior(), observe(rgb, depth), self.camera, self.config, key)
             jax.block_until_ready(self.state)
+            if self.options.imu:
+                assert self.sequence.T_body_cam is not None
+                self._imu = ImuControl(self.sequence.imu, self.sequence.T_body_cam, stamp)
         else:
             status = prism.NO_READING
         step_s = time.perf_counter() - start
@@ -283,6 +318,14 @@ class _Tracker:
             covariance=np.asarray(belief.covariance, float) if belief else None,
             left_window=info.left_window if info else 0,
         )
+
+    def _control(self, state: prism.PrismState, stamp: float) -> Any:
+        """What the IMU felt since the last image; None without one."""
+        if self._imu is None:
+            return None
+        moving = state.belief.state
+        T_world_cam, velocity = np.asarray(moving.T_world_body), np.asarray(moving.velocity)
+        return self._imu(T_world_cam, velocity[3:], self.stamp, stamp).astype(np.float32)
 
     def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
         if self.state is None:

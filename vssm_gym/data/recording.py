@@ -59,13 +59,13 @@ def record(
     Raises:
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
-    _check_new(out)
+    check_new(out)
     measured = noise_model(sensor_noise)
     env = PointNavEnv(scene=str(scene), noise=noise, camera=camera, observe_pose=True, reward="sparse")
     route = survey_route(env.apartment, env.robot, seed)
     about = {"motion": "survey", "noise": noise, "sensor_noise": sensor_noise, "renderer": env.renderer_name}
     try:
-        with _recording(out, env.apartment, about | {"seed": seed}) as unfinished:
+        with folder_for(out, env.apartment, about | {"seed": seed}) as unfinished:
             return _drive(env, route, unfinished, measured, seed, progress)
     finally:
         env.close()
@@ -97,7 +97,7 @@ def record_handheld(
     Raises:
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
     """
-    _check_new(out)
+    check_new(out)
     measured = noise_model(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
@@ -107,7 +107,7 @@ def record_handheld(
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = R_BODY_CAM
     try:
-        with _recording(out, apartment, about) as unfinished:
+        with folder_for(out, apartment, about) as unfinished:
             writer = SequenceWriter(unfinished, eye.camera, T_body_cam, controls=False)
             sensor = NoisySensor(measured, eye.camera, _sensor_stream(seed))
             for i, (time, T_world_cam) in enumerate(zip(path.times, path.T_world_cam, strict=True)):
@@ -120,13 +120,14 @@ def record_handheld(
     return len(path.times)
 
 
-def _check_new(out: Path) -> None:
+def check_new(out: Path) -> None:
+    """Raise :class:`InputError` where ``out`` is not a new or empty folder."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(out, "folder", "an empty or new folder: a recording is never overwritten")
 
 
 @contextmanager
-def _recording(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
+def folder_for(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
     """A folder to record into, which becomes ``out`` once it is whole, with what made it beside the images."""
     provenance = {"scene": apartment.name, "scene_hash": apartment.content_hash(), **about}
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -13,10 +13,11 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flight_noise, fly
-from vssm_gym.envs.flight_imu import Imu, ImuNoise, imu_noise
 from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.imu import GRAVITY, ImuNoise, NoisyImu
+from vssm_gym.envs.imu import imu_noise as imu_model
 from vssm_gym.envs.mjcf import FlightWorld
-from vssm_gym.envs.reference_flights import CURVES, GRAVITY, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
+from vssm_gym.envs.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
@@ -26,13 +27,12 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry import matrix_to_planar
 
 STREAMS = ("scene", "task", "dynamics", "sensors", "imu")  # one generator each
-EXTENT = 1000.0  # m and m/s, bound of depths, coordinates and speeds
+EXTENT = 1000.0  # SI units: bound of depths, coordinates, speeds, readings
 SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
 STRAYED = 2.0  # m from the reference, at which the flight is given up
 NEAR = 1.0  # m from the reference, beyond which a step earns nothing
 CRASH = 5.0  # what a collision costs
-HOVERING = np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0])  # the command that hovers
-_GYRO_FIRST = [3, 4, 5, 0, 1, 2]  # a reading lists rates before forces, a command forces before rates
+HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
 PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 
 
@@ -43,7 +43,7 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
         scene: built-in name, path of a scene file, or an :class:`Apartment`.
         noise: gusts and actuator errors: ``none``, ``low``, ``mid``, ``high`` or a :class:`FlightNoise`.
         sensor_noise: what the camera adds to exact images: a name of ``sensor_noise.PRESETS`` or a `SensorNoise`.
-        imu: what the IMU adds: ``mems``, ``none`` or an :class:`ImuNoise`.
+        imu_noise: what the IMU adds: a name of ``imu.PRESETS`` or an :class:`ImuNoise`.
         camera: size and angle of the images.
         rate: steps and images a second.
         renderer: ``raycast``.
@@ -63,7 +63,7 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
         scene: Any = "hall",
         noise: str | FlightNoise = "low",
         sensor_noise: str | SensorNoise = "none",
-        imu: str | ImuNoise = "mems",
+        imu_noise: str | ImuNoise = "adis16448",
         camera: CameraConfig | None = None,
         rate: float = 20.0,
         renderer: str = "raycast",
@@ -85,7 +85,11 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
             raise InputError("Flight", "camera", f"a CameraConfig; found {camera!r}")
         if not 5.0 <= rate <= 100.0:
             raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r}")
-        self.noise, self.imu_noise, self.sensor_noise = flight_noise(noise), imu_noise(imu), noise_model(sensor_noise)
+        self.noise, self.imu_noise, self.sensor_noise = (
+            flight_noise(noise),
+            imu_model(imu_noise),
+            noise_model(sensor_noise),
+        )
         self.observe_pose, self.reward, self.render_mode = observe_pose, reward, render_mode
         self.flight, self.speed, self.yaw = flight, speed, yaw
         self.apartment: Apartment = load_scene(scene)
@@ -103,12 +107,10 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
         low, high = self.body.limits
         self.action_space = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
         size = (self.camera.height, self.camera.width)
-        wide = np.array([self.imu_noise.gyro_range, self.imu_noise.accel_range], np.float32).repeat(3)
-        wide = np.tile(wide, (self.substeps, 1))
         spaces: dict[str, gym.Space[Any]] = {
             "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
             "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
-            "imu": gym.spaces.Box(-wide, wide),
+            "imu": gym.spaces.Box(-EXTENT, EXTENT, (self.substeps, 6), np.float32),
             "reference": gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32),
         }
         if observe_pose:
@@ -164,8 +166,8 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
         self.world.reset(self.state.position)
         self.steps, self._collision, self._first = 0, False, True
         self._control, self._gust = HOVERING.copy(), np.zeros(6)
-        self._imu = Imu(self.imu_noise, self._streams["imu"])
-        self._readings = self._imu(np.tile(HOVERING[_GYRO_FIRST], (self.substeps, 1)), self.dt / self.substeps)
+        self._imu = NoisyImu(self.imu_noise, self._streams["imu"])
+        self._readings = self._imu(np.tile(HOVERING, (self.substeps, 1)), self.dt / self.substeps)
         self._sensor = NoisySensor(self.sensor_noise, self.camera, self._streams["sensors"])
         self._path, self._image = [self.state.position], None
 
@@ -182,7 +184,7 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
                 self._collision = True
                 after = FlightState(self.world.position(), self.world.velocity(), after.R_world_body)
             self.state = after
-        self._readings = self._imu(felt[:, _GYRO_FIRST], h)
+        self._readings = self._imu(felt, h)
         self.steps, self._first, self._image = self.steps + 1, False, None
         self._path.append(self.state.position)
 
@@ -287,7 +289,7 @@ class FlightEnv(gym.Env[dict[str, Any], np.ndarray]):
         observation = {
             "rgb": rgb.copy(),
             "depth": depth.copy(),
-            "imu": self._readings.copy(),
+            "imu": self._readings.astype(np.float32),
             "reference": np.concatenate(wanted).astype(np.float32),
         }
         if self.observe_pose:

@@ -18,11 +18,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.axes import Matrix4
-from vssm_gym.envs.reference_flights import GRAVITY, ReferenceFlight, attitude
+from vssm_gym.envs.imu import GRAVITY
+from vssm_gym.envs.reference_flights import ReferenceFlight, attitude
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import R_BODY_CAM
-
-_DOWN = np.array([0.0, 0.0, -GRAVITY])
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class FlightBody:
 
     radius: float = 0.25  # m
     drag: float = 0.3  # 1/s, of the rotors: proportional to speed (Faessler et al. 2018)
-    max_push: tuple[float, float, float] = (GRAVITY, GRAVITY, 2.0 * GRAVITY)  # m/s^2; |f_x|, |f_y|, 0 <= f_z
+    max_push: tuple[float, float, float] = (9.81, 9.81, 19.62)  # m/s^2; |f_x|, |f_y|, 0 <= f_z
     max_rate: float = 6.0  # rad/s, of each component
     substep: float = 0.005  # s; the IMU reads once in each
 
@@ -123,9 +122,9 @@ def fly(
     f, w = np.split(command + gust, 2)
     R = state.R_world_body
     R_mid, R_after = R @ rotation(0.5 * h * w), R @ rotation(h * w)
-    v_mid = state.velocity + 0.5 * h * (R @ f + _DOWN - drag * state.velocity)
+    v_mid = state.velocity + 0.5 * h * (R @ f + GRAVITY - drag * state.velocity)
     felt = R_mid @ f - drag * v_mid
-    after = FlightState(state.position + h * v_mid, state.velocity + h * (felt + _DOWN), R_after)
+    after = FlightState(state.position + h * v_mid, state.velocity + h * (felt + GRAVITY), R_after)
     return after, np.concatenate([R_mid.T @ felt, w])
 
 
@@ -161,7 +160,7 @@ class Follower:
         p = state.position + 0.5 * dt * state.velocity
         wanted = motion.acceleration[0] + self.position_gain * (motion.position[0] - p)
         wanted = wanted + self.velocity_gain * (motion.velocity[0] - state.velocity)
-        push = wanted + self.body.drag * state.velocity - _DOWN
+        push = wanted + self.body.drag * state.velocity - GRAVITY
         heading = motion.R_world_body[0, :2, 0]
         R_wanted = attitude(push[None], heading[None])[0]
         error = Rotation.from_matrix(state.R_world_body.T @ R_wanted).as_rotvec()

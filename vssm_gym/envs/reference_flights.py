@@ -21,12 +21,12 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.imu import GRAVITY
 from vssm_gym.envs.scene import Apartment
 from vssm_gym.errors import InputError
 
 Yaw = Literal["forward", "constant"]
 
-GRAVITY = 9.81  # m/s^2
 HEIGHT, LIFT = 1.8, 0.6  # m: mean height of a flight, and by how much it rises and falls
 REACH = 5.0  # m, largest half-extent: Blackbird's room is 11 m wide
 HOVER = 1.0  # s at rest before and after
@@ -131,7 +131,7 @@ class ReferenceFlight:
         velocity = first * dphi[:, None]
         acceleration = second * dphi[:, None] ** 2 + first * ddphi[:, None]
         heading = first[:, :2] if self.yaw == "forward" else np.tile(_turned(self.place.turn), (len(t), 1))
-        push = acceleration + self.drag * velocity + [0.0, 0.0, GRAVITY]
+        push = acceleration + self.drag * velocity - GRAVITY
         return Motion(self._curve(phi, 0), velocity, acceleration, attitude(push, heading))
 
     def body_rates(self, t: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
@@ -144,7 +144,7 @@ class ReferenceFlight:
     def push(self) -> float:
         """The largest specific force that the flight asks of the rotors, m/s^2; hover asks for 9.81."""
         motion = self.at(np.linspace(0.0, self.duration, 2048))
-        push = motion.acceleration + self.drag * motion.velocity + [0.0, 0.0, GRAVITY]
+        push = motion.acceleration + self.drag * motion.velocity - GRAVITY
         return float(np.linalg.norm(push, axis=1).max())
 
     def _phase(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
