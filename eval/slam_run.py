@@ -36,11 +36,15 @@ def _good(max_depth: float, **config: Any) -> PrismConfig:
 
 
 def _stereo(max_depth: float, **config: Any) -> PrismConfig:
-    """Noisy stereo far away (SPEC 3): a wider band behind surfaces, geometry trusted less."""
+    """Noisy stereo far away (SPEC 3): a wider band behind surfaces, geometry trusted less, colour more.
+
+    A place far from the camera hides little when it moves half a metre: anchors serve longer, and the fewer there are,
+    the less the images seen at them drift.
+    """
     plain = PrismConfig()
-    align = replace(plain.align, geo_sigma=0.02, geo_sigma_quadratic=0.005)
+    align = replace(plain.align, geo_sigma=0.02, geo_sigma_quadratic=0.005, rgb_weight=2.0, seen_weight=2.0)
     update = MapUpdateConfig(max_depth=max_depth, truncation=4.0)
-    return PrismConfig(align=align, update=update, **config)
+    return PrismConfig(align=align, update=update, anchor_distance=0.5, anchor_angle=0.25, **config)
 
 
 DEPTHS = {"good": _good, "stereo": _stereo}

@@ -216,24 +216,21 @@ class FlightWorld:
         self.model = build_flight_spec(self.apartment, self.radius).compile()
         self.data = mujoco.MjData(self.model)
         self._box_of_geom = _boxes_of_geoms(self.model)
-        self._touched: set[int] = set()
         mujoco.mj_forward(self.model, self.data)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"apartment": self.apartment, "radius": self.radius, "at": self.position(), "touched": self._touched}
+        return {"apartment": self.apartment, "radius": self.radius, "at": self.position()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.apartment, self.radius = state["apartment"], state["radius"]
         self._build()
         self.reset(state["at"])
-        self._touched = state["touched"]
 
     def reset(self, position: Float[np.ndarray, "3"]) -> None:
         """Put the ball's centre there, m, world frame, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = position
-        mujoco.mj_kinematics(self.model, self.data)
-        self._touched = set()
+        mujoco.mj_kinematics(self.model, self.data)  # rays need the geoms' places
 
     def position(self) -> Float[np.ndarray, "3"]:
         """The ball's centre, m, world frame; float64."""
@@ -243,24 +240,16 @@ class FlightWorld:
         """Move at ``velocity`` (m/s, world frame) for a time in which the ball covers less than its radius.
 
         Returns:
-            Whether it touched an obstacle (:meth:`contacts` names them); what it kept of its velocity is
-            :meth:`velocity` then.
+            Whether it touched an obstacle; what it kept of its velocity is :meth:`velocity` then.
         """
         self.model.opt.timestep = seconds
         self.data.qvel[:] = velocity
         mujoco.mj_step(self.model, self.data)
-        self._touched = set()
-        if self.data.ncon:
-            self._touched.update(self._box_of_geom[self.data.contact.geom].max(axis=1).tolist())
-        return bool(self._touched)
+        return bool(self.data.ncon)
 
     def velocity(self) -> Float[np.ndarray, "3"]:
         """The ball's velocity after the last :meth:`move`, m/s, world frame; float64."""
         return self.data.qvel.copy()
-
-    def contacts(self) -> list[str]:
-        """Names of the obstacles that the last :meth:`move` touched, in the order of the apartment's boxes."""
-        return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""

@@ -169,11 +169,12 @@ class ReferenceFlight:
 
 
 def attitude(push: Float[np.ndarray, "n 3"], heading: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3 3"]:
-    """``R_world_body`` whose z axis is along ``push`` and whose x axis lies above ``heading``, neither zero."""
+    """``R_world_body`` with z along ``push`` and x above or below ``heading``, neither of which is zero."""
     up = push / np.linalg.norm(push, axis=-1, keepdims=True)
-    left = np.cross(up, np.concatenate([heading, np.zeros((len(heading), 1))], axis=-1))
-    left /= np.linalg.norm(left, axis=-1, keepdims=True)
-    return np.stack([np.cross(left, up), left, up], axis=-1)
+    square = np.stack([-heading[:, 1], heading[:, 0], np.zeros(len(heading))], axis=-1)
+    nose = np.cross(square, up)
+    nose /= np.linalg.norm(nose, axis=-1, keepdims=True)
+    return np.stack([nose, np.cross(up, nose), up], axis=-1)
 
 
 def place(apartment: Apartment, name: str, clearance: float = CLEARANCE) -> Placement:
