@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -329,7 +330,7 @@ class _Tracker:
             return None
         moving = state.belief.state
         T_world_cam, velocity = np.asarray(moving.T_world_body), np.asarray(moving.velocity)
-        return self._imu(T_world_cam, velocity[3:], self.stamp, stamp).astype(np.float32)
+        return jnp.asarray(self._imu(T_world_cam, velocity[3:], self.stamp, stamp), jnp.float32)
 
     def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
         if self.state is None:
