@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -16,6 +17,8 @@ from vssm_gym.camera import Camera
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.inference import prism
+from vssm_gym.inference.imu_control import ImuControl
+from vssm_gym.inference.map_update import MapUpdateConfig
 from vssm_gym.inference.prism import PrismConfig
 from vssm_gym.inference.tracking import observe
 from vssm_gym.voxel_map import VoxelMap
@@ -27,6 +30,26 @@ MAX_CELLS = 1_000_000_000  # a cell of a sparse cube costs a tenth of a byte unt
 SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation search has nothing left to shrink
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+
+def _good(max_depth: float, **config: Any) -> PrismConfig:
+    """Structured light, active stereo near by."""
+    return PrismConfig(update=MapUpdateConfig(max_depth=max_depth), **config)
+
+
+def _stereo(max_depth: float, **config: Any) -> PrismConfig:
+    """Noisy stereo far away (SPEC 3): a wider band behind surfaces, geometry trusted less, colour more.
+
+    A place far from the camera hides little when it moves half a metre: anchors serve longer, and the fewer there are,
+    the less the images seen at them drift.
+    """
+    plain = PrismConfig()
+    align = replace(plain.align, geo_sigma=0.02, geo_sigma_quadratic=0.005, rgb_weight=2.0, seen_weight=2.0)
+    update = MapUpdateConfig(max_depth=max_depth, truncation=4.0)
+    return PrismConfig(align=align, update=update, anchor_distance=0.5, anchor_angle=0.25, **config)
+
+
+DEPTHS = {"good": _good, "stereo": _stereo}
 
 
 @dataclass(frozen=True)
@@ -41,6 +64,9 @@ class SlamOptions:
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty reaches the pose too
     seed: int = 0
     render_width: int = 160  # pixels: images are tracked at about this width
+    max_depth: float = 8.0  # m; farther readings are left out
+    depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
+    imu: bool = False  # whether the sequence's IMU drives the prior, in place of constant velocity
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
@@ -60,6 +86,10 @@ class SlamOptions:
             raise InputError("slam", "solver", f"one of {', '.join(prism.SOLVERS)}, not {self.solver!r}")
         if not 1 <= self.samples <= 15 or self.samples % 2 == 0:
             raise InputError("slam", "samples", f"an odd number between 1 and 15, not {self.samples}")
+        if not 0.5 <= self.max_depth <= 100.0:
+            raise InputError("slam", "max-depth", f"metres between 0.5 and 100, not {self.max_depth}")
+        if self.depth not in DEPTHS:
+            raise InputError("slam", "depth", f"one of {', '.join(DEPTHS)}, not {self.depth!r}")
         if not 0 <= self.seed < 2**32:
             raise InputError("slam", "seed", f"between 0 and 2^32 - 1, not {self.seed}")
         if not SMALLEST[0] <= self.render_width <= LARGEST[0]:
@@ -75,7 +105,9 @@ class SlamOptions:
     @property
     def prism(self) -> PrismConfig:
         """Of the filter."""
-        return PrismConfig(solver=self.solver, samples=self.samples, track_width=self.render_width)
+        return DEPTHS[self.depth](
+            solver=self.solver, samples=self.samples, track_width=self.render_width, max_depth=self.max_depth
+        )
 
     def prior(self) -> VoxelMap:
         """The map before the first image, around the first camera."""
@@ -195,7 +227,7 @@ def run_slam(
     """
     reader = FrameReader(sequence, options.size)
     indices = thin(sequence.times, options.rate)
-    tracker = _Tracker(options, reader.camera)
+    tracker = _Tracker(options, reader.camera, sequence)
     frames: list[TrackedFrame] = []
     with closing(prefetch(reader, indices)) as images:
         asked = time.perf_counter()
@@ -239,8 +271,12 @@ class _Tracker:
     follows: where none of ``PATIENCE`` readable frames fits the first one, the map starts anew.
     """
 
-    def __init__(self, options: SlamOptions, camera: Camera) -> None:
-        self.options, self.config, self.camera = options, options.prism, camera
+    def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
+        self.options, self.config, self.camera, self.sequence = options, options.prism, camera, sequence
+        if options.imu and (sequence.T_body_cam is None or not len(sequence.imu)):
+            expected = "imu.txt, and T_body_cam in camera.json: the IMU was asked for"
+            raise InputError(sequence.root, "imu", expected)
+        self._imu: ImuControl | None = None
         self.state: prism.PrismState | None = None
         self.notices: list[str] = []
         self.stamp = 0.0  # s, of the last frame
@@ -261,7 +297,8 @@ class _Tracker:
         status = prism.OK
         image = observe(rgb, depth)
         if self.state is not None and (self._misses is None or self._misses < PATIENCE):
-            self.state, info = prism.step(self.state, image, stamp - self.stamp, self.camera, self.config, clock=stages)
+            control, dt = self._control(self.state, stamp), stamp - self.stamp
+            self.state, info = prism.step(self.state, image, dt, self.camera, self.config, control, clock=stages)
             status = info.status
             if status in (prism.OK, prism.RECOVERED):
                 self._misses = None
@@ -274,6 +311,9 @@ class _Tracker:
             key = jax.random.key(self.options.seed)
             self.state = prism.init(self.options.prior(), image, self.camera, self.config, key)
             self.start, self._misses = index, 0
+            if self.options.imu:
+                assert self.sequence.T_body_cam is not None
+                self._imu = ImuControl(self.sequence.imu, self.sequence.T_body_cam, stamp)
         else:
             status = prism.NO_READING
         jax.block_until_ready(self.state)
@@ -302,6 +342,14 @@ class _Tracker:
             covariance=np.asarray(belief.covariance, float) if belief else None,
             left_window=info.left_window if info else 0,
         )
+
+    def _control(self, state: prism.PrismState, stamp: float) -> Any:
+        """What the IMU felt since the last image; None without one."""
+        if self._imu is None:
+            return None
+        moving = state.past.belief.state
+        T_world_cam, velocity = np.asarray(moving.T_world_body), np.asarray(moving.velocity)
+        return jnp.asarray(self._imu(T_world_cam, velocity[3:], self.stamp, stamp), jnp.float32)
 
     def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
         if self.state is None:

@@ -48,8 +48,9 @@ ALLOWED["data.index"] = BASE | {"data.trajectories"}
 ALLOWED["data.sequences"] = BASE | {"data.trajectories", "data.images", "data.index", "data.intrinsics"}
 ALLOWED["data.handheld"] = BASE | {"envs"}
 ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "planning"}
+ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
 ALLOWED["viz"] = BASE | {"block_table", "voxel_map", "emission"}
-ALLOWED["eval"] |= {"__init__", "envs", "data.trajectories", "data.sequences", "data.recording", "viz"}
+ALLOWED["eval"] |= {"__init__", "envs", "data.trajectories", "data.sequences", "data.recording", "data.flights", "viz"}
 ALLOWED["cli"] |= ALLOWED["eval"]
 
 ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray", "open3d", "rerun"}

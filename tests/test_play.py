@@ -89,7 +89,7 @@ def test_the_end_of_time_is_told():
 def test_arrival_is_told():
     """Placed on its goal's side of the room by the environment's own task."""
     driven = session()
-    sampler = driven.env.unwrapped._sampler
+    sampler = driven.env.unwrapped.sampler
     x, y, _ = driven.info["start_pose"]
     goal = sampler.space.nearest(np.array([x + 0.1, y]))
     task = sampler.task(driven.info["start_pose"], goal)

@@ -91,6 +91,7 @@ def test_environments_take_a_list_of_scenes_in_turn():
     assert [one.apartment.name for one in env.unwrapped.envs] == ["two_rooms", "oak", "two_rooms"]
     one, other, third = env.unwrapped.envs
     assert one.simulation.stage is third.simulation.stage is not other.simulation.stage
+    assert one.simulation.scenery is third.simulation.scenery
     env.close()
 
 

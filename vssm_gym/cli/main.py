@@ -34,6 +34,7 @@ COMMANDS: dict[str, Any] = {
         "resolution": "study.resolution",
         "runtime": "study.runtime",
         "calibration": "study.calibration",
+        "flight": "study.flight",
     },
     "doctor": "doctor.doctor",
 }

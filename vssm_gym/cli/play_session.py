@@ -74,7 +74,7 @@ class Session:
         self._record, self._about = record, about
         self._recording = contextlib.ExitStack()
         self._world: Any = env.unwrapped
-        self._simulation: Simulation = self._world.simulation
+        self._simulation: Simulation = env.unwrapped.simulation  # type: ignore[attr-defined]
         self._plan: TopDown | None = None
         self._begin(seed)
 
@@ -152,7 +152,7 @@ class Session:
     def _plan_picture(self) -> np.ndarray:
         """The floor plan with the robot, its path and its goal; few pixels, so that the robot is still seen in them."""
         if self._plan is None:
-            self._plan = TopDown(self._simulation.stage.boxes, PLAN, PLAN)
+            self._plan = TopDown(self._simulation.scenery.boxes, PLAN, PLAN)
         pose = planar_pose(self.info["T_world_cam"])
         goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (None, 0.0)
         return self._plan.draw(np.array(self._path), pose, self._simulation.robot.radius, goal, radius)

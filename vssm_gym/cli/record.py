@@ -7,48 +7,67 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from vssm_gym.envs.sensors import CameraConfig
 
+OWNERS = {  # which motions an option belongs to
+    "noise": ("survey", "flight"),
+    "metres": ("handheld",),
+    "rate": ("handheld", "flight"),
+    "flight": ("flight",),
+    "speed": ("flight",),
+    "yaw": ("flight",),
+}
+
 
 def record(
     scene: str,
     out: Path,
-    motion: Literal["survey", "handheld"] = "survey",
+    motion: Literal["survey", "handheld", "flight"] = "survey",
     noise: str | None = None,
     sensor_noise: str = "none",
     metres: float | None = None,
     rate: float | None = None,
+    flight: str | None = None,
+    speed: float | None = None,
+    yaw: Literal["forward", "constant"] | None = None,
     size: str = "160x120",
     seed: int = 0,
 ) -> None:
     """Record colour, depth, commands and true poses of a scene as a TUM folder.
 
     A `survey` is a robot's drive that shows all of the floor, to make a map from. `handheld` is a camera carried from
-    room to room, about 1.3 m up, at 0.3 to 0.6 m/s: what SLAM is tried on.
+    room to room, about 1.3 m up, at 0.3 to 0.6 m/s: what SLAM is tried on. `flight` is a multirotor's closed reference
+    flight from hover to hover, with its IMU in imu.txt; it needs a high, wide room.
 
     Args:
         scene: built-in name (oak) or path of a scene file.
         out: new or empty folder; it appears when the recording is complete.
         motion: what carries the camera.
-        noise: execution noise of a survey's drive: none, low (default), mid or high; recorded poses are the true ones.
+        noise: execution noise of a survey's drive, or gusts of a flight: none, low (default), mid or high; recorded
+            poses are the true ones.
         sensor_noise: none (exact images), kinect or stereo.
         metres: length of a handheld path at least; 50 by default.
-        rate: frames a second of a handheld camera; 10 by default.
+        rate: frames a second of a handheld camera (10 by default) or of a flight (20).
+        flight: star, picasso, figure8 (default) or clover.
+        speed: peak speed of a flight, metres a second; 2 by default.
+        yaw: whether a flight's nose points along its motion (default) or always the same way.
         size: WIDTHxHEIGHT of the images.
         seed: of the path and of all noise.
     """
     from vssm_gym.cli.console import print_notices, progress_bars
-    from vssm_gym.data import recording
+    from vssm_gym.data import flights, recording
     from vssm_gym.envs import sensor_noise as sensors
     from vssm_gym.errors import InputError
     from vssm_gym.eval.destinations import check_at_least, check_folder
 
     check_at_least("record", "seed", seed, 0)
     check_folder(out)
-    for name, value, owner in (("noise", noise, "survey"), ("metres", metres, "handheld"), ("rate", rate, "handheld")):
-        if value is not None and motion != owner:
-            raise InputError("record", name, f"none with --motion {motion}: it belongs to {owner}")
+    given = {"noise": noise, "metres": metres, "rate": rate, "flight": flight, "speed": speed, "yaw": yaw}
+    for name, owners in OWNERS.items():
+        if given[name] is not None and motion not in owners:
+            raise InputError("record", name, f"none with --motion {motion}: it belongs to {' and '.join(owners)}")
     camera = camera_of("record", size)
     sensors.sensor_noise(sensor_noise)  # an unknown name is refused before anything starts
     print_notices([scene])
+    following = f"vssm-gym slam {out} --out slam"
     with progress_bars() as progress:
         if motion == "survey":
             frames = recording.record(
@@ -61,7 +80,7 @@ def record(
                 progress=progress,
             )
             following = f"vssm-gym map build {out} --out map.npz"
-        else:
+        elif motion == "handheld":
             frames = recording.record_handheld(
                 scene,
                 out,
@@ -72,7 +91,21 @@ def record(
                 seed=seed,
                 progress=progress,
             )
-            following = f"vssm-gym slam {out} --out slam"
+        else:
+            frames = flights.record_flight(
+                scene,
+                out,
+                flight=flight or "figure8",
+                speed=2.0 if speed is None else speed,
+                yaw=yaw or "forward",
+                rate=20.0 if rate is None else rate,
+                noise=noise or "low",
+                sensor_noise=sensor_noise,
+                camera=camera,
+                seed=seed,
+                progress=progress,
+            )
+            following += " --rate 20 --voxel 0.125 --extent 25 --max-depth 20 --depth stereo"
     print(f"{frames} frames: {out}\nnext: {following}")
 
 

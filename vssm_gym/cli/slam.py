@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -28,6 +28,9 @@ def slam(
     intrinsics: str | None = None,
     solver: str = "gauss_newton",
     samples: int = 1,
+    max_depth: float = 8.0,
+    depth: Literal["good", "stereo"] = "good",
+    imu: bool = False,
     seed: int = 0,
     viewer: bool = False,
 ) -> None:
@@ -46,6 +49,9 @@ def slam(
         intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of those that the folder states.
         solver: of the pose: gauss_newton, or adam as PRISM was published (slower).
         samples: poses drawn for the map update, an odd number; from 3 on, pose and map hear of each other's doubts.
+        max_depth: metres; farther readings are left out.
+        depth: good (structured light, or stereo near by), or stereo: noisy and far away, as in flight.
+        imu: let imu.txt drive the prior, in place of constant velocity; the camera is at rest in the first half second.
         seed: of what is drawn: the samples, and the pixels of adam.
         viewer: show the run as it happens in rerun (the extra vssm-gym[viz]).
     """
@@ -54,7 +60,9 @@ def slam(
     from vssm_gym.eval.slam_run import SlamOptions
     from vssm_gym.viz.stream import open_viewer
 
-    options = SlamOptions(_size(size), rate, voxel, extent, solver, samples, seed)
+    options = SlamOptions(
+        _size(size), rate, voxel, extent, solver, samples, seed, max_depth=max_depth, depth=depth, imu=imu
+    )
     slam_output.check_free(out)
     recording = load_sequence(sequence, None if intrinsics is None else _intrinsics(intrinsics))
     print_warnings(recording.notices)

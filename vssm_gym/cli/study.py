@@ -148,6 +148,66 @@ def calibration(
     print(write_study(study, out))
 
 
+def flight(
+    out: Path,
+    scene: str = "hall",
+    flights: str = "star,picasso,figure8",
+    speeds: str = "1,2,3,4",
+    sensor_noise: str = "stereo",
+    size: str = "160x120",
+    rate: float = 20.0,
+    voxel: float = 0.125,
+    extent: float = 25.0,
+    max_depth: float = 20.0,
+    imu: bool = False,
+    seeds: int = 1,
+) -> None:
+    """Fly reference flights through a hall and track them from noisy stereo, at several speeds.
+
+    OUT gets flight.json, flight.svg and flight.html: trajectory error, lost frames and milliseconds a step of every
+    flight (PRISM, table 1).
+
+    Args:
+        out: folder for the results.
+        scene: built-in name or path of a scene file.
+        flights: star, picasso, figure8, clover, with commas between.
+        speeds: peak speeds, metres a second, with commas between.
+        sensor_noise: what the camera adds to the exact image.
+        size: WIDTHxHEIGHT of the images.
+        rate: images a second.
+        voxel: size of a cell, metres.
+        extent: edge of the cube that is mapped around the first camera, metres.
+        max_depth: metres; farther readings are left out.
+        imu: whether the IMU drives the filter's prior, in place of constant velocity.
+        seeds: flights of each kind, with other gusts and noises.
+    """
+    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.slam import _size
+    from vssm_gym.eval import study_flight
+    from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.eval.slam_run import SlamOptions
+    from vssm_gym.eval.studies import write_study
+
+    check_at_least("study", "seeds", seeds, 1)
+    options = SlamOptions(
+        size=_size(size), rate=rate, voxel=voxel, extent=extent, max_depth=max_depth, depth="stereo", imu=imu
+    )
+    check_folder(out)
+    names = tuple(dict.fromkeys(flights.replace(" ", "").split(",")))
+    with progress_bars() as progress:
+        study = study_flight.run(
+            scene,
+            flights=names,
+            speeds=_numbers("speeds", speeds, float),
+            sensor_noise=sensor_noise,
+            options=options,
+            seeds=seeds,
+            progress=progress,
+        )
+    print(study.answer)
+    print(write_study(study, out))
+
+
 def _numbers(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
     """Of ``text``, with commas between; each once, in their order."""
     from vssm_gym.errors import InputError

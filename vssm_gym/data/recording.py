@@ -62,14 +62,14 @@ def record(
     Raises:
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
-    _check_new(out)
+    check_new(out)
     env = PointNavEnv(
         scene=str(scene), noise=noise, sensor_noise=sensor_noise, camera=camera, observe_pose=True, reward="sparse"
     )
     route = survey_route(env.apartment, env.robot, seed)
     about = {"motion": "survey", "noise": noise, "sensor_noise": sensor_noise, "renderer": env.renderer_name}
     try:
-        with _recording(out, env.apartment, about | {"seed": seed}) as unfinished:
+        with folder_for(out, env.apartment, about | {"seed": seed}) as unfinished:
             return _drive(env, route, unfinished, seed, progress)
     finally:
         env.close()
@@ -101,7 +101,7 @@ def record_handheld(
     Raises:
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
     """
-    _check_new(out)
+    check_new(out)
     measured = noise_model(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
@@ -111,7 +111,7 @@ def record_handheld(
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = R_BODY_CAM
     try:
-        with _recording(out, apartment, about) as unfinished:
+        with folder_for(out, apartment, about) as unfinished:
             writer = SequenceWriter(unfinished, eye.camera, T_body_cam, controls=False)
             sensor = NoisySensor(measured, eye.camera, _sensor_stream(seed))
             for i, (time, T_world_cam) in enumerate(zip(path.times, path.T_world_cam, strict=True)):
@@ -135,8 +135,8 @@ def recorded_episode(
         out: new or empty folder; it appears where the block ends without an error.
         about: what else to tell in ``recording.json``.
     """
-    _check_new(out)
-    with _recording(out, simulation.apartment, about | {"renderer": simulation.stage.renderer_name}) as unfinished:
+    check_new(out)
+    with folder_for(out, simulation.apartment, about | {"renderer": simulation.scenery.renderer_name}) as unfinished:
         writer = SequenceWriter(unfinished, simulation.camera, simulation.robot.T_body_cam)
         frames = itertools.count()
 
@@ -148,13 +148,14 @@ def recorded_episode(
         writer.close()
 
 
-def _check_new(out: Path) -> None:
+def check_new(out: Path) -> None:
+    """Raise :class:`InputError` where ``out`` is not a new or empty folder."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(out, "folder", "an empty or new folder: a recording is never overwritten")
 
 
 @contextmanager
-def _recording(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
+def folder_for(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
     """A folder to record into, which becomes ``out`` once it is whole, with what made it beside the images."""
     provenance = {"scene": apartment.name, "scene_hash": apartment.content_hash(), **about}
     out.parent.mkdir(parents=True, exist_ok=True)

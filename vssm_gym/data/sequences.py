@@ -6,7 +6,7 @@ or PNG, depth as 16-bit PNG, metres = value / depth_scale, 0 = no reading.
 
 import json
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -21,6 +21,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
+LARGEST_IMU = 500_000_000  # bytes: an hour at 1 kHz
 TRIED = 10  # frames of which one must be readable for a sequence to be one
 
 
@@ -37,6 +38,7 @@ class Sequence:
     truth: tuple[np.ndarray, np.ndarray] | None  # times (n,), T_world_cam (n, 4, 4)
     controls: np.ndarray  # (n, 1 + controls) time and command; empty where none were recorded
     notices: tuple[str, ...] = ()  # what was wrong with the index, a sentence each: for the user
+    imu: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))  # (n, 7) time, rate, specific force; as imu.txt
 
     @property
     def times(self) -> np.ndarray:
@@ -167,8 +169,38 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
         except ValueError as error:
             raise InputError(controls_path, "lines", f"time and command, numbers only ({error})") from error
     return Sequence(
-        root, frames, known.camera, known.distortion, known.depth_scale, known.T_body_cam, truth, controls, notices
+        root,
+        frames,
+        known.camera,
+        known.distortion,
+        known.depth_scale,
+        known.T_body_cam,
+        truth,
+        controls,
+        notices,
+        _imu(root / "imu.txt"),
     )
+
+
+def _imu(path: Path) -> np.ndarray:
+    """Readings ``(n, 7)`` of an IMU; none where the file is missing."""
+    if not path.is_file():
+        return np.zeros((0, 7))
+    expected = "time wx wy wz fx fy fz: finite numbers, times ascending"
+    if path.stat().st_size > LARGEST_IMU:
+        raise InputError(path, "size", f"at most {LARGEST_IMU:,} bytes")
+    try:
+        readings = np.loadtxt(path, ndmin=2)
+    except ValueError as error:
+        raise InputError(path, "lines", f"{expected} ({error})") from error
+    if readings.shape[1] != 7 or not np.isfinite(readings).all() or (np.diff(readings[:, 0]) <= 0.0).any():
+        raise InputError(path, "lines", expected)
+    return readings
+
+
+def imu_line(time: float, reading: np.ndarray) -> str:
+    """A line of ``imu.txt``: stamp (s), angular rate (rad/s) and specific force (m/s^2) in the body's frame."""
+    return f"{time:.6f} " + " ".join(f"{value:.7g}" for value in reading) + "\n"
 
 
 def _size(frames: tuple[Frame, ...]) -> tuple[int, int]:
@@ -193,14 +225,24 @@ def _size(frames: tuple[Frame, ...]) -> tuple[int, int]:
 class SequenceWriter:
     """Writes a sequence frame by frame; ``close`` adds ``camera.json``, the mark of a whole recording."""
 
-    def __init__(self, root: str | Path, camera: Camera, T_body_cam: np.ndarray, controls: bool = True) -> None:
-        """``controls`` says whether somebody commands the camera: if not, there is no ``controls.txt``."""
+    def __init__(
+        self,
+        root: str | Path,
+        camera: Camera,
+        T_body_cam: np.ndarray,
+        controls: bool = True,
+        depth_scale: float = DEPTH_SCALE,
+    ) -> None:
+        """``controls`` says whether somebody commands the camera: if not, there is no ``controls.txt``. ``depth_scale``
+        units are a metre: readings beyond 65535 of them do not fit 16 bits and are stored as none.
+        """
         self.root = Path(root)
         if self.root.exists() and (not self.root.is_dir() or any(self.root.iterdir())):
             raise InputError(self.root, "folder", "an empty or new folder: a recording is never overwritten")
         for name in ("rgb", "depth"):
             (self.root / name).mkdir(parents=True, exist_ok=True)
         self.camera, self.T_body_cam = camera, np.asarray(T_body_cam, dtype=float)
+        self.depth_scale = depth_scale
         names = ["rgb.txt", "depth.txt", "associations.txt", "groundtruth.txt"] + ["controls.txt"] * controls
         self._files = {name: (self.root / name).open("w") for name in names}
         self._files["groundtruth.txt"].write("# timestamp tx ty tz qx qy qz qw\n")
@@ -218,11 +260,11 @@ class SequenceWriter:
         Args:
             time: Seconds.
             rgb: (height, width, 3) uint8.
-            depth: (height, width) z-depth, m; readings beyond 13.1 m do not fit 16 bits and are stored as none.
+            depth: (height, width) z-depth, m.
             T_world_cam: (4, 4) true pose.
             control: the command since the frame before, where the writer has controls.
         """
-        units = np.rint(np.asarray(depth, dtype=np.float64) * DEPTH_SCALE)
+        units = np.rint(np.asarray(depth, dtype=np.float64) * self.depth_scale)
         units[(units > np.iinfo(np.uint16).max) | ~np.isfinite(units)] = 0
         colour_name, depth_name = f"rgb/{time:.6f}.png", f"depth/{time:.6f}.png"
         iio.imwrite(self.root / colour_name, rgb, compress_level=1)
@@ -243,7 +285,7 @@ class SequenceWriter:
             "height": self.camera.height,
             "K": self.camera.K.tolist(),
             "distortion": [0.0] * 5,
-            "depth_scale": DEPTH_SCALE,
+            "depth_scale": self.depth_scale,
             "T_body_cam": self.T_body_cam.tolist(),
         }
         with atomic_write(self.root / "camera.json") as temporary:

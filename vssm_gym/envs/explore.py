@@ -48,9 +48,9 @@ class ExploreEnv(StagedEnv):
         self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
-        self.renderer_name = self.simulation.stage.renderer_name
-        self.parallel = self.simulation.stage.parallel
-        self.coverage = Coverage(self.simulation.stage.observable, self.simulation.stage.config.hfov)
+        self.renderer_name = self.simulation.scenery.renderer_name
+        self.parallel = self.simulation.scenery.parallel
+        self.coverage = Coverage(self.simulation.stage.observable, self.simulation.scenery.config.hfov)
         self.action_space = self.simulation.action_space()
         self.observation_space = gym.spaces.Dict(self.simulation.spaces())
         self._outcome: tuple[float, bool, dict[str, Any]] | None = None  # reward, terminated, info

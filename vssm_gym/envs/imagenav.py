@@ -72,14 +72,14 @@ class ImageNavEnv(StagedEnv):
 
         Where none is (a niche), the one that sees farthest.
         """
-        task, stage = self.navigation.task, self.navigation.simulation.stage
+        task, scenery = self.navigation.task, self.simulation.scenery
         assert task is not None
         spread = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
         drawn = np.random.default_rng([task.id, *np.frombuffer(np.array(task.goal).tobytes(), np.uint32)])
         views = []
         for heading in drawn.uniform(0.0, 2.0 * np.pi) + drawn.permutation(spread):
             pose = np.array([*task.goal, heading])
-            rgb, depth = stage.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
+            rgb, depth = scenery.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
             views.append((float(np.median(depth)), rgb))
             if views[-1][0] >= OPEN:
                 return rgb

@@ -49,8 +49,8 @@ class PointNavEnv(StagedEnv):
         self.end_on, self.reward, self.render_mode = end_on, reward, self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
-        self.renderer_name = self.simulation.stage.renderer_name
-        self.parallel = self.simulation.stage.parallel
+        self.renderer_name = self.simulation.scenery.renderer_name
+        self.parallel = self.simulation.scenery.parallel
         self.success_radius = SUCCESS * self.robot.body_length
         self.sampler = self.simulation.stage.sampler
         if names := self.sampler.space.cut_off_rooms():

@@ -13,7 +13,7 @@ from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.sensors import CameraConfig, raycast_camera
+from vssm_gym.envs.sensors import CameraConfig, make_tracer
 from vssm_gym.envs.topdown import TopDown
 
 EYE = 1.4  # m, height of the preview's camera
@@ -46,8 +46,9 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     boxes = apartment.boxes()
     view_height = (height - _GAP) // 2
     config = CameraConfig(view_height * 4 // 3, view_height, HFOV)
-    world = World(apartment, robot)
-    camera, coarse = raycast_camera(world, config), raycast_camera(world, CameraConfig(40, 30, HFOV), 1)
+    tracer = make_tracer(World(apartment, robot))
+    camera = RaycastCamera(boxes, config.intrinsics(), tracer)
+    coarse = RaycastCamera(boxes, CameraConfig(40, 30, HFOV).intrinsics(), tracer, threads=1)
     names = np.array([box.name if box.kind == "furniture" else "" for box in boxes])
 
     # Floor far from walls makes a room large to the eye: corridors come last.

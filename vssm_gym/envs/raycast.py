@@ -22,7 +22,7 @@ from vssm_gym.envs.shading import rotate, shade, shading_tables
 from vssm_gym.envs.solids import SolidBox
 
 if TYPE_CHECKING:
-    from vssm_gym.envs.mjcf import World
+    from vssm_gym.envs.mjcf import FlightWorld, World
 
 _TILE = 4  # pixels
 _BANDS = 2  # bands of rows a thread takes: interleaved, so that floor and ceiling are shared evenly
@@ -117,7 +117,7 @@ class MujocoTracer:
     name = "raycast-mujoco"
     parallel = False
 
-    def __init__(self, world: "World") -> None:
+    def __init__(self, world: "World | FlightWorld") -> None:
         self._world = world
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vssm_gym.axes import Matrix4
 from vssm_gym.camera import Camera
-from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.mjcf import FlightWorld, World
 from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer, RaycastCamera, Tracer
 from vssm_gym.errors import InputError
 
@@ -70,7 +70,7 @@ class SceneCamera(Protocol):
 
 
 def make_camera(
-    world: World, config: CameraConfig, renderer: str = "raycast", threads: int | None = None
+    world: World | FlightWorld, config: CameraConfig, renderer: str = "raycast", threads: int | None = None
 ) -> SceneCamera:
     """The camera of a world by the chosen renderer; one is never replaced by the other.
 
@@ -93,7 +93,7 @@ def make_camera(
     return RaycastCamera(world.boxes, config.intrinsics(), make_tracer(world), threads)
 
 
-def make_tracer(world: World) -> Tracer:
+def make_tracer(world: World | FlightWorld) -> Tracer:
     """What finds the first box along rays: Embree, or, with a warning that says why not, MuJoCo's own rays."""
     try:
         return EmbreeTracer(world.boxes)

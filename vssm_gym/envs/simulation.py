@@ -15,11 +15,12 @@ from vssm_gym.axes import Matrix4, PlanarPose
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise, sensor_noise
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.stage import stage_of
 from vssm_gym.envs.streams import seeded_streams
-from vssm_gym.envs.topdown import TopDown
+from vssm_gym.envs.topdown import TopDown, beside_plan
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
@@ -63,8 +64,9 @@ class Simulation:
         self.noise, self.sensor_noise = execution_noise(noise), _sensor_noise(sensor_noise)
         self.observe_pose, self.render_mode = observe_pose, render_mode
         self.robot = HolonomicRobot()
-        self.stage = stage_of(load_scene(scene), self.robot, camera_config(camera), renderer, threads)
-        self.apartment, self.camera = self.stage.apartment, self.stage.camera
+        self.scenery = scenery_of(load_scene(scene), camera_config(camera), renderer, threads)
+        self.stage = stage_of(self.scenery, self.robot)
+        self.apartment, self.camera = self.scenery.apartment, self.scenery.camera
         self.world = World(self.apartment, self.robot)
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
@@ -138,7 +140,7 @@ class Simulation:
         """Take the image at the robot's pose, as its sensor measures it; once, however often it is asked for."""
         if self._image is None:
             assert self._sensor is not None
-            rgb, depth = self.stage.render(self.T_world_cam)
+            rgb, depth = self.scenery.render(self.T_world_cam)
             if self.sensor_noise != SensorNoise():
                 rgb, depth = self._sensor(rgb, depth, self.robot.dt)
             self._image = rgb, depth
@@ -161,19 +163,15 @@ class Simulation:
         if self.render_mode is None or not self.path:
             return None
         if self._plan is None:
-            self._plan = TopDown(self.stage.boxes, PICTURE, PICTURE)
+            self._plan = TopDown(self.scenery.boxes, PICTURE, PICTURE)
         self.look()
         assert self._image is not None
-        rgb = self._image[0]
-        # Nearest pixels: the picture shows what the agent sees.
-        rows = (np.arange(PICTURE) * rgb.shape[0]) // PICTURE
-        columns = (np.arange(PICTURE * rgb.shape[1] // rgb.shape[0]) * rgb.shape[0]) // PICTURE
         plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
-        return np.concatenate([rgb[rows[:, None], columns[None]], plan], axis=1)
+        return beside_plan(self._image[0], plan)
 
     def close(self) -> None:
         """Let go of the rendering threads."""
-        self.stage.eye.close()
+        self.scenery.close()
 
 
 def _sensor_noise(spec: Any) -> SensorNoise:

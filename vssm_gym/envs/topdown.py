@@ -83,6 +83,17 @@ class TopDown:
         return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
 
+def beside_plan(rgb: np.ndarray, plan: np.ndarray) -> np.ndarray:
+    """A camera's image ``(H, W, 3)`` beside a plan, both uint8, at the plan's height.
+
+    Pixels are repeated, not smoothed: the picture shows what the agent sees.
+    """
+    height = len(plan)
+    rows = (np.arange(height) * rgb.shape[0]) // height
+    columns = (np.arange(height * rgb.shape[1] // rgb.shape[0]) * rgb.shape[0]) // height
+    return np.concatenate([rgb[rows[:, None], columns[None]], plan], axis=1)
+
+
 def _corners(box: SolidBox) -> np.ndarray:
     return shapely.get_coordinates(footprint(box))[:4]
 

@@ -1,8 +1,9 @@
 """Many environments in one process: all move, then all look at once, in as many threads as there are cores.
 
 ``gym.make_vec("vssm_gym/PointNav-v0", num_envs=16)`` gives this. Environments of one scene share its renderer and its
-free space (:mod:`vssm_gym.envs.stage`). Episodes restart as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step
-after the last one of an episode ignores its action and returns the next episode's first observation with reward 0.
+free space (:mod:`vssm_gym.envs.scenery`, :mod:`vssm_gym.envs.stage`). Episodes restart as Gymnasium's
+``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its action and returns the next
+episode's first observation with reward 0.
 """
 
 import os
@@ -158,5 +159,6 @@ def _of(path: str, **defaults: Any) -> Callable[..., StagedVectorEnv]:
 # An image is one thread's work here: the threads share the environments instead.
 pointnav = _of("vssm_gym.envs.pointnav:PointNavEnv", threads=1)
 imagenav = _of("vssm_gym.envs.imagenav:ImageNavEnv", threads=1)
+flight = _of("vssm_gym.envs.flight:FlightEnv", threads=1)
 lidar_maze = _of("vssm_gym.envs.lidar_maze:LidarMazeEnv")
 explore = _of("vssm_gym.envs.explore:ExploreEnv", threads=1)

@@ -97,6 +97,7 @@ def build(plan: Plan) -> Apartment:
         walls=tuple(walls),
         doors=tuple(_door(plan, door, walls, sides) for door in plan.doors),
         windows=tuple(_window(plan, window, walls, sides) for window in plan.windows),
+        furniture=(),
         ceiling_height=plan.height,
     )
 

@@ -16,12 +16,12 @@ import numpy as np
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.free_space import STEP_HEIGHT
+from vssm_gym.envs.mjcf.boxes import CONTACTS, LOOKS, ROBOT, boxes_of_geoms, cast_rays, empty_spec, fixed_box
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.geometry import wrap_angle
 
 SUBSTEP = 0.005  # m that the robot covers in a substep at most: contacts are found no deeper than this
-_LOOKS, _ROBOT, _CONTACTS = 0, 2, 3  # MuJoCo's geom groups: real boxes, the robot's body, the invisible prisms
 
 
 def obstacles(boxes: Sequence[SolidBox], height: float) -> list[int]:
@@ -39,16 +39,12 @@ def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
     Geoms are named ``box I`` and ``prism I`` after the index in ``apartment.boxes()``; the body is named ``robot``.
     """
     boxes = apartment.boxes()
-    spec = mujoco.MjSpec()
-    spec.modelname = apartment.name
-    spec.option.gravity = [0.0, 0.0, 0.0]
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_WARMSTART
-    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    spec = empty_spec(apartment.name)
     mid = 0.5 * robot.height
     for i, box in enumerate(boxes):
-        _fixed_box(spec, f"box {i}", box, group=_LOOKS, rgba=[*box.material.color, 1.0])
+        fixed_box(spec, f"box {i}", box, group=LOOKS, rgba=[*box.material.color, 1.0])
     for i in obstacles(boxes, robot.height):
-        prism = _fixed_box(spec, f"prism {i}", boxes[i], group=_CONTACTS, rgba=[1.0, 0.0, 0.0, 0.2])
+        prism = fixed_box(spec, f"prism {i}", boxes[i], group=CONTACTS, rgba=[1.0, 0.0, 0.0, 0.2])
         prism.pos[2], prism.size[2] = mid, mid + 1.0
         prism.contype, prism.conaffinity = 1, 1
 
@@ -64,7 +60,7 @@ def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
         pos=[0.0, 0.0, mid],
         contype=0,
         conaffinity=0,
-        group=_ROBOT,
+        group=ROBOT,
         rgba=[0.9, 0.5, 0.1, 1.0],
     )
     body.add_geom(
@@ -77,25 +73,11 @@ def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
         priority=1,  # the disc's contact parameters alone count, not a mixture with the prisms'
         condim=1,  # frictionless: the robot slides along what it touches
         solref=[1e-4, 1.0],  # as stiff as the substep allows: MuJoCo raises the time constant to two substeps
-        group=_CONTACTS,
+        group=CONTACTS,
         mass=1.0,
         rgba=[1.0, 0.0, 0.0, 0.2],
     )
     return spec
-
-
-def _fixed_box(spec: mujoco.MjSpec, name: str, box: SolidBox, group: int, rgba: list[float]) -> Any:
-    return spec.worldbody.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=box.center,
-        size=[0.5 * s for s in box.size],
-        quat=[math.cos(0.5 * box.yaw), 0.0, 0.0, math.sin(0.5 * box.yaw)],
-        contype=0,
-        conaffinity=0,
-        group=group,
-        rgba=rgba,
-    )
 
 
 class World:
@@ -109,9 +91,7 @@ class World:
         self.boxes = self.apartment.boxes()
         self.model = build_spec(self.apartment, self.robot).compile()
         self.data = mujoco.MjData(self.model)
-        geoms = [self.model.geom(i).name.split() for i in range(self.model.ngeom)]
-        # The box behind each geom; -1 for the robot's.
-        self._box_of_geom = np.array([int(words[1]) if words[0] in ("box", "prism") else -1 for words in geoms])
+        self._box_of_geom = boxes_of_geoms(self.model)
         self._touched: set[int] = set()
         mujoco.mj_forward(self.model, self.data)
 
@@ -164,36 +144,5 @@ class World:
         return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First box along each ray ``origin + t direction`` (``mj_multiRay``); the robot itself is transparent.
-
-        Args:
-            origin: ``(3,)`` world frame, m.
-            directions: ``(n, 3)`` world frame, any length.
-
-        Returns:
-            ``t`` float64 ``(n,)``, in multiples of the direction, 0 where nothing is hit; index of the box in
-            ``apartment.boxes()``, int32 ``(n,)``, -1 where nothing is hit.
-        """
-        directions = np.asarray(directions, dtype=np.float64)
-        norm = np.linalg.norm(directions, axis=-1)
-        unit = np.ascontiguousarray(directions / norm[:, None]).reshape(-1)
-        n = len(norm)
-        geom, distance = np.full(n, -1, dtype=np.int32), np.zeros(n)
-        groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
-        groups[_LOOKS] = 1
-        mujoco.mj_multiRay(
-            self.model,
-            self.data,
-            np.asarray(origin, dtype=np.float64),
-            unit,
-            groups,
-            True,
-            -1,
-            geom,
-            distance,
-            None,
-            n,
-            mujoco.mjMAXVAL,
-        )
-        box = np.where(geom >= 0, self._box_of_geom[geom], -1).astype(np.int32)
-        return np.where(geom >= 0, distance / norm, 0.0), box
+        """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""
+        return cast_rays(self.model, self.data, self._box_of_geom, origin, directions)

@@ -1,0 +1,275 @@
+"""Flight: a multirotor with an RGB-D camera and an IMU follows a reference flight through a hall.
+
+It commands specific force and body rates, is pushed about by gusts and drag, and must know where it is from images and
+IMU: the reference is given in the world's frame. The tables of observation, action, reward and termination are in
+``docs/envs/flight.md``.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flight_noise, fly
+from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.imu import GRAVITY, ImuNoise, NoisyImu
+from vssm_gym.envs.imu import imu_noise as imu_model
+from vssm_gym.envs.mjcf import FlightWorld
+from vssm_gym.envs.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
+from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.scenery import scenery_of
+from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
+from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
+from vssm_gym.envs.staged import StagedEnv
+from vssm_gym.envs.streams import STREAMS, seeded_streams
+from vssm_gym.envs.topdown import TopDown, beside_plan
+from vssm_gym.envs.validation import choose, parse_action
+from vssm_gym.errors import InputError
+from vssm_gym.geometry import matrix_to_planar
+
+FLIGHT_STREAMS = (*STREAMS, "imu")
+EXTENT = 1000.0  # SI units: bound of depths, coordinates, speeds, readings
+SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
+STRAYED = 2.0  # m from the reference, at which the flight is given up
+NEAR = 1.0  # m from the reference, beyond which a step earns nothing
+CRASH = 5.0  # what a collision costs
+HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
+PICTURE = 360  # pixels, height of a rendered picture and width of its plan
+
+
+class FlightEnv(StagedEnv):
+    """One hall, one body, one reference flight an episode; see the module. Registered as ``vssm_gym/Flight-v0``.
+
+    Args:
+        scene: built-in name, path of a scene file, or an :class:`Apartment`.
+        noise: gusts and actuator errors: ``none``, ``low``, ``mid``, ``high`` or a :class:`FlightNoise`.
+        sensor_noise: what the camera adds to exact images: a name of ``sensor_noise.PRESETS`` or a `SensorNoise`.
+        imu_noise: what the IMU adds: a name of ``imu.PRESETS`` or an :class:`ImuNoise`.
+        camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
+        rate: steps and images a second.
+        renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
+        observe_pose: whether the observation holds true pose and velocity (an oracle's privilege).
+        flight: name of the reference, or None: one is drawn at each reset.
+        speed: its peak, m/s, or None: drawn from SPEEDS.
+        yaw: ``forward``: the nose points along the motion; ``constant``.
+        reward: ``dense`` (nearness to the reference) or ``sparse`` (1 for a flight completed).
+        render_mode: ``rgb_array`` or None.
+        threads: threads that share the rendering of an image; by default two where there are two cores.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own declaration)
+
+    def __init__(
+        self,
+        scene: Any = "hall",
+        noise: str | FlightNoise = "low",
+        sensor_noise: str | SensorNoise = "none",
+        imu_noise: str | ImuNoise = "adis16448",
+        camera: CameraConfig | Mapping[str, Any] | None = None,
+        rate: float = 20.0,
+        renderer: str = "raycast",
+        observe_pose: bool = False,
+        flight: str | None = None,
+        speed: float | None = None,
+        yaw: Yaw = "forward",
+        reward: Literal["dense", "sparse"] = "dense",
+        render_mode: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        choose("Flight", "renderer", renderer, RENDERERS)
+        choose("Flight", "flight", flight, (None, *CURVES))
+        choose("Flight", "yaw", yaw, ("forward", "constant"))
+        choose("Flight", "reward", reward, ("dense", "sparse"))
+        choose("Flight", "render_mode", render_mode, (None, "rgb_array"))
+        if not 5.0 <= rate <= 100.0:
+            raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r}")
+        self.noise, self.imu_noise, self.sensor_noise = (
+            flight_noise(noise),
+            imu_model(imu_noise),
+            noise_model(sensor_noise),
+        )
+        self.observe_pose, self.reward, self.render_mode = observe_pose, reward, render_mode
+        self.flight, self.speed, self.yaw = flight, speed, yaw
+        self.apartment: Apartment = load_scene(scene)
+        self.body, self.dt = FlightBody(), 1.0 / rate
+        self.substeps = max(1, round(self.dt / self.body.substep))
+        self._places: dict[str, Placement] = {}
+        if flight is not None:
+            self._checked(self._reference(flight, SPEEDS[0] if speed is None else speed))
+        self.world = FlightWorld(self.apartment, self.body.radius)
+        self.scenery = scenery_of(self.apartment, camera_config(camera), renderer, threads)
+        self.camera, self.parallel = self.scenery.camera, self.scenery.parallel
+        self.renderer_name = self.scenery.renderer_name
+        self._K = self.camera.K
+
+        low, high = self.body.limits
+        self.action_space = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        size = (self.camera.height, self.camera.width)
+        spaces: dict[str, gym.Space[Any]] = {
+            "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
+            "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
+            "imu": gym.spaces.Box(-EXTENT, EXTENT, (self.substeps, 6), np.float32),
+            "reference": gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32),
+        }
+        if observe_pose:
+            spaces["pose"] = gym.spaces.Box(-EXTENT, EXTENT, (7,), np.float32)
+            spaces["velocity"] = gym.spaces.Box(-EXTENT, EXTENT, (3,), np.float32)
+        self.observation_space = gym.spaces.Dict(spaces)
+
+        self._streams: dict[str, np.random.Generator] = {}
+        self.task: ReferenceFlight | None = None
+        self.steps = 0  # of this episode
+        self._image: tuple[np.ndarray, np.ndarray] | None = None
+        self._plan: TopDown | None = None
+
+    @property
+    def time(self) -> float:
+        """Seconds since the reset."""
+        return self.steps * self.dt
+
+    def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Hover at the start of ``options["task"]``, a :class:`ReferenceFlight`, or of one from the task stream.
+
+        A seed restarts all streams; without one they go on. Raises :class:`InputError` for a flight that the body
+        cannot fly here.
+        """
+        unknown = set(options or {}) - {"task"}
+        if unknown:
+            raise InputError("reset", "options", f"no other key than 'task'; found {sorted(unknown)}")
+        task = (options or {}).get("task")
+        if task is not None and not isinstance(task, ReferenceFlight):
+            raise InputError("reset", "options['task']", f"a ReferenceFlight; found {type(task).__name__}")
+        if seed is not None or not self._streams:
+            self._streams = seeded_streams(seed, FLIGHT_STREAMS)
+        self.task = self._checked(self._drawn() if task is None else task)
+        motion = self.task.at(np.zeros(1))
+        self.state = FlightState(motion.position[0], motion.velocity[0], motion.R_world_body[0])
+        self.world.reset(self.state.position)
+        self.steps, self._collision, self._first = 0, False, True
+        self._control, self._gust = HOVERING.copy(), np.zeros(6)
+        self._imu = NoisyImu(self.imu_noise, self._streams["imu"])
+        self._readings = self._imu(np.tile(HOVERING, (self.substeps, 1)), self.dt / self.substeps)
+        self._sensor = NoisySensor(self.sensor_noise, self.camera, self._streams["sensors"])
+        self._path, self._image = [self.state.position], None
+
+    def advance(self, action: np.ndarray) -> None:
+        """Carry out ``(specific force, body rates)`` for one period; what exceeds the limits is clipped to them."""
+        if self.task is None:
+            raise gym.error.ResetNeeded("call reset before step")
+        self._control = self._command(action)
+        self._gust = self.noise.following(self._gust, self.dt, self._streams["dynamics"])
+        h, felt, self._collision = self.dt / self.substeps, np.empty((self.substeps, 6)), False
+        for k in range(self.substeps):
+            after, felt[k] = fly(self.state, self._control, self._gust, self.body.drag, h)
+            if self.world.move((after.position - self.state.position) / h, h):
+                self._collision = True
+                after = FlightState(self.world.position(), self.world.velocity(), after.R_world_body)
+            self.state = after
+        self._readings = self._imu(felt, h)
+        self.steps, self._first, self._image = self.steps + 1, False, None
+        self._path.append(self.state.position)
+
+    def look(self) -> None:
+        """Take the image, once a step however often it is asked for; touches no other state."""
+        if self._image is None:
+            self._image = self._sensor(*self.scenery.render(self._T_world_cam()), self.dt)
+
+    def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """What :meth:`step` returns, of the state that it has left."""
+        assert self.task is not None and self._image is not None
+        error = self.tracking_error()
+        strayed, arrived = error > STRAYED, self.time >= self.task.duration
+        terminated = self._collision or strayed or arrived
+        success = arrived and not self._collision and not strayed
+        info: dict[str, Any] = {
+            "T_world_cam": self._T_world_cam(),
+            "K": self._K.copy(),
+            "collision": self._collision,
+            "control": self._control.copy(),
+            "tracking_error": error,
+        }
+        if self._first:
+            info |= {"task": self.task, "start_pose": self.state.T_world_body}
+        if terminated:
+            info["success"] = success
+        if self.reward == "sparse":
+            reward = float(success)
+        else:
+            reward = self.dt * max(0.0, 1.0 - error / NEAR) - CRASH * self._collision
+        return self._observation(), reward, terminated, False, info
+
+    def render(self) -> np.ndarray | None:
+        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
+        if self.render_mode is None or self.task is None:
+            return None
+        if self._plan is None:
+            self._plan = TopDown(self.world.boxes, PICTURE, PICTURE)
+        self.look()
+        assert self._image is not None
+        planar = matrix_to_planar(self.state.T_world_body)
+        goal = self.task.at(np.array([self.time])).position[0, :2]
+        plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * NEAR)
+        return beside_plan(self._image[0], plan)
+
+    def close(self) -> None:
+        """Let go of the rendering threads."""
+        self.scenery.close()
+
+    def tracking_error(self) -> float:
+        """Metres from where the reference is now."""
+        assert self.task is not None
+        return float(np.linalg.norm(self.state.position - self.task.at(np.array([self.time])).position[0]))
+
+    def _T_world_cam(self) -> Float[np.ndarray, "4 4"]:
+        return self.state.T_world_body @ self.body.T_body_cam
+
+    def _reference(self, name: str, speed: float) -> ReferenceFlight:
+        if name not in self._places:
+            self._places[name] = place(self.apartment, name)
+        return ReferenceFlight(name, speed, self._places[name], self.yaw, drag=self.body.drag)
+
+    def _drawn(self) -> ReferenceFlight:
+        """The next task; both numbers are drawn whether or not they are needed."""
+        stream = self._streams["task"]
+        name, speed = list(CURVES)[stream.integers(len(CURVES))], float(stream.uniform(*SPEEDS))
+        return self._reference(self.flight or name, self.speed or speed)
+
+    def _checked(self, reference: ReferenceFlight) -> ReferenceFlight:
+        """The flight itself, where nothing is in its way and the body is strong enough."""
+        limit = 0.8 * self.body.limits[1][2]
+        if not (needed := reference.push()) <= limit:
+            expected = f"a flight that asks for at most {limit:.1f} m/s^2 of the rotors, so that some is left to steer"
+            raise InputError("Flight", "speed", f"{expected}; {reference.speed:g} m/s here asks for {needed:.1f}")
+        if self._places.get(reference.name) != reference.place:
+            space = FreeSpace.from_apartment(self.apartment, self.body.radius, HEIGHT + LIFT + self.body.radius)
+            path = reference.at(np.linspace(0.0, reference.duration, 2048)).position[:, :2]
+            if not (free := space.contains(path)).all():
+                touched = ", ".join(space.obstacles_at(path[~free][0])[:3]) or "the end of the floor"
+                raise InputError("reset", "options['task']", f"a path free of obstacles; it meets {touched}")
+        return reference
+
+    def _command(self, action: np.ndarray) -> Float[np.ndarray, "6"]:
+        values = parse_action(action, ("fx", "fy", "fz", "wx", "wy", "wz"))
+        return np.clip(values, *self.body.limits)
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        assert self.task is not None and self._image is not None
+        rgb, depth = self._image
+        motion = self.task.at(np.array([self.time + self.dt]))
+        nose = motion.R_world_body[0, :, 0]
+        wanted = [motion.position[0], motion.velocity[0], motion.acceleration[0], [np.arctan2(nose[1], nose[0])]]
+        observation = {
+            "rgb": rgb.copy(),
+            "depth": depth.copy(),
+            "imu": self._readings.astype(np.float32),
+            "reference": np.concatenate(wanted).astype(np.float32),
+        }
+        if self.observe_pose:
+            quaternion = Rotation.from_matrix(self.state.R_world_body).as_quat(canonical=True)
+            observation["pose"] = np.concatenate([self.state.position, quaternion]).astype(np.float32)
+            observation["velocity"] = self.state.velocity.astype(np.float32)
+        return observation
