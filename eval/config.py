@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import gymnasium as gym
 import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from vssm_gym.envs.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 
 T = TypeVar("T")
 ROBOTS = ("holonomic",)
+ENVIRONMENTS = ("vssm_gym/PointNav-v0",)  # whose tasks the agents know how to do
 RENDERERS = ("raycast",)
 SENSOR_NOISE = ("none",)
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
@@ -111,8 +112,8 @@ class Episode:
 
 
 def scene_name(scene: str) -> str:
-    """What rows and files call a scene: a built-in name as it is, a file by its stem."""
-    return Path(scene).stem
+    """What rows and files call a scene: a built-in name as it is, a seed with dashes, a file by its stem."""
+    return scene.replace(":", "-") if scene.startswith(PREFIX) else Path(scene).stem
 
 
 def expand(config: SweepConfig) -> Iterator[Episode]:
@@ -175,7 +176,8 @@ def _resolve(config_path: Path, scene: str) -> str:
     """A built-in scene's name as it is; a file by its path, relative to the configuration that names it."""
     from vssm_gym.envs.scene import built_in_scenes
 
-    return scene if scene in built_in_scenes() else str((config_path.parent / scene).resolve())
+    known = scene in built_in_scenes() or scene.startswith(PREFIX)
+    return scene if known else str((config_path.parent / scene).resolve())
 
 
 def check_names(config: SweepConfig, source: object) -> None:
@@ -185,9 +187,8 @@ def check_names(config: SweepConfig, source: object) -> None:
     from vssm_gym.envs.robots import NOISE_LEVELS
     from vssm_gym.envs.scene import built_in_scenes
 
-    environments = sorted(name for name in gym.registry if name.startswith("vssm_gym/"))
     known: list[tuple[str, Sequence[str], Sequence[str]]] = [
-        ("env", config.env, environments),
+        ("env", config.env, ENVIRONMENTS),
         ("agents", config.agents, sorted(AGENTS)),
         ("robot", config.robot, ROBOTS),
         ("noise", config.noise, list(NOISE_LEVELS)),
@@ -201,7 +202,9 @@ def check_names(config: SweepConfig, source: object) -> None:
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
         raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
     for scene in config.scenes:
-        if scene not in built_in_scenes() and not Path(scene).is_file():
+        if scene.startswith(PREFIX):
+            parse_spec(scene)
+        elif scene not in built_in_scenes() and not Path(scene).is_file():
             raise InputError(
                 source,
                 "scenes",

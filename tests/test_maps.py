@@ -91,7 +91,7 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path):
 
 def test_an_unknown_scene_or_noise_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(InputError, match="scene"):
-        record("elm", tmp_path / "drive")
+        record("baobab", tmp_path / "drive")
     with pytest.raises(InputError, match="noise"):
         record("oak", tmp_path / "drive", noise="loud")
     assert list(tmp_path.iterdir()) == []

@@ -25,10 +25,11 @@ class ExploreEnv(StagedEnv):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
 
     Args:
+        scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         reward: ``dense`` (ten times the coverage gained, less a cost a step) or ``sparse`` (1 when finished).
         finish: coverage at which the episode ends with success; above 1 it never does.
         observe_pose: whether the observation holds the true pose, as in the published experiments.
-        simulation: ``scene``, ``noise``, ``camera`` and the other keywords of
+        simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
 
@@ -36,6 +37,8 @@ class ExploreEnv(StagedEnv):
 
     def __init__(
         self,
+        scene: Any = "oak",
+        *,
         reward: Literal["dense", "sparse"] = "dense",
         finish: float = 0.99,
         observe_pose: bool = True,
@@ -44,7 +47,7 @@ class ExploreEnv(StagedEnv):
         choose("Explore", "reward", reward, ("dense", "sparse"))
         if not finish > 0.0:
             raise InputError("Explore", "finish", f"a share above 0; found {finish!r}")
-        self.simulation = Simulation(observe_pose=observe_pose, **simulation)
+        self.simulation = Simulation(scene, observe_pose=observe_pose, **simulation)
         self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise

@@ -21,13 +21,14 @@ class ImageNavEnv(StagedEnv):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
 
     Args:
+        scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         navigation: the keywords of :class:`~vssm_gym.envs.pointnav.PointNavEnv`, which moves, rewards and ends.
     """
 
     metadata = PointNavEnv.metadata
 
-    def __init__(self, **navigation: Any) -> None:
-        self.navigation = PointNavEnv(**navigation)
+    def __init__(self, scene: Any = "oak", **navigation: Any) -> None:
+        self.navigation = PointNavEnv(scene, **navigation)
         self.render_mode, self.parallel = self.navigation.render_mode, self.navigation.parallel
         self.simulation, self.renderer_name = self.navigation.simulation, self.navigation.renderer_name
         self.success_radius = self.navigation.success_radius

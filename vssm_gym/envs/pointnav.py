@@ -25,12 +25,13 @@ class PointNavEnv(StagedEnv):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
 
     Args:
+        scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         tasks: the tasks that ``reset`` draws from; by default it samples new ones. A task passed in
             ``reset(options={"task": task})`` comes before both.
         end_on: ``stop``: the episode ends when the agent says so, and success is judged there; ``reach``: it ends on
             arrival and ``stop`` means nothing (for training only: it rewards a lost robot).
         reward: ``dense`` (metres gained along free space, a cost a step, a prize for success) or ``sparse`` (success).
-        simulation: ``scene``, ``noise``, ``camera`` and the other keywords of
+        simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
 
@@ -38,6 +39,8 @@ class PointNavEnv(StagedEnv):
 
     def __init__(
         self,
+        scene: Any = "oak",
+        *,
         tasks: TaskSet | None = None,
         end_on: Literal["stop", "reach"] = "stop",
         reward: Literal["dense", "sparse"] = "dense",
@@ -45,7 +48,7 @@ class PointNavEnv(StagedEnv):
     ) -> None:
         choose("PointNav", "end_on", end_on, ("stop", "reach"))
         choose("PointNav", "reward", reward, ("dense", "sparse"))
-        self.simulation = Simulation(**simulation)
+        self.simulation = Simulation(scene, **simulation)
         self.end_on, self.reward, self.render_mode = end_on, reward, self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise

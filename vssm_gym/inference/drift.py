@@ -18,7 +18,7 @@ from vssm_gym.geometry import inverse, se3_adjoint
 from vssm_gym.transition.rigid import RigidBelief
 from vssm_gym.voxel_map import VoxelMap
 
-ALIKE = 8.0  # k; simulated walks ask for 3 to 8, a real Kinect, whose depth errs alike everywhere, for many more
+ALIKE = 16.0  # k; simulated walks ask for 4, a real Kinect, whose depth errs alike everywhere, for 100
 
 
 @jax.jit
