@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1}
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "soak": 100_000}
 
 
 def bench(
-    suite: Annotated[Literal["speed", "tracker", "drift", "slam"], tyro.conf.Positional] = "speed",
+    suite: Annotated[Literal["speed", "envs", "soak", "tracker", "drift", "slam"], tyro.conf.Positional] = "speed",
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
     scene: str = "oak",
     out: Path = Path("out/bench"),
@@ -18,9 +18,12 @@ def bench(
     workers: int = 2,
     seed: int = 0,
 ) -> None:
-    """Measure on this machine: `speed` of every stage, accuracy of the `tracker`, `drift` over 100 m, or `slam`.
+    """Measure on this machine: `speed` of every stage, steps of the `envs`, the `tracker`, `drift`, or `slam`.
 
-    `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `tracker`
+    `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `envs` prints
+    steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `soak` drives
+    at random through every environment and ten procedural apartments and checks each step: no NaN, no body inside a
+    wall, memory flat. `tracker`
     drives trajectories of 100 steps by the true pose and prints the tracker's location RMSE. `drift` chains goals over
     100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images. `slam` runs
     SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's dense SLAM, where that is installed.
@@ -30,7 +33,7 @@ def bench(
         sequence: TUM folder, for `slam` only.
         scene: built-in name or path of a scene file.
         out: folder for the learned map, which is kept, and for the figures as JSON.
-        trials: drives or runs; 300 for `tracker`, 4 for `drift`, 1 for `slam`.
+        trials: drives or runs, steps of `soak`; 300 for `tracker`, 4 for `drift`, 1 for `slam`, 100000 for `soak`.
         workers: processes of `tracker` and `drift`.
         seed: of the drives.
     """
@@ -59,12 +62,21 @@ def bench(
             from vssm_gym.eval.bench_slam import compare
 
             result = compare(recording, trials=count, progress=progress)
+        elif suite == "envs":
+            from vssm_gym.eval.bench_envs import measure
+
+            result = measure(scene=scene, seed=seed, progress=progress)
+        elif suite == "soak":
+            from vssm_gym.eval.soak import soak
+
+            result = soak(steps=count, seed=seed, progress=progress)
         else:
             map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
             result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
             result["map_hash"] = map_hash(map_file)
     out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{suite}-{Path(scene if sequence is None else sequence.resolve()).stem}.json"
+    measured = "all" if suite == "soak" else Path(scene if sequence is None else sequence.resolve()).stem
+    path = out / f"{suite}-{measured}.json"
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
     _show(suite, result, Console())
@@ -101,6 +113,18 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
     if suite == "slam":
         _show_slam(table, result, console)
         return
+    if suite == "envs":
+        _show_envs(table, result, console)
+        return
+    if suite == "soak":
+        for name in ("environment", "scene", "steps", "episodes", "collisions", "deepest, mm"):
+            table.add_column(name, justify="left" if name in ("environment", "scene") else "right", no_wrap=True)
+        for row in result["rows"]:
+            table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row))
+        console.print(table)
+        early, late = result["memory_mb"]
+        console.print(f"memory: {early:.0f} MB after the first tenth, {late:.0f} at the end")
+        return
     if suite == "tracker":
         table.add_column("location RMSE over 100 steps")
         table.add_column("value", justify="right")
@@ -122,6 +146,18 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         table.add_row("RMSE of the drive", *(f"{method['rmse_m']:.3f}" for method in methods.values()))
         table.caption = f"astar / no_map, each drive: {result['astar_over_no_map']}"
     console.print(table)
+
+
+def _show_envs(table: Any, result: dict[str, Any], console: Any) -> None:
+    """One row a kind of environment: steps a second, cores, and what is promised."""
+    table.title += f", {result['shapes']} shapes"
+    for name in ("environment", "steps/s", "cores", "aim"):
+        table.add_column(name, justify="left" if name == "environment" else "right", no_wrap=True)
+    for what, rate, cores, aim in result["rows"]:
+        table.add_row(what, f"{rate:,.0f}", str(cores), "" if aim is None else f"{aim:,.0f}")
+    console.print(table)
+    if result["peer"]:
+        console.print(f"compared with nothing: {result['peer']}", soft_wrap=True)
 
 
 def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:

@@ -91,6 +91,10 @@ class FreeSpace:
         points = shapely.points(np.asarray(xy, dtype=np.float64))
         return np.asarray(shapely.distance(self._blocked, points))
 
+    def distance_to_solid(self, xy: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch"]:
+        """Metres from points to the nearest obstacle alone; the floor's end is none."""
+        return np.asarray(shapely.distance(self._solid, shapely.points(np.asarray(xy, dtype=np.float64))))
+
     def obstacles_at(self, xy: ArrayLike) -> list[str]:
         """Names of the obstacles that a robot at ``xy`` would touch, nearest first; of walls, doors, furniture."""
         point = shapely.points(xy)

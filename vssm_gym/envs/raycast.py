@@ -54,6 +54,7 @@ class EmbreeTracer:
 
     def __init__(self, boxes: Sequence[SolidBox]) -> None:
         self._boxes = list(boxes)
+        self.use_packets = True  # where they are within reach; a benchmark compares both
         self._build()
 
     def _build(self) -> None:
@@ -84,7 +85,7 @@ class EmbreeTracer:
             raise OSError("its packets and its single rays disagree")
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_boxes": self._boxes}
+        return {"_boxes": self._boxes, "use_packets": self.use_packets}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -93,11 +94,11 @@ class EmbreeTracer:
     @property
     def packets(self) -> bool:
         """Whether rays are traced in packets."""
-        return self._packets is not None
+        return self._packets is not None and self.use_packets
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First hits of the rays ``origin + t direction``; see :class:`Tracer`."""
-        if self._packets is not None:
+        if self._packets is not None and self.use_packets:
             return self._packets.trace(origin, directions)
         return self._trace_single(origin, directions)
 

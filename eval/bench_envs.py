@@ -1,0 +1,164 @@
+"""``bench envs``: steps a second of the environments, through ``gym.make`` and ``gym.make_vec`` as anyone would.
+
+A step is everything: physics, rays, shading, reward, observation, info. Rates are medians over windows of random
+actions that never stop; the same windows for every row. Embree's single-ray call, which embreex wraps, and its packets
+of sixteen rays, which it does not, are both measured: the second is what runs where processor and wheel allow it.
+"""
+
+import importlib.util
+import os
+import platform
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.envs.raycast import EmbreeTracer
+
+WINDOWS, SECONDS = 5, 1.0  # windows a row, and their length at least
+ROBOTS = 16  # of a vector environment
+SCENE = "oak"
+
+Progress = Callable[[str, int, int], None]
+
+
+def measure(*, scene: str = SCENE, seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
+    """Rates of every kind of environment.
+
+    Args:
+        scene: of the apartments' environments.
+        seed: of tasks, noise and actions.
+        progress: told ("measuring", rows, of how many).
+
+    Returns:
+        ``rows``: ``(what, steps a second, cores, aim or None)``; ``shapes`` of the scene; the machine; ``peer``: why
+        there is no MiniWorld, or None.
+    """
+    scan: dict[str, Any] = {"camera": {"width": 64, "height": 1}}
+    one: dict[str, Any] = {"threads": 1}
+    two = min(2, os.cpu_count() or 1)
+    plans: list[tuple[str, Callable[[], float], int, float | None]] = [
+        ("RGB-D 160x120, single rays", lambda: _alone("PointNav", scene, seed, packets=False, **one), 1, 400.0),
+        ("RGB-D 160x120, ray packets", lambda: _alone("PointNav", scene, seed, **one), 1, 1200.0),
+        (f"the same, {ROBOTS} at once, single rays", lambda: _many("PointNav", scene, seed, packets=False), two, 700.0),
+        (f"the same, {ROBOTS} at once, ray packets", lambda: _many("PointNav", scene, seed), two, None),
+        (
+            "RGB-D 160x120 as a Kinect sees",
+            lambda: _alone("PointNav", scene, seed, sensor_noise="kinect", **one),
+            1,
+            None,
+        ),
+        ("64 rays", lambda: _alone("PointNav", scene, seed, **one, **scan), 1, None),
+        (f"64 rays, {ROBOTS} at once", lambda: _many("PointNav", scene, seed, **scan), two, None),
+        ("Explore", lambda: _alone("Explore", scene, seed, **one), 1, None),
+        ("Flight", lambda: _alone("Flight", "hall", seed, **one), 1, None),
+        ("LidarMaze, 64 rays", lambda: _alone("LidarMaze", None, seed), 1, None),
+    ]
+    peer = None if importlib.util.find_spec("miniworld") else "MiniWorld is not installed"
+    if peer is None:
+        plans.append(("MiniWorld-FourRooms-v0, RGB + depth 160x120", lambda: _miniworld(seed), 1, None))
+    rows = []
+    for i, (what, rate, cores, aim) in enumerate(plans):
+        try:
+            rows.append((what, rate(), cores, aim))
+        except Exception as error:  # a peer that does not run here says why; ours may not fail
+            if not what.startswith("MiniWorld"):
+                raise
+            peer = f"MiniWorld does not run here: {' '.join(str(error).split()):.200}"
+        if progress:
+            progress("measuring", i + 1, len(plans))
+    shapes = len(gym.make("vssm_gym/PointNav-v0", scene=scene).unwrapped.simulation.scenery.boxes)  # type: ignore[attr-defined]
+    machine = {"cores": os.cpu_count(), "processor": platform.machine()}
+    return {"scene": scene, "shapes": shapes, "rows": rows, "peer": peer, "machine": machine}
+
+
+def _alone(kind: str, scene: str | None, seed: int, packets: bool = True, **keywords: Any) -> float:
+    if scene is not None:
+        keywords["scene"] = scene
+    env = gym.make(f"vssm_gym/{kind}-v0", **keywords)
+    _choose_rays([env.unwrapped], packets)
+    env.reset(seed=seed)
+    low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
+    rng = np.random.default_rng(seed)
+
+    def step() -> int:
+        action = rng.uniform(low, high)
+        if kind != "Flight":
+            action[-1] = 0.0
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+        return 1
+
+    rate = _rate(step)
+    _choose_rays([env.unwrapped], packets=True)
+    env.close()
+    return rate
+
+
+def _many(kind: str, scene: str, seed: int, packets: bool = True, **keywords: Any) -> float:
+    env = gym.make_vec(f"vssm_gym/{kind}-v0", num_envs=ROBOTS, scene=scene, **keywords)
+    _choose_rays(env.unwrapped.envs, packets)  # type: ignore[attr-defined]
+    env.reset(seed=seed)
+    low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
+    rng = np.random.default_rng(seed)
+
+    def step() -> int:
+        actions = rng.uniform(low, high)
+        actions[:, -1] = 0.0
+        env.step(actions.astype(np.float32))
+        return ROBOTS
+
+    rate = _rate(step)
+    _choose_rays(env.unwrapped.envs, packets=True)  # type: ignore[attr-defined]
+    env.close()
+    return rate
+
+
+def _choose_rays(envs: Any, packets: bool) -> None:
+    """Packets or single rays, for all that share the environments' renderers."""
+    for env in envs:
+        scenery = getattr(getattr(env, "simulation", env), "scenery", None)
+        if scenery is not None and isinstance(scenery.tracer, EmbreeTracer):
+            scenery.tracer.use_packets = packets
+
+
+def _rate(step: Callable[[], int]) -> float:
+    """Median of steps a second over the windows; what is compiled or built at first is not counted."""
+    warm = time.perf_counter() + 0.3
+    while time.perf_counter() < warm:
+        step()
+    rates = []
+    for _ in range(WINDOWS):
+        began, done = time.perf_counter(), 0
+        while (now := time.perf_counter()) < began + SECONDS:
+            done += step()
+        rates.append(done / (now - began))
+    return float(np.median(rates))
+
+
+def _miniworld(seed: int) -> float:
+    """Four bare rooms, colour and depth at our size."""
+    import miniworld  # noqa: F401  (registers its environments)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = gym.make("MiniWorld-FourRooms-v0", obs_width=160, obs_height=120)
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        world: Any = env.unwrapped
+
+        def step() -> int:
+            _, _, terminated, truncated, _ = env.step(int(rng.integers(3)))
+            world.render_depth()
+            if terminated or truncated:
+                env.reset()
+            return 1
+
+        rate = _rate(step)
+        env.close()
+    return rate

@@ -1,0 +1,121 @@
+"""``bench soak``: a random policy drives through everything for a long time, and every step is checked.
+
+Checked are: observations inside their spaces (so no NaN), finite rewards, no body inside an obstacle by more than
+``TOLERANCE`` (judged by geometry, not by the simulator's contacts), and memory that does not grow.
+"""
+
+import resource
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from shapely import Point
+
+import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.envs.registration import ENVIRONMENTS
+
+PROCEDURAL = 10
+TOLERANCE = 0.006  # m: contacts are found no deeper than a substep, 5 mm (envs/mjcf/physics.py)
+SMALL = {"width": 40, "height": 30}
+
+Progress = Callable[[str, int, int], None]
+
+
+class SoakError(RuntimeError):
+    """A step that broke a promise: which environment, scene, seed and step."""
+
+
+def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
+    """``steps`` in all, over every id and ten procedural apartments.
+
+    Returns:
+        ``rows``: ``(environment, scene, steps, episodes, steps with a collision, deepest penetration in mm)``;
+        ``memory_mb`` after the first tenth and at the end.
+
+    Raises:
+        SoakError: with the step, at the first broken promise.
+    """
+    sizes = ("small", "medium", "large")
+    scenes = [f"procedural:{seed + i}:{sizes[i % 3]}" for i in range(PROCEDURAL)]
+    plans = [(name, scene) for scene in scenes for name in ENVIRONMENTS if "Maze" not in name and "Flight" not in name]
+    plans += [("vssm_gym/LidarMaze-v0", "rooms-v1"), ("vssm_gym/Flight-v0", "hall"), ("vssm_gym/PointNav-v0", "elm")]
+    share, rows, memory = -(-steps // len(plans)), [], []
+    for i, (name, scene) in enumerate(plans):
+        rows.append((name.removeprefix("vssm_gym/"), scene, *_drive(name, scene, share, seed)))
+        if i + 1 == max(1, len(plans) // 10) or i + 1 == len(plans):
+            memory.append(_resident_mb())
+        if progress:
+            progress("driving at random", i + 1, len(plans))
+    memory = [memory[0], memory[-1]]
+    return {"scene": f"{len(plans)} worlds", "rows": rows, "memory_mb": memory, "steps": share * len(plans)}
+
+
+def _drive(name: str, scene: str, steps: int, seed: int) -> tuple[int, int, int, float]:
+    keywords: dict[str, Any] = {} if "Maze" in name else {"camera": SMALL, "threads": 1, "sensor_noise": "kinect"}
+    env = gym.make(name, scene=scene, noise="high", **keywords)
+    world: Any = env.unwrapped
+    inside = _penetration(world)
+    rng = np.random.default_rng(seed)
+    low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
+    env.reset(seed=seed)
+    episodes, collisions, deepest, way = 1, 0, 0.0, np.zeros(low.shape)
+    for k in range(steps):
+        if k % 10 == 0:  # the same way for a while: a drunk who is pressed against walls
+            way = rng.uniform(low, high)
+        action = np.clip(way + 0.2 * (high - low) * rng.standard_normal(low.shape), low, high)
+        if "Flight" in name:  # hovering, pushed about
+            action = 0.1 * action + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
+        else:
+            action[-1] = float(rng.random() < 0.002)
+        observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
+        depth = inside()
+        deepest = max(deepest, depth)
+        if not env.observation_space.contains(observation) or not np.isfinite(float(reward)) or depth > TOLERANCE:
+            raise SoakError(f"{name} in {scene}, seed {seed}, step {k}: {1e3 * depth:.1f} mm inside, reward {reward}")
+        collisions += bool(info["collision"])
+        if terminated or truncated:
+            env.reset()
+            episodes += 1
+    env.close()
+    return steps, episodes, collisions, 1e3 * deepest
+
+
+def _penetration(world: Any) -> Callable[[], float]:
+    """How deep the body is in an obstacle now, m, by the plan's polygons or the maze's exact distances."""
+    if hasattr(world, "simulation"):
+        space, radius = world.simulation.stage.sampler.space, world.simulation.robot.radius
+
+        def of_plan() -> float:
+            return max(0.0, radius - float(space.distance_to_solid(world.simulation.planar[:2])))
+
+        return of_plan
+    if hasattr(world, "maze"):
+        from vssm_gym.envs.planar import clearance
+
+        return lambda: max(
+            0.0, world.robot.radius - float(clearance(world.planar[0], world.planar[1], world.maze.rectangles))
+        )
+    from vssm_gym.envs.free_space import footprint
+
+    solids = [(box, footprint(box)) for box in world.scenery.boxes]
+
+    def of_ball() -> float:
+        x, y, z = world.state.position
+        point, nearest = Point(x, y), np.inf
+        for box, shape in solids:
+            above = max(abs(z - box.center[2]) - 0.5 * box.size[2], 0.0)
+            if above < world.body.radius:
+                nearest = min(nearest, float(np.hypot(shape.distance(point), above)))
+        return max(0.0, world.body.radius - nearest)
+
+    return of_ball
+
+
+def _resident_mb() -> float:
+    """What this process holds in memory now (Linux), or held at most (elsewhere)."""
+    try:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 2**20
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
