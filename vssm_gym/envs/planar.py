@@ -1,4 +1,4 @@
-"""The plane of a maze: rectangles, the rays that end at them and the discs that slide along them, all exact.
+"""Boxes in the plane: rectangles, the rays that end at them and the discs that slide along them, all exact.
 
 A rectangle is the cut of an upright box. A ray meets it where the slabs of its two axes overlap; a disc of radius R
 touches it where the disc's centre meets the rectangle grown by R, whose corners are circles. Lengths in metres, angles
@@ -25,9 +25,9 @@ _LEAST = 1e-12  # m: a shorter push moves nothing, and none is so short that its
 _PARALLEL = 1e-30  # a direction's smallest component: its inverse stays finite, and 0 times it is 0
 
 
-def rectangles(boxes: Sequence[SolidBox], z: float) -> Float[np.ndarray, "m 6"]:
-    """The rectangles of those ``boxes`` that the plane at height ``z`` cuts."""
-    cut = [box for box in boxes if abs(z - box.center[2]) < 0.5 * box.size[2]]
+def rectangles(boxes: Sequence[SolidBox], z: float | None = None) -> Float[np.ndarray, "m 6"]:
+    """The rectangles of ``boxes``, or of those that the plane at height ``z`` cuts."""
+    cut = [box for box in boxes if z is None or abs(z - box.center[2]) < 0.5 * box.size[2]]
     rows = [(*b.center[:2], math.cos(b.yaw), math.sin(b.yaw), 0.5 * b.size[0], 0.5 * b.size[1]) for b in cut]
     return np.array(rows, dtype=np.float64).reshape(-1, 6)
 

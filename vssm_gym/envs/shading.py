@@ -40,7 +40,7 @@ def shading_tables(boxes: Sequence[SolidBox]) -> tuple[np.ndarray, ...]:
         origin, corner = texture_shifts(box)
         frames[i] = (x, y, z, *(2.0 / extent for extent in box.size), c, s, *origin, *corner)
         looks[i] = (*box.material.color, 1.0 / box.material.scale)
-    return frames, looks, textures, *_mips(texture_atlas(names))
+    return frames.astype(np.float32), looks.astype(np.float32), textures, *_mips(texture_atlas(names))
 
 
 def texture_shifts(box: SolidBox) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -117,63 +117,68 @@ def _byte(value):
     return np.uint8(np.int32(min(np.float32(255.0), np.float32(value) + np.float32(0.5))))
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def shade(T, directions, t, box, pixels, frames, looks, textures, mips, starts, pixel, rgb):
     """``rgb = colour texture(u, v) (ambient + lamp (1 + n.l) / 2 + head cos / (1 + (distance / range)^2))`` of hits.
 
     ``pixels`` are the rays' places in ``rgb (pixels, 3)``; ``starts`` the first texels of the mips' levels; ``pixel``
     the pixels' width at depth 1.
     """
+    one, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
     levels = starts.shape[0]
+    top = np.float32(levels - 1)
+    pixel2 = np.float32(pixel * pixel)
+    ox, oy, oz = np.float32(T[0, 3]), np.float32(T[1, 3]), np.float32(T[2, 3])
+    lx, ly, lz = np.float32(LAMP_DIRECTION[0]), np.float32(LAMP_DIRECTION[1]), np.float32(LAMP_DIRECTION[2])
+    ambient, lamp, head = np.float32(AMBIENT + 0.5 * LAMP), np.float32(0.5 * LAMP), np.float32(HEAD)
+    fade = np.float32(1.0 / HEAD_RANGE**2)
     for i in range(t.shape[0]):
         at = np.uintp(pixels[i])
         if box[i] < 0:
             rgb[at, 0], rgb[at, 1], rgb[at, 2] = _byte(255.0 * SKY[0]), _byte(255.0 * SKY[1]), _byte(255.0 * SKY[2])
             continue
         k = np.uintp(box[i])
-        dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
-        d = float(t[i])
+        dx, dy, dz, d = directions[i, 0], directions[i, 1], directions[i, 2], t[i]
         # The hit in the box's frame, and how near each pair of faces it is (1 on a face).
         c, s = frames[k, 6], frames[k, 7]
-        px, py = T[0, 3] + d * dx - frames[k, 0], T[1, 3] + d * dy - frames[k, 1]
-        x, y, z = c * px + s * py, c * py - s * px, T[2, 3] + d * dz - frames[k, 2]
+        px, py = ox + d * dx - frames[k, 0], oy + d * dy - frames[k, 1]
+        x, y, z = c * px + s * py, c * py - s * px, oz + d * dz - frames[k, 2]
         rx, ry, rz = abs(x) * frames[k, 3], abs(y) * frames[k, 4], abs(z) * frames[k, 5]
         # Texture u runs to the right and v down as seen from outside, so that no painting is mirrored.
         if rx >= ry and rx >= rz:
-            sign = 1.0 if x > 0.0 else -1.0
-            nx, ny, nz = sign * c, sign * s, 0.0
+            sign = one if x > zero else -one
+            nx, ny, nz = sign * c, sign * s, zero
             u, v = sign * (y + frames[k, 9]) + frames[k, 12], frames[k, 13] - z - frames[k, 10]
         elif ry >= rz:
-            sign = 1.0 if y > 0.0 else -1.0
-            nx, ny, nz = -sign * s, sign * c, 0.0
+            sign = one if y > zero else -one
+            nx, ny, nz = -sign * s, sign * c, zero
             u, v = frames[k, 11] - sign * (x + frames[k, 8]), frames[k, 13] - z - frames[k, 10]
         else:
-            nx, ny, nz = 0.0, 0.0, (1.0 if z > 0.0 else -1.0)
+            nx, ny, nz = zero, zero, (one if z > zero else -one)
             u, v = x + frames[k, 8] + frames[k, 11], frames[k, 12] - y - frames[k, 9]
         length2 = dx * dx + dy * dy + dz * dz
-        cosine = min(1.0, abs(dx * nx + dy * ny + dz * nz) / math.sqrt(length2))
+        cosine = min(one, abs(dx * nx + dy * ny + dz * nz) / np.sqrt(length2))
         distance2 = d * d * length2
 
         # A pixel covers `pixel distance` metres across, 1 / cosine as much along: the level suits their geometric mean.
         tiles = looks[k, 3]
-        footprint2 = distance2 * pixel * pixel * tiles * tiles / max(cosine, 0.02)
-        level = np.float32(levels - 1) + np.float32(0.5) * _log2(max(footprint2, 1e-12))
-        level = min(max(level, np.float32(0.0)), np.float32(levels - 1))
+        footprint2 = distance2 * pixel2 * tiles * tiles / max(cosine, np.float32(0.02))
+        level = top + half * _log2(max(footprint2, np.float32(1e-12)))
+        level = min(max(level, zero), top)
         lower = np.int32(level)
         blend = level - np.float32(lower)
         size = np.int32(1) << (np.int32(levels - 1) - lower)
         u, v = u * tiles, v * tiles
-        u, v = np.float32(u - np.floor(u)), np.float32(v - np.floor(v))
+        u, v = u - np.floor(u), v - np.floor(v)
         texels = mips[np.uintp(textures[k])]
         red, green, blue = _bilinear(texels, starts[lower], size, u, v)
-        if blend > 0.0:
+        if blend > zero:
             r, g, b = _bilinear(texels, starts[lower + 1], size >> 1, u, v)
             red, green, blue = red + blend * (r - red), green + blend * (g - green), blue + blend * (b - blue)
 
-        lamp = 0.5 * (1.0 + nx * LAMP_DIRECTION[0] + ny * LAMP_DIRECTION[1] + nz * LAMP_DIRECTION[2])
-        light = AMBIENT + LAMP * lamp + HEAD * cosine / (1.0 + distance2 / HEAD_RANGE**2)
+        light = ambient + lamp * (nx * lx + ny * ly + nz * lz) + head * cosine / (one + distance2 * fade)
         rgb[at, 0], rgb[at, 1], rgb[at, 2] = (
-            _byte(red * np.float32(looks[k, 0] * light)),
-            _byte(green * np.float32(looks[k, 1] * light)),
-            _byte(blue * np.float32(looks[k, 2] * light)),
+            _byte(red * (looks[k, 0] * light)),
+            _byte(green * (looks[k, 1] * light)),
+            _byte(blue * (looks[k, 2] * light)),
         )

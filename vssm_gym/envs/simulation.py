@@ -73,7 +73,8 @@ class Simulation:
         self.path: list[np.ndarray] = []  # its positions
         self._K = self.camera.K
         self._sensor: NoisySensor | None = None
-        self._image: tuple[np.ndarray, np.ndarray] | None = None
+        self._image: tuple[np.ndarray, np.ndarray] | None = None  # at the robot's pose, as is the next
+        self._T_world_cam: Matrix4 | None = None
         self._plan: TopDown | None = None
 
     def spaces(self) -> dict[str, gym.Space[Any]]:
@@ -102,7 +103,9 @@ class Simulation:
     @property
     def T_world_cam(self) -> Matrix4:
         """The true camera pose; not for agents."""
-        return planar_to_matrix(self.planar) @ self.robot.T_body_cam
+        if self._T_world_cam is None:
+            self._T_world_cam = planar_to_matrix(self.planar) @ self.robot.T_body_cam
+        return self._T_world_cam.copy()
 
     def seed(self, seed: int | None) -> None:
         """Restart all streams by a seed; without one they go on, or begin anywhere where there are none yet."""
@@ -114,7 +117,7 @@ class Simulation:
         """Put the robot at ``(x, y, heading)``, m and rad: an episode begins."""
         self.world.reset(start)
         self.path_length, self.path = 0.0, [self.planar[:2]]
-        self._image = None
+        self._image = self._T_world_cam = None
 
     def drive(self, command: np.ndarray) -> bool:
         """Carry out ``(turn, o, s)`` for one step of ``robot.dt`` s, noise and contacts included.
@@ -123,9 +126,10 @@ class Simulation:
         """
         before = self.planar
         collision = self.world.drive(execute(before, command, self.noise, self.streams["dynamics"]))
-        self.path_length += float(np.hypot(*(self.planar - before)[:2]))
-        self.path.append(self.planar[:2])
-        self._image = None
+        after = self.planar[:2]
+        self.path_length += float(np.hypot(*(after - before[:2])))
+        self.path.append(after)
+        self._image = self._T_world_cam = None
         return collision
 
     def parse(self, action: Any) -> tuple[np.ndarray, bool]:
