@@ -49,7 +49,7 @@ def build_map(
     """
     reader, poses = FrameReader(sequence), sequence.true_poses()
     config = MapUpdateConfig()
-    low, high = _bounds(reader, poses, config)
+    low, high = grid_bounds(reader, poses, config)
     shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
     if np.prod(shape) > MAX_CELLS:
         raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
@@ -71,7 +71,7 @@ def build_map(
     return voxel_map
 
 
-def _bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
+def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner of the back-projected depths of frames spread over the sequence, with a margin."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     rays = _rays(reader.camera)

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
@@ -23,11 +22,11 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
 from vssm_gym.eval.calibration import Calibration, cross_fitted, fit_scale, pose_residuals
 from vssm_gym.eval.slam_run import Progress, SlamOptions, SlamRun, run_slam
+from vssm_gym.eval.slam_states import BAND, tidy
 from vssm_gym.eval.studies import Study, labelled
 from vssm_gym.geometry import inverse
 from vssm_gym.viz import pictures
 
-BAND = float(norm.ppf(0.975))  # stds on either side that hold 95 %
 COLUMNS = 5  # of the small pictures
 
 
@@ -222,7 +221,7 @@ def _picture(raw: Mapping[str, Calibration], scaled: Mapping[str, Calibration], 
     right.invert_yaxis()
     right.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     for axes in (left, middle, right):
-        _tidy(axes)
+        tidy(axes)
     middle.legend(fontsize=7, frameon=False, loc="lower right")
     _histograms(below, scaled)
     return pictures.svg(figure)
@@ -240,13 +239,8 @@ def _histograms(figure: Any, scaled: Mapping[str, Calibration]) -> None:
             values = np.clip(calibration.whitened[:, part].ravel(), -4.999, 4.999)
             axes.stairs(np.histogram(values, edges, density=True)[0], edges, label=kind, linewidth=1.1, color=colour)
         axes.set_title(name, fontsize=9)
-        _tidy(axes)
+        tidy(axes)
     for axes in grid[len(scaled) :]:
         axes.set_axis_off()
     figure.suptitle("whitened residuals, scaled by the others", fontsize=10)
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.grid(alpha=0.3, linewidth=0.5)
-    axes.spines[["top", "right"]].set_visible(False)

@@ -199,7 +199,8 @@ def _step(
     m = eqx.tree_at(lambda m: (m.occupancy, m.colour), m, means)
     hits = jnp.maximum(jnp.sum(rays.near), 1)
     depth_l1, colour_l1 = jnp.sum(off * rays.near) / hits, jnp.sum(off_colour * rays.near) / (3.0 * hits)
-    ratio = jnp.stack([depth_l1 / s_depth, colour_l1 / s_rgb])
+    # Pixels without a surface say nothing about the scales.
+    ratio = jnp.where(jnp.any(rays.near), jnp.stack([depth_l1 / s_depth, colour_l1 / s_rgb]), 1.0)
     nats = ratio[0] + 3.0 * ratio[1] + jnp.log(2.0 * s_depth) + 3.0 * jnp.log(2.0 * s_rgb)
     # s <- s + rate (mean |r| - s), the likeliest scale's running mean: a bounded step of log s, whatever the start.
     log_scales = state.log_scales + jnp.log1p(rate * config.scale_rate * (ratio - 1.0))
