@@ -99,8 +99,8 @@ def run(
             "log-likelihood are means over the held-out pixels where the map has an observed surface; the share of "
             "those is beside them. Each map is given the emission scales that fit it best on the training images.",
             "Milliseconds are the median wall-clock time of a frame's update, the empty-space index included. A step "
-            f"of gradient descent draws {GRADIENT.pixels} pixels of the frame and touches only their cells. Its rate is "
-            "the one that does best on the held-out frames themselves, which favours it.",
+            f"of gradient descent draws {GRADIENT.pixels} pixels of the frame and touches only their cells. Its rate "
+            "is the one that does best on the held-out frames themselves, which favours it.",
         ),
     )
 
