@@ -10,13 +10,17 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from shapely import Point
+from shapely import Point, contains_xy, prepare
 
 import vssm_gym  # noqa: F401  (registers the environments)
 
 APARTMENTS = ("vssm_gym/PointNav-v0", "vssm_gym/ImageNav-v0", "vssm_gym/Explore-v0")
 PROCEDURAL = 10
+GROWTH = 100.0  # MB by which memory may be larger at the end than after the first tenth: caches, not a leak
 TOLERANCE = 0.006  # m: contacts are found no deeper than a substep, 5 mm (envs/mjcf/physics.py)
+FLOOR = (
+    0.03  # m that a robot may be off free space: contacts, and the recess behind a closed outer door (envs/tasks.py)
+)
 SMALL = {"width": 40, "height": 30}
 
 Progress = Callable[[str, int, int], None]
@@ -48,6 +52,8 @@ def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = Non
         if progress:
             progress("driving at random", i + 1, len(plans))
     memory = [memory[0], memory[-1]]
+    if memory[1] > memory[0] + GROWTH:
+        raise SoakError(f"memory grew from {memory[0]:.0f} to {memory[1]:.0f} MB")
     return {"scene": f"{len(plans)} worlds", "rows": rows, "memory_mb": memory, "steps": share * len(plans)}
 
 
@@ -82,12 +88,20 @@ def _drive(name: str, scene: str, steps: int, seed: int) -> tuple[int, int, int,
 
 
 def _penetration(world: Any) -> Callable[[], float]:
-    """How deep the body is in an obstacle now, m, by the plan's polygons or the maze's exact distances."""
+    """How deep the body is in an obstacle now, m, by the plan's polygons or the maze's exact distances.
+
+    A robot on the floor that has left the part of free space where it started, through a wall, is infinitely deep.
+    """
     if hasattr(world, "simulation"):
         space, radius = world.simulation.stage.sampler.space, world.simulation.robot.radius
+        reachable = space.largest.buffer(FLOOR)
+        prepare(reachable)
 
         def of_plan() -> float:
-            return max(0.0, radius - float(space.distance_to_solid(world.simulation.planar[:2])))
+            xy = world.simulation.planar[:2]
+            if not contains_xy(reachable, *xy):
+                return np.inf
+            return max(0.0, radius - float(space.distance_to_solid(xy)))
 
         return of_plan
     if hasattr(world, "maze"):

@@ -33,6 +33,14 @@ def test_the_goal_image_is_a_view_from_the_goal():
     assert error < 2.5  # grey levels, a quarter of a degree away at most
 
 
+def test_the_picture_shows_the_goals_image_between_view_and_plan():
+    env = ImageNavEnv(**KEYWORDS, render_mode="rgb_array")
+    observation, _ = env.reset(seed=0, options={"task": TASK})
+    picture = env.render()
+    assert picture.shape == (360, 480 + 480 + 360, 3)
+    np.testing.assert_array_equal(picture[::15, 480:960:15], observation["goal_rgb"])
+
+
 def test_the_goal_image_belongs_to_the_task_and_stays():
     env = ImageNavEnv(**KEYWORDS | {"sensor_noise": "kinect"})
     first = env.reset(seed=0, options={"task": TASK})[0]["goal_rgb"]

@@ -149,6 +149,16 @@ def test_attributes_and_methods():
         env.set_attr("first", 1, indices=[0])
 
 
+def test_attributes_and_methods_of_the_native_vector_environment():
+    env = SB3VecEnv(gym.make_vec(ID, num_envs=2, camera={"width": 32, "height": 24}))
+    env.reset()
+    assert env.get_attr("success_radius") == [0.4, 0.4]
+    env.set_attr("mark", 3)
+    assert env.get_attr("mark", indices=[1]) == [3]
+    assert [len(report) for report in env.env_method("report")] == [5, 5]
+    env.close()
+
+
 def test_what_resets_in_the_same_step_is_refused():
     with pytest.raises(InputError, match="one that resets in the next step"):
         counters(gym.vector.AutoresetMode.SAME_STEP)
@@ -228,19 +238,17 @@ def train(env: gym.vector.VectorEnv, steps: int) -> PPO:
 
 @pytest.mark.slow
 def test_ppo_trains_on_pointnav(tmp_path):
-    """A few hundred steps: parameters move and stay finite, episodes end, and the policy acts again after loading."""
-    makers = [
-        lambda: gym.make(ID, scene="oak", camera=CameraConfig(32, 24), end_on="reach", threads=1, max_episode_steps=40)
-    ] * 2
-    env = vector_wrappers.RelativeGoal(gym.vector.SyncVectorEnv(makers))
-    model = train(env, 256)
-    assert model.num_timesteps == 256
-    assert len(model.ep_info_buffer) >= 6
+    """20,000 steps: parameters move and stay finite, episodes end, and the policy acts again after loading."""
+    camera = {"width": 32, "height": 24}
+    native = gym.make_vec(ID, num_envs=8, scene="oak", camera=camera, end_on="reach", max_episode_steps=100)
+    env = vector_wrappers.RelativeGoal(native)
+    model = train(env, 20_000)
+    assert model.num_timesteps >= 20_000
+    assert len(model.ep_info_buffer) == 100
     assert all(torch.isfinite(parameter).all() for parameter in model.policy.parameters())
     model.save(tmp_path / "policy.zip")
     observation, _ = env.reset(seed=1)
     again = PPO.load(tmp_path / "policy.zip", device="cpu")
     action, _ = again.predict(observation, deterministic=True)
-    assert action.shape == (2, 4)
+    assert action.shape == (8, 4)
     np.testing.assert_array_equal(action, model.predict(observation, deterministic=True)[0])
-    env.close()

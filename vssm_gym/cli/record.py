@@ -105,7 +105,9 @@ def record(
                 seed=seed,
                 progress=progress,
             )
-            following += " --rate 20 --voxel 0.125 --extent 25 --max-depth 20 --depth stereo"
+            following += (
+                f" --rate {20.0 if rate is None else rate:g} --voxel 0.125 --extent 25 --max-depth 20 --depth stereo"
+            )
     print(f"{frames} frames: {out}\nnext: {following}")
 
 

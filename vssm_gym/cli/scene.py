@@ -44,7 +44,10 @@ def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FI
         out: the scene to write (.json); the picture gets the same name and the ending .png.
     """
     from vssm_gym.envs.scene import load_scene
+    from vssm_gym.errors import InputError
 
+    if out.exists() and Path(file).exists() and out.samefile(file):
+        raise InputError("scene import", "out", f"another file than {file}: what is imported is never overwritten")
     _write("scene import", out, lambda: load_scene(file))
 
 

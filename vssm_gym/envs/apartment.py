@@ -104,7 +104,7 @@ class Wall(_Model):
     end: XY
     thickness: Positive
     height: Positive
-    base: float = 0.0
+    base: Coordinate = 0.0
     front: Material
     back: Material
 
@@ -170,7 +170,7 @@ class Apartment(_Model):
     """
 
     format: Literal[1] = 1
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00]+$")  # files are named after it
     rooms: tuple[Room, ...] = Field(min_length=1, max_length=ROOMS)
     walls: tuple[Wall, ...] = Field(min_length=1, max_length=WALLS)
     doors: tuple[Door, ...] = Field((), max_length=HOLES)

@@ -45,7 +45,7 @@ class ExploreEnv(StagedEnv):
         **simulation: Any,
     ) -> None:
         choose("Explore", "reward", reward, ("dense", "sparse"))
-        if not finish > 0.0:
+        if not (isinstance(finish, int | float) and finish > 0.0):
             raise InputError("Explore", "finish", f"a share above 0; found {finish!r}")
         self.simulation = Simulation(scene, observe_pose=observe_pose, **simulation)
         self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
@@ -106,10 +106,6 @@ class ExploreEnv(StagedEnv):
     def render(self) -> np.ndarray | None:
         """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture()
-
-    def close(self) -> None:
-        """Let go of the rendering threads."""
-        self.simulation.close()
 
     def _info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
         driven = {"coverage": self.coverage.fraction, "path_length": self.simulation.path_length}

@@ -85,7 +85,9 @@ class FlightEnv(StagedEnv):
         choose("Flight", "yaw", yaw, ("forward", "constant"))
         choose("Flight", "reward", reward, ("dense", "sparse"))
         choose("Flight", "render_mode", render_mode, (None, "rgb_array"))
-        if not 5.0 <= rate <= 100.0:
+        if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < EXTENT):
+            raise InputError("Flight", "speed", f"m/s above 0, or None; found {speed!r}")
+        if not (isinstance(rate, int | float) and 5.0 <= rate <= 100.0):
             raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r}")
         self.noise, self.imu_noise, self.sensor_noise = (
             flight_noise(noise),
@@ -96,6 +98,7 @@ class FlightEnv(StagedEnv):
         self.flight, self.speed, self.yaw = flight, speed, yaw
         self.apartment: Apartment = load_scene(scene)
         self.body, self.dt = FlightBody(), 1.0 / rate
+        self.metadata = {**self.metadata, "render_fps": round(rate)}
         self.substeps = max(1, round(self.dt / self.body.substep))
         self._places: dict[str, Placement] = {}
         if flight is not None:
@@ -196,7 +199,7 @@ class FlightEnv(StagedEnv):
             info |= {"task": self.task, "start_pose": self.state.T_world_body}
         if terminated:
             info["success"] = success
-        if self.reward == "sparse":
+        if self._first or self.reward == "sparse":
             reward = float(success)
         else:
             reward = self.dt * max(0.0, 1.0 - error / NEAR) - CRASH * self._collision
@@ -215,10 +218,6 @@ class FlightEnv(StagedEnv):
         plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * NEAR)
         return beside_plan(self._image[0], plan)
 
-    def close(self) -> None:
-        """Let go of the rendering threads."""
-        self.scenery.close()
-
     def tracking_error(self) -> float:
         """Metres from where the reference is now."""
         assert self.task is not None
@@ -236,7 +235,7 @@ class FlightEnv(StagedEnv):
         """The next task; both numbers are drawn whether or not they are needed."""
         stream = self._streams["task"]
         name, speed = list(CURVES)[stream.integers(len(CURVES))], float(stream.uniform(*SPEEDS))
-        return self._reference(self.flight or name, self.speed or speed)
+        return self._reference(self.flight or name, speed if self.speed is None else self.speed)
 
     def _checked(self, reference: ReferenceFlight) -> ReferenceFlight:
         """The flight itself, where nothing is in its way and the body is strong enough."""

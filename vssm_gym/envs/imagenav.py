@@ -10,7 +10,9 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.pointnav import PointNavEnv
+from vssm_gym.envs.simulation import PICTURE
 from vssm_gym.envs.staged import Report, StagedEnv
+from vssm_gym.envs.topdown import beside_plan
 from vssm_gym.geometry import planar_to_matrix
 
 HEADINGS = 8  # directions, evenly spread, in which a goal image may look
@@ -61,12 +63,12 @@ class ImageNavEnv(StagedEnv):
         return observation | {"goal_rgb": self._goal_rgb.copy()}, *rest  # type: ignore[return-value]
 
     def render(self) -> np.ndarray | None:
-        """The camera's image beside the plan."""
-        return self.navigation.render()
-
-    def close(self) -> None:
-        """Let go of the rendering threads."""
-        self.navigation.close()
+        """The camera's image, the goal's and the plan, side by side: uint8 ``(360, width, 3)``."""
+        picture = self.navigation.render()
+        if picture is None or self._goal_rgb is None:
+            return picture
+        plan = picture[:, -PICTURE:]
+        return np.concatenate([picture[:, :-PICTURE], beside_plan(self._goal_rgb, plan)], axis=1)
 
     def _goal_image(self) -> np.ndarray:
         """The view from the goal: of eight headings, in an order drawn from the task, the first that is open.

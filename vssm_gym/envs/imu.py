@@ -70,7 +70,7 @@ def imu_noise(spec: str | ImuNoise) -> ImuNoise:
     """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
     if isinstance(spec, ImuNoise):
         return spec
-    if spec not in PRESETS:
+    if not isinstance(spec, str) or spec not in PRESETS:
         raise InputError("imu_noise", "name", f"one of {', '.join(PRESETS)}, or an ImuNoise; found {spec!r}")
     return PRESETS[spec]
 
@@ -114,11 +114,12 @@ class NoisyImu:
     """An IMU that reads exact values badly: one object is one sensor with its own random stream and biases.
 
     Args:
-        noise: what it does.
+        noise: what it does, or a preset's name.
         rng: its stream; the same stream gives the same bytes, in whatever portions the readings are passed.
     """
 
-    def __init__(self, noise: ImuNoise, rng: np.random.Generator) -> None:
+    def __init__(self, noise: str | ImuNoise, rng: np.random.Generator) -> None:
+        noise = imu_noise(noise)
         self.noise = noise
         self._rng = rng
         self._density = np.repeat([noise.accel_density, noise.gyro_density], 3)

@@ -81,7 +81,7 @@ def lidar_noise(spec: str | LidarNoise) -> LidarNoise:
     """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
     if isinstance(spec, LidarNoise):
         return spec
-    if spec not in PRESETS:
+    if not isinstance(spec, str) or spec not in PRESETS:
         raise InputError("lidar_noise", "name", f"one of {', '.join(PRESETS)}, or a LidarNoise; found {spec!r}")
     return PRESETS[spec]
 
@@ -114,12 +114,13 @@ class Lidar:
 
 
 def measured(
-    ranges: Float[np.ndarray, "*batch"], noise: LidarNoise, config: LidarConfig, rng: np.random.Generator
+    ranges: Float[np.ndarray, "*batch"], noise: str | LidarNoise, config: LidarConfig, rng: np.random.Generator
 ) -> Float[np.ndarray, "*batch"]:
     """Exact ranges as the scanner reads them: ``r' = r + e``, lost returns, nothing out of range; float32, m.
 
     Each call draws the same amount from ``rng`` whatever the ranges; the same stream gives the same bytes.
     """
+    noise = lidar_noise(noise)
     error, chance = rng.standard_normal(ranges.shape), rng.random(ranges.shape)
     read = ranges + noise.range_std(ranges) * error
     return _within(np.where((ranges > 0.0) & (chance >= noise.dropout), read, 0.0).astype(np.float32), config)

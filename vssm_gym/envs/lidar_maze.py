@@ -51,6 +51,7 @@ class LidarMazeEnv(StagedEnv):
         render_mode: ``rgb_array`` or None.
     """
 
+    parallel = True
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
@@ -101,7 +102,7 @@ class LidarMazeEnv(StagedEnv):
         self.planar: PlanarPose = np.zeros(3)  # the true (x, y, heading), m and rad; not for agents
         self.path_length = 0.0  # m driven in this episode
         self._path: list[np.ndarray] = []
-        self._scan = np.zeros(beams, np.float32)
+        self._scan, self._scanned = np.zeros(beams, np.float32), False  # of the robot's pose
         self._outcome: tuple[float, bool, dict[str, Any]] = 0.0, False, {}
         self._plan: TopDown | None = None
 
@@ -119,7 +120,7 @@ class LidarMazeEnv(StagedEnv):
             self._check(task)
         self.task = task
         self.planar = np.array(self.task.start, dtype=np.float64)
-        self.path_length, self._path = 0.0, [self.planar[:2]]
+        self.path_length, self._path, self._scanned = 0.0, [self.planar[:2]], False
         self.objective.begin(self.task)
         info = self._info(np.zeros(2), collision=False) | {"task": self.task, "start_pose": self.planar.copy()}
         self._outcome = 0.0, False, info
@@ -129,7 +130,7 @@ class LidarMazeEnv(StagedEnv):
         if self.task is None:
             raise gym.error.ResetNeeded("call reset before step")
         command, stop = self._command(action)
-        collision = False
+        collision = self._scanned = False
         if stop:
             command = np.zeros(2)
         else:
@@ -146,9 +147,11 @@ class LidarMazeEnv(StagedEnv):
         self._outcome = reward, terminated, info
 
     def look(self) -> None:
-        """The second stage: the scan at the robot's pose, measured with noise."""
-        ranges = scan(self.planar[None], self.maze.rectangles, self.beams)[0]
-        self._scan = measure(ranges, self.sensor_noise, self._streams["sensors"], LONGEST).astype(np.float32)
+        """The scan at the robot's pose, measured with noise; once, however often it is asked for."""
+        if not self._scanned:
+            ranges = scan(self.planar[None], self.maze.rectangles, self.beams)[0]
+            self._scan = measure(ranges, self.sensor_noise, self._streams["sensors"], LONGEST).astype(np.float32)
+            self._scanned = True
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """The last stage: what Gymnasium's ``step`` returns; ``reset`` returns its first and last."""

@@ -134,10 +134,6 @@ class PointNavEnv(StagedEnv):
         """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture(None if self.task is None else np.asarray(self.task.goal), self.success_radius)
 
-    def close(self) -> None:
-        """Let go of the rendering threads."""
-        self.simulation.close()
-
     def _next_task(self) -> Task:
         stream = self.simulation.streams["task"]
         if self.tasks is None:

@@ -6,12 +6,13 @@ path over edges to 16 neighbours: at most 3 % longer than the true distance alon
 """
 
 import numpy as np
+import shapely
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from vssm_gym.envs.free_space import FreeSpace
 
-SPACING = 0.1  # m, for a radius of 0.1 m; obstacles grown by the robot's radius must be thicker than any edge is long
+SPACING = 0.1  # m, for a radius of 0.1 m
 _EDGES = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)]
 
 
@@ -27,6 +28,9 @@ class GoalDistance:
         self._origin, self._shape, self._spacing = low, shape, spacing
         self._nodes = low + spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
         self._free = free_space.contains(self._nodes)
+        self._region = free_space.region.buffer(1e-6)  # a line along the border is free
+        self._border = self._region.boundary
+        shapely.prepare([self._region, self._border])
         self._graph = self._edges()
         self._goal = np.zeros(2)
         self._distance = np.full(tuple(shape), np.inf)
@@ -42,8 +46,23 @@ class GoalDistance:
             rows.append(index[a][both])
             columns.append(index[b][both])
             lengths.append(np.full(both.sum(), self._spacing * np.hypot(dx, dy)))
-        data = np.concatenate(lengths)
-        return csr_array((data, (np.concatenate(rows), np.concatenate(columns))), shape=(index.size, index.size))
+        row, column, length = np.concatenate(rows), np.concatenate(columns), np.concatenate(lengths)
+        kept = self._passable(row, column)
+        return csr_array((length[kept], (row[kept], column[kept])), shape=(index.size, index.size))
+
+    def _passable(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Which edges run through free space: of two grown obstacles that overlap a little, the lens is thin."""
+        nodes = self._nodes.reshape(-1, 2)
+        # Only an edge that begins near the border can cross it.
+        near = np.zeros(len(nodes), dtype=bool)
+        free = np.flatnonzero(self._free)
+        points = shapely.points(nodes[free])
+        near[free] = shapely.dwithin(self._border, points, np.sqrt(5.0) * self._spacing)
+        asked = np.flatnonzero(near[row] & near[column])
+        lines = shapely.linestrings(np.stack([nodes[row[asked]], nodes[column[asked]]], axis=1))
+        passable = np.ones(len(row), dtype=bool)
+        passable[asked] = shapely.covers(self._region, lines)
+        return passable
 
     def aim(self, goal: np.ndarray) -> None:
         """Measure to ``goal (2,)`` from now on, m, world frame."""

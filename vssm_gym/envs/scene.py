@@ -63,7 +63,9 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
     if isinstance(spec, Apartment):
         return spec
     if not isinstance(spec, str | Path):
-        raise InputError(f"{spec!r:.80}", "scene", "a built-in name, the path of a JSON file or an Apartment")
+        raise InputError(
+            f"{spec!r:.80}", "scene", f"a built-in name, {PREFIX}SEED, the path of a scene file or an Apartment"
+        )
     if str(spec).startswith(PREFIX):
         return generate(*parse_spec(str(spec)))
     if str(spec) in built_in_scenes():
@@ -77,7 +79,7 @@ def _from_file(spec: str) -> Apartment:
     if name.endswith(LINES) and number.isdigit():
         return _from_lines(Path(name), int(number[:9]))
     path = Path(spec)
-    if not path.is_file():
+    if not _is_file(path):
         names = ", ".join(built_in_scenes())
         raise InputError(spec, "scene", f"a built-in name ({names}), {PREFIX}SEED or the path of an existing file")
     if spec.endswith(LINES):
@@ -89,6 +91,13 @@ def _from_file(spec: str) -> Apartment:
 
         return import_mjcf(path)
     return _from_json(path)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # longer than any name may be
+        return False
 
 
 def _from_json(path: Path) -> Apartment:

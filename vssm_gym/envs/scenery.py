@@ -19,6 +19,7 @@ from vssm_gym.envs.raycast import RaycastCamera, Tracer
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import CameraConfig, make_camera, make_tracer
 from vssm_gym.envs.solids import SolidBox
+from vssm_gym.errors import InputError
 
 Key = tuple[str, CameraConfig, str, int | None]
 
@@ -28,6 +29,8 @@ _BUILDING = threading.Lock()
 
 def scenery_of(apartment: Apartment, config: CameraConfig, renderer: str, threads: int | None) -> "Scenery":
     """The process's scenery of these, built where there is none."""
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise InputError("environment", "threads", f"a whole number, at least 1, or None; found {threads!r}")
     key = (apartment.content_hash(), config, renderer, threads)
     with _BUILDING:
         scenery = _SCENERIES.get(key)
@@ -38,6 +41,8 @@ def scenery_of(apartment: Apartment, config: CameraConfig, renderer: str, thread
 
 class Scenery:
     """One apartment made ready for one kind of camera; immutable to its users. Get it by :func:`scenery_of`.
+
+    It holds a renderer's threads or context until nothing uses it any more: no user may close what others share.
 
     Args:
         apartment: the scene.
@@ -66,7 +71,3 @@ class Scenery:
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
         """The exact image at a camera pose: uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)``, m, 0 = nothing."""
         return self._eye.render(T_world_cam)
-
-    def close(self) -> None:
-        """Let go of threads and contexts; the next image starts new ones."""
-        self._eye.close()

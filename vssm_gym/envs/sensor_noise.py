@@ -120,7 +120,7 @@ def sensor_noise(spec: str | SensorNoise) -> SensorNoise:
     """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
     if isinstance(spec, SensorNoise):
         return spec
-    if spec not in PRESETS:
+    if not isinstance(spec, str) or spec not in PRESETS:
         raise InputError("sensor_noise", "name", f"one of {', '.join(PRESETS)}, or a SensorNoise; found {spec!r}")
     return PRESETS[spec]
 

@@ -16,7 +16,8 @@ from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.scenery import scenery_of
-from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise, sensor_noise
+from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.stage import stage_of
 from vssm_gym.envs.streams import seeded_streams
@@ -61,7 +62,9 @@ class Simulation:
         choose("environment", "renderer", renderer, RENDERERS)
         choose("environment", "physics", physics, ("mujoco",))
         choose("environment", "render_mode", render_mode, (None, "rgb_array"))
-        self.noise, self.sensor_noise = execution_noise(noise), _sensor_noise(sensor_noise)
+        if not isinstance(observe_pose, bool):
+            raise InputError("environment", "observe_pose", f"True or False; found {observe_pose!r:.80}")
+        self.noise, self.sensor_noise = execution_noise(noise), sensor_noise_of(sensor_noise)
         self.observe_pose, self.render_mode = observe_pose, render_mode
         self.robot = HolonomicRobot()
         self.scenery = scenery_of(load_scene(scene), camera_config(camera), renderer, threads)
@@ -145,9 +148,7 @@ class Simulation:
         if self._image is None:
             assert self._sensor is not None
             rgb, depth = self.scenery.render(self.T_world_cam)
-            if self.sensor_noise != SensorNoise():
-                rgb, depth = self._sensor(rgb, depth, self.robot.dt)
-            self._image = rgb, depth
+            self._image = self._sensor(rgb, depth, self.robot.dt)
 
     def observation(self) -> dict[str, np.ndarray]:
         """``rgb``, ``depth`` and, where it is observed, ``pose``; the arrays are the caller's."""
@@ -172,13 +173,3 @@ class Simulation:
         assert self._image is not None
         plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
         return beside_plan(self._image[0], plan)
-
-    def close(self) -> None:
-        """Let go of the rendering threads."""
-        self.scenery.close()
-
-
-def _sensor_noise(spec: Any) -> SensorNoise:
-    if not isinstance(spec, str | SensorNoise):
-        raise InputError("environment", "sensor_noise", f"a preset's name or a SensorNoise; found {spec!r:.80}")
-    return sensor_noise(spec)

@@ -101,7 +101,7 @@ def load(path: Path, apartment: Apartment | None = None) -> TaskSet:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(path, "file", "a readable task file") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"JSON ({error})") from error
     tasks = validated(TaskSet, data, path)
     found = tasks.content_hash()

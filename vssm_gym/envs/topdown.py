@@ -12,6 +12,7 @@ from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.solids import SolidBox
 
 CUT = 1.2  # m: boxes that begin higher (wall cupboards, lintels) are left out
+FLATTEST = 2  # width over height of a camera's picture at most
 _SMOOTH = 2  # the plan is drawn this much larger, then reduced: smooth edges
 _INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}
 _PATH, _ROBOT, _GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)
@@ -86,11 +87,13 @@ class TopDown:
 def beside_plan(rgb: np.ndarray, plan: np.ndarray) -> np.ndarray:
     """A camera's image ``(H, W, 3)`` beside a plan, both uint8, at the plan's height.
 
-    Pixels are repeated, not smoothed: the picture shows what the agent sees.
+    Pixels are repeated, not smoothed: the picture shows what the agent sees. An image flatter than ``FLATTEST`` is
+    stretched upwards: of a scan of one row there would be nothing to see.
     """
     height = len(plan)
+    width = min(height * rgb.shape[1] // rgb.shape[0], FLATTEST * height)
     rows = (np.arange(height) * rgb.shape[0]) // height
-    columns = (np.arange(height * rgb.shape[1] // rgb.shape[0]) * rgb.shape[0]) // height
+    columns = (np.arange(width) * rgb.shape[1]) // width
     return np.concatenate([rgb[rows[:, None], columns[None]], plan], axis=1)
 
 

@@ -13,9 +13,10 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.errors import InputError
@@ -46,6 +47,11 @@ class StagedVectorEnv(VectorEnv):
     ) -> None:
         if num_envs < 1:
             raise InputError("make_vec", "num_envs", f"at least 1; found {num_envs!r}")
+        if max_episode_steps != -1 and not _whole(max_episode_steps):
+            expected = f"a whole number, at least 1, or -1 for no limit; found {max_episode_steps!r}"
+            raise InputError("make_vec", "max_episode_steps", expected)
+        if threads is not None and not _whole(threads):
+            raise InputError("make_vec", "threads", f"a whole number, at least 1, or None; found {threads!r}")
         scenes = list(scene) if isinstance(scene, Sequence) and not isinstance(scene, str) else [scene]
         if not scenes:
             raise InputError("make_vec", "scene", "at least one scene; found an empty list")
@@ -59,10 +65,10 @@ class StagedVectorEnv(VectorEnv):
         self.observation_space = batch_space(first.observation_space, num_envs)
         self.max_episode_steps = max_episode_steps
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self._threads = min(num_envs, cores if threads is None else max(1, threads)) if first.parallel else 1
+        self._threads = min(num_envs, cores if threads is None else threads) if first.parallel else 1
         self._pool = ThreadPoolExecutor(self._threads - 1, "look") if self._threads > 1 else None
         self._steps = np.zeros(num_envs, dtype=np.int64)
-        self._ended = np.zeros(num_envs, dtype=bool)
+        self._ended, self._begun = np.zeros(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -80,16 +86,30 @@ class StagedVectorEnv(VectorEnv):
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise InputError("reset", "options['reset_mask']", f"{self.num_envs} booleans, one of them true")
+        if not (self._begun | mask).all():
+            raise gym.error.ResetNeeded("the first reset is one of all environments: reset_mask comes later")
         for i in np.flatnonzero(mask):
             self.envs[i].begin(seeds[i], options or None)
+            self._begun[i] = True
         self._steps[mask], self._ended[mask] = 0, False
         observation, _, _, _, infos = self._gather(mask)
         return observation, infos
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Carry out one action an environment; those whose episode has ended start their next one instead."""
+        """Carry out one action an environment; those whose episode has ended start their next one instead.
+
+        Actions that are not ``num_envs`` finite ones of the action space's shape change nothing anywhere.
+        """
+        if not self._begun.all():
+            raise gym.error.ResetNeeded("call reset before step")
+        batch = np.asarray(actions)
+        if batch.shape != self.action_space.shape or batch.dtype.kind not in "fiu" or not np.isfinite(batch).all():
+            expected = (
+                f"finite numbers of shape {self.action_space.shape}; found {batch.dtype} {batch.shape}, {actions!r:.80}"
+            )
+            raise InputError("step", "actions", expected)
         restarted = self._ended.copy()
-        for i, (env, action) in enumerate(zip(self.envs, iterate(self.action_space, actions), strict=True)):
+        for i, (env, action) in enumerate(zip(self.envs, batch, strict=True)):
             if restarted[i]:
                 env.begin()
                 self._steps[i] = 0
@@ -104,6 +124,23 @@ class StagedVectorEnv(VectorEnv):
     def render(self) -> tuple[Any, ...] | None:
         """Every environment's picture."""
         return None if self.render_mode is None else tuple(env.render() for env in self.envs)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """The attribute ``name`` of every environment, called with the arguments where it is a method."""
+        values = (getattr(env, name) for env in self.envs)
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """The attribute ``name`` of every environment."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of every environment: one value for all, or a list of one each."""
+        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise InputError("set_attr", name, f"one value, or {self.num_envs} of them; found {len(each)}")
+        for env, value in zip(self.envs, each, strict=True):
+            setattr(env, name, value)
 
     def close_extras(self, **_: Any) -> None:
         """Let go of the threads."""
@@ -140,6 +177,10 @@ class StagedVectorEnv(VectorEnv):
 def _look_in_turn(envs: list[StagedEnv]) -> None:
     for env in envs:
         env.look()
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
 def _single(seed: Any) -> bool:

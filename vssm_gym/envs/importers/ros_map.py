@@ -73,8 +73,8 @@ def import_ros_map(path: Path) -> Apartment:
     floor = np.isin(labels, kept)
     notes = []
     if dropped := len(areas) - len(kept):
-        least = min(areas[label - 1] for label in kept)
-        notes.append(f"{dropped} pieces of floor of less than {max(LEAST, least):.1f} m^2 were left out")
+        least = min(areas[label - 1] for label in kept) if len(kept) == ROOMS else LEAST
+        notes.append(f"{dropped} pieces of floor of less than {least:.1f} m^2 were left out")
     walls = _walls(floor, settings, path, unknown, notes)
     rooms = [
         # The smaller first: where one lies within another, the floor is its own.
