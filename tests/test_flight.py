@@ -149,11 +149,13 @@ def test_a_flight_completed_is_a_success():
 def test_a_wall_ends_the_flight_and_is_not_passed():
     env = make()
     env.reset(seed=0)
-    # Aimed along x by hand: the reference would end the episode first.
+    # Aimed along x by hand, and moved by stages: the episode ends at once, far from its reference.
     env.state = FlightState(np.array([4.0, 0.0, 1.8]), np.array([8.0, 0.0, 0.0]), np.eye(3))
     env.world.reset(env.state.position)
     for _ in range(20):
-        _, _, terminated, _, info = env.step(HOVERING)
+        env.advance(HOVERING)
+        env.look()
+        _, _, terminated, _, info = env.report()
         if info["collision"]:
             break
     assert terminated and not info["success"]

@@ -80,8 +80,6 @@ class ExploreEnv(StagedEnv):
 
     def advance(self, action: np.ndarray) -> None:
         """Carry out ``(turn, o, s, stop)``; a stop ends the episode and carries out nothing else of the action."""
-        if self._outcome is None:
-            raise gym.error.ResetNeeded("call reset before step")
         command, stop = self.simulation.parse(action)
         command = np.zeros(3) if stop else command
         collision = False if stop else self.simulation.drive(command)

@@ -161,8 +161,7 @@ class FlightEnv(StagedEnv):
 
     def advance(self, action: np.ndarray) -> None:
         """Carry out ``(specific force, body rates)`` for one period; what exceeds the limits is clipped to them."""
-        if self.task is None:
-            raise gym.error.ResetNeeded("call reset before step")
+        assert self.task is not None
         self._control = self._command(action)
         self._gust = self.noise.following(self._gust, self.dt, self._streams["dynamics"])
         h, felt, self._collision = self.dt / self.substeps, np.empty((self.substeps, 6)), False

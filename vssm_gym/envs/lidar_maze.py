@@ -127,8 +127,7 @@ class LidarMazeEnv(StagedEnv):
 
     def advance(self, action: np.ndarray) -> None:
         """The first stage of a step: the robot moves, and what that earns is settled."""
-        if self.task is None:
-            raise gym.error.ResetNeeded("call reset before step")
+        assert self.task is not None
         command, stop = self._command(action)
         collision = self._scanned = False
         if stop:

@@ -104,8 +104,7 @@ class PointNavEnv(StagedEnv):
 
         A stop ends the episode where the robot stands: nothing else of the action is carried out.
         """
-        if self.task is None:
-            raise gym.error.ResetNeeded("call reset before step")
+        assert self.task is not None
         command, stop = self.simulation.parse(action)
         stop &= self.end_on == "stop"
         if stop:

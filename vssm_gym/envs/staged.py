@@ -4,6 +4,9 @@
 
 Moving takes microseconds and is done one environment after another; looking renders an image and is done in parallel
 by a vector environment (:mod:`vssm_gym.envs.vector`). An environment of this suite implements the stages only.
+
+After the step that terminates or truncates an episode comes a reset: a further step raises ``ResetNeeded``. A wrapper's
+truncation (``TimeLimit``) is outside: only the wrapper knows of it.
 """
 
 import abc
@@ -19,6 +22,7 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
     """Gymnasium's ``reset`` and ``step`` out of the four stages."""
 
     parallel: bool = False  # whether several environments may look at once, in threads of one process
+    _running: bool = False  # whether an episode has begun by a reset and not ended by a step
 
     @abc.abstractmethod
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -44,10 +48,15 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         self.begin(seed, options)
         self.look()
         observation, *_, info = self.report()
+        self._running = True
         return observation, info
 
     def step(self, action: np.ndarray) -> Report:
-        """Carry out an action; see :meth:`advance`."""
+        """Carry out an action; see :meth:`advance`. Raises ``ResetNeeded`` where no episode is under way."""
+        if not self._running:
+            raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
         self.advance(action)
         self.look()
-        return self.report()
+        observation, reward, terminated, truncated, info = self.report()
+        self._running = not (terminated or truncated)
+        return observation, reward, terminated, truncated, info
