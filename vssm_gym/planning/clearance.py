@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
 ROUNDING = 1e-6  # cells: the world coordinates of a border cell, taken back to the grid, still lie on it
@@ -105,9 +105,11 @@ class ClearanceMap:
 
 
 def observed_columns(
-    voxel_map: VoxelMap, z_min: float, z_max: float, resolution: float
+    voxel_map: VoxelMap, z_min: float, z_max: float, resolution: float, deviations: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Highest mean occupancy (m, -inf where nothing was observed) and observed share of the heights of each column.
+
+    With ``deviations`` the highest ``mean + deviations std``, ``std = 0.03 m / sqrt(n)`` after ``n`` observations.
 
     Column ``[ix, iy]`` stands ``resolution * (ix, iy)`` m from the lowest cell centre of the map and is looked at from
     ``z_min`` to ``z_max`` m; both results are float64 ``(nx, ny)``.
@@ -116,13 +118,15 @@ def observed_columns(
     shape = tuple(int(n) for n in np.floor((high - low)[:2] / resolution).astype(int) + 1)
     spacing = 0.5 * float(voxel_map.voxel_size)  # finer adds nothing: the field is linear between cells
     heights = np.linspace(z_min, z_max, max(2, int(np.ceil((z_max - z_min) / spacing)) + 1))
-    top, share = _columns(voxel_map, jnp.asarray(heights, jnp.float32), jnp.float32(resolution), shape)
+    top, share = _columns(
+        voxel_map, jnp.asarray(heights, jnp.float32), jnp.float32(resolution), shape, jnp.float32(deviations)
+    )
     return np.asarray(top, np.float64), np.asarray(share, np.float64)
 
 
 @partial(jax.jit, static_argnames="shape")
 def _columns(
-    voxel_map: VoxelMap, heights: jax.Array, resolution: jax.Array, shape: tuple[int, int]
+    voxel_map: VoxelMap, heights: jax.Array, resolution: jax.Array, shape: tuple[int, int], deviations: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Highest occupancy and observed share of each column, ``(nx, ny)`` both; one layer of points at a time."""
     x = voxel_map.origin[0] + resolution * jnp.arange(shape[0])
@@ -132,9 +136,11 @@ def _columns(
     def layer(carry, z):
         top, known = carry
         p_world = jnp.concatenate([xy, jnp.full((*shape, 1), z)], axis=-1)
-        observed = voxel_map.precision(p_world)[..., 0] > OBSERVED_PRECISION
+        precision = voxel_map.precision(p_world)[..., 0]
+        observed = precision > OBSERVED_PRECISION
+        highest = voxel_map.occupancy_at(p_world) + deviations * OBSERVATION_STD * jax.lax.rsqrt(precision)
         # The prior's mean is a value, not a reading: an unobserved point says nothing about a surface.
-        occupancy = jnp.where(observed, voxel_map.occupancy_at(p_world), -jnp.inf)
+        occupancy = jnp.where(observed, highest, -jnp.inf)
         return (jnp.maximum(top, occupancy), known + observed), None
 
     (top, known), _ = jax.lax.scan(layer, (jnp.full(shape, -jnp.inf), jnp.zeros(shape)), heights)
