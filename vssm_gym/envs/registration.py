@@ -9,6 +9,7 @@ ENVIRONMENTS = {
     "vssm_gym/Explore-v0": ("explore", "ExploreEnv", 2000),  # 320 m at full speed
     "vssm_gym/LidarMaze-v0": ("lidar_maze", "LidarMazeEnv", 1000),  # 20 m at full speed; the longest way is 4 m
     "vssm_gym/Flight-v0": ("flight", "FlightEnv", 2000),  # 100 s; the longest flight at 1 m/s takes 76
+    "vssm_gym/CarNav-v0": ("carnav", "CarNavEnv", 600),  # 60 s
 }
 
 

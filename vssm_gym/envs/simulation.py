@@ -12,11 +12,12 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.envs.eye import EXTENT, PICTURE, Eye
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.scenery import scenery_of
-from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.stage import stage_of
@@ -25,9 +26,6 @@ from vssm_gym.envs.topdown import TopDown, beside_plan
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
-
-EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
-PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 
 
 class Simulation:
@@ -75,18 +73,13 @@ class Simulation:
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
         self._K = self.camera.K
-        self._sensor: NoisySensor | None = None
-        self._image: tuple[np.ndarray, np.ndarray] | None = None  # at the robot's pose, as is the next
-        self._T_world_cam: Matrix4 | None = None
+        self._eye = Eye(self.scenery, self.sensor_noise)
+        self._T_world_cam: Matrix4 | None = None  # at the robot's pose
         self._plan: TopDown | None = None
 
     def spaces(self) -> dict[str, gym.Space[Any]]:
         """The spaces of :meth:`observation`."""
-        size = (self.camera.height, self.camera.width)
-        spaces: dict[str, gym.Space[Any]] = {
-            "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
-            "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
-        }
+        spaces = self._eye.spaces()
         if self.observe_pose:
             far = np.array([EXTENT, EXTENT, np.pi], np.float32)
             spaces["pose"] = gym.spaces.Box(-far, far)
@@ -114,13 +107,13 @@ class Simulation:
         """Restart all streams by a seed; without one they go on, or begin anywhere where there are none yet."""
         if seed is not None or not self.streams:
             self.streams = seeded_streams(seed)
-            self._sensor = NoisySensor(self.sensor_noise, self.camera, self.streams["sensors"])
+            self._eye.seed(self.streams["sensors"])
 
     def place(self, start: PlanarPose) -> None:
         """Put the robot at ``(x, y, heading)``, m and rad: an episode begins."""
         self.world.reset(start)
         self.path_length, self.path = 0.0, [self.planar[:2]]
-        self._image = self._T_world_cam = None
+        self._moved()
 
     def drive(self, command: np.ndarray) -> bool:
         """Carry out ``(turn, o, s)`` for one step of ``robot.dt`` s, noise and contacts included.
@@ -132,7 +125,7 @@ class Simulation:
         after = self.planar[:2]
         self.path_length += float(np.hypot(*(after - before[:2])))
         self.path.append(after)
-        self._image = self._T_world_cam = None
+        self._moved()
         return collision
 
     def parse(self, action: Any) -> tuple[np.ndarray, bool]:
@@ -145,16 +138,12 @@ class Simulation:
 
     def look(self) -> None:
         """Take the image at the robot's pose, as its sensor measures it; once, however often it is asked for."""
-        if self._image is None:
-            assert self._sensor is not None
-            rgb, depth = self.scenery.render(self.T_world_cam)
-            self._image = self._sensor(rgb, depth, self.robot.dt)
+        self._eye.look(self.T_world_cam, self.robot.dt)
 
     def observation(self) -> dict[str, np.ndarray]:
         """``rgb``, ``depth`` and, where it is observed, ``pose``; the arrays are the caller's."""
         self.look()
-        assert self._image is not None
-        observation = {"rgb": self._image[0].copy(), "depth": self._image[1].copy()}
+        observation = self._eye.observation()
         if self.observe_pose:
             observation["pose"] = self.planar.astype(np.float32)
         return observation
@@ -170,6 +159,9 @@ class Simulation:
         if self._plan is None:
             self._plan = TopDown(self.scenery.boxes, PICTURE, PICTURE)
         self.look()
-        assert self._image is not None
         plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
-        return beside_plan(self._image[0], plan)
+        return beside_plan(self._eye.rgb, plan)
+
+    def _moved(self) -> None:
+        self._eye.moved()
+        self._T_world_cam = None

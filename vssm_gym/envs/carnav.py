@@ -1,0 +1,306 @@
+"""CarNav: a 1:10 car with an RGB-D camera parks at poses, or drives to points, of a cluttered arena (SPEC 7).
+
+It acts ``(speed, steering)`` at 10 Hz and is simulated as rigid bodies, by MuJoCo or by PyBullet, with servos that lag,
+a linkage with play and tyres that slip: what a planner's bicycle model leaves out. The tables of observation, action,
+reward and termination are in ``docs/envs/carnav.md``.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+import shapely
+
+from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.car import Car
+from vssm_gym.envs.car_body import PHYSICS, CarBody
+from vssm_gym.envs.car_noise import CarActuators, CarNoise, car_noise
+from vssm_gym.envs.car_picture import draw_run
+from vssm_gym.envs.car_tasks import REACHED, TARGETS, CarTask, Targets, car_sampler_of
+from vssm_gym.envs.eye import EXTENT, PICTURE, Eye
+from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.scenery import scenery_of
+from vssm_gym.envs.sensor_noise import SensorNoise
+from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
+from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
+from vssm_gym.envs.staged import Report, StagedEnv
+from vssm_gym.envs.streams import seeded_streams
+from vssm_gym.envs.topdown import TopDown, beside_plan
+from vssm_gym.envs.validation import choose, parse_action
+from vssm_gym.errors import InputError
+from vssm_gym.geometry import planar_to_matrix
+
+MAX_ACCELERATION = 2.0  # m/s^2, of control="acceleration"
+STEP_COST, TOUCH_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
+ALIGNING = 0.1  # m that a radian between the car's heading and the target's is worth
+
+
+class CarNavEnv(StagedEnv):
+    """One arena, one car; see the module. Registered as ``vssm_gym/CarNav-v0``, truncated after 600 steps: 60 s.
+
+    Args:
+        scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
+        noise: how the car strays from commands: ``none``, ``low``, ``mid``, ``high`` or a :class:`CarNoise`.
+        sensor_noise: what the camera adds to the exact image: ``none``, ``kinect``, ``stereo`` or a
+            :class:`SensorNoise`.
+        camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
+        renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
+        physics: ``mujoco``, or ``bullet`` where PyBullet is installed.
+        targets: ``poses`` (x, y, heading) or ``points`` (x, y).
+        control: the action's first number: ``speed``, m/s, or ``acceleration``, m/s^2.
+        chain: whether an episode begins where the one before has ended, speed and touch included.
+        observe_pose: whether the observation holds the true pose (an oracle's privilege).
+        images: whether it holds ``rgb`` and ``depth``; without them nothing is rendered.
+        reward: ``dense`` (metres gained along free space, costs a step and a touch, a prize for success) or ``sparse``.
+        render_mode: ``rgb_array`` or None.
+        threads: threads that share the rendering of an image; by default two where there are two cores.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012  (Gymnasium's own declaration)
+
+    def __init__(
+        self,
+        scene: Any = "arena",
+        noise: str | CarNoise = "low",
+        sensor_noise: str | SensorNoise = "none",
+        camera: CameraConfig | Mapping[str, Any] | None = None,
+        renderer: str = "raycast",
+        physics: str = "mujoco",
+        targets: Targets = "poses",
+        control: Literal["speed", "acceleration"] = "speed",
+        chain: bool = False,
+        observe_pose: bool = False,
+        images: bool = True,
+        reward: Literal["dense", "sparse"] = "dense",
+        render_mode: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        choose("CarNav", "renderer", renderer, RENDERERS)
+        choose("CarNav", "physics", physics, PHYSICS)
+        choose("CarNav", "targets", targets, TARGETS)
+        choose("CarNav", "control", control, ("speed", "acceleration"))
+        choose("CarNav", "reward", reward, ("dense", "sparse"))
+        choose("CarNav", "render_mode", render_mode, (None, "rgb_array"))
+        for field, value in (("chain", chain), ("observe_pose", observe_pose), ("images", images)):
+            if not isinstance(value, bool):
+                raise InputError("CarNav", field, f"True or False; found {value!r:.80}")
+        self.noise, self.car, self.physics = car_noise(noise), Car(), physics
+        self.targets, self.control, self.chain = targets, control, chain
+        self.observe_pose, self.reward, self.render_mode = observe_pose, reward, render_mode
+        self.apartment: Apartment = load_scene(scene)
+        config, seen = camera_config(camera), sensor_noise_of(sensor_noise)
+        self._eye = Eye(scenery_of(self.apartment, config, renderer, threads), seen) if images else None
+        self.camera = config.intrinsics()
+        self._K = self.camera.K
+        self.renderer_name = "none" if self._eye is None else self._eye.scenery.renderer_name
+        self.parallel = self._eye is None or self._eye.scenery.parallel
+        self.sampler = car_sampler_of(self.apartment, self.car)
+        self.body = _make_body(physics, self.apartment, self.car)
+        self._goal_distance = self.sampler.goal_distance() if reward == "dense" else None
+        self.action_space, self.observation_space = self._action_space(), self._observation_space()
+
+        self.task: CarTask | None = None
+        self.path_length = 0.0  # m driven in this episode
+        self.touches = 0  # in this episode: times that the car came to touch something
+        self.touched: tuple[str, ...] = ()  # names of what it touched in the last step
+        self._streams: dict[str, np.random.Generator] = {}
+        self._actuators: CarActuators | None = None
+        self._speed = 0.0  # m/s, as commanded
+        self._planar: PlanarPose = np.zeros(3)
+        self._path: list[np.ndarray] = []
+        self._potential = 0.0  # m, dense reward only
+        self._outcome: tuple[float, bool, dict[str, Any]] = (0.0, False, {})  # reward, terminated, info
+        self._plan: TopDown | None = None
+
+    @property
+    def planar(self) -> PlanarPose:
+        """The true ``(x, y, heading)`` of the rear axle, m and rad; not for agents."""
+        return self._planar.copy()
+
+    @property
+    def T_world_cam(self) -> Matrix4:
+        """The true camera pose; not for agents."""
+        return planar_to_matrix(self._planar) @ self.car.T_body_cam
+
+    def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Start a task: ``options["task"]``, or one of the seeded task stream.
+
+        In a chain the car stays as it is and gets a new target, ``options["goal"]`` if that is given. It is put down
+        anew, at rest, where no chain is, with a seed, with ``options["task"]``, with ``options["restart"]``, and after
+        it overturned. A seed restarts all streams; without one they go on.
+
+        Raises :class:`InputError` for a target that the car cannot reach, or a task of another scene.
+        """
+        options = options or {}
+        if unknown := set(options) - {"task", "goal", "restart"}:
+            expected = f"no other keys than 'task', 'goal' and 'restart'; found {sorted(unknown)}"
+            raise InputError("reset", "options", expected)
+        task, goal, restart = options.get("task"), options.get("goal"), options.get("restart", False)
+        on = self.chain and self.task is not None and seed is None and task is None and not restart
+        on = on and self.body.upright() and self._on_floor()
+        if goal is not None and not on:
+            raise InputError("reset", "options['goal']", "a chain that goes on; a 'task' says where the car begins")
+        if task is not None:
+            self._check(task)
+        elif goal is not None:
+            task = self.sampler.task(self._planar.tolist(), self._parsed(goal), self._next_id())
+        if seed is not None or not self._streams:
+            self._streams = seeded_streams(seed)
+            if self._eye is not None:
+                self._eye.seed(self._streams["sensors"])
+        stream = self._streams["task"]
+        if on:
+            self.task = task or self.sampler.goal_from(stream, self._planar, self.targets, self._next_id())
+        else:
+            self.task = task or self.sampler.draw(stream, self.targets)
+            self.body.reset(np.array(self.task.start))
+            self._actuators = CarActuators(self.noise, self._streams["dynamics"])
+            self._speed, self.touched = 0.0, ()
+        self._planar = self.body.pose()
+        self.path_length, self.touches, self._path = 0.0, 0, [self._planar[:2]]
+        if self._eye is not None:
+            self._eye.moved()
+        if self._goal_distance is not None:
+            self._goal_distance.aim(np.array(self.task.goal[:2]))
+            self._potential = self._cost_to_go(math.inf)
+        info = self._info(np.zeros(2)) | {"task": self.task, "start_pose": self._planar.copy()}
+        self._outcome = 0.0, False, info
+
+    def advance(self, action: np.ndarray) -> None:
+        """Carry out ``(speed or acceleration, steering)`` for ``car.dt`` s, clipped to the limits."""
+        if self.task is None or self._actuators is None:
+            raise gym.error.ResetNeeded("call reset before step")
+        values = parse_action(action, (self.control, "steering"))
+        before, was = self._speed, self._planar
+        if self.control == "acceleration":
+            push = min(max(values[0], -MAX_ACCELERATION), MAX_ACCELERATION)
+            values[0] = before + push * self.car.dt
+        command = self.car.clip(values)
+        self._speed = float(command[0])
+        ramp = np.array([before if self.control == "acceleration" else self._speed, self._speed])
+        points, friction = self._actuators(ramp, float(command[1]), self.car.dt)
+        already, self.touched = bool(self.touched), self.body.drive(points, friction)
+        self.touches += bool(self.touched) and not already
+        self._planar = self.body.pose()
+        self.path_length += float(np.hypot(*(self._planar[:2] - was[:2])))
+        self._path.append(self._planar[:2])
+        if self._eye is not None:
+            self._eye.moved()
+        if self.control == "acceleration":
+            command[0] = (self._speed - before) / self.car.dt
+        reached, lost = self.task.reached(self._planar), not (self.body.upright() and self._on_floor())
+        info = self._info(command)
+        if reached or lost:
+            info["success"] = reached and not lost
+            info["reason"] = "overturned or off the floor" if lost else "reached"
+        self._outcome = self._reward(reached and not lost), reached or lost, info
+
+    def look(self) -> None:
+        """Take the image."""
+        if self._eye is not None:
+            self._eye.look(self.T_world_cam, self.car.dt)
+
+    def report(self) -> Report:
+        """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
+        assert self.task is not None
+        self.look()
+        reward, terminated, info = self._outcome
+        observation = {} if self._eye is None else self._eye.observation()
+        observation["goal"] = np.array(self.task.goal, dtype=np.float32)
+        if self.observe_pose:
+            observation["pose"] = self._planar.astype(np.float32)
+        return observation, reward, terminated, False, info
+
+    def render(self) -> np.ndarray | None:
+        """The camera's image, where there are images, beside the plan: uint8 ``(360, width, 3)``; None if not asked."""
+        if self.render_mode is None or self.task is None:
+            return None
+        if self._plan is None:
+            self._plan = TopDown(self.apartment.boxes(), PICTURE, PICTURE)
+        path, goal = np.array(self._path), np.array(self.task.goal)
+        plan = draw_run(self._plan, path, self.car, self._planar, goal, REACHED)
+        if self._eye is None:
+            return plan
+        self.look()
+        return beside_plan(self._eye.rgb, plan)
+
+    def close(self) -> None:
+        """Let go of the simulator."""
+        self.body.close()
+
+    def _action_space(self) -> gym.spaces.Box:
+        speed, steering = self.car.limits
+        high = np.array([speed if self.control == "speed" else MAX_ACCELERATION, steering], np.float32)
+        return gym.spaces.Box(-high, high)
+
+    def _observation_space(self) -> gym.spaces.Dict:
+        spaces: dict[str, gym.Space[Any]] = {} if self._eye is None else self._eye.spaces()
+        far = np.array([EXTENT, EXTENT, np.pi], np.float32)
+        high = far if self.targets == "poses" else far[:2]
+        spaces["goal"] = gym.spaces.Box(-high, high)
+        if self.observe_pose:
+            spaces["pose"] = gym.spaces.Box(-far, far)
+        return gym.spaces.Dict(spaces)
+
+    def _info(self, control: np.ndarray) -> dict[str, Any]:
+        return {
+            "T_world_cam": self.T_world_cam,
+            "K": self._K.copy(),
+            "collision": bool(self.touched),
+            "touches": self.touches,
+            "control": control,
+        }
+
+    def _check(self, task: Any) -> None:
+        if not isinstance(task, CarTask):
+            raise InputError("reset", "options['task']", f"a CarTask; found {type(task).__name__}")
+        self._parsed(task.goal)
+        self.sampler.validate(task)
+
+    def _parsed(self, goal: Any) -> list[float]:
+        """A target of the kind that this environment has."""
+        names = ("x", "y", "heading")[: 3 if self.targets == "poses" else 2]
+        try:
+            values = np.asarray(goal, dtype=np.float64)
+        except (TypeError, ValueError):
+            values = np.zeros(0)
+        if values.shape != (len(names),) or not np.isfinite(values).all():
+            expected = (
+                f"{len(names)} finite numbers ({', '.join(names)}): targets are {self.targets}; found {goal!r:.80}"
+            )
+            raise InputError("reset", "goal", expected)
+        return values.tolist()
+
+    def _next_id(self) -> int:
+        return 0 if self.task is None else self.task.id + 1
+
+    def _on_floor(self) -> bool:
+        return bool(shapely.intersects_xy(self.sampler.space.floor, *self._planar[:2]))
+
+    def _cost_to_go(self, otherwise: float) -> float:
+        """``d(x, y) + ALIGNING |heading error|``, m, d along free space; ``otherwise`` where d is not known."""
+        assert self.task is not None and self._goal_distance is not None
+        distance = self._goal_distance(self._planar[:2])
+        return distance + ALIGNING * self.task.turn(self._planar) if np.isfinite(distance) else otherwise
+
+    def _reward(self, success: bool) -> float:
+        prize = SUCCESS_REWARD if success else 0.0
+        if self._goal_distance is None:
+            return prize
+        # Pressed against an obstacle the axle may be off the grid of free positions: it gains nothing until it is back.
+        now = self._cost_to_go(self._potential)
+        gained = self._potential - now if np.isfinite(self._potential) else 0.0
+        self._potential = now
+        return gained - STEP_COST - TOUCH_COST * bool(self.touched) + prize
+
+
+def _make_body(physics: str, apartment: Apartment, car: Car) -> CarBody:
+    if physics == "bullet":
+        from vssm_gym.envs.bullet_car import BulletCar  # an extra
+
+        return BulletCar(apartment, car)
+    from vssm_gym.envs.mjcf import MujocoCar
+
+    return MujocoCar(apartment, car)
