@@ -1,6 +1,7 @@
 """ROS maps: every free cell is floor, every other cell beside it is wall, whatever the origin and the format."""
 
 import math
+import time
 import zlib
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,11 @@ def test_rectangles_cover_what_they_must_and_nothing_that_they_must_not(seed: in
         assert i1 > i0 and j1 > j0
         count[i0:i1, j0:j1] += 1
     assert (count[needed] == 1).all() and (count[~allowed] == 0).all() and count.max(initial=0) <= 1
+    found = cover(needed, allowed)
+    assert cover(needed, allowed, len(found)) == found
+    if found:
+        assert cover(needed, allowed, len(found) - 1) == found  # one more than asked for says: too many
+        assert cover(needed, allowed, 0) == found[:1]
 
 
 @pytest.mark.parametrize(
@@ -243,6 +249,39 @@ def test_damaged_maps(tmp_path: Path, data: st.DataObject) -> None:
         damaged = path if which == "yaml" else tmp_path / "map.pgm"
         damaged.write_bytes(data.draw(damaged_bytes(damaged.read_bytes())))
     valid_or_refused(lambda: load_scene(path))
+
+
+def test_many_rooms_take_no_longer_than_one(tmp_path: Path) -> None:
+    grey = np.zeros((1024, 1024), np.uint8)
+    for i in range(17):
+        for j in range(17):
+            grey[60 * i + 2 : 60 * i + 58, 60 * j + 2 : 60 * j + 58] = FREE
+    began = time.process_time()
+    flat = load_scene(written(tmp_path, grey))
+    assert time.process_time() - began < 3.0
+    assert len(flat.rooms) == 289
+    assert all(shapely.Polygon(room.polygon).area == pytest.approx(5.72**2) for room in flat.rooms)
+
+
+def test_rooms_within_rooms_are_rooms_of_their_own(tmp_path: Path) -> None:
+    rows, columns = np.indices((120, 120))
+    ring = np.maximum(abs(rows - 60), abs(columns - 60))
+    flat = load_scene(written(tmp_path, np.where(ring % 10 < 7, FREE, OCCUPIED).astype(np.uint8)))
+    areas = [shapely.Polygon(room.polygon).area for room in flat.rooms]
+    assert len(areas) == 7 and areas == sorted(areas)  # the inner ones first, each outline with all that it surrounds
+    assert areas[0] == pytest.approx((1.3 + 2 * 0.06) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "expected"), [(0.05, "at most 20,000 walls"), (1.0, "a floor of at most 250 m across")]
+)
+def test_noise_is_refused_at_once(tmp_path: Path, resolution: float, expected: str) -> None:
+    grey = np.full((1500, 1500), FREE, np.uint8)
+    grey[np.random.default_rng(0).random(grey.shape) < 0.2] = OCCUPIED
+    began = time.process_time()
+    with pytest.raises(InputError, match=expected):
+        load_scene(written(tmp_path, grey, resolution=resolution))
+    assert time.process_time() - began < 3.0
 
 
 @pytest.mark.skipif(not DATA.is_file(), reason="shared/data/maps2d is not on this machine")

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Int
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import ndimage
 
-from vssm_gym.envs.apartment import Apartment, Coordinate, Room, Wall
+from vssm_gym.envs.apartment import EXTENT, Apartment, Coordinate, Room, Wall
 from vssm_gym.envs.importers.map_image import read_grey
 from vssm_gym.envs.importers.plan_looks import CEILING, floor_material, wall_material
 from vssm_gym.envs.importers.reading import read_bytes
@@ -70,15 +70,19 @@ def import_ros_map(path: Path) -> Apartment:
         raise InputError(
             path, "image", f"at least {LEAST} m^2 of connected free cells; found {areas.max(initial=0.0):.2f}"
         )
-    floor = np.isin(labels, kept)
+    is_kept = np.zeros(count + 1, dtype=bool)
+    is_kept[kept] = True
+    floor = is_kept[labels]
+    _check_extent(floor, settings, path)
     notes = []
     if dropped := len(areas) - len(kept):
         least = min(areas[label - 1] for label in kept) if len(kept) == ROOMS else LEAST
         notes.append(f"{dropped} pieces of floor of less than {least:.1f} m^2 were left out")
     walls = _walls(floor, settings, path, unknown, notes)
+    pieces = _pieces(np.where(floor, labels, 0))
     rooms = [
         # The smaller first: where one lies within another, the floor is its own.
-        validated(Room, _room(ndimage.binary_fill_holes(labels == label), number, settings), path, at="image")
+        validated(Room, _room(pieces[label], number, settings), path, at="image")
         for number, label in reversed(list(enumerate(kept, 1)))
     ]
     content = {"name": path.stem, "rooms": rooms, "walls": walls, "ceiling_height": CEILING, "notes": notes}
@@ -126,14 +130,12 @@ def _cells(settings: MapFile, image: Path) -> tuple[Bool[np.ndarray, "nx ny"], B
 
 def _walls(floor: np.ndarray, settings: MapFile, path: Path, unknown: np.ndarray, notes: list[str]) -> list[Wall]:
     solid = ~floor
-    surrounded = ndimage.binary_fill_holes(floor) & solid
-    beside = ndimage.binary_dilation(floor, np.ones((3, 3), bool)) & solid
-    near = ndimage.binary_dilation(floor, np.ones((3, 3), bool), iterations=BAND) & solid
-    rectangles = cover(surrounded | beside, surrounded | near)
+    parts, _ = ndimage.label(solid)
+    surrounded = solid & (parts != parts[0, 0])  # the rim is outside
+    beside, near = _grown(floor, 1) & solid, _grown(floor, BAND) & solid
+    rectangles = cover(surrounded | beside, surrounded | near, WALLS)
     if len(rectangles) > WALLS:
-        raise InputError(
-            path, "image", f"a map of at most {WALLS:,} walls; found {len(rectangles):,}: reduce its resolution"
-        )
+        raise InputError(path, "image", f"a map of at most {WALLS:,} walls; found more: reduce its resolution")
     share = float((unknown & beside).sum() / beside.sum())
     if share > 0.005:
         notes.append(f"{share:.0%} of the cells around the floor are unknown; they became wall: robots stay on the map")
@@ -159,18 +161,42 @@ def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
     return Wall(start=start, end=end, thickness=thickness, height=CEILING, front=material, back=material)
 
 
-def _room(filled: Bool[np.ndarray, "nx ny"], number: int, settings: MapFile) -> dict[str, Any]:
+def _room(rectangles: Int[np.ndarray, "n 4"], number: int, settings: MapFile) -> dict[str, Any]:
     """A piece of floor with what it surrounds; its outline runs half a cell inside the walls, in straight lines."""
-    runs = _runs(filled)
-    boxes = shapely.box(runs[:, 0], runs[:, 1], runs[:, 0] + 1, runs[:, 2])
-    outline = shapely.union_all(boxes).buffer(0.6, join_style="mitre").simplify(0.5)
+    i0, i1, j0, j1 = rectangles.T
+    outline = shapely.union_all(shapely.box(i0, j0, i1, j1)).buffer(0.6, join_style="mitre").simplify(0.5)
     corners = _world(shapely.get_coordinates(outline.exterior)[:-1], settings).tolist()
     name = f"Area {number}"
     return {"name": name, "kind": "area", "polygon": corners, "floor": floor_material("area", name)}
 
 
-def _runs(cells: Bool[np.ndarray, "nx ny"]) -> Int[np.ndarray, "n 3"]:
-    """Runs (i, j0, j1) of set cells."""
-    edges = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    starts, ends = np.argwhere(edges == 1), np.argwhere(edges == -1)
-    return np.column_stack([starts, ends[:, 1]])
+def _pieces(labels: Int[np.ndarray, "nx ny"]) -> dict[int, Int[np.ndarray, "n 4"]]:
+    """Rectangles (i0, i1, j0, j1) of each label above 0: its runs along j, those equal side by side joined.
+
+    One pass for all labels, so that many rooms within each other cost no more than one.
+    """
+    edges = np.flatnonzero(np.diff(labels.ravel(), prepend=0, append=0))  # the rim is 0: no run goes round its end
+    label = labels.ravel()[edges[:-1]]
+    runs = np.column_stack([label, *np.divmod(edges[:-1], labels.shape[1]), edges[1:] - edges[:-1]])[label > 0]
+    runs = runs[np.lexsort(runs[:, [1, 3, 2, 0]].T)]  # by label, j0 and length, then i
+    same = (np.diff(runs[:, [0, 2, 3]], axis=0) == 0).all(axis=1) & (np.diff(runs[:, 1]) == 1)
+    first = np.flatnonzero(np.concatenate([[True], ~same]))
+    last = np.append(first[1:], len(runs)) - 1
+    label, i0, j0, length = runs[first].T
+    rectangles = np.column_stack([i0, runs[last, 1] + 1, j0, j0 + length])
+    names, starts = np.unique(label, return_index=True)
+    return dict(zip(names.tolist(), np.split(rectangles, starts[1:]), strict=True))
+
+
+def _grown(cells: Bool[np.ndarray, "nx ny"], by: int) -> Bool[np.ndarray, "nx ny"]:
+    """The cells and all within ``by`` of them, diagonally too."""
+    wide = ndimage.maximum_filter1d(cells.view(np.uint8), 2 * by + 1, axis=0, mode="constant")
+    return ndimage.maximum_filter1d(wide, 2 * by + 1, axis=1, mode="constant").view(bool)
+
+
+def _check_extent(floor: Bool[np.ndarray, "nx ny"], settings: MapFile, path: Path) -> None:
+    """Refuse what no apartment may be, before any work on it."""
+    for axis in range(2):
+        found = np.flatnonzero(floor.any(axis=1 - axis))
+        if (across := (found[-1] + 1 - found[0]) * settings.resolution) > EXTENT:
+            raise InputError(path, "image", f"a floor of at most {EXTENT:g} m across; found {across:.1f}")
