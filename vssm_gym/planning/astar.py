@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from vssm_gym.planning.clearance import ClearanceMap, bilinear
+from vssm_gym.planning.heap import pop, sift_up
 from vssm_gym.planning.result import PlanResult, PlanStatus
 from vssm_gym.planning.taut import Need, need_at, pull_taut, segment_free
 
@@ -62,42 +63,6 @@ def edge_free(free: np.ndarray, i: int, j: int, di: int, dj: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _sift_up(heap, place, key, k):
-    node = heap[k]
-    while k > 0:
-        parent = (k - 1) >> 1
-        if key[heap[parent]] <= key[node]:
-            break
-        heap[k] = heap[parent]
-        place[heap[k]] = k
-        k = parent
-    heap[k] = node
-    place[node] = k
-
-
-@njit(cache=True, nogil=True)
-def _pop(heap, place, key, size):
-    """Remove the least node of a binary heap of ``size``; ``place`` keeps where each node stands."""
-    top, node = heap[0], heap[size - 1]
-    size -= 1
-    k = 0
-    while True:
-        child = 2 * k + 1
-        if child >= size:
-            break
-        if child + 1 < size and key[heap[child + 1]] < key[heap[child]]:
-            child += 1
-        if key[heap[child]] >= key[node]:
-            break
-        heap[k] = heap[child]
-        place[heap[k]] = k
-        k = child
-    heap[k] = node
-    place[node] = k
-    return top
-
-
-@njit(cache=True, nogil=True)
 def search(
     free: np.ndarray, seeds: np.ndarray, gx: float, gy: float, radius: float, max_expansions: int
 ) -> tuple[int, np.ndarray, float, int]:
@@ -121,10 +86,10 @@ def search(
         key[node] = cost[node] + max(0.0, math.hypot(i - gx, j - gy) - radius)
         heap[size] = node
         size += 1
-        _sift_up(heap, place, key, size - 1)
+        sift_up(heap, place, key, size - 1)
     closed, nearest, least, code = 0, -1, np.inf, _NO_PATH
     while size > 0:
-        node = _pop(heap, place, key, size)
+        node = pop(heap, place, key, size)
         size -= 1
         place[node] = -2
         closed += 1
@@ -153,7 +118,7 @@ def search(
                 if place[other] == -1:
                     heap[size], place[other] = other, size
                     size += 1
-                _sift_up(heap, place, key, place[other])
+                sift_up(heap, place, key, place[other])
     if code == _NO_PATH:
         return code, np.empty((0, 2)), np.inf, closed
     count, node = 0, nearest
