@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.generator.arenas import depot, dock, garage, paddock
 from vssm_gym.envs.generator.plans import HOMES
 from vssm_gym.envs.generator.venues import arena, hall
 from vssm_gym.envs.robots import HolonomicRobot
@@ -18,6 +19,10 @@ from vssm_gym.envs.tasks import freeze
 MAKERS: dict[str, Callable[[], Apartment]] = {
     **{name: home.apartment for name, home in HOMES.items()},
     "arena": arena,
+    "depot": depot,
+    "dock": dock,
+    "garage": garage,
+    "paddock": paddock,
     "hall": hall,
 }
 """What makes each scene, by name."""

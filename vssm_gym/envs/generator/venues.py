@@ -31,7 +31,7 @@ def arena() -> Apartment:
         Material(color=(0.78, 0.88, 0.90), texture="mosaic", scale=1.4),
     )
     floor = Material(color=(0.80, 0.78, 0.76), texture="checker", scale=2.4)
-    apartment = _one_room("arena", ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2)), 2.2, floor, walls, (2.6, 0.0))
+    apartment = one_room("arena", ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2)), 2.2, floor, walls, (2.6, 0.0))
     inner = shapely.box(0.1, 0.1, 5.1, 4.1)
     pieces: list[Furniture] = []
     taken: list[shapely.Polygon] = []
@@ -57,7 +57,7 @@ def arena() -> Apartment:
             continue
         taken.append(ground)
         pieces.append(Furniture(name=f"{kind} {len(pieces) + 1}", category=kind, boxes=(box,)))
-    return apartment.model_copy(update={"furniture": (*pieces, *_pictures(apartment, 0.9, 1.2, 1.3))})
+    return apartment.model_copy(update={"furniture": (*pieces, *pictures(apartment, 0.9, 1.2, 1.3))})
 
 
 def hall() -> Apartment:
@@ -72,7 +72,7 @@ def hall() -> Apartment:
     )
     floor = Material(color=(0.86, 0.80, 0.72), texture="checker", scale=6.0)
     corners = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side))
-    apartment = _one_room("hall", corners, height, floor, walls, (12.6, 0.0))
+    apartment = one_room("hall", corners, height, floor, walls, (12.6, 0.0))
     looks = ("brick", "planks", "mosaic", "hexagons", "stripes", "checker", "parquet", "wallpaper")
     columns = []
     for i in range(4):
@@ -95,10 +95,10 @@ def hall() -> Apartment:
             )
             name = f"column {4 * i + j + 1}"
             columns.append(Furniture(name=name, category="column", boxes=(*shaft, foot)))
-    return apartment.model_copy(update={"furniture": (*columns, *_pictures(apartment, 2.4, 3.0, 4.6))})
+    return apartment.model_copy(update={"furniture": (*columns, *pictures(apartment, 2.4, 3.0, 4.6))})
 
 
-def _one_room(
+def one_room(
     name: str,
     polygon: tuple[tuple[float, float], ...],
     height: float,
@@ -106,6 +106,7 @@ def _one_room(
     walls: tuple[Material, ...],
     entrance: tuple[float, float],
 ) -> Apartment:
+    """An empty room with walls 0.2 m thick, one material a side, and a closed door in its first one; m."""
     plan = Plan(
         name,
         (RoomPlan(name, name, polygon, floor, walls),),
@@ -122,7 +123,7 @@ def _one_room(
     return apartment.model_copy(update={"ceiling": ceiling})
 
 
-def _pictures(apartment: Apartment, size: float, middle: float, apart: float) -> list[Furniture]:
+def pictures(apartment: Apartment, size: float, middle: float, apart: float) -> list[Furniture]:
     """Paintings in a row on every wall, ``size`` m square, clear of the entrance."""
     found: list[Furniture] = []
     low, high = np.min(apartment.rooms[0].polygon, axis=0), np.max(apartment.rooms[0].polygon, axis=0)
