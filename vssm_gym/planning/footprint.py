@@ -145,6 +145,17 @@ def rectangle_collisions(
     return np.stack(dilate(occupied, kernels), axis=-1)
 
 
+def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) -> bool:
+    """The same for one pose ``(x, y, heading)`` anywhere, m and rad."""
+    planar = np.asarray(planar, dtype=np.float64)
+    cell = np.round((planar[:2] - arena.origin) / arena.resolution).astype(int)
+    relative = np.array([[*(planar[:2] - arena.origin - arena.resolution * cell), planar[2]]])
+    kernel = cells_under(relative, arena.resolution, car, margin)
+    under = cell + np.argwhere(kernel) - len(kernel) // 2
+    inside = np.all((under >= 0) & (under < arena.occupied.shape), axis=1)
+    return bool(not inside.all() or arena.occupied[tuple(under.T)].any())
+
+
 def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) -> np.ndarray:
     """The cells that any rectangle of ``(n, 3)`` poses overlaps, relative to a cell whose centre is the world's origin.
 

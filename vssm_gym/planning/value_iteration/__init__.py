@@ -1,0 +1,7 @@
+"""Value iteration over (x, y, heading) of the car: the critic of its controllers."""
+
+from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration.motions import Motions
+from vssm_gym.planning.value_iteration.solver import PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
+
+__all__ = ["CostToGo", "Motions", "PoseGrid", "ValueConfig", "ValueResult", "ValueStatus", "solve"]
