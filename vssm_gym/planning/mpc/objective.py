@@ -1,0 +1,104 @@
+"""Cost and constraints of a plan, in JAX, for any number of plans at once.
+
+    C(u) = sum_{t<T} gamma^t c(z_{t+1}, u_t) + gamma^T J(z_T)
+    c(z, u) = min(s, J(z)) + e (v / v_max)^2 + w sum (Du / limit)^2 + k mean_i max(0, 1 - (d_i - r) / comfort)^2
+    g_ti(u) = d(p_i(z_t)) - r - m  >=  0
+
+``s`` is the cost of one step in the unit of ``J``: min(s, J) charges for time until the goal region, where ``J`` is
+zero, without naming the goal. A step is charged where it ends: the pose it starts from is no longer in anybody's hands.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from vssm_gym.geometry import wrap_angle
+from vssm_gym.planning.mpc.fields import Fields
+from vssm_gym.planning.mpc.problem import MpcProblem
+from vssm_gym.transition import bicycle
+
+
+class Plans(NamedTuple):
+    """Evaluated plans."""
+
+    states: Float[Array, "*batch time 3"]  # z_1 .. z_T, heading not wrapped
+    cost: Float[Array, "*batch"]  # step costs
+    clearance: Float[Array, "*batch time discs"]  # d - r, m
+
+
+def rollout(problem: MpcProblem, state: Float[Array, "3"], controls: Float[Array, "*batch time 2"]) -> Array:
+    """``z_1 .. z_T``: :func:`~vssm_gym.transition.bicycle.integrate` step by step, ``(*batch, time, 3)``.
+
+    A bicycle's arc does not depend on its pose, so headings are sums of turns and places are sums of turned arcs: all
+    steps of all plans at once. Headings are not wrapped.
+    """
+    arcs = bicycle.arc(controls, problem.car.dt, problem.car.wheelbase)
+    turned = state[2] + jnp.cumsum(arcs[..., 2], axis=-1)
+    before = turned - arcs[..., 2]
+    c, s = jnp.cos(before), jnp.sin(before)
+    dx, dy = c * arcs[..., 0] - s * arcs[..., 1], s * arcs[..., 0] + c * arcs[..., 1]
+    return jnp.stack([state[0] + jnp.cumsum(dx, -1), state[1] + jnp.cumsum(dy, -1), turned], axis=-1)
+
+
+def footprint_clearance(problem: MpcProblem, fields: Fields, states: Float[Array, "*batch 3"]) -> Array:
+    """``d(p_i(z)) - r`` of every disc of the footprint, ``(*batch, discs)``, m."""
+    offsets, radius = problem.discs
+    heading = jnp.stack([jnp.cos(states[..., 2]), jnp.sin(states[..., 2])], axis=-1)
+    centres = states[..., None, :2] + jnp.asarray(offsets, states.dtype)[:, None] * heading[..., None, :]
+    return fields.distance(centres) - radius
+
+
+def evaluate(
+    problem: MpcProblem,
+    fields: Fields,
+    state: Float[Array, "3"],
+    last: Float[Array, "2"],
+    controls: Float[Array, "*batch time 2"],
+) -> Plans:
+    """Poses, cost and clearances of plans that start at ``state`` after the command ``last``."""
+    config, limits = problem.config, jnp.asarray(problem.car.limits, controls.dtype)
+    states = rollout(problem, state, controls)
+    clearance = footprint_clearance(problem, fields, states)
+    value = fields.value.at(states)
+    scaled = controls / limits
+    first = jnp.broadcast_to(last / limits, (*controls.shape[:-2], 1, 2))
+    change = jnp.diff(jnp.concatenate([first, scaled], axis=-2), axis=-2)
+    closeness = jnp.maximum(0.0, 1.0 - clearance / config.comfort)
+    stage = jnp.minimum(value, fields.step_cost) + fields.step_cost * (
+        config.effort * scaled[..., 0] ** 2
+        + config.smoothness * jnp.sum(change**2, axis=-1)
+        + config.proximity * jnp.mean(closeness**2, axis=-1)
+    )
+    weights = fields.discount ** jnp.arange(controls.shape[-2])
+    total = jnp.sum(weights * stage, axis=-1) + fields.discount ** controls.shape[-2] * value[..., -1]
+    return Plans(states, total, clearance)
+
+
+def required_clearance(problem: MpcProblem, fields: Fields, state: Float[Array, "3"]) -> Array:
+    """``m``: the margin, or what the present pose has where that is less, m.
+
+    A car that noise has pushed below the margin is not stuck: it may go anywhere that is not closer still.
+    """
+    return jnp.minimum(jnp.min(footprint_clearance(problem, fields, state)), problem.config.margin)
+
+
+def within_rates(problem: MpcProblem, last: Float[Array, "2"], controls: Float[Array, "*batch time 2"]) -> Array:
+    """Each control moved, one after the other, into the limits and to within a rate of the one before it."""
+    limits, rates = (jnp.asarray(a, controls.dtype) for a in (problem.car.limits, problem.rates))
+    before, kept = jnp.broadcast_to(last, controls[..., 0, :].shape), []
+    for t in range(controls.shape[-2]):  # unrolled: 25 clips in one fused loop instead of a scan of tiny steps
+        before = jnp.clip(jnp.clip(controls[..., t, :], before - rates, before + rates), -limits, limits)
+        kept.append(before)
+    return jnp.stack(kept, axis=-2)
+
+
+def shifted(controls: Float[Array, "time 2"]) -> Float[Array, "time 2"]:
+    """The plan one step later, its last control repeated."""
+    return jnp.concatenate([controls[1:], controls[-1:]])
+
+
+def with_start(state: Float[Array, "3"], states: Float[Array, "time 3"]) -> Float[Array, "steps 3"]:
+    """``z_0 .. z_T``, headings in [-pi, pi)."""
+    every = jnp.concatenate([state[None], states])
+    return every.at[:, 2].set(wrap_angle(every[:, 2]))

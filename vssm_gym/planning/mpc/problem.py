@@ -1,0 +1,192 @@
+"""The car's control problem over a short horizon, and what every solver of it returns (SPEC 7, thesis eq. 5.21).
+
+    min_u  sum_{t<T} gamma^t c(z_t, u_t) + gamma^T J(z_T)      z_{t+1} = z_t exp(arc(u_t))
+    s.t.   d(p_i(z_t)) - r >= m  for t = 1..T and every disc i of the footprint,
+           |speed| and |steering| within the car's limits, and their changes within a rate
+
+``J`` is the cost-to-go of value iteration, ``d`` the clearance of the floor plan, ``p_i`` the centres of the discs that
+cover the footprint and ``r`` their radius. ``c`` is the step cost of value iteration until ``J`` is zero, and three
+small terms: see :mod:`vssm_gym.planning.mpc.objective`.
+"""
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from vssm_gym.car import Car
+from vssm_gym.errors import InputError
+from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.footprint import car_discs
+from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+
+
+@dataclass(frozen=True)
+class MpcConfig:
+    """What the controller may do and what it is charged for; costs are in step costs of the cost-to-go.
+
+    Attributes:
+        horizon: T, steps of the car's ``dt``.
+        margin: m, the least distance between the footprint's discs and an obstacle, m.
+        comfort: distance below which closeness is charged, m; above ``margin``, so that noise meets a slope first.
+        discs: number of discs that cover the footprint.
+        speed_rate: largest change of speed, m/s^2.
+        steering_rate: largest change of the steering angle, rad/s.
+        effort: cost of a step at full speed, beside time: what makes the car stand still once it has arrived.
+        smoothness: cost of changing speed or steering by its whole limit from one step to the next.
+        proximity: cost of a step with one disc at clearance zero, falling to nothing at ``comfort`` by a parabola.
+        tolerance: violation of the clearance constraint that still counts as none, m.
+        deadline: seconds within which an answer is of use; infinite: whenever it comes.
+        seed: of everything random.
+    """
+
+    horizon: int = 25
+    margin: float = 0.01
+    comfort: float = 0.04
+    discs: int = 4
+    speed_rate: float = 3.0
+    steering_rate: float = 4.0
+    effort: float = 0.02
+    smoothness: float = 0.05
+    proximity: float = 0.5
+    tolerance: float = 1e-3
+    deadline: float = 0.1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
+                raise InputError("MpcConfig", entry.name, f"a number; found {value!r:.80}")
+        for name in ("horizon", "discs"):
+            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
+                raise InputError("MpcConfig", name, f"a whole number, at least 1; found {getattr(self, name)!r}")
+        if not (isinstance(self.seed, int) and self.seed >= 0):
+            raise InputError("MpcConfig", "seed", f"a whole number, at least 0; found {self.seed!r}")
+        for name in ("speed_rate", "steering_rate", "tolerance", "deadline"):
+            if not getattr(self, name) > 0.0:
+                raise InputError("MpcConfig", name, f"a positive number; found {getattr(self, name)!r}")
+        for name in ("margin", "effort", "smoothness", "proximity"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise InputError("MpcConfig", name, f"a finite number, at least 0; found {getattr(self, name)!r}")
+        if not (math.isfinite(self.comfort) and self.comfort > self.margin):
+            raise InputError("MpcConfig", "comfort", f"a length above margin = {self.margin!r}; found {self.comfort!r}")
+
+
+@dataclass(frozen=True)
+class MpcProblem:
+    """A car under a configuration: all that is known before a map, a goal and a pose are. Hashable, so static in JAX."""
+
+    car: Car = field(default_factory=Car)
+    config: MpcConfig = field(default_factory=MpcConfig)
+
+    @property
+    def discs(self) -> tuple[np.ndarray, float]:
+        """Centres ahead of the rear axle, ``(discs,)`` m, and the radius, m."""
+        return car_discs(self.car, self.config.discs)
+
+    @property
+    def rates(self) -> np.ndarray:
+        """Largest change of ``(speed, steering)`` between two steps: m/s and rad; float64 ``(2,)``."""
+        return self.car.dt * np.array([self.config.speed_rate, self.config.steering_rate])
+
+
+class MpcStatus(Enum):
+    """How a solution ended; the value is the message that reports print."""
+
+    SOLVED = "solved: every constraint holds, the solver converged"
+    ACCEPTABLE = "acceptable: every constraint holds, the solver stopped before it converged"
+    INFEASIBLE = "infeasible: no plan was found that keeps the margin"
+    BLOCKED = "infeasible: the car is inside an obstacle of the map"
+    LATE = "late: the answer came after the deadline"
+
+    @property
+    def message(self) -> str:
+        """The sentence that a person reads."""
+        return self.value
+
+    @property
+    def usable(self) -> bool:
+        """Whether the first control may be executed."""
+        return self in (MpcStatus.SOLVED, MpcStatus.ACCEPTABLE)
+
+
+@dataclass(frozen=True)
+class MpcResult:
+    """A plan, and how far it can be trusted.
+
+    Attributes:
+        status: how the solution ended; only a usable one may be driven.
+        controls: ``(T, 2)`` float64 (speed m/s, steering rad), within limits and rates whatever the status.
+        states: ``(T + 1, 3)`` float64 (x, y, heading) in the world frame, the present pose first, heading in [-pi, pi).
+        cost: the objective at the plan, step costs.
+        violation: largest shortfall of the clearance constraint over the plan, m; 0 where it holds.
+        clearance_min: smallest distance of the footprint's discs to an obstacle over steps 1..T, m; negative: overlap.
+        seconds: wall-clock time of the call, without compilation.
+        iterations: of the solver's innermost loop.
+        step: how many plans came before this one in the same chain of warm starts.
+        multipliers: what a solver keeps for its own next warm start; nobody else reads it.
+    """
+
+    status: MpcStatus
+    controls: np.ndarray
+    states: np.ndarray
+    cost: float
+    violation: float
+    clearance_min: float
+    seconds: float
+    iterations: int = 0
+    step: int = 0
+    multipliers: tuple[np.ndarray, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether the first control may be executed."""
+        return self.status.usable
+
+    def judged(self, deadline: float) -> "MpcResult":
+        """The same, :attr:`MpcStatus.LATE` where it took longer than ``deadline`` seconds."""
+        return replace(self, status=MpcStatus.LATE) if self.seconds > deadline else self
+
+
+class MpcSolver(Protocol):
+    """What every solver is: static options inside, everything that changes between two steps an argument."""
+
+    problem: MpcProblem
+
+    def plan(
+        self,
+        state: np.ndarray,
+        value: CostToGo,
+        clearance: ClearanceMap,
+        warm: MpcResult | None = None,
+        control: np.ndarray | None = None,
+    ) -> MpcResult:
+        """Plan from a pose. The same arguments give the same plan, unless the deadline cuts it short.
+
+        Args:
+            state: ``(3,)`` x, y (m), heading (rad) of the rear axle in the world frame.
+            value: Cost-to-go to the present goal.
+            clearance: Of the floor plan, for a point.
+            warm: The result of the step before, whose plan starts one step earlier; None after a break.
+            control: ``(2,)`` the command executed last, from which the rates count; by default ``warm``'s first, or
+                standing still with straight wheels.
+        """
+        ...
+
+
+def last_control(problem: MpcProblem, warm: MpcResult | None, control: np.ndarray | None) -> np.ndarray:
+    """The command from which the rates count, ``(2,)`` float64, within the limits."""
+    if control is None:
+        control = np.zeros(2) if warm is None else warm.controls[0]
+    return problem.car.clip(control)
+
+
+def checked_pose(state: np.ndarray) -> np.ndarray:
+    """``(3,)`` float64; an error where it is no pose."""
+    state = np.asarray(state, dtype=np.float64)
+    if state.shape != (3,) or not np.isfinite(state).all():
+        raise InputError("plan", "state", f"three finite numbers (x, y, heading); found {state!r:.80}")
+    return state

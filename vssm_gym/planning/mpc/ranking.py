@@ -1,0 +1,30 @@
+"""The best of many candidate plans."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from vssm_gym.planning.mpc.fields import Fields
+from vssm_gym.planning.mpc.objective import Plans, evaluate, required_clearance
+from vssm_gym.planning.mpc.problem import MpcProblem
+
+SHORTFALL_COST = 1e4  # step costs a metre of violation: no detour over the horizon is worth a millimetre
+
+
+def shortfall(problem: MpcProblem, fields: Fields, state: Float[Array, "3"], plans: Plans) -> Array:
+    """``max_ti max(0, m - d_ti + r)`` of each plan, m."""
+    return jnp.maximum(0.0, required_clearance(problem, fields, state) - jnp.min(plans.clearance, axis=(-2, -1)))
+
+
+def ranked(
+    problem: MpcProblem,
+    fields: Fields,
+    state: Float[Array, "3"],
+    last: Float[Array, "2"],
+    controls: Float[Array, "plans time 2"],
+    count: int,
+) -> tuple[Float[Array, "count time 2"], Float[Array, "count"]]:
+    """The ``count`` best by cost and shortfall, the best first, and what they were ranked by, step costs."""
+    plans = evaluate(problem, fields, state, last, controls)
+    score, chosen = jax.lax.top_k(-(plans.cost + SHORTFALL_COST * shortfall(problem, fields, state, plans)), count)
+    return controls[chosen], -score

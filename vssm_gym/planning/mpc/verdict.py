@@ -1,0 +1,89 @@
+"""Which of several plans is the answer, and what is said of it: the same for every solver.
+
+u = argmin { C(u_k) : max_i max(0, m - d_i(u_k) + r) <= tolerance },  else the plan with the least violation
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from vssm_gym.planning.mpc.fields import Fields
+from vssm_gym.planning.mpc.objective import evaluate, footprint_clearance, with_start
+from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus
+from vssm_gym.planning.mpc.ranking import shortfall
+
+CHEAPER = 0.02  # step costs: below it two plans are the same drive
+
+
+class Verdict(NamedTuple):
+    """The chosen plan, on the device."""
+
+    controls: Float[Array, "time 2"]
+    states: Float[Array, "steps 3"]  # the start first
+    cost: Array  # step costs
+    violation: Array  # m
+    clearance_min: Array  # m
+    start_clearance: Array  # m
+    index: Array  # which of the plans it is
+
+
+def judge(
+    problem: MpcProblem,
+    fields: Fields,
+    state: Float[Array, "3"],
+    last: Float[Array, "2"],
+    controls: Float[Array, "plans time 2"],
+    own: int,
+) -> Verdict:
+    """The best of ``controls``, all of them within limits and rates.
+
+    The first ``own`` are the solver's, the others what it started from: those must be cheaper by :data:`CHEAPER`.
+    """
+    plans = evaluate(problem, fields, state, last, controls)
+    violation = shortfall(problem, fields, state, plans)
+    feasible = violation <= problem.config.tolerance
+    handicap = jnp.where(jnp.arange(controls.shape[0]) < own, 0.0, CHEAPER)
+    cheapest = jnp.argmin(jnp.where(feasible, plans.cost + handicap, jnp.inf))
+    index = jnp.where(jnp.any(feasible), cheapest, jnp.argmin(violation))
+    return Verdict(
+        controls[index],
+        with_start(state, plans.states[index]),
+        plans.cost[index],
+        violation[index],
+        jnp.min(plans.clearance[index]),
+        jnp.min(footprint_clearance(problem, fields, state)),
+        index,
+    )
+
+
+def to_result(
+    problem: MpcProblem,
+    verdict: Verdict,
+    converged: bool,
+    seconds: float,
+    iterations: int,
+    step: int,
+    multipliers: tuple[np.ndarray, ...] = (),
+) -> MpcResult:
+    """The host's view of a verdict, with its status; a late answer is late whatever it says."""
+    violation = float(verdict.violation)
+    if float(verdict.start_clearance) < -problem.config.tolerance:
+        status = MpcStatus.BLOCKED
+    elif violation > problem.config.tolerance:
+        status = MpcStatus.INFEASIBLE
+    else:
+        status = MpcStatus.SOLVED if converged else MpcStatus.ACCEPTABLE
+    return MpcResult(
+        status,
+        np.asarray(verdict.controls, np.float64),
+        np.asarray(verdict.states, np.float64),
+        float(verdict.cost),
+        violation,
+        float(verdict.clearance_min),
+        seconds,
+        iterations,
+        step,
+        multipliers,
+    ).judged(problem.config.deadline)
