@@ -110,7 +110,7 @@ def _penetration(world: Any) -> Callable[[], float]:
         return lambda: max(
             0.0, world.robot.radius - float(clearance(world.planar[0], world.planar[1], world.maze.rectangles))
         )
-    from vssm_gym.envs.free_space import footprint
+    from vssm_gym.envs.solids import footprint
 
     solids = [(box, footprint(box)) for box in world.scenery.boxes]
 

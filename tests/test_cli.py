@@ -371,6 +371,20 @@ def test_scene_preview_draws_a_built_in_scene(vssm, tmp_path):
     assert (tmp_path / "oak.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_scene_preview_draws_a_maze(vssm, tmp_path):
+    code, out, _ = vssm("scene", "preview", "spiral-v1", "--out", str(tmp_path / "maze.png"), "--height", "240")
+    assert code == 0
+    assert "spiral-v1: 1 room" in out and "a robot 0.025 m across" in out
+    assert (tmp_path / "maze.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_scene_import_of_a_map_asks_for_its_yaml(vssm, tmp_path):
+    (tmp_path / "map.pgm").write_bytes(b"P5 1 1 255 .")
+    code, _, err = vssm("scene", "import", str(tmp_path / "map.pgm"), "--out", str(tmp_path / "flat.json"))
+    assert code == 2
+    assert "the YAML of the ROS map that names map.pgm as its image" in err and err.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [

@@ -13,14 +13,15 @@ import pytest
 import shapely
 
 from vssm_gym.envs.apartment import Apartment
-from vssm_gym.envs.free_space import FreeSpace, footprint
+from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.generator import SIZES, generate
 from vssm_gym.envs.generator.built_in import MAKERS
 from vssm_gym.envs.generator.furnish import KINDS
 from vssm_gym.envs.generator.plans import HOMES
+from vssm_gym.envs.mazes import load_maze
 from vssm_gym.envs.preview import preview
 from vssm_gym.envs.scene import ASSETS, load_scene, save_scene
-from vssm_gym.envs.solids import SolidBox
+from vssm_gym.envs.solids import SolidBox, footprint
 from vssm_gym.errors import InputError
 
 ROOMS = {"small": (1, 3), "medium": (4, 6), "large": (7, 9)}
@@ -254,3 +255,28 @@ def test_a_preview_is_a_picture_of_the_height_asked_for(name: str) -> None:
     view = picture[:58, -77:]  # the upper camera image
     assert view.std() > 15.0
     assert (picture == preview(scene(name), 120)).all()
+
+
+def test_a_bare_room_is_seen_from_two_places() -> None:
+    room = load_scene("fern").rooms[0]
+    side = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
+    wall = load_scene("fern").walls[0]
+    walls = [
+        wall.model_copy(update={"start": tuple(a), "end": tuple(b)})
+        for a, b in zip(side, np.roll(side, -1, 0), strict=True)
+    ]
+    bare = Apartment(
+        name="bare",
+        rooms=(room.model_copy(update={"polygon": tuple(map(tuple, side.tolist()))}),),
+        walls=tuple(walls),
+        ceiling_height=2.6,
+    )
+    picture = preview(bare, 240)
+    upper, lower = picture[:118, -157:], picture[-118:, -157:]
+    assert (upper != lower).mean() > 0.2
+
+
+def test_a_maze_is_drawn_as_its_plan() -> None:
+    picture = preview(load_maze("spiral-v1").apartment, 120)
+    assert picture.shape == (120, 120, 3)
+    assert picture.std() > 15.0

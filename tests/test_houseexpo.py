@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from scene_checks import check_scene
 from shapely import Polygon
 
-from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.importers.houseexpo import import_houseexpo
 from vssm_gym.envs.importers.plan_rooms import split_rooms
 from vssm_gym.envs.importers.plan_walls import square_corners
 from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "houseexpo"

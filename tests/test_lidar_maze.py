@@ -12,7 +12,6 @@ import shapely
 from gymnasium.utils.env_checker import check_env
 from scipy import stats
 
-from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.lidar_maze import LONGEST, STEP_COST, SUCCESS_REWARD, LidarMazeEnv
 from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE, RangeNoise, measure
 from vssm_gym.envs.maze_objectives import TILE
@@ -20,6 +19,7 @@ from vssm_gym.envs.mazes import MAZES, ROBOT, load_maze
 from vssm_gym.envs.planar import scan
 from vssm_gym.envs.progress import GoalDistance
 from vssm_gym.envs.robots import ExecutionNoise, execute
+from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 
 ID = "vssm_gym:vssm_gym/LidarMaze-v0"

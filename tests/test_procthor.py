@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from vssm_gym.envs.importers.procthor import import_procthor, read_assets
 from vssm_gym.envs.importers.procthor_format import Asset
 from vssm_gym.envs.importers.procthor_looks import object_material, surface_material
-from vssm_gym.envs.importers.procthor_objects import footprint
 from vssm_gym.envs.scene import Apartment, Wall, load_scene
+from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "procthor"

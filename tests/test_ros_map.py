@@ -17,11 +17,12 @@ from PIL import Image
 from scene_checks import check_scene
 from scipy import ndimage
 
-from vssm_gym.envs.free_space import FreeSpace, footprint
+from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.geodesic import Geodesics
 from vssm_gym.envs.importers.rectangles import cover
 from vssm_gym.envs.importers.ros_map import LEAST, import_ros_map
 from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "maps2d" / "willow-2010-02-18-0.10.yaml"

@@ -1,5 +1,6 @@
 """``vssm-gym scene preview|import|generate``: look at a scene, bring one, make one (DESIGN)."""
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,14 +14,13 @@ if TYPE_CHECKING:
 def preview(
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")], out: Path, height: int = 720
 ) -> None:
-    """Draw a scene: its plan and two views from inside.
+    """Draw a scene: its plan and two views from inside; of a maze, which no such robot fits into, the plan alone.
 
     Args:
-        scene: built-in name (oak), procedural:SEED or path of a scene file.
+        scene: built-in name (oak), a maze's (spiral-v1), procedural:SEED or path of a scene file.
         out: the picture to write (.png).
         height: of the picture, pixels.
     """
-    from vssm_gym.envs.scene import load_scene
     from vssm_gym.errors import InputError
     from vssm_gym.eval.destinations import check_file
 
@@ -28,7 +28,7 @@ def preview(
         raise InputError("scene preview", "height", f"120 to 4320 pixels; found {height}")
     check_file(out)
     _check_ending("scene preview", out, ".png")
-    apartment = load_scene(scene)
+    apartment = _load(scene)
     _draw(apartment, out, height)
     print(f"{_summary(apartment)}\n{out}")
 
@@ -43,12 +43,11 @@ def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FI
         file: the scene file.
         out: the scene to write (.json); the picture gets the same name and the ending .png.
     """
-    from vssm_gym.envs.scene import load_scene
     from vssm_gym.errors import InputError
 
     if out.exists() and Path(file).exists() and out.samefile(file):
         raise InputError("scene import", "out", f"another file than {file}: what is imported is never overwritten")
-    _write("scene import", out, lambda: load_scene(file))
+    _write("scene import", out, lambda: _load(file))
 
 
 def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"] = "medium") -> None:
@@ -80,6 +79,16 @@ def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
     print(f"{summary}\n{out}\n{picture}\nnext: vssm-gym record --scene {out} --out recording")
 
 
+def _load(scene: str) -> "Apartment":
+    """The scene of a name or file, mazes too; what its warnings say is printed with its notes."""
+    from vssm_gym.envs.mazes import FOLDER, MAZES
+    from vssm_gym.envs.scene import load_scene
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return load_scene(FOLDER / f"{scene}.json" if scene in MAZES else scene)
+
+
 def _check_ending(command: str, path: Path, ending: str) -> None:
     from vssm_gym.errors import InputError
 
@@ -98,11 +107,12 @@ def _draw(apartment: "Apartment", path: Path, height: int) -> None:
 
 
 def _summary(apartment: "Apartment") -> str:
-    """What is in the scene, and where the standard robot can be in it."""
+    """What is in the scene, and where the robot of its size can be in it."""
     from vssm_gym.envs.free_space import FreeSpace
+    from vssm_gym.envs.mazes import ROBOT, is_maze
     from vssm_gym.envs.robots import HolonomicRobot
 
-    robot = HolonomicRobot()
+    robot = ROBOT if is_maze(apartment) else HolonomicRobot()
     space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
     counts = ", ".join(
         f"{number} {word if number != 1 else word.removesuffix('s')}"

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from shapely import MultiPolygon, Polygon
 
 from vssm_gym.envs.apartment import Apartment
-from vssm_gym.envs.solids import SolidBox
+from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 
 STEP_HEIGHT = 0.01  # m; what is lower (rugs, thresholds) does not stop the robot
@@ -28,13 +28,6 @@ _SIMPLIFY = 1e-5  # m; removes the near-collinear vertices that unions leave beh
 # GEOS fills a corner with chords of up to 1.5 nominal steps whose *ends* lie on the circle. Growing by this much more
 # puts the chords outside the circle instead: free space is never too large, and at most 0.9 % of the radius too small.
 _OUTSET = 1.0 / math.cos(0.75 * (0.5 * math.pi / _QUADRANT))
-
-
-def footprint(box: SolidBox) -> Polygon:
-    """The rectangle a box covers on the floor, world frame."""
-    half = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * box.size[:2]
-    c, s = math.cos(box.yaw), math.sin(box.yaw)
-    return Polygon(half @ np.array([[c, s], [-s, c]]) + box.center[:2])
 
 
 class FreeSpace:

@@ -81,9 +81,9 @@ def load_maze(spec: str | Path | Apartment) -> Maze:
     if isinstance(spec, str) and spec not in MAZES and not Path(spec).is_file():
         raise InputError(spec, "scene", f"a maze ({', '.join(MAZES)}) or the path of an existing JSON file")
     apartment = load_scene(FOLDER / f"{spec}.json" if spec in MAZES else spec)
-    floor = shapely.union_all([shapely.Polygon(room.polygon) for room in apartment.rooms])
-    west, south, east, north = floor.bounds
-    if min(west, south) < -_ROUNDING or max(east, north) > 1.0 + _ROUNDING:
+    floor = _floor(apartment)
+    if not is_maze(apartment):
+        west, south, east, north = floor.bounds
         found = f"found x from {west:g} to {east:g}, y from {south:g} to {north:g}"
         raise InputError(apartment.name, "rooms", f"a maze within the unit square; {found}")
     cut = _plane(apartment)
@@ -95,6 +95,12 @@ def load_maze(spec: str | Path | Apartment) -> Maze:
     if (parts := len(sampler.space.region.geoms)) > 1:
         raise InputError(apartment.name, "walls", f"free space in one connected part; the robot finds {parts}")
     return Maze(apartment, cut, sampler)
+
+
+def is_maze(apartment: Apartment) -> bool:
+    """Whether its floor lies within the unit square: a scene for a maze's robot, and for no larger one."""
+    west, south, east, north = _floor(apartment).bounds
+    return bool(min(west, south) >= -_ROUNDING and max(east, north) <= 1.0 + _ROUNDING)
 
 
 def grid_tasks(maze: Maze) -> TaskSet:
@@ -135,6 +141,10 @@ def freeze(folder: Path = FOLDER / "tasks") -> list[Path]:
     for name, path in zip(MAZES, paths, strict=True):
         save(grid_tasks(load_maze(name)), path)
     return paths
+
+
+def _floor(apartment: Apartment) -> shapely.Geometry:
+    return shapely.union_all([shapely.Polygon(room.polygon) for room in apartment.rooms])
 
 
 def _plane(apartment: Apartment) -> Float[np.ndarray, "m 6"]:

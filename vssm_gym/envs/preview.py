@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw
 from vssm_gym.axes import Matrix4
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.mazes import is_maze
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
@@ -23,6 +24,7 @@ POSITIONS, HEADINGS = 48, 16  # viewpoints tried in a room
 ENOUGH = 4  # rays of the coarse image that must meet a thing for it to count as seen
 NEAR = 0.9  # m; things as close as this spoil a view
 FAR = 8.0  # m; beyond, distance makes a view no better
+APART = 1.5  # m between the two viewpoints
 _GAP = 4  # pixels between the pictures
 _INK = (24, 92, 196)
 
@@ -30,9 +32,10 @@ _INK = (24, 92, 196)
 def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "height width 3"]:
     """The plan, north up, and beside it two camera images one above the other.
 
-    The images are taken in the two largest rooms (both in the one room of a studio), each from where most
-    pieces of furniture are seen that the other does not show. Blue dots in the plan say from where, their angles
-    the field of view. The width follows the plan's proportions.
+    The images are taken in the two largest rooms (both in the one room of a studio, at least APART from each other
+    where it is large enough), each from where most pieces of furniture are seen that the other does not show. Blue dots
+    in the plan say from where, their angles the field of view. The width follows the plan's proportions. A maze is
+    drawn as its plan alone: it is a world of two dimensions.
 
     Args:
         apartment: the scene.
@@ -41,6 +44,8 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     Raises:
         InputError: a scene in which no robot fits, which therefore has no viewpoint.
     """
+    if is_maze(apartment):
+        return TopDown(apartment.boxes(), height, height, margin=0.02).background
     robot = HolonomicRobot()
     space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
     boxes = apartment.boxes()
@@ -56,7 +61,8 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     poses: list[Matrix4] = []
     seen: set[str] = set()
     for room in (rooms * 2)[:2]:
-        pose, shown = _best_view(coarse, names, _positions(space, room), seen)
+        positions = _apart(_positions(space, room), poses if room is rooms[0] else [])
+        pose, shown = _best_view(coarse, names, positions, seen)
         poses.append(pose)
         seen |= shown
     views = [camera.render(pose)[0] for pose in poses]
@@ -83,6 +89,15 @@ def _positions(space: FreeSpace, room: shapely.Polygon) -> Float[np.ndarray, "n 
     grid = np.stack(np.meshgrid(np.arange(x0, x1, step), np.arange(y0, y1, step), indexing="ij"), axis=-1)
     inside = grid[shapely.contains_xy(area, grid[..., 0], grid[..., 1])]
     return inside if len(inside) else shapely.get_coordinates(area.representative_point())
+
+
+def _apart(positions: Float[np.ndarray, "n 2"], poses: list[Matrix4]) -> Float[np.ndarray, "m 2"]:
+    """The positions APART from all that were chosen; the farthest one where none is."""
+    if not poses:
+        return positions
+    taken = np.array([pose[:2, 3] for pose in poses])
+    away = np.linalg.norm(positions[:, None] - taken, axis=-1).min(axis=1)
+    return positions[away >= min(APART, float(away.max()))]
 
 
 def _best_view(

@@ -4,7 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 import shapely
@@ -37,6 +37,29 @@ class SolidBox:
     size: tuple[float, float, float]
     yaw: float
     material: "Material"
+
+
+class Solid(Protocol):
+    """An upright box of furniture or of the building."""
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """(x, y, z) m, world."""
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Full extents m along its own axes."""
+
+    @property
+    def yaw(self) -> float:
+        """Rad about z."""
+
+
+def footprint(box: Solid) -> shapely.Polygon:
+    """The rectangle a box covers on the floor, world frame."""
+    half = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * box.size[:2]
+    c, s = math.cos(box.yaw), math.sin(box.yaw)
+    return shapely.Polygon(half @ np.array([[c, s], [-s, c]]) + box.center[:2])
 
 
 def solid_boxes(apartment: "Apartment") -> list[SolidBox]:

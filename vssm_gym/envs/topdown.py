@@ -8,8 +8,7 @@ import shapely
 from PIL import Image, ImageDraw
 
 from vssm_gym.axes import PlanarPose
-from vssm_gym.envs.free_space import footprint
-from vssm_gym.envs.solids import SolidBox
+from vssm_gym.envs.solids import SolidBox, footprint
 
 CUT = 1.2  # m: boxes that begin higher (wall cupboards, lintels) are left out
 FLATTEST = 2  # width over height of a camera's picture at most

@@ -17,9 +17,8 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from vssm_gym.envs.apartment import Apartment, Box, Door, Furniture, Room, Window
-from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.generator.pieces import LOW, STEP, Block, Piece
-from vssm_gym.envs.solids import SolidBox
+from vssm_gym.envs.solids import SolidBox, footprint
 
 CLOSED, PASSAGE = 0.11, 0.47  # m: gaps between two things are at most the one or at least the other
 WIDE = 0.21  # m, radius of the disc that reaches every door of a room

@@ -11,11 +11,10 @@ import numpy as np
 import shapely
 
 from vssm_gym.envs.apartment import Apartment, Box, Furniture, Material
-from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.generator.decor import PAINTINGS
 from vssm_gym.envs.generator.floorplan import DoorPlan, Plan, RoomPlan, build
 from vssm_gym.envs.generator.pieces import WHITE, pick, tinted
-from vssm_gym.envs.solids import SolidBox
+from vssm_gym.envs.solids import SolidBox, footprint
 
 ARENA_GAP = 0.38  # m between obstacles, and to the walls; the car is 0.2 m wide
 _DRAWS = 4000

@@ -53,6 +53,7 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
     outline = _outline(plan, source, notes)
     parts, openings = split_rooms(outline)
     kinds = [_kind(part, plan) for part in parts]
+    notes += _stray_categories(plan, outline)
     names = _numbered([kind.capitalize() for kind in kinds])
     rooms: list[Room] = []
     walls: list[Wall] = []
@@ -109,6 +110,16 @@ def _kind(part: Polygon, plan: Plan) -> str:
             if overlap > most:
                 best, most = category.replace("_", " ").strip().lower()[:40] or "room", overlap
     return best
+
+
+def _stray_categories(plan: Plan, outline: Polygon) -> list[str]:
+    """A sentence for each category whose boxes all lie outside the plan or have no area: it can name no room."""
+    stray = []
+    for category, boxes in plan.room_category.items():
+        shapes = [shapely.box(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)) for x0, y0, x1, y1 in boxes]
+        if shapes and all(shape.intersection(outline).area == 0.0 for shape in shapes):
+            stray.append(f"room_category {category[:40]!r} has no box on the plan: it names no room")
+    return stray
 
 
 def _numbered(words: list[str]) -> list[str]:

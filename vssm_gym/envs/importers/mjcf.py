@@ -19,6 +19,8 @@ from vssm_gym.envs.apartment import FAR, Apartment, Box, Furniture, Material, Ro
 from vssm_gym.envs.importers.mjcf_xml import StillModel
 from vssm_gym.envs.importers.voxels import CELL, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
 from vssm_gym.envs.mjcf import StaticGeom, static_geoms
+from vssm_gym.envs.scene_faults import misplaced, told
+from vssm_gym.envs.solids import footprint
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
@@ -52,9 +54,7 @@ def import_mjcf(path: Path) -> Apartment:
     level = floor.center[2] + (floor.size[2] if floor.shape == "box" else 0.0)
     if abs(level) > 1e-9:
         notes.append(f"moved by {-level:.3f} m: the floor is z = 0")
-    furniture, cut = _furniture([geom for geom in geoms if geom is not floor], level, path)
-    if cut:
-        notes.append(f"{cut} geoms that are no upright boxes were cut into upright boxes, {CELL:g} m fine")
+    furniture = _furniture([geom for geom in geoms if geom is not floor], level, path, notes)
     tops = [box.center[2] + box.size[2] / 2 for piece in furniture for box in piece.boxes]
     ceiling = max([HEADROOM, *(top + 0.05 for top in tops)])
     rooms, walls = _rooms(floor, furniture, ceiling, path, notes)
@@ -66,7 +66,7 @@ def import_mjcf(path: Path) -> Apartment:
         "ceiling_height": ceiling,
         "notes": notes,
     }
-    return validated(Apartment, content, path)
+    return told(validated(Apartment, content, path), misplaced)
 
 
 def _floor(geoms: list[StaticGeom], path: Path) -> StaticGeom:
@@ -85,11 +85,11 @@ def _floor(geoms: list[StaticGeom], path: Path) -> StaticGeom:
     return max(lowest, key=lambda geom: (geom.shape == "plane", geom.size[0] * geom.size[1]))
 
 
-def _furniture(geoms: list[StaticGeom], level: float, path: Path) -> tuple[list[Furniture], int]:
-    """One piece a geom, its z measured from the floor, and how many had to be cut into small boxes."""
+def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[str]) -> list[Furniture]:
+    """One piece a geom, its z measured from the floor; what was cut into small boxes or left out goes to ``notes``."""
     pieces: list[Furniture] = []
     used: dict[str, int] = defaultdict(int)
-    total = cut = 0
+    total = cut = under = 0
     for i, geom in enumerate(geoms):
         boxes, exact = _boxes(geom, path)
         cut += not exact
@@ -112,7 +112,12 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path) -> tuple[list[
             used[name] += 1
             unique = name if used[name] == 1 else f"{name} #{used[name]}"
             pieces.append(Furniture(name=unique, category=geom.shape, boxes=tuple(solid)))
-    return pieces, cut
+        under += not solid
+    if cut:
+        notes.append(f"{cut} geoms that are no upright boxes were cut into upright boxes, {CELL:g} m fine")
+    if under:
+        notes.append(f"left out: {under} geom{'s' * (under > 1)} under the floor, or with no more than its thickness")
+    return pieces
 
 
 def _boxes(geom: StaticGeom, path: Path) -> tuple[list[tuple[np.ndarray, np.ndarray, float]], bool]:
@@ -165,7 +170,7 @@ def _rooms(
     color = np.clip(0.4 + 0.6 * floor.rgba[:3], 0.0, 1.0).tolist()
     material = Material(color=color, texture="tiles", scale=1.5)
     solid = [
-        _footprint(box)
+        footprint(box)
         for piece in furniture
         for box in piece.boxes
         if box.center[2] + box.size[2] / 2 > BODY[0] and box.center[2] - box.size[2] / 2 < BODY[1]
@@ -194,19 +199,13 @@ def _corners(outline: Polygon) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in shapely.get_coordinates(outline.exterior)[:-1])
 
 
-def _footprint(box: Box) -> Polygon:
-    c, s = math.cos(box.yaw), math.sin(box.yaw)
-    half = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * box.size[:2] / 2
-    return Polygon(half @ np.array([[c, s], [-s, c]]) + box.center[:2])
-
-
 def _ground(floor: StaticGeom, furniture: list[Furniture], path: Path) -> Polygon:
     """The floor's rectangle; an endless plane's goes MARGIN beyond what stands on it."""
     half = floor.size[:2].copy()
     if (half > 0.0).all():
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
         return Polygon(corners @ floor.rotation[:2, :2].T + floor.center[:2])
-    plans = [_footprint(box) for piece in furniture for box in piece.boxes]
+    plans = [footprint(box) for piece in furniture for box in piece.boxes]
     if not plans:
         raise InputError(path, "worldbody", "geoms on the floor or a floor of finite size")
     x0, y0, x1, y1 = shapely.union_all(plans).bounds

@@ -23,8 +23,9 @@ import shapely
 from vssm_gym.envs.apartment import XY, Apartment, Door, Furniture, Material, Room, Wall, Window
 from vssm_gym.envs.importers.procthor_format import Asset, Hole, House, HouseWall, Surface, Vector
 from vssm_gym.envs.importers.procthor_looks import RGB, surface_material
-from vssm_gym.envs.importers.procthor_objects import footprint, furniture_of, outside
-from vssm_gym.envs.solids import door_leaves
+from vssm_gym.envs.importers.procthor_objects import furniture_of
+from vssm_gym.envs.scene_faults import misplaced, open_edges, told
+from vssm_gym.envs.solids import door_leaves, footprint
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
@@ -94,7 +95,6 @@ def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: o
     walls, faces = _walls(house, outlines, source)
     furniture = furniture_of(house, assets, walls, source, notes)
     ceiling = max(wall.base + wall.height for wall in walls)
-    notes += outside(furniture, shapely.union_all(list(outlines.values())), ceiling)
     doors = [_door(f"doors[{i}]", hole, names, walls, faces, furniture, source) for i, hole in enumerate(house.doors)]
     windows = [
         validated(Window, _hole(f"windows[{i}]", hole, walls, faces, source), source, at=f"windows[{i}]")
@@ -111,7 +111,7 @@ def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: o
         "ceiling": _surface(house.proceduralParameters.ceilingMaterial, "ceiling"),
         "notes": notes,
     }
-    return validated(Apartment, content, source)
+    return told(validated(Apartment, content, source), open_edges, misplaced)
 
 
 def _xy(p: Vector) -> XY:

@@ -3,10 +3,8 @@
 import math
 from collections import defaultdict
 from collections.abc import Mapping
-from typing import Protocol
 
 import numpy as np
-import shapely
 
 from vssm_gym.envs.apartment import Box, Furniture, Wall
 from vssm_gym.envs.importers.procthor_format import OBJECTS, Asset, House, HouseObject
@@ -15,29 +13,6 @@ from vssm_gym.errors import InputError
 
 MOUNTED = 0.05  # m above the floor from which an object at a wall counts as hanging on it
 TILT = math.radians(1.0)  # tilt of an object that is worth a note
-
-
-class Solid(Protocol):
-    """An upright box of furniture or of the building."""
-
-    @property
-    def center(self) -> tuple[float, float, float]:
-        """(x, y, z) m, world."""
-
-    @property
-    def size(self) -> tuple[float, float, float]:
-        """Full extents m along its own axes."""
-
-    @property
-    def yaw(self) -> float:
-        """Rad about z."""
-
-
-def footprint(box: Solid) -> shapely.Polygon:
-    """The ground plan of anything with ``center``, ``size`` and ``yaw``."""
-    c, s = math.cos(box.yaw), math.sin(box.yaw)
-    corners = [(i * box.size[0] / 2, j * box.size[1] / 2) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return shapely.Polygon([(box.center[0] + c * x - s * y, box.center[1] + s * x + c * y) for x, y in corners])
 
 
 def furniture_of(
@@ -77,22 +52,6 @@ def furniture_of(
     for i, item in enumerate(house.objects):
         add(item, f"objects[{i}]", None)
     return pieces
-
-
-def outside(furniture: list[Furniture], floor: shapely.Geometry, ceiling: float) -> list[str]:
-    """A sentence for each piece that no robot could meet: off the ``floor``'s plan, under it or above the ceiling, m.
-
-    They stay where they are: images show them where the file has them.
-    """
-    shapely.prepare(floor)
-    notes = []
-    for piece in furniture:
-        (box,) = piece.boxes
-        if not floor.intersects(footprint(box)):
-            notes.append(f"{piece.name} is outside the walls")
-        elif box.center[2] + box.size[2] / 2 < 0.0 or box.center[2] - box.size[2] / 2 > ceiling:
-            notes.append(f"{piece.name} is {'under the floor' if box.center[2] < 0.0 else 'above the ceiling'}")
-    return notes
 
 
 def _box(item: HouseObject, asset: Asset) -> tuple[Box, float]:
