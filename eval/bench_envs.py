@@ -1,8 +1,8 @@
 """``bench envs``: steps a second of the environments, through ``gym.make`` and ``gym.make_vec`` as anyone would.
 
 A step is everything: physics, rays, shading, reward, observation, info. Rates are medians over windows of random
-actions that never stop; the same windows for every row. Embree's single-ray call, which embreex wraps, and its packets
-of sixteen rays, which it does not, are both measured: the second is what runs where processor and wheel allow it.
+actions that never stop; the same windows for every row. One row traces the same image's rays with Embree instead of
+drawing it, without textures and light: what a ray tracer would cost.
 """
 
 import importlib.util
@@ -17,7 +17,10 @@ import gymnasium as gym
 import numpy as np
 
 import vssm_gym  # noqa: F401  (registers the environments)
-from vssm_gym.envs.raycast import EmbreeTracer
+from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.tracing import EmbreeTracer
+from vssm_gym.geometry import R_BODY_CAM
 
 WINDOWS, SECONDS = 5, 1.0  # windows a row, and their length at least
 ROBOTS = 16  # of a vector environment
@@ -39,23 +42,16 @@ def measure(*, scene: str = SCENE, seed: int = 0, progress: Progress | None = No
         there is no MiniWorld, or None.
     """
     scan: dict[str, Any] = {"camera": {"width": 64, "height": 1}}
-    one: dict[str, Any] = {"threads": 1}
     two = min(2, os.cpu_count() or 1)
     plans: list[tuple[str, Callable[[], float], int, float | None]] = [
-        ("RGB-D 160x120, single rays", lambda: _alone("PointNav", scene, seed, packets=False, **one), 1, 400.0),
-        ("RGB-D 160x120, ray packets", lambda: _alone("PointNav", scene, seed, **one), 1, 1200.0),
-        (f"the same, {ROBOTS} at once, single rays", lambda: _many("PointNav", scene, seed, packets=False), two, 700.0),
-        (f"the same, {ROBOTS} at once, ray packets", lambda: _many("PointNav", scene, seed), two, None),
-        (
-            "RGB-D 160x120 as a Kinect sees",
-            lambda: _alone("PointNav", scene, seed, sensor_noise="kinect", **one),
-            1,
-            None,
-        ),
-        ("64 rays", lambda: _alone("PointNav", scene, seed, **one, **scan), 1, None),
+        ("RGB-D 160x120", lambda: _alone("PointNav", scene, seed), 1, 1200.0),
+        (f"the same, {ROBOTS} at once", lambda: _many("PointNav", scene, seed), two, 700.0),
+        ("RGB-D 160x120 as a Kinect sees", lambda: _alone("PointNav", scene, seed, sensor_noise="kinect"), 1, None),
+        ("Embree's rays of such an image, nothing else", lambda: _embree(scene, seed), 1, None),
+        ("64 rays", lambda: _alone("PointNav", scene, seed, **scan), 1, None),
         (f"64 rays, {ROBOTS} at once", lambda: _many("PointNav", scene, seed, **scan), two, None),
-        ("Explore", lambda: _alone("Explore", scene, seed, **one), 1, None),
-        ("Flight", lambda: _alone("Flight", "hall", seed, **one), 1, None),
+        ("Explore", lambda: _alone("Explore", scene, seed), 1, None),
+        ("Flight", lambda: _alone("Flight", "hall", seed), 1, None),
         ("LidarMaze, 64 rays", lambda: _alone("LidarMaze", None, seed), 1, None),
     ]
     peer = None if importlib.util.find_spec("miniworld") else "MiniWorld is not installed"
@@ -71,16 +67,15 @@ def measure(*, scene: str = SCENE, seed: int = 0, progress: Progress | None = No
             peer = f"MiniWorld does not run here: {' '.join(str(error).split()):.200}"
         if progress:
             progress("measuring", i + 1, len(plans))
-    shapes = len(gym.make("vssm_gym/PointNav-v0", scene=scene).unwrapped.simulation.scenery.boxes)  # type: ignore[attr-defined]
+    shapes = len(load_scene(scene).boxes())
     machine = {"cores": os.cpu_count(), "processor": platform.machine()}
     return {"scene": scene, "shapes": shapes, "rows": rows, "peer": peer, "machine": machine}
 
 
-def _alone(kind: str, scene: str | None, seed: int, packets: bool = True, **keywords: Any) -> float:
+def _alone(kind: str, scene: str | None, seed: int, **keywords: Any) -> float:
     if scene is not None:
         keywords["scene"] = scene
     env = gym.make(f"vssm_gym/{kind}-v0", **keywords)
-    _choose_rays([env.unwrapped], packets)
     env.reset(seed=seed)
     low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
     rng = np.random.default_rng(seed)
@@ -95,14 +90,12 @@ def _alone(kind: str, scene: str | None, seed: int, packets: bool = True, **keyw
         return 1
 
     rate = _rate(step)
-    _choose_rays([env.unwrapped], packets=True)
     env.close()
     return rate
 
 
-def _many(kind: str, scene: str, seed: int, packets: bool = True, **keywords: Any) -> float:
+def _many(kind: str, scene: str, seed: int, **keywords: Any) -> float:
     env = gym.make_vec(f"vssm_gym/{kind}-v0", num_envs=ROBOTS, scene=scene, **keywords)
-    _choose_rays(env.unwrapped.envs, packets)  # type: ignore[attr-defined]
     env.reset(seed=seed)
     low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
     rng = np.random.default_rng(seed)
@@ -114,17 +107,25 @@ def _many(kind: str, scene: str, seed: int, packets: bool = True, **keywords: An
         return ROBOTS
 
     rate = _rate(step)
-    _choose_rays(env.unwrapped.envs, packets=True)  # type: ignore[attr-defined]
     env.close()
     return rate
 
 
-def _choose_rays(envs: Any, packets: bool) -> None:
-    """Packets or single rays, for all that share the environments' renderers."""
-    for env in envs:
-        scenery = getattr(getattr(env, "simulation", env), "scenery", None)
-        if scenery is not None and isinstance(scenery.tracer, EmbreeTracer):
-            scenery.tracer.use_packets = packets
+def _embree(scene: str, seed: int) -> float:
+    """Images a second of which Embree traces every pixel's ray, by its wheel's public call, from places all over."""
+    boxes, camera = load_scene(scene).boxes(), CameraConfig().intrinsics()
+    tracer, rays = EmbreeTracer(boxes), np.asarray(camera.rays(), dtype=np.float64).reshape(-1, 3)
+    rng = np.random.default_rng(seed)
+    low, high = (edge([box.center for box in boxes], axis=0) for edge in (np.min, np.max))
+
+    def step() -> int:
+        heading = rng.uniform(-np.pi, np.pi)
+        c, s = np.cos(heading), np.sin(heading)
+        R_world_cam = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R_BODY_CAM
+        tracer.trace(np.array([*rng.uniform(low[:2], high[:2]), 0.4]), (rays @ R_world_cam.T).astype(np.float32))
+        return 1
+
+    return _rate(step)
 
 
 def _rate(step: Callable[[], int]) -> float:

@@ -199,5 +199,5 @@ def _world(scene: str, noise: tuple[float, float], map_file: Path, driver: str) 
     from vssm_gym.envs.tasks import TaskSampler
     from vssm_gym.voxel_map import VoxelMap
 
-    env = PointNavEnv(scene=scene, noise=ExecutionNoise(*noise), observe_pose=True, reward="sparse", threads=1)
+    env = PointNavEnv(scene=scene, noise=ExecutionNoise(*noise), observe_pose=True, reward="sparse")
     return env, TaskSampler(env.apartment, env.robot), VoxelMap.load(map_file), AGENTS[driver]()

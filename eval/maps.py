@@ -11,10 +11,8 @@ import numpy as np
 from vssm_gym.camera import Camera
 from vssm_gym.data.recording import read_provenance, record
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
-from vssm_gym.envs.mjcf import World
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.scene import load_scene
-from vssm_gym.envs.sensors import make_tracer
 from vssm_gym.errors import InputError
 from vssm_gym.eval.version import package_version
 from vssm_gym.inference.map_update import MapUpdateConfig, update
@@ -111,12 +109,11 @@ def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: P
     """
     apartment = load_scene(scene)
     name = Path(scene).stem
-    tracer = make_tracer(World(apartment, HolonomicRobot())).name
     origin: dict[str, str | int] = {
         "scene_hash": apartment.content_hash(),
         "seed": seed,
         "noise": NOISE,
-        "renderer": tracer,
+        "renderer": RaycastCamera.name,
     }
     map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
     if map_file.exists():

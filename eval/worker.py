@@ -140,7 +140,6 @@ def _env(condition: Condition, observe_pose: bool) -> "gym.Env":
         renderer=condition.renderer,
         observe_pose=observe_pose,
         reward="sparse",
-        threads=1,
         disable_env_checker=True,
     )
 

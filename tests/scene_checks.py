@@ -12,7 +12,7 @@ def check_scene(apartment: Apartment, steps: int = 30) -> FreeSpace:
     """Free space, rendering and driving; returns the free space of a robot of 0.1 m radius and 0.5 m height."""
     space = FreeSpace.from_apartment(apartment, 0.1, 0.5)
     assert space.largest.area > 0.5
-    env = PointNavEnv(apartment, camera=CameraConfig(64, 48), threads=1, reward="sparse")
+    env = PointNavEnv(apartment, camera=CameraConfig(64, 48), reward="sparse")
     try:
         observation, _ = env.reset(seed=1)
         rng = np.random.default_rng(2)

@@ -7,7 +7,7 @@ from box_rooms import furniture, two_rooms
 
 from vssm_gym.envs.coverage import CELL, REACH, Coverage, Observable
 from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.raycast import EmbreeTracer
+from vssm_gym.envs.tracing import EmbreeTracer
 from vssm_gym.envs.robots import HolonomicRobot
 
 ROBOT = HolonomicRobot()

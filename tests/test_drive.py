@@ -77,7 +77,7 @@ class Rider:
 @pytest.fixture(scope="module")
 def world():
     camera = CameraConfig(width=32, height=24)
-    env = PointNavEnv(scene=two_rooms(), noise="none", camera=camera, observe_pose=True, reward="sparse", threads=1)
+    env = PointNavEnv(scene=two_rooms(), noise="none", camera=camera, observe_pose=True, reward="sparse")
     yield env, TaskSampler(env.apartment, env.robot), voxel_map(shapely.box(0.0, 0.0, 6.0, 4.0), [])
     env.close()
 

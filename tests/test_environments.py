@@ -17,7 +17,7 @@ ALWAYS = ("collision", "control")  # what every info holds
 
 
 def make(name: str, **keywords) -> gym.Env:
-    small = {} if "LidarMaze" in name else {"camera": {"width": 32, "height": 24}, "threads": 1}
+    small = {} if "LidarMaze" in name else {"camera": {"width": 32, "height": 24}}
     return gym.make(name, **small | keywords)
 
 

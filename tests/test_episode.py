@@ -49,7 +49,7 @@ def sampler():
 
 @pytest.fixture(scope="module")
 def env():
-    made = gym.make("vssm_gym/PointNav-v0", scene=two_rooms(), noise="none", max_episode_steps=LIMIT, threads=1)
+    made = gym.make("vssm_gym/PointNav-v0", scene=two_rooms(), noise="none", max_episode_steps=LIMIT)
     yield made
     made.close()
 
@@ -195,7 +195,6 @@ def test_no_agent_acts_on_what_info_says(name, sampler):
         noise="low",
         max_episode_steps=6,
         camera=camera,
-        threads=1,
         observe_pose=agent.needs_pose,
     )
     actions = []

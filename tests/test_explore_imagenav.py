@@ -15,7 +15,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 
 SCENE = two_rooms(pieces=(furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6)),))
-KEYWORDS = {"scene": SCENE, "noise": "none", "camera": CameraConfig(width=32, height=24), "threads": 1}
+KEYWORDS = {"scene": SCENE, "noise": "none", "camera": CameraConfig(width=32, height=24)}
 SAMPLER = TaskSampler(SCENE, HolonomicRobot())
 TASK = SAMPLER.task((0.5, 1.0, 0.0), (2.0, 1.0))
 FORWARD, TURN, STOP = (np.array(a, np.float32) for a in ([0, 0, 0.16, 0], [0.2, 0, 0, 0], [0, 0, 0, 1]))

@@ -197,7 +197,7 @@ def test_any_thread_may_draw_and_the_bytes_are_the_same(gl):
 
 def test_the_choice_is_named_and_the_environment_left_alone(gl):
     before = os.environ.get("MUJOCO_GL")
-    eye = make_camera(World(load_scene("oak"), ROBOT), CameraConfig(64, 48), "gl")
+    eye = make_camera(load_scene("oak").boxes(), CameraConfig(64, 48), "gl")
     assert eye.name in {f"gl-{backend.name}" for backend in BACKENDS}
     assert eye.render(look(0.0))[1].shape == (48, 64)
     eye.close()
@@ -222,7 +222,7 @@ def test_without_opengl_the_error_says_what_the_doctor_says(monkeypatch):
     monkeypatch.setattr(gl_backends, "try_python", lambda code: (False, "no such library"))
     gl_backends._find.cache_clear()
     with pytest.raises(InputError) as failure:
-        make_camera(World(load_scene("oak"), ROBOT), CameraConfig(64, 48), "gl")
+        make_camera(load_scene("oak").boxes(), CameraConfig(64, 48), "gl")
     gl_backends._find.cache_clear()
     for backend in BACKENDS:
         assert f"{backend.title}: no such library -> {backend.remedy}" in str(failure.value)

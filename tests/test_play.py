@@ -33,7 +33,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def session(record: Path | None = None, **keywords) -> Session:
-    env = gym.make("vssm_gym/PointNav-v0", camera=CameraConfig(32, 24), noise="none", threads=1, **keywords)
+    env = gym.make("vssm_gym/PointNav-v0", camera=CameraConfig(32, 24), noise="none", **keywords)
     return Session(env, DRIVES["PointNav-v0"], "title", record, {"motion": "keyboard"}, seed=0)
 
 

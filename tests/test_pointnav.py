@@ -31,7 +31,7 @@ TASK = SAMPLER.task((0.5, 1.0, 0.0), (2.0, 1.0))
 
 
 def make(**keywords) -> PointNavEnv:
-    return PointNavEnv(**{"scene": SCENE, "noise": "none", "camera": SMALL, "threads": 1, **keywords})
+    return PointNavEnv(**{"scene": SCENE, "noise": "none", "camera": SMALL, **keywords})
 
 
 def act(turn=0.0, offset=0.0, step=0.0, stop=0.0) -> np.ndarray:
@@ -53,7 +53,7 @@ def rollout(env: gym.Env, seed: int, steps: int = 12) -> bytes:
 
 @pytest.mark.parametrize("keywords", [{}, {"observe_pose": True, "end_on": "reach"}, {"reward": "sparse"}])
 def test_gymnasium_accepts_it(keywords):
-    env = gym.make(ID, scene=SCENE, camera=SMALL, threads=1, render_mode="rgb_array", **keywords).unwrapped
+    env = gym.make(ID, scene=SCENE, camera=SMALL, render_mode="rgb_array", **keywords).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=False)
@@ -74,7 +74,7 @@ def test_it_is_made_by_its_id_with_a_limit_of_steps():
 
 
 def test_the_same_seed_gives_the_same_bytes():
-    env, other = make(noise="high"), make(noise="high", threads=2)
+    env, other = make(noise="high"), make(noise="high")
     first = rollout(env, seed=3)
     assert rollout(other, seed=3) == first
     assert rollout(env, seed=3) == first
@@ -253,7 +253,7 @@ def test_rendering_shows_the_camera_beside_the_plan():
 
 @pytest.mark.parametrize("when", ["before", "during"])
 def test_a_pickled_environment_goes_on(when):
-    env = make(noise="high", threads=2)
+    env = make(noise="high")
     if when == "during":
         env.reset(seed=2)
         env.step(act(turn=0.1, step=0.1))
@@ -270,7 +270,7 @@ def test_a_pickled_environment_goes_on(when):
 @pytest.mark.slow
 def test_spawned_workers_run_it():
     def build():
-        return gym.make(ID, scene=SCENE, camera=SMALL, noise="low", threads=1)
+        return gym.make(ID, scene=SCENE, camera=SMALL, noise="low")
 
     vector = gym.vector.AsyncVectorEnv([build] * 2, context="spawn")
     observation, _ = vector.reset(seed=[0, 1])
@@ -290,7 +290,6 @@ def test_spawned_workers_run_it():
         ({"scene": None}, "scene", "None"),
         ({"scene": 3}, "scene", "Apartment"),
         ({"sensor_noise": "thick fog"}, "name", "kinect"),
-        ({"threads": 0}, "threads", "at least 1"),
         ({"observe_pose": "no"}, "observe_pose", "True or False"),
         ({"sensor_noise": 3}, "name", "SensorNoise"),
         ({"renderer": "oil"}, "renderer", "'raycast'"),

@@ -1,4 +1,4 @@
-"""The raycast camera against hand-computed rooms, an independent ray-box oracle and MuJoCo's rays."""
+"""The raycast camera and the tracers against hand-computed rooms, a ray-box oracle and each other."""
 
 import math
 import pickle
@@ -11,12 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.camera import Camera
-from vssm_gym.envs import raycast, shading
+from vssm_gym.envs import shading
 from vssm_gym.envs.mjcf import World
-from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer, RaycastCamera
+from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.scene import Material, SolidBox
-from vssm_gym.envs.sensors import CameraConfig, make_camera
+from vssm_gym.envs.scene import Material, SolidBox, load_scene
+from vssm_gym.envs.sensors import CameraConfig, make_tracer
+from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 
@@ -86,59 +87,83 @@ layouts = st.lists(
 )
 
 
-@given(layouts, st.floats(-math.pi, math.pi))
-def test_depth_and_box_agree_with_slab_intersection(layout, heading):
+def seen(boxes: list[SolidBox], T_world_cam: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    camera = RaycastCamera(boxes, CAMERA)
+    return camera.render(T_world_cam)[1].ravel(), camera.boxes(T_world_cam).ravel()
+
+
+def embree(boxes: list[SolidBox], T_world_cam: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return EmbreeTracer(boxes).trace(T_world_cam[:3, 3], rays.astype(np.float32))
+
+
+def tilted(heading: float, pitch: float, roll: float) -> np.ndarray:
+    """A camera at the origin's usual height that also nods and leans."""
+    T = look(0.0, 0.0, heading)
+    (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (pitch, roll))
+    nod, lean = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]]), np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+    T[:3, :3] = T[:3, :3] @ nod @ lean
+    return T
+
+
+angles = st.floats(-math.pi, math.pi)
+
+
+@pytest.mark.parametrize("first", [seen, embree])
+@given(layouts, angles, angles, angles)
+def test_depth_and_box_agree_with_slab_intersection(first, layout, heading, pitch, roll):
+    """What is drawn, and what is traced, is what a ray meets: from within a box too, and with boxes behind the eye."""
     boxes = [solid(*box) for box in layout]
-    T_world_cam = look(0.0, 0.0, heading)
+    T_world_cam = tilted(heading, pitch, roll)
     rays = np.asarray(CAMERA.rays(), dtype=np.float64).reshape(-1, 3) @ T_world_cam[:3, :3].T
     all_hits = np.stack([hits(box, T_world_cam[:3, 3], rays) for box in boxes])
     expected = all_hits.min(axis=0)
-    for tracer in (EmbreeTracer(boxes), single_rays(boxes)):
-        t, box = tracer.trace(T_world_cam[:3, 3], rays.astype(np.float32))
-        assert ((box == -1) == (t == 0.0)).all()
-        t = np.where(box == -1, np.inf, t)
-        own = np.where(box == -1, np.inf, all_hits[box, np.arange(len(box))])  # boxes may coincide: any will do
-        right = np.isclose(t, expected, rtol=1e-4, atol=1e-4) & np.isclose(own, expected, rtol=1e-4, atol=1e-4)
-        assert np.mean(~right) < 0.01  # a ray through an edge may go either way in float32: few do
+    t, box = first(boxes, T_world_cam, rays)
+    assert ((box == -1) == (t == 0.0)).all()
+    t = np.where(box == -1, np.inf, t)
+    own = np.where(box == -1, np.inf, all_hits[box, np.arange(len(box))])  # boxes may coincide: any will do
+    right = np.isclose(t, expected, rtol=1e-4, atol=1e-4) & np.isclose(own, expected, rtol=1e-4, atol=1e-4)
+    assert np.mean(~right) < 0.01  # a ray through an edge may go either way: few do
 
 
-def single_rays(boxes: list[SolidBox]) -> EmbreeTracer:
-    tracer = EmbreeTracer(boxes)
-    tracer._packets = None
-    return tracer
+@pytest.mark.parametrize("scene", ["oak", "arena", "hall"])
+def test_images_are_what_embree_traces(scene):
+    """Depths of whole furnished scenes, pixel by pixel, from places all over."""
+    boxes = load_scene(scene).boxes()
+    camera, tracer = RaycastCamera(boxes, CAMERA), EmbreeTracer(boxes)
+    low, high = (edge([box.center for box in boxes], axis=0) for edge in (np.min, np.max))
+    rng = np.random.default_rng(0)
+    rays = np.asarray(CAMERA.rays(), dtype=np.float64).reshape(-1, 3)
+    wrong = []
+    for _ in range(20):
+        T_world_cam = look(*rng.uniform(low[:2], high[:2]), rng.uniform(-np.pi, np.pi))
+        T_world_cam[2, 3] += 0.0137  # off the plane of any table top
+        t, _ = tracer.trace(T_world_cam[:3, 3], (rays @ T_world_cam[:3, :3].T).astype(np.float32))
+        depth = camera.render(T_world_cam)[1].ravel()
+        wrong.append(np.abs(depth - t) > 1e-4 * (1.0 + t))
+    assert np.mean(wrong) < 1e-4  # rays along an edge
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the wheel for Linux is the one looked into")
-def test_packets_are_in_reach_and_equal_single_rays():
-    tracer = EmbreeTracer(SHELL)
-    assert tracer.packets
-    origin, directions = np.array([1.5, 2.0, 0.4]), np.random.default_rng(0).normal(size=(999, 3)).astype(np.float32)
-    (t, box), (t_single, box_single) = tracer.trace(origin, directions), single_rays(SHELL).trace(origin, directions)
-    np.testing.assert_allclose(t, t_single, atol=1e-5)
-    assert np.mean(box == box_single) > 0.99
+@given(layouts, angles, angles, angles)
+def test_no_ray_slips_between_faces(layout, heading, pitch, roll):
+    """Inside a closed room every pixel sees something, whatever stands there and however the camera leans."""
+    boxes = [*room(8.0, 8.0, 4.0), *(solid(*box) for box in layout)]
+    T_world_cam = tilted(heading, pitch, roll)
+    T_world_cam[:3, 3] += 4.0, 4.0, 1.0
+    assert RaycastCamera(boxes, CAMERA).render(T_world_cam)[1].min() > 0.0
 
 
-@given(st.floats(0.3, 2.7), st.floats(0.3, 3.7), st.floats(-math.pi, math.pi))
+@given(st.floats(0.3, 2.7), st.floats(0.3, 3.7), angles)
 def test_embree_and_mujoco_agree(x, y, heading):
     apartment = two_rooms(pieces=(furniture("table", (2.0, 1.0, 0.3), (0.6, 0.4, 0.6), 0.5),))
     T_world_cam = look(x, y, heading)
-    images = [
-        RaycastCamera(apartment.boxes(), CAMERA, tracer).render(T_world_cam)
-        for tracer in (None, MujocoTracer(World(apartment, ROBOT)))
-    ]
-    (rgb, depth), (rgb_mujoco, depth_mujoco) = images
-    close = np.abs(depth - depth_mujoco) <= 1e-4
+    rays = (np.asarray(CAMERA.rays(), dtype=np.float64).reshape(-1, 3) @ T_world_cam[:3, :3].T).astype(np.float32)
+    (t, box), (t_mujoco, box_mujoco) = (
+        tracer.trace(T_world_cam[:3, 3], rays)
+        for tracer in (EmbreeTracer(apartment.boxes()), MujocoTracer(World(apartment, ROBOT)))
+    )
+    close = np.abs(t - t_mujoco) <= 1e-4
     assert np.mean(close) > 0.998  # the rest: rays through an edge
-    assert np.mean(np.abs(rgb[close].astype(int) - rgb_mujoco[close]) > 1) < 0.01
-
-
-def test_threads_do_not_change_a_byte():
-    one, three = (RaycastCamera(SHELL, Camera.from_hfov(50, 37, 1.2), threads=n) for n in (1, 3))
-    for heading in np.linspace(-3, 3, 7):
-        for a, b in zip(one.render(look(1.5, 2.0, heading)), three.render(look(1.5, 2.0, heading)), strict=True):
-            assert a.tobytes() == b.tobytes()
-    three.close()
-    np.testing.assert_array_equal(three.render(look(1.5, 2.0, 3.0))[0], one.render(look(1.5, 2.0, 3.0))[0])
+    assert np.mean(box[close] == box_mujoco[close]) > 0.99
 
 
 def test_where_nothing_is_hit_depth_is_zero_and_the_sky_shows():
@@ -205,7 +230,7 @@ def test_colour_scales_the_image(share):
 
 
 def test_a_pickled_camera_renders_the_same():
-    camera = RaycastCamera(SHELL, CAMERA, threads=2)
+    camera = RaycastCamera(SHELL, CAMERA)
     rgb, depth = camera.render(look(1.0, 1.0, 0.4))
     again = pickle.loads(pickle.dumps(camera)).render(look(1.0, 1.0, 0.4))
     assert rgb.tobytes() == again[0].tobytes() and depth.tobytes() == again[1].tobytes()
@@ -213,23 +238,11 @@ def test_a_pickled_camera_renders_the_same():
 
 def test_without_embree_the_fallback_says_so(monkeypatch):
     world = World(two_rooms(), ROBOT)
-    assert make_camera(world, CameraConfig(64, 48)).name == "raycast-embree"
+    assert make_tracer(world).name == "embree"
     monkeypatch.setitem(sys.modules, "embreex", None)  # makes the import fail as it does without a wheel
     with pytest.warns(RuntimeWarning, match="embreex cannot be imported"):
-        camera = make_camera(world, CameraConfig(64, 48), threads=2)
-    assert isinstance(camera, RaycastCamera)
-    assert camera.name == "raycast-mujoco" and camera.threads == 1
-    assert camera.render(look(1.0, 1.0, 0.4))[1].min() > 0.0
-
-
-def test_without_packets_single_rays_serve_and_say_so(monkeypatch):
-    def missing(package):
-        raise OSError("no libembree4")
-
-    monkeypatch.setattr(raycast, "find_library", missing)
-    with pytest.warns(RuntimeWarning, match="no libembree4"):
-        tracer = EmbreeTracer(SHELL)
-    assert not tracer.packets and tracer.name == "raycast-embree"
+        tracer = make_tracer(world)
+    assert tracer.name == "mujoco" and not tracer.parallel
 
 
 @pytest.mark.parametrize(("field", "value"), [("width", 0), ("height", 12.5), ("hfov", 4.0), ("hfov", math.nan)])

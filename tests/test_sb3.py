@@ -216,7 +216,7 @@ def test_observations_it_cannot_read_are_refused(parts, message):
 
 @pytest.mark.parametrize("wrap", [lambda env: env, wrappers.DepthOnly, wrappers.NormalizedDepth, wrappers.RelativeGoal])
 def test_environments_pass_the_check_of_stable_baselines3(wrap):
-    env = wrap(gym.make(ID, camera=CameraConfig(32, 24), threads=1))
+    env = wrap(gym.make(ID, camera=CameraConfig(32, 24)))
     check_env(env, warn=False)
     env.close()
 

@@ -21,7 +21,7 @@ SMALL = CameraConfig(16, 12)
 
 
 def make(**keywords) -> gym.Env:
-    return gym.make(ID, scene="oak", camera=SMALL, threads=1, **keywords)
+    return gym.make(ID, scene="oak", camera=SMALL, **keywords)
 
 
 def make_many(n: int, mode: str = "NextStep", **keywords) -> gym.vector.SyncVectorEnv:

@@ -16,9 +16,7 @@ import numpy as np
 from vssm_gym.camera import Camera
 from vssm_gym.data.handheld import walk
 from vssm_gym.data.sequences import SequenceWriter
-from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.pointnav import PointNavEnv
-from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.sensor_noise import NoisySensor
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
@@ -105,7 +103,7 @@ def record_handheld(
     measured = noise_model(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
-    eye = make_camera(World(apartment, HolonomicRobot()), camera or CameraConfig())
+    eye = make_camera(apartment.boxes(), camera or CameraConfig())
     about = {"motion": "handheld", "metres": metres, "rate": rate, "body_radius": path.body}
     about |= {"sensor_noise": sensor_noise, "renderer": eye.name, "seed": seed}
     T_body_cam = np.eye(4)

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.raycast import Tracer
+from vssm_gym.envs.tracing import Tracer
 
 CELL = 0.1  # m
 REACH = 5.0  # m, how far seeing counts: depth cameras are sharp so far

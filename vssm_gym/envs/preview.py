@@ -11,10 +11,9 @@ from vssm_gym.axes import Matrix4
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.mazes import is_maze
-from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.sensors import CameraConfig, make_tracer
+from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.topdown import TopDown
 
 EYE = 1.4  # m, height of the preview's camera
@@ -51,9 +50,8 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     boxes = apartment.boxes()
     view_height = (height - _GAP) // 2
     config = CameraConfig(view_height * 4 // 3, view_height, HFOV)
-    tracer = make_tracer(World(apartment, robot))
-    camera = RaycastCamera(boxes, config.intrinsics(), tracer)
-    coarse = RaycastCamera(boxes, CameraConfig(40, 30, HFOV).intrinsics(), tracer, threads=1)
+    camera = RaycastCamera(boxes, config.intrinsics())
+    coarse = RaycastCamera(boxes, CameraConfig(40, 30, HFOV).intrinsics())
     names = np.array([box.name if box.kind == "furniture" else "" for box in boxes])
 
     # Floor far from walls makes a room large to the eye: corridors come last.
@@ -66,8 +64,6 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
         poses.append(pose)
         seen |= shown
     views = [camera.render(pose)[0] for pose in poses]
-    camera.close()
-    coarse.close()
 
     low, high = np.split(np.array(shapely.union_all(list(space.rooms.values())).bounds), 2)
     aspect = float(np.clip((high[0] - low[0]) / (high[1] - low[1]), 0.5, 2.0))
@@ -105,11 +101,10 @@ def _best_view(
 ) -> tuple[Matrix4, set[str]]:
     """The pose that shows most pieces not in ``known``, then the deepest view, and the pieces it shows."""
     best: tuple[float, Matrix4, set[str]] = (-math.inf, np.eye(4), set())
-    rays = np.asarray(coarse.camera.rays(), dtype=np.float32).reshape(-1, 3)
     for x, y in positions:
         for heading in 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS:
             T_world_cam = _look(x, y, heading)
-            depth, box = coarse.tracer.trace(T_world_cam[:3, 3], (rays @ T_world_cam[:3, :3].T).astype(np.float32))
+            depth, box = coarse.render(T_world_cam)[1], coarse.boxes(T_world_cam)
             met, count = np.unique(names[box[box >= 0]], return_counts=True)
             shown = set(met[count >= ENOUGH].tolist()) - {""}
             # What stands right before the eye hides the room: distance counts as much as a handful of pieces.

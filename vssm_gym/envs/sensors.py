@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
@@ -11,7 +11,9 @@ import numpy as np
 from vssm_gym.axes import Matrix4
 from vssm_gym.camera import Camera
 from vssm_gym.envs.mjcf import FlightWorld, World
-from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer, RaycastCamera, Tracer
+from vssm_gym.envs.raycast import RaycastCamera
+from vssm_gym.envs.solids import SolidBox
+from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer, Tracer
 from vssm_gym.errors import InputError
 
 RENDERERS = ("raycast", "gl")
@@ -60,7 +62,7 @@ class SceneCamera(Protocol):
 
     @property
     def name(self) -> str:
-        """What makes the images, such as ``raycast-embree``."""
+        """What makes the images, such as ``raycast``."""
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
         """``rgb`` uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)`` in m, 0 where nothing is seen."""
@@ -69,17 +71,14 @@ class SceneCamera(Protocol):
         """Let go of threads and contexts; the next image starts new ones."""
 
 
-def make_camera(
-    world: World | FlightWorld, config: CameraConfig, renderer: str = "raycast", threads: int | None = None
-) -> SceneCamera:
-    """The camera of a world by the chosen renderer; one is never replaced by the other.
+def make_camera(boxes: Sequence[SolidBox], config: CameraConfig, renderer: str = "raycast") -> SceneCamera:
+    """The camera among the boxes by the chosen renderer; one is never replaced by the other.
 
     Args:
-        world: what it sees.
+        boxes: what it sees.
         config: size and angle.
-        renderer: ``raycast`` (rays by Embree, or, with a warning that says why not, by MuJoCo) or ``gl`` (MuJoCo's
-            OpenGL renderer).
-        threads: threads that share a raycast image; those of OpenGL are the driver's (``LP_NUM_THREADS`` for Mesa).
+        renderer: ``raycast`` or ``gl`` (MuJoCo's OpenGL renderer; its threads are the driver's: ``LP_NUM_THREADS`` for
+            Mesa).
 
     Raises:
         InputError: an unknown renderer, or ``gl`` on a machine without OpenGL, with the reasons and remedies.
@@ -89,8 +88,8 @@ def make_camera(
     if renderer == "gl":
         from vssm_gym.envs.mjcf.gl import GlCamera  # most never draw with it
 
-        return GlCamera(world.boxes, config.intrinsics())
-    return RaycastCamera(world.boxes, config.intrinsics(), make_tracer(world), threads)
+        return GlCamera(boxes, config.intrinsics())
+    return RaycastCamera(boxes, config.intrinsics())
 
 
 def make_tracer(world: World | FlightWorld) -> Tracer:

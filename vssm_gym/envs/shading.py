@@ -1,4 +1,4 @@
-"""Colours of ray hits: box-face texture coordinates, mip-mapped textures, and light, in one compiled pass.
+"""Colours of what pixels see: box-face texture coordinates, mip-mapped textures, and light, in one compiled pass.
 
     rgb = colour texture(u, v) (ambient + lamp (1 + n.l) / 2 + head cos / (1 + (distance / range)^2))
 
@@ -9,6 +9,7 @@ surfaces do not shimmer: images that a tracker compares must change as little as
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -22,25 +23,35 @@ HEAD_RANGE = 3.0  # m at which the head lamp has half its strength
 SKY = (0.62, 0.75, 0.90)  # colour where a ray leaves the apartment
 
 
-def shading_tables(boxes: Sequence[SolidBox]) -> tuple[np.ndarray, ...]:
-    """Boxes as the shader reads them.
+@dataclass(frozen=True)
+class Looks:
+    """Boxes as the shader reads them; ``n`` boxes.
 
-    Returns:
-        frames float64 ``(n, 14)``: centre, 1 / half size, cos and sin of yaw, then the shifts of texture coordinates
-        along the box's axes, one that turns with a face's direction and one that does not;
-        looks float64 ``(n, 4)``: colour, tiles a metre; textures int32 ``(n,)``: rows of the mips;
-        mips float32 ``(textures, texels of all levels, 4)`` in [0, 255]; starts int32 ``(levels,)``.
+    Attributes:
+        shifts: float64 ``(n, 6)``, m: :func:`texture_shifts`.
+        colors: float32 ``(n, 4)``: red, green, blue, tiles a metre.
+        textures: int64 ``(n,)``: where each box's texture starts in ``texels``.
+        texels: uint64, all textures with their mips: a byte each of red, green and blue in lanes of 21 bits. The first
+            texture is white.
+        levels: levels of a texture, from one texel up.
     """
+
+    shifts: np.ndarray
+    colors: np.ndarray
+    textures: np.ndarray
+    texels: np.ndarray
+    levels: int
+
+
+def looks_of(boxes: Sequence[SolidBox]) -> Looks:
+    """The shader's tables for ``boxes``."""
     names = sorted({box.material.texture for box in boxes})
-    frames, looks = np.empty((len(boxes), 14)), np.empty((len(boxes), 4))
-    textures = np.array([names.index(box.material.texture) for box in boxes], dtype=np.int32)
-    for i, box in enumerate(boxes):
-        c, s = math.cos(box.yaw), math.sin(box.yaw)
-        x, y, z = box.center
-        origin, corner = texture_shifts(box)
-        frames[i] = (x, y, z, *(2.0 / extent for extent in box.size), c, s, *origin, *corner)
-        looks[i] = (*box.material.color, 1.0 / box.material.scale)
-    return frames.astype(np.float32), looks.astype(np.float32), textures, *_mips(texture_atlas(names))
+    shifts = np.array([sum(texture_shifts(box), ()) for box in boxes], dtype=np.float64)
+    colors = np.array([(*box.material.color, 1.0 / box.material.scale) for box in boxes], dtype=np.float32)
+    white = np.full((1, *texture_atlas(names).shape[1:]), 255, dtype=np.uint8)  # what the sky shows
+    texels, levels = _mips(np.concatenate([white, texture_atlas(names)]))
+    textures = texels.shape[1] * np.array([1 + names.index(box.material.texture) for box in boxes], dtype=np.int64)
+    return Looks(shifts, colors, textures, texels.ravel(), levels)
 
 
 def texture_shifts(box: SolidBox) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -54,31 +65,20 @@ def texture_shifts(box: SolidBox) -> tuple[tuple[float, float, float], tuple[flo
     return (0.0, 0.0, 0.0), (0.5 * box.size[0], 0.5 * box.size[1], 0.5 * box.size[2])
 
 
-def _mips(atlas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each texture, then its halves down to one texel, and where each level starts.
+def _lanes(colors: np.ndarray) -> np.ndarray:
+    """``(..., 3)`` in [0, 255] as bytes in lanes of 21 bits: one multiplication weighs three colours at once."""
+    return (np.rint(colors).astype(np.uint64) << np.array([0, 21, 42], dtype=np.uint64)).sum(axis=-1, dtype=np.uint64)
 
-    uint8 ``(n, size, size, 3)`` to float32 ``(n, sum of size^2, 4)``: a texel is one aligned load.
-    """
-    level = atlas.astype(np.float32)
-    flat, starts = [], [0]
+
+def _mips(atlas: np.ndarray) -> tuple[np.ndarray, int]:
+    """Each texture's mips, from its mean to itself: uint8 ``(n, size, size, 3)`` to uint64 ``(n, sum of size^2)``."""
+    level, flat = atlas.astype(np.float64), []
     while True:
         n, size = level.shape[:2]
-        texels = np.zeros((n, size * size, 4), dtype=np.float32)
-        texels[..., :3] = level.reshape(n, size * size, 3)
-        flat.append(texels)
+        flat.append(_lanes(level).reshape(n, size * size))
         if size == 1:
-            return np.concatenate(flat, axis=1), np.array(starts, dtype=np.int32)
-        starts.append(starts[-1] + size * size)
+            return np.concatenate(flat[::-1], axis=1), len(flat)
         level = level.reshape(n, size // 2, 2, size // 2, 2, 3).mean(axis=(2, 4))
-
-
-@numba.njit(nogil=True, cache=True)
-def rotate(T, rays, directions):
-    """``directions = R rays``; float32 rows."""
-    R = T.astype(np.float32)
-    for i in range(rays.shape[0]):
-        for k in range(3):
-            directions[i, k] = R[k, 0] * rays[i, 0] + R[k, 1] * rays[i, 1] + R[k, 2] * rays[i, 2]
 
 
 @numba.njit(nogil=True, cache=True, inline="always")
@@ -89,96 +89,215 @@ def _log2(x):
 
 
 @numba.njit(nogil=True, cache=True, inline="always")
-def _bilinear(texels, start, size, u, v):
-    """Red, green, blue of one level at tile coordinates ``(u, v)`` in [0, 1): centres at half integers, tiles repeat.
-
-    Unsigned indices spare the compiler its test for indices that count from the end.
-    """
-    shift = np.float32(size) - np.float32(0.5)  # a whole tile on, so that truncation rounds down
-    x, y = u * np.float32(size) + shift, v * np.float32(size) + shift
-    x0, y0 = np.int32(x), np.int32(y)
-    a, b = x - np.float32(x0), y - np.float32(y0)
-    mask = np.int32(size - 1)
-    row0 = np.uintp(start) + np.uintp(y0 & mask) * np.uintp(size)
-    row1 = np.uintp(start) + np.uintp((y0 + 1) & mask) * np.uintp(size)
-    c0, c1 = np.uintp(x0 & mask), np.uintp((x0 + 1) & mask)
-    one, r, g, b_ = np.float32(1.0), np.uintp(0), np.uintp(1), np.uintp(2)
-    w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-    i00, i01, i10, i11 = row0 + c0, row0 + c1, row1 + c0, row1 + c1
-    return (
-        w00 * texels[i00, r] + w01 * texels[i01, r] + w10 * texels[i10, r] + w11 * texels[i11, r],
-        w00 * texels[i00, g] + w01 * texels[i01, g] + w10 * texels[i10, g] + w11 * texels[i11, g],
-        w00 * texels[i00, b_] + w01 * texels[i01, b_] + w10 * texels[i10, b_] + w11 * texels[i11, b_],
-    )
-
-
-@numba.njit(nogil=True, cache=True, inline="always")
 def _byte(value):
     return np.uint8(np.int32(min(np.float32(255.0), np.float32(value) + np.float32(0.5))))
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
-def shade(T, directions, t, box, pixels, frames, looks, textures, mips, starts, pixel, rgb):
-    """``rgb = colour texture(u, v) (ambient + lamp (1 + n.l) / 2 + head cos / (1 + (distance / range)^2))`` of hits.
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _describe(T, fx, fy, cx, cy, frame, shift, color, axis, sign, row):
+    """What of one face all its pixels share, into ``row`` (15,).
 
-    ``pixels`` are the rays' places in ``rgb (pixels, 3)``; ``starts`` the first texels of the mips' levels; ``pixel``
-    the pixels' width at depth 1.
+    ``u = row[0] + z (row[1] + row[2] i + row[3] j)`` tiles, ``v`` alike from ``row[4]``; ``row[8]``: m from the eye to
+    the face's plane; ``row[9]``: light of sky and lamp; ``row[10]``: (tiles a pixel at depth 1)^2; colour from 11 on.
     """
-    one, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
-    levels = starts.shape[0]
-    top = np.float32(levels - 1)
-    pixel2 = np.float32(pixel * pixel)
-    ox, oy, oz = np.float32(T[0, 3]), np.float32(T[1, 3]), np.float32(T[2, 3])
-    lx, ly, lz = np.float32(LAMP_DIRECTION[0]), np.float32(LAMP_DIRECTION[1]), np.float32(LAMP_DIRECTION[2])
-    ambient, lamp, head = np.float32(AMBIENT + 0.5 * LAMP), np.float32(0.5 * LAMP), np.float32(HEAD)
-    fade = np.float32(1.0 / HEAD_RANGE**2)
-    for i in range(t.shape[0]):
-        at = np.uintp(pixels[i])
-        if box[i] < 0:
-            rgb[at, 0], rgb[at, 1], rgb[at, 2] = _byte(255.0 * SKY[0]), _byte(255.0 * SKY[1]), _byte(255.0 * SKY[2])
-            continue
-        k = np.uintp(box[i])
-        dx, dy, dz, d = directions[i, 0], directions[i, 1], directions[i, 2], t[i]
-        # The hit in the box's frame, and how near each pair of faces it is (1 on a face).
-        c, s = frames[k, 6], frames[k, 7]
-        px, py = ox + d * dx - frames[k, 0], oy + d * dy - frames[k, 1]
-        x, y, z = c * px + s * py, c * py - s * px, oz + d * dz - frames[k, 2]
-        rx, ry, rz = abs(x) * frames[k, 3], abs(y) * frames[k, 4], abs(z) * frames[k, 5]
-        # Texture u runs to the right and v down as seen from outside, so that no painting is mirrored.
-        if rx >= ry and rx >= rz:
-            sign = one if x > zero else -one
-            nx, ny, nz = sign * c, sign * s, zero
-            u, v = sign * (y + frames[k, 9]) + frames[k, 12], frames[k, 13] - z - frames[k, 10]
-        elif ry >= rz:
-            sign = one if y > zero else -one
-            nx, ny, nz = -sign * s, sign * c, zero
-            u, v = frames[k, 11] - sign * (x + frames[k, 8]), frames[k, 13] - z - frames[k, 10]
-        else:
-            nx, ny, nz = zero, zero, (one if z > zero else -one)
-            u, v = x + frames[k, 8] + frames[k, 11], frames[k, 12] - y - frames[k, 9]
-        length2 = dx * dx + dy * dy + dz * dz
-        cosine = min(one, abs(dx * nx + dy * ny + dz * nz) / np.sqrt(length2))
-        distance2 = d * d * length2
+    c, s = frame[6], frame[7]
+    dx, dy, dz = T[0, 3] - frame[0], T[1, 3] - frame[1], T[2, 3] - frame[2]
+    eye = (c * dx + s * dy, c * dy - s * dx, dz)  # in the box's frame
+    # Texture u runs to the right and v down as seen from outside, so that no painting is mirrored.
+    if axis == 0:
+        ux, uy, uz, u0 = 0.0, sign, 0.0, sign * shift[1] + shift[4]
+        vx, vy, vz, v0 = 0.0, 0.0, -1.0, shift[5] - shift[2]
+        nx, ny, nz = sign * c, sign * s, 0.0
+    elif axis == 1:
+        ux, uy, uz, u0 = -sign, 0.0, 0.0, shift[3] - sign * shift[0]
+        vx, vy, vz, v0 = 0.0, 0.0, -1.0, shift[5] - shift[2]
+        nx, ny, nz = -sign * s, sign * c, 0.0
+    else:
+        ux, uy, uz, u0 = 1.0, 0.0, 0.0, shift[0] + shift[3]
+        vx, vy, vz, v0 = 0.0, -1.0, 0.0, shift[4] - shift[1]
+        nx, ny, nz = 0.0, 0.0, sign
+    tiles = np.float64(color[3])
+    for which in range(2):
+        x, y, z, start = (ux, uy, uz, u0) if which == 0 else (vx, vy, vz, v0)
+        at = tiles * (x * eye[0] + y * eye[1] + z * eye[2] + start)
+        wx, wy = tiles * (c * x - s * y), tiles * (s * x + c * y)  # world frame
+        right = (wx * T[0, 0] + wy * T[1, 0] + tiles * z * T[2, 0]) / fx
+        down = (wx * T[0, 1] + wy * T[1, 1] + tiles * z * T[2, 1]) / fy
+        ahead = wx * T[0, 2] + wy * T[1, 2] + tiles * z * T[2, 2]
+        row[4 * which] = at - np.floor(at)
+        row[4 * which + 1] = ahead - right * cx - down * cy
+        row[4 * which + 2], row[4 * which + 3] = right, down
+    row[8] = abs(sign * eye[axis] - frame[3 + axis])
+    slant = nx * LAMP_DIRECTION[0] + ny * LAMP_DIRECTION[1] + nz * LAMP_DIRECTION[2]
+    row[9] = AMBIENT + 0.5 * LAMP * (1.0 + slant)
+    row[10] = (tiles / fx) ** 2
+    row[11], row[12], row[13] = color[0], color[1], color[2]
 
-        # A pixel covers `pixel distance` metres across, 1 / cosine as much along: the level suits their geometric mean.
-        tiles = looks[k, 3]
-        footprint2 = distance2 * pixel2 * tiles * tiles / max(cosine, np.float32(0.02))
-        level = top + half * _log2(max(footprint2, np.float32(1e-12)))
-        level = min(max(level, zero), top)
-        lower = np.int32(level)
-        blend = level - np.float32(lower)
-        size = np.int32(1) << (np.int32(levels - 1) - lower)
-        u, v = u * tiles, v * tiles
-        u, v = u - np.floor(u), v - np.floor(v)
-        texels = mips[np.uintp(textures[k])]
-        red, green, blue = _bilinear(texels, starts[lower], size, u, v)
-        if blend > zero:
-            r, g, b = _bilinear(texels, starts[lower + 1], size >> 1, u, v)
-            red, green, blue = red + blend * (r - red), green + blend * (g - green), blue + blend * (b - blue)
 
-        light = ambient + lamp * (nx * lx + ny * ly + nz * lz) + head * cosine / (one + distance2 * fade)
-        rgb[at, 0], rgb[at, 1], rgb[at, 2] = (
-            _byte(red * (looks[k, 0] * light)),
-            _byte(green * (looks[k, 1] * light)),
-            _byte(blue * (looks[k, 2] * light)),
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def shade(T, fx, fy, cx, cy, frames, shifts, colors, textures, texels, levels, length2, nearness, face, rgb, depth):
+    """Colour and depth of what :func:`vssm_gym.envs.raster.draw` has drawn.
+
+    Each row is cut into runs of pixels that show one face, and the work into loops that the compiler can vectorise;
+    only the texels are fetched one pixel after another.
+
+    Args:
+        T: camera to world, float64 ``(4, 4)``.
+        fx, fy, cx, cy: intrinsics, pixels.
+        frames: :func:`vssm_gym.envs.raster.box_frames`.
+        shifts, colors, textures, texels, levels: of :class:`Looks`.
+        length2: float32 ``(H, W)``, squared length of ``K^-1 [i, j, 1]``.
+        nearness, face: as drawn, ``(H, W)``.
+        rgb: uint8 ``(H, W, 3)``, written.
+        depth: float32 ``(H, W)``, written: z, m, 0 where nothing is seen.
+    """
+    height, width = nearness.shape
+    sky = 6 * frames.shape[0]
+    rows, described = np.empty((sky + 1, 14), dtype=np.float32), np.zeros(sky, dtype=np.bool_)
+    starts = np.zeros(sky + 1, dtype=np.uint64)  # of the faces' textures
+    rows[sky], rows[sky, 9] = 0.0, 1.0
+    rows[sky, 11], rows[sky, 12], rows[sky, 13] = SKY
+    # One row's work. Rows of a common array would do as well, but then the compiler cannot tell that they are apart.
+    u, v, level = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    away, steady, texel2 = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    light, shown, mixed = np.empty(width, np.float32), np.empty(width, np.uint64), np.empty(width, np.uint64)
+    fine_upper, fine_lower, fine = np.empty(width, np.uint64), np.empty(width, np.uint64), np.empty(width, np.uint64)
+    wide_upper, wide_lower, wide = np.empty(width, np.uint64), np.empty(width, np.uint64), np.empty(width, np.uint64)
+    for j in range(height):
+        i = 0
+        while i < width:
+            f, end = face[j, i], i + 1
+            while end < width and face[j, end] == f:
+                end += 1
+            if f < 0:
+                f = sky
+                for k in range(i, end):
+                    depth[j, k] = u[k] = v[k] = np.float32(0.0)
+            else:
+                if not described[f]:
+                    described[f] = True
+                    box, sign = f // 6, 2.0 * (f % 2) - 1.0
+                    starts[f] = textures[box]
+                    _describe(T, fx, fy, cx, cy, frames[box], shifts[box], colors[box], (f % 6) // 2, sign, rows[f])
+                _place(i, end, j, rows[f], nearness[j], u, v, depth[j])
+            _spread(i, end, f, rows[f], away, steady, texel2, shown)
+            i = end
+        _light(away, steady, texel2, levels, length2[j], depth[j], level, light)
+        _find(levels, 0, u, v, level, fine_upper, fine_lower)
+        _find(levels, 1, u, v, level, wide_upper, wide_lower)
+        _weigh(levels, u, v, level, fine, wide)
+        _fetch(texels, starts, shown, fine_upper, fine_lower, fine, wide_upper, wide_lower, wide, mixed)
+        _paint(mixed, light, rows, shown, rgb[j])
+
+
+_WHOLE = 1 << 13  # the sum of a pixel's eight weights: 8 bits of colour and 13 of weight fill a lane
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+def _place(first, end, j, row, nearness, u, v, depth):
+    """Depth, and texture coordinates in [0, 1), of a run of pixels that show one face."""
+    u0, uz, ux = row[0], row[1] + row[3] * np.float32(j), row[2]
+    v0, vz, vx = row[4], row[5] + row[7] * np.float32(j), row[6]
+    for i in range(first, end):
+        x, z = np.float32(i), np.float32(1.0) / nearness[i]
+        a, b = u0 + z * (uz + ux * x), v0 + z * (vz + vx * x)
+        depth[i] = z
+        u[i], v[i] = a - np.floor(a), b - np.floor(b)
+
+
+@numba.njit(nogil=True, cache=True)
+def _spread(first, end, f, row, away, steady, texel2, shown):
+    """What a face's pixels share, to each of a run."""
+    for i in range(first, end):
+        away[i], steady[i], texel2[i] = row[8], row[9], row[10]
+    for i in range(first, end):
+        shown[i] = f
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+def _light(away, steady, texel2, levels, length2, depth, level, light):
+    """Level of detail, 0 for one texel, and light of a row."""
+    one, zero, finest = np.float32(1.0), np.float32(0.0), np.float32(levels - 1)
+    head, fade = np.float32(HEAD), np.float32(1.0 / HEAD_RANGE**2)
+    for i in range(level.shape[0]):
+        distance2 = depth[i] * depth[i] * length2[i]
+        cosine = min(one, away[i] / np.sqrt(max(distance2, np.float32(1e-12))))
+        # A pixel covers `distance / f` metres across, 1 / cosine as much along: the level suits their geometric mean.
+        footprint2 = distance2 * texel2[i] / max(cosine, np.float32(0.02))
+        detail = np.float32(-0.5) * _log2(max(footprint2, np.float32(1e-12)))
+        level[i] = min(max(detail, zero), finest)
+        light[i] = steady[i] + head * cosine / (one + distance2 * fade)
+
+
+@numba.njit(nogil=True, cache=True)
+def _find(levels, coarser, u, v, level, upper, lower):
+    """Where in a texture the four texels around each place are, in the finer level or the ``coarser`` one.
+
+    Two indices a word of 64 bits. Texel centres are at half integers; tiles repeat.
+    """
+    one = np.int32(1)
+    for i in range(level.shape[0]):
+        bits = min(np.int32(level[i]), np.int32(levels - 2)) + np.int32(1 - coarser)
+        size = one << bits
+        # A whole tile on, so that truncation rounds down.
+        shift = np.float32(size) - np.float32(0.5)
+        x, y = np.int32(u[i] * np.float32(size) + shift), np.int32(v[i] * np.float32(size) + shift)
+        mask = size - one
+        start = np.int32(0x55555555) & ((one << (bits + bits)) - one)  # (4^bits - 1) / 3 texels of coarser levels
+        row0, row1 = start + ((y & mask) << bits), start + (((y + one) & mask) << bits)
+        c0, c1 = x & mask, (x + one) & mask
+        upper[i] = np.uint64(row0 + c0) | (np.uint64(row0 + c1) << np.uint64(32))
+        lower[i] = np.uint64(row1 + c0) | (np.uint64(row1 + c1) << np.uint64(32))
+
+
+@numba.njit(nogil=True, cache=True)
+def _weigh(levels, u, v, level, fine, wide):
+    """Weights of these texels, bilinear within a level and linear between two: four a word, ``_WHOLE`` in all."""
+    one, half = np.float32(1.0), np.float32(0.5)
+    for i in range(level.shape[0]):
+        below = min(np.int32(level[i]), np.int32(levels - 2))
+        share = np.int32((level[i] - np.float32(below)) * np.float32(_WHOLE))  # of the finer level
+        for which in range(2):
+            size = np.float32(np.int32(1) << (below + np.int32(1 - which)))
+            part = share if which == 0 else np.int32(_WHOLE) - share
+            x, y = u[i] * size + half, v[i] * size + half
+            a, b = x - np.floor(x), y - np.floor(y)
+            total = np.float32(part)
+            w01, w10, w11 = np.int32(total * a * (one - b)), np.int32(total * (one - a) * b), np.int32(total * a * b)
+            w00 = part - w01 - w10 - w11
+            upper = np.uint64(w00) | (np.uint64(w01) << np.uint64(16))
+            lower = (np.uint64(w10) << np.uint64(32)) | (np.uint64(w11) << np.uint64(48))
+            if which == 0:
+                fine[i] = upper | lower
+            else:
+                wide[i] = upper | lower
+
+
+@numba.njit(nogil=True, cache=True)
+def _fetch(texels, starts, shown, fine_upper, fine_lower, fine, wide_upper, wide_lower, wide, mixed):
+    """The weighted sums of eight texels a pixel, lane by lane."""
+    for i in range(mixed.shape[0]):
+        start = starts[shown[i]]
+        mixed[i] = _four(texels, start, fine_upper[i], fine_lower[i], fine[i]) + _four(
+            texels, start, wide_upper[i], wide_lower[i], wide[i]
         )
+
+
+@numba.njit(nogil=True, cache=True, inline="always")
+def _four(texels, start, upper, lower, w):
+    half, quarter, low, short = np.uint64(32), np.uint64(16), np.uint64(0xFFFFFFFF), np.uint64(0xFFFF)
+    above = texels[start + (upper & low)] * (w & short) + texels[start + (upper >> half)] * ((w >> quarter) & short)
+    below = texels[start + (lower & low)] * ((w >> half) & short)
+    return above + below + texels[start + (lower >> half)] * (w >> (half + quarter))
+
+
+@numba.njit(nogil=True, cache=True)
+def _paint(mixed, light, rows, shown, rgb):
+    """Bytes of the mixed texels times the face's colour and the light."""
+    mask, lane, share = np.uint64((1 << 21) - 1), np.uint64(21), np.float32(1.0 / _WHOLE)
+    for i in range(mixed.shape[0]):
+        f, bright = shown[i], share * light[i]
+        r, g, b = mixed[i] & mask, (mixed[i] >> lane) & mask, mixed[i] >> (lane + lane)
+        rgb[i, 0] = _byte(np.float32(np.int32(r)) * (bright * rows[f, 11]))
+        rgb[i, 1] = _byte(np.float32(np.int32(g)) * (bright * rows[f, 12]))
+        rgb[i, 2] = _byte(np.float32(np.int32(b)) * (bright * rows[f, 13]))

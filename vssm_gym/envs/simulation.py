@@ -42,7 +42,6 @@ class Simulation:
         physics: ``mujoco``.
         observe_pose: whether the observation holds the true pose (an oracle's privilege).
         render_mode: ``rgb_array`` or None.
-        threads: threads that share the rendering of an image; by default two where there are two cores.
     """
 
     def __init__(
@@ -55,7 +54,6 @@ class Simulation:
         physics: str = "mujoco",
         observe_pose: bool = False,
         render_mode: str | None = None,
-        threads: int | None = None,
     ) -> None:
         choose("environment", "renderer", renderer, RENDERERS)
         choose("environment", "physics", physics, ("mujoco",))
@@ -65,7 +63,7 @@ class Simulation:
         self.noise, self.sensor_noise = execution_noise(noise), sensor_noise_of(sensor_noise)
         self.observe_pose, self.render_mode = observe_pose, render_mode
         self.robot = HolonomicRobot()
-        self.scenery = scenery_of(load_scene(scene), camera_config(camera), renderer, threads)
+        self.scenery = scenery_of(load_scene(scene), camera_config(camera), renderer)
         self.stage = stage_of(self.scenery, self.robot)
         self.apartment, self.camera = self.scenery.apartment, self.scenery.camera
         self.world = World(self.apartment, self.robot)

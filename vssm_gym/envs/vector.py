@@ -187,20 +187,19 @@ def _single(seed: Any) -> bool:
     return seed is None or isinstance(seed, int | np.integer)
 
 
-def _of(path: str, **defaults: Any) -> Callable[..., StagedVectorEnv]:
+def _of(path: str) -> Callable[..., StagedVectorEnv]:
     """The vector entry point of the environment class at ``module:name``."""
 
     def make(**keywords: Any) -> StagedEnv:
         module, name = path.split(":")
-        return getattr(import_module(module), name)(**defaults, **keywords)
+        return getattr(import_module(module), name)(**keywords)
 
     return partial(StagedVectorEnv, make)
 
 
-# An image is one thread's work here: the threads share the environments instead.
-pointnav = _of("vssm_gym.envs.pointnav:PointNavEnv", threads=1)
-imagenav = _of("vssm_gym.envs.imagenav:ImageNavEnv", threads=1)
-flight = _of("vssm_gym.envs.flight:FlightEnv", threads=1)
+pointnav = _of("vssm_gym.envs.pointnav:PointNavEnv")
+imagenav = _of("vssm_gym.envs.imagenav:ImageNavEnv")
+flight = _of("vssm_gym.envs.flight:FlightEnv")
 lidar_maze = _of("vssm_gym.envs.lidar_maze:LidarMazeEnv")
-carnav = _of("vssm_gym.envs.carnav:CarNavEnv", threads=1)
-explore = _of("vssm_gym.envs.explore:ExploreEnv", threads=1)
+carnav = _of("vssm_gym.envs.carnav:CarNavEnv")
+explore = _of("vssm_gym.envs.explore:ExploreEnv")
