@@ -58,7 +58,7 @@ def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = Non
 
 
 def _drive(name: str, scene: str, steps: int, seed: int) -> tuple[int, int, int, float]:
-    keywords: dict[str, Any] = {} if "Maze" in name else {"camera": SMALL, "threads": 1, "sensor_noise": "kinect"}
+    keywords: dict[str, Any] = {} if "Maze" in name else {"camera": SMALL, "sensor_noise": "kinect"}
     env = gym.make(name, scene=scene, noise="high", **keywords)
     world: Any = env.unwrapped
     inside = _penetration(world)

@@ -25,7 +25,7 @@ BODY = FlightBody()
 
 
 def make(**keywords) -> FlightEnv:
-    given = {"scene": SCENE, "noise": "none", "imu_noise": "none", "camera": SMALL, "threads": 1, "flight": "figure8"}
+    given = {"scene": SCENE, "noise": "none", "imu_noise": "none", "camera": SMALL, "flight": "figure8"}
     return FlightEnv(**{**given, "speed": 3.0, **keywords})
 
 
@@ -183,7 +183,7 @@ def test_rewards_are_as_documented():
 def test_gymnasium_finds_nothing_to_complain_of(keywords):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
-        env = gym.make(ID, scene=SCENE, camera=SMALL, threads=1, **keywords).unwrapped
+        env = gym.make(ID, scene=SCENE, camera=SMALL, **keywords).unwrapped
         check_env(env, skip_render_check=True)
     env.close()
 

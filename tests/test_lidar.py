@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vssm_gym.envs.lidar import PRESETS, Lidar, LidarConfig, LidarNoise, lidar_noise, measured
 from vssm_gym.envs.mjcf import World
-from vssm_gym.envs.raycast import EmbreeTracer, MujocoTracer
+from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import make_tracer
 from vssm_gym.errors import InputError
@@ -76,7 +76,7 @@ def test_both_tracers_see_the_same(monkeypatch) -> None:
     assert np.mean(np.abs(scans[0] - scans[1]) > 1e-4) < 0.02  # the rest: beams along an edge
     monkeypatch.setitem(sys.modules, "embreex", None)
     with pytest.warns(RuntimeWarning, match="embreex cannot be imported"):
-        assert make_tracer(world).name == "raycast-mujoco"
+        assert make_tracer(world).name == "mujoco"
 
 
 @pytest.mark.parametrize("name", ["hokuyo", "rplidar"])

@@ -47,7 +47,7 @@ def test_it_does_what_the_same_environments_do_one_by_one(name, threads):
     """Gymnasium's own vectorisation of single environments is the oracle, over episodes that end and restart."""
     keywords = NOISY.get(name, {"noise": "high", "sensor_noise": "kinect"}) | {"max_episode_steps": 4}
     ours = make_vec(name, threads=threads, **keywords)
-    oracle = make_vec(name, vectorization_mode="sync", **keywords | ({} if "Maze" in name else {"threads": 1}))
+    oracle = make_vec(name, vectorization_mode="sync", **keywords)
     assert ours.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert ours.observation_space == oracle.observation_space and ours.action_space == oracle.action_space
     (observation, infos), (expected, oracle_infos) = ours.reset(seed=3), oracle.reset(seed=3)

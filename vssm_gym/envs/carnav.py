@@ -55,7 +55,6 @@ class CarNavEnv(StagedEnv):
         images: whether it holds ``rgb`` and ``depth``; without them nothing is rendered.
         reward: ``dense`` (metres gained along free space, costs a step and a touch, a prize for success) or ``sparse``.
         render_mode: ``rgb_array`` or None.
-        threads: threads that share the rendering of an image; by default two where there are two cores.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012  (Gymnasium's own declaration)
@@ -75,7 +74,6 @@ class CarNavEnv(StagedEnv):
         images: bool = True,
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
-        threads: int | None = None,
     ) -> None:
         choose("CarNav", "renderer", renderer, RENDERERS)
         choose("CarNav", "physics", physics, PHYSICS)
@@ -91,7 +89,7 @@ class CarNavEnv(StagedEnv):
         self.observe_pose, self.reward, self.render_mode = observe_pose, reward, render_mode
         self.apartment: Apartment = load_scene(scene)
         config, seen = camera_config(camera), sensor_noise_of(sensor_noise)
-        self._eye = Eye(scenery_of(self.apartment, config, renderer, threads), seen) if images else None
+        self._eye = Eye(scenery_of(self.apartment, config, renderer), seen) if images else None
         self.camera = config.intrinsics()
         self._K = self.camera.K
         self.renderer_name = "none" if self._eye is None else self._eye.scenery.renderer_name
@@ -170,8 +168,7 @@ class CarNavEnv(StagedEnv):
 
     def advance(self, action: np.ndarray) -> None:
         """Carry out ``(speed or acceleration, steering)`` for ``car.dt`` s, clipped to the limits."""
-        if self.task is None or self._actuators is None:
-            raise gym.error.ResetNeeded("call reset before step")
+        assert self.task is not None and self._actuators is not None  # step makes sure of it
         values = parse_action(action, (self.control, "steering"))
         before, was = self._speed, self._planar
         if self.control == "acceleration":

@@ -58,7 +58,6 @@ class FlightEnv(StagedEnv):
         yaw: ``forward``: the nose points along the motion; ``constant``.
         reward: ``dense`` (nearness to the reference) or ``sparse`` (1 for a flight completed).
         render_mode: ``rgb_array`` or None.
-        threads: threads that share the rendering of an image; by default two where there are two cores.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own declaration)
@@ -78,7 +77,6 @@ class FlightEnv(StagedEnv):
         yaw: Yaw = "forward",
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
-        threads: int | None = None,
     ) -> None:
         choose("Flight", "renderer", renderer, RENDERERS)
         choose("Flight", "flight", flight, (None, *CURVES))
@@ -104,7 +102,7 @@ class FlightEnv(StagedEnv):
         if flight is not None:
             self._checked(self._reference(flight, SPEEDS[0] if speed is None else speed))
         self.world = FlightWorld(self.apartment, self.body.radius)
-        self.scenery = scenery_of(self.apartment, camera_config(camera), renderer, threads)
+        self.scenery = scenery_of(self.apartment, camera_config(camera), renderer)
         self.camera, self.parallel = self.scenery.camera, self.scenery.parallel
         self.renderer_name = self.scenery.renderer_name
         self._K = self.camera.K

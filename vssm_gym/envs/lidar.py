@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.axes import Matrix4
-from vssm_gym.envs.raycast import Tracer
+from vssm_gym.envs.tracing import Tracer
 from vssm_gym.errors import InputError
 
 
