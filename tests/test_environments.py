@@ -13,6 +13,7 @@ from vssm_gym.envs.registration import ENVIRONMENTS
 
 IDS = sorted(ENVIRONMENTS)
 CHECKOUT = Path(__file__).resolve().parents[1]
+ENDED_BY_ACTIONS = [name for name in IDS if "CarNav" not in name]  # a car has to arrive: tests/test_carnav.py
 ALWAYS = ("collision", "control")  # what every info holds
 
 
@@ -157,7 +158,7 @@ def end_of(env: gym.Env) -> np.ndarray:
     raise AssertionError("the episode does not end")
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", ENDED_BY_ACTIONS)
 def test_no_step_before_a_reset_nor_after_an_episode(name):
     env = make(name).unwrapped
     with pytest.raises(gym.error.ResetNeeded):
@@ -170,7 +171,7 @@ def test_no_step_before_a_reset_nor_after_an_episode(name):
     env.step(0.0 * action)
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", ENDED_BY_ACTIONS)
 def test_a_vector_environment_goes_on_after_an_episode(name):
     small = {} if "LidarMaze" in name else {"camera": {"width": 32, "height": 24}}
     vector = gym.make_vec(name, num_envs=1, **small)

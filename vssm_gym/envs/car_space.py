@@ -30,6 +30,7 @@ CELL = 0.05  # m between the lattice's poses
 HEADINGS = 64
 MARGIN = 0.02  # m that the lattice's poses keep from everything: room to err while manoeuvring
 TURNS = (3, 4)  # steps of heading that arcs turn: 0.13 and 0.18 m at full lock. Coprime: every heading can be had
+NEAR = 0.15  # m, and m of wheelbase times rad: less than lies between two cars with a fence between them
 _ON_THE_WAY = (0.25, 0.5, 0.75, 1.0)  # shares of an arc at which it has to be free
 
 
@@ -102,16 +103,15 @@ class CarSpace:
         return labels
 
     def part(self, planar: PlanarPose) -> int:
-        """The label of the nearest pose of the lattice that is free; -1 where none is within 0.3 m.
+        """The label of the largest part that comes within NEAR of a pose; -1 where none does.
 
-        A car pressed against an obstacle belongs to the part that it came from.
+        A car pressed against an obstacle belongs to the part that it came from, and one beside a pose without a way
+        out to the part around that pose.
         """
-        states, labels = self._around(np.asarray(planar[:2]), 0.3)
-        if not len(labels):
-            return -1
+        states, labels = self._around(np.asarray(planar[:2]), NEAR)
         turn = np.abs(wrap_angle(states[:, 2] - planar[2]))
         away = np.hypot(*(states[:, :2] - planar[:2]).T) + self.car.wheelbase * turn
-        return int(labels[np.argmin(away)])
+        return int(min(labels[away <= NEAR], default=-1))
 
     def parts_within(self, goal: Float[np.ndarray, "2"] | PlanarPose, radius: float, angle: float) -> set[int]:
         """Labels of the lattice's free poses within ``radius`` m of a point, or of a pose and ``angle`` rad."""
