@@ -82,7 +82,9 @@ def sample(curve: ReedsSheppPath, step: float) -> tuple[np.ndarray, np.ndarray]:
         raise InputError("reeds_shepp", "step", f"a positive length in metres; found {step!r:.80}")
     poses, gears = [curve.start[None]], [np.zeros(1, np.int8)]
     for driven, steering in zip(curve.lengths, curve.steerings, strict=True):
-        count = max(1, math.ceil(abs(driven) / step - 1e-9))
+        if abs(driven) < 1e-9:
+            continue  # a segment that rounding left over has no gear
+        count = math.ceil(abs(driven) / step - 1e-9) or 1
         s = driven * np.arange(1, count + 1) / count
         poses.append(_along(poses[-1][-1], s, steering / curve.radius))
         gears.append(np.full(count, 1 if driven > 0.0 else -1, np.int8))

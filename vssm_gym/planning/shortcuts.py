@@ -35,9 +35,6 @@ def shortcut(
         if replaced[k]:
             word = curves[k]
             curve = reeds_shepp.ReedsSheppPath(poses[picks[i]], word[:, 0], word[:, 1].astype(np.int8), radius)
-            # segments of no length would leave doubled poses
-            keep = np.abs(curve.lengths) > 1e-9
-            curve = reeds_shepp.ReedsSheppPath(curve.start, curve.lengths[keep], curve.steerings[keep], radius)
             points, sign = reeds_shepp.sample(curve, lookup.resolution)
             rows.insert(0, points[1:])
             signs.insert(0, sign[1:])
