@@ -162,6 +162,51 @@ def test_a_wall_ends_the_flight_and_is_not_passed():
     assert 5.9 - env.body.radius - 0.02 < env.state.position[0] < 5.9 - env.body.radius + 0.02
 
 
+@pytest.mark.parametrize("rate", [5, 20.0, 30, 37.5, 60, 100.0])
+def test_the_readings_fill_each_step_exactly(rate):
+    env = make(rate=rate)
+    assert env.imu_period * env.substeps == pytest.approx(1.0 / rate, rel=1e-12)
+    assert abs(env.imu_period - 0.005) <= 0.005 / (2 * env.substeps - 1)
+    observation, _ = env.reset(seed=0)
+    assert observation["imu"].shape == (env.substeps, 6)
+    before = env.state
+    turning = HOVERING + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5])
+    observation, *_ = env.step(turning)
+    turned = Rotation.from_matrix(before.R_world_body.T @ env.state.R_world_body).as_rotvec()
+    np.testing.assert_allclose(observation["imu"][:, 3:].sum(axis=0) * env.imu_period, turned, atol=1e-6)
+    assert env.time == pytest.approx(1.0 / rate)
+
+
+def test_a_fast_rate_leaves_time_for_the_whole_flight():
+    """No count of steps ends it: 100 steps a second, and more than 2000 of them."""
+    env = gym.make(ID, scene=SCENE, noise="none", imu_noise="none", camera=SMALL, flight="star", speed=0.5, rate=100)
+    assert env.spec.max_episode_steps is None
+    env.reset(seed=0)
+    flying = env.unwrapped
+    assert flying.task.duration / flying.dt > 2000
+    flying.steps = int(np.ceil(flying.task.duration / flying.dt)) - 2
+    end = flying.task.at(np.array([flying.time]))
+    flying.state = FlightState(end.position[0], end.velocity[0], end.R_world_body[0])
+    flying.world.reset(flying.state.position)
+    ends = [env.step(HOVERING)[2:4] for _ in range(2)]
+    assert ends == [(False, False), (True, False)]
+
+
+def test_slow_flights_of_many_laps_are_refused():
+    with pytest.raises(InputError, match="at most 600 s"):
+        make().reset(options={"task": ReferenceFlight("star", 1.0, Placement((0.2, 0.1), 1.5, 0.0), laps=100)})
+
+
+def test_the_camera_goes_on_from_flight_to_flight():
+    env = make(sensor_noise="kinect")
+    env.reset(seed=0)
+    sensor, imu = env._sensor, env._imu
+    env.reset()
+    assert env._sensor is sensor and env._imu is not imu
+    env.reset(seed=0)
+    assert env._sensor is not sensor
+
+
 def test_one_who_strays_is_given_up():
     env = make()
     env.reset(seed=0)
@@ -251,6 +296,11 @@ def test_a_given_task_is_flown():
         ({"camera": 3}, "camera"),
         ({"speed": 15.0}, "speed"),
         ({"speed": -1.0}, "speed"),
+        ({"speed": 0.01}, "speed"),
+        ({"speed": 1e6}, "speed"),
+        ({"speed": True}, "speed"),
+        ({"speed": np.nan}, "speed"),
+        ({"rate": True}, "rate"),
         ({"scene": hall(width=2.5)}, "space for the flight"),
     ],
 )

@@ -34,6 +34,8 @@ from vssm_gym.geometry import matrix_to_planar
 FLIGHT_STREAMS = (*STREAMS, "imu")
 EXTENT = 1000.0  # SI units: bound of depths, coordinates, speeds, readings
 SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
+SLOWEST, FASTEST = 0.2, 20.0  # m/s that may be asked for; where the rotors are too weak for it, less
+LONGEST = 600.0  # s, most of a reference, and so of an episode
 STRAYED = 2.0  # m from the reference, at which the flight is given up
 NEAR = 1.0  # m from the reference, beyond which a step earns nothing
 CRASH = 5.0  # what a collision costs
@@ -44,17 +46,20 @@ PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 class FlightEnv(StagedEnv):
     """One hall, one body, one reference flight an episode; see the module. Registered as ``vssm_gym/Flight-v0``.
 
+    No wrapper counts its steps: an episode lasts as long as its reference, LONGEST seconds at most, whatever the rate.
+
     Args:
         scene: built-in name, path of a scene file, or an :class:`Apartment`.
         noise: gusts and actuator errors: ``none``, ``low``, ``mid``, ``high`` or a :class:`FlightNoise`.
         sensor_noise: what the camera adds to exact images: a name of ``sensor_noise.PRESETS`` or a `SensorNoise`.
         imu_noise: what the IMU adds: a name of ``imu.PRESETS`` or an :class:`ImuNoise`.
         camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
-        rate: steps and images a second.
+        rate: steps and images a second, 5 to 100. A step is ``substeps`` equal periods of the IMU, ``imu_period`` s
+            each: the whole number that comes nearest to 5 ms.
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
         observe_pose: whether the observation holds true pose and velocity (an oracle's privilege).
         flight: name of the reference, or None: one is drawn at each reset.
-        speed: its peak, m/s, or None: drawn from SPEEDS.
+        speed: its peak, m/s, 0.2 to 20 as far as the rotors allow, or None: drawn from SPEEDS.
         yaw: ``forward``: the nose points along the motion; ``constant``.
         reward: ``dense`` (nearness to the reference) or ``sparse`` (1 for a flight completed).
         render_mode: ``rgb_array`` or None.
@@ -83,10 +88,10 @@ class FlightEnv(StagedEnv):
         choose("Flight", "yaw", yaw, ("forward", "constant"))
         choose("Flight", "reward", reward, ("dense", "sparse"))
         choose("Flight", "render_mode", render_mode, (None, "rgb_array"))
-        if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < EXTENT):
-            raise InputError("Flight", "speed", f"m/s above 0, or None; found {speed!r}")
-        if not (isinstance(rate, int | float) and 5.0 <= rate <= 100.0):
-            raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r}")
+        if speed is not None and not (_number(speed) and SLOWEST <= speed <= FASTEST):
+            raise InputError("Flight", "speed", f"{SLOWEST:g} to {FASTEST:g} m/s, or None; found {speed!r:.80}")
+        if not (_number(rate) and 5.0 <= rate <= 100.0):
+            raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r:.80}")
         self.noise, self.imu_noise, self.sensor_noise = (
             flight_noise(noise),
             imu_model(imu_noise),
@@ -98,6 +103,7 @@ class FlightEnv(StagedEnv):
         self.body, self.dt = FlightBody(), 1.0 / rate
         self.metadata = {**self.metadata, "render_fps": round(rate)}
         self.substeps = max(1, round(self.dt / self.body.substep))
+        self.imu_period = self.dt / self.substeps  # s
         self._places: dict[str, Placement] = {}
         if flight is not None:
             self._checked(self._reference(flight, SPEEDS[0] if speed is None else speed))
@@ -146,15 +152,17 @@ class FlightEnv(StagedEnv):
             raise InputError("reset", "options['task']", f"a ReferenceFlight; found {type(task).__name__}")
         if seed is not None or not self._streams:
             self._streams = seeded_streams(seed, FLIGHT_STREAMS)
+            self._sensor = NoisySensor(self.sensor_noise, self.camera, self._streams["sensors"])
         self.task = self._checked(self._drawn() if task is None else task)
         motion = self.task.at(np.zeros(1))
         self.state = FlightState(motion.position[0], motion.velocity[0], motion.R_world_body[0])
         self.world.reset(self.state.position)
         self.steps, self._collision, self._first = 0, False, True
         self._control, self._gust = HOVERING.copy(), np.zeros(6)
+        # The camera goes on from flight to flight, as in the other environments; the IMU is switched on for each, with
+        # a bias of its own.
         self._imu = NoisyImu(self.imu_noise, self._streams["imu"])
-        self._readings = self._imu(np.tile(HOVERING, (self.substeps, 1)), self.dt / self.substeps)
-        self._sensor = NoisySensor(self.sensor_noise, self.camera, self._streams["sensors"])
+        self._readings = self._imu(np.tile(HOVERING, (self.substeps, 1)), self.imu_period)
         self._path, self._image = [self.state.position], None
 
     def advance(self, action: np.ndarray) -> None:
@@ -162,7 +170,7 @@ class FlightEnv(StagedEnv):
         assert self.task is not None
         self._control = self._command(action)
         self._gust = self.noise.following(self._gust, self.dt, self._streams["dynamics"])
-        h, felt, self._collision = self.dt / self.substeps, np.empty((self.substeps, 6)), False
+        h, felt, self._collision = self.imu_period, np.empty((self.substeps, 6)), False
         for k in range(self.substeps):
             after, felt[k] = fly(self.state, self._control, self._gust, self.body.drag, h)
             if self.world.move((after.position - self.state.position) / h, h):
@@ -235,7 +243,10 @@ class FlightEnv(StagedEnv):
         return self._reference(self.flight or name, speed if self.speed is None else self.speed)
 
     def _checked(self, reference: ReferenceFlight) -> ReferenceFlight:
-        """The flight itself, where nothing is in its way and the body is strong enough."""
+        """The flight itself, where nothing is in its way, the body is strong enough and the end comes in time."""
+        if reference.duration > LONGEST:
+            expected = f"a flight of at most {LONGEST:g} s; {reference.speed:g} m/s here takes {reference.duration:.0f}"
+            raise InputError("Flight", "speed", expected)
         limit = 0.8 * self.body.limits[1][2]
         if not (needed := reference.push()) <= limit:
             expected = f"a flight that asks for at most {limit:.1f} m/s^2 of the rotors, so that some is left to steer"
@@ -269,3 +280,7 @@ class FlightEnv(StagedEnv):
             observation["pose"] = np.concatenate([self.state.position, quaternion]).astype(np.float32)
             observation["velocity"] = self.state.velocity.astype(np.float32)
         return observation
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -2,13 +2,14 @@
 
 import gymnasium as gym
 
-# Id -> module, class, steps after which an episode is truncated (`gym.make(..., max_episode_steps=N)` overrides).
-ENVIRONMENTS = {
+# Id -> module, class, steps after which an episode is truncated (`gym.make(..., max_episode_steps=N)` overrides); None
+# where it ends by itself.
+ENVIRONMENTS: dict[str, tuple[str, str, int | None]] = {
     "vssm_gym/PointNav-v0": ("pointnav", "PointNavEnv", 500),  # 80 m at full speed
     "vssm_gym/ImageNav-v0": ("imagenav", "ImageNavEnv", 500),
     "vssm_gym/Explore-v0": ("explore", "ExploreEnv", 2000),  # 320 m at full speed
     "vssm_gym/LidarMaze-v0": ("lidar_maze", "LidarMazeEnv", 1000),  # 20 m at full speed; the longest way is 4 m
-    "vssm_gym/Flight-v0": ("flight", "FlightEnv", 2000),  # 100 s; the longest flight at 1 m/s takes 76
+    "vssm_gym/Flight-v0": ("flight", "FlightEnv", None),  # with its reference, after 600 s at most
     "vssm_gym/CarNav-v0": ("carnav", "CarNavEnv", 600),  # 60 s
 }
 
