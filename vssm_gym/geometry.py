@@ -4,6 +4,8 @@ Frames cancel in names: ``p_world = T_world_cam @ p_cam``. The functions serve N
 (float32, the model) alike: they compute in the namespace of their argument.
 """
 
+import math
+
 import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
@@ -14,6 +16,8 @@ R_BODY_CAM = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 def wrap_angle(angle):
     """``angle`` modulo 2 pi, in [-pi, pi); radians, any shape."""
+    if isinstance(angle, float):
+        return (angle + math.pi) % (2 * math.pi) - math.pi
     xp = angle.__array_namespace__() if hasattr(angle, "__array_namespace__") else jnp
     return xp.remainder(angle + xp.pi, 2 * xp.pi) - xp.pi
 
@@ -48,8 +52,8 @@ def planar_to_matrix(planar):
     x, y, heading = planar[..., 0], planar[..., 1], planar[..., 2]
     c, s = xp.cos(heading), xp.sin(heading)
     zero, one = xp.zeros_like(x), xp.ones_like(x)
-    rows = [[c, -s, zero, x], [s, c, zero, y], [zero, zero, one, zero], [zero, zero, zero, one]]
-    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+    rows = [c, -s, zero, x, s, c, zero, y, zero, zero, one, zero, zero, zero, zero, one]
+    return xp.stack(rows, axis=-1).reshape(*planar.shape[:-1], 4, 4)
 
 
 def matrix_to_planar(T_world_body):

@@ -70,7 +70,7 @@ class Simulation:
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
-        self._K = self.camera.K
+        self._K, self._T_body_cam = self.camera.K, self.robot.T_body_cam
         self._eye = Eye(self.scenery, self.sensor_noise)
         self._T_world_cam: Matrix4 | None = None  # at the robot's pose
         self._plan: TopDown | None = None
@@ -98,7 +98,7 @@ class Simulation:
     def T_world_cam(self) -> Matrix4:
         """The true camera pose; not for agents."""
         if self._T_world_cam is None:
-            self._T_world_cam = planar_to_matrix(self.planar) @ self.robot.T_body_cam
+            self._T_world_cam = planar_to_matrix(self.planar) @ self._T_body_cam
         return self._T_world_cam.copy()
 
     def seed(self, seed: int | None) -> None:

@@ -143,11 +143,14 @@ class World:
         substeps = max(1, math.ceil((1.0 - ahead) * travel / SUBSTEP))
         model.opt.timestep = (1.0 - ahead) * self.robot.dt / substeps
         qvel, step = data.qvel, mujoco.mj_step
+        pairs = set()  # of geoms that touched, a substep's as bytes: sliding along a wall they are the same ones
         for _ in range(substeps):
             qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
             step(model, data)
             if data.ncon:
-                self._touched.update(self._box_of_geom[data.contact.geom].max(axis=1).tolist())
+                pairs.add(data.contact.geom.tobytes())
+        geoms = np.frombuffer(b"".join(pairs), dtype=np.int32)
+        self._touched = set(self._box_of_geom[geoms].tolist()) - {-1}
         return bool(self._touched)
 
     def contacts(self) -> list[str]:
