@@ -75,9 +75,9 @@ PROBES = (
     Probe("JAX", JAX, "pip install jax"),
     Probe("numba", NUMBA, "pip install numba"),
     Probe(
-        "Embree (raycast camera)",
+        "Embree (laser scans, coverage)",
         EMBREE,
-        "pip install embreex, where it has a wheel; without it MuJoCo traces the images, several times slower",
+        "pip install embreex, where it has a wheel; without it MuJoCo traces the rays, several times slower",
         required=False,
     ),
     Probe("MuJoCo (physics)", PHYSICS, "pip install mujoco"),
