@@ -1,5 +1,7 @@
 """A planar laser scanner: ranges to the first box along a fan of beams, and how a real one misreads them.
 
+The law of the errors is that of every scanner here, the mazes' too (:mod:`vssm_gym.envs.maze_noise` has their levels).
+
     a_k = fov ((k + 1/2) / beams - 1/2)        direction of beam k, counter-clockwise from the robot's x axis, rad
     r'  = r + e,  e ~ N(0, sigma(r)^2),        sigma(r) = floor + growth r
 

@@ -14,7 +14,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from vssm_gym.axes import PlanarPose
-from vssm_gym.envs.maze_noise import RangeNoise, measure, motion_noise, range_noise
+from vssm_gym.envs.lidar import LidarConfig, LidarNoise, measured
+from vssm_gym.envs.maze_noise import motion_noise, range_noise
 from vssm_gym.envs.maze_objectives import Approach, Coverage
 from vssm_gym.envs.mazes import ROBOT, load_maze
 from vssm_gym.envs.planar import clearance, scan, slide
@@ -39,7 +40,7 @@ class LidarMazeEnv(StagedEnv):
     Args:
         scene: name of a built-in maze, path of a maze in our JSON format, or an :class:`Apartment` of the unit square.
         noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
-        sensor_noise: how ranges err: the same names or a :class:`RangeNoise`.
+        sensor_noise: how ranges err: the same names or a :class:`LidarNoise`.
         beams: readings a scan, all around.
         observe_pose: whether the observation holds the true pose (an oracle's privilege).
         task: ``navigate`` to a goal, or ``explore``: visit every tile.
@@ -58,7 +59,7 @@ class LidarMazeEnv(StagedEnv):
         self,
         scene: str | Path | Apartment = "rooms-v1",
         noise: str | ExecutionNoise = "low",
-        sensor_noise: str | RangeNoise = "none",
+        sensor_noise: str | LidarNoise = "none",
         beams: int = 64,
         observe_pose: bool = False,
         task: Literal["navigate", "explore"] = "navigate",
@@ -78,6 +79,7 @@ class LidarMazeEnv(StagedEnv):
         self.observe_pose, self.end_on, self.reward, self.render_mode = observe_pose, end_on, reward, render_mode
         self.maze = load_maze(scene)
         self.robot, self.beams = ROBOT, beams
+        self._lidar = LidarConfig(beams=beams, max_range=LONGEST)
         self.success_radius = SUCCESS * self.robot.body_length
         self.tasks = self.maze.tasks if tasks is None else self._checked_set(tasks)
         self.objective: Approach | Coverage = Coverage(self.maze.space)
@@ -149,7 +151,7 @@ class LidarMazeEnv(StagedEnv):
         """The scan at the robot's pose, measured with noise; once, however often it is asked for."""
         if not self._scanned:
             ranges = scan(self.planar[None], self.maze.rectangles, self.beams)[0]
-            self._scan = measure(ranges, self.sensor_noise, self._streams["sensors"], LONGEST).astype(np.float32)
+            self._scan = measured(ranges, self.sensor_noise, self._lidar, self._streams["sensors"])
             self._scanned = True
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:

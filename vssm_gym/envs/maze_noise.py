@@ -1,19 +1,12 @@
-"""How a maze's robot strays from its commands (the law of :func:`robots.execute`), and how its range finder errs.
+"""How a maze's robot strays from its commands and how its scanner errs: levels of two laws that stand elsewhere.
 
-Each reading errs by itself:
-
-    r' = 0 (no reading)              with probability ``dropout``
-    r' = r + e,  e ~ N(0, std^2)     otherwise; no reading where that is not positive
-
-The Gaussian of constant width is the emission that the thesis' spatial model assumes (SPEC 11).
+Motion errs as :func:`vssm_gym.envs.robots.execute` says, ranges as :mod:`vssm_gym.envs.lidar` does, here with a width
+that does not grow with the range: that Gaussian is the emission which the thesis' spatial model assumes (SPEC 11).
 """
 
 import math
-from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Float
-
+from vssm_gym.envs.lidar import LidarNoise
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.errors import InputError
 
@@ -27,26 +20,12 @@ MOTION_NOISE: dict[str, ExecutionNoise] = {
 }
 
 
-@dataclass(frozen=True)
-class RangeNoise:
-    """The law of the module: ``std`` in metres, ``dropout`` a probability."""
-
-    std: float
-    dropout: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.std) and self.std >= 0.0):
-            raise InputError("RangeNoise", "std", f"a finite standard deviation >= 0, not {self.std!r}")
-        if not 0.0 <= self.dropout <= 1.0:
-            raise InputError("RangeNoise", "dropout", f"a probability, not {self.dropout!r}")
-
-
 # In a maze of the unit square: up to the robot's own diameter, and every twentieth reading missing.
-RANGE_NOISE: dict[str, RangeNoise] = {
-    "none": RangeNoise(0.0, 0.0),
-    "low": RangeNoise(0.005, 0.0),
-    "mid": RangeNoise(0.01, 0.01),
-    "high": RangeNoise(0.025, 0.05),
+RANGE_NOISE: dict[str, LidarNoise] = {
+    "none": LidarNoise(),
+    "low": LidarNoise(floor=0.005),
+    "mid": LidarNoise(floor=0.01, dropout=0.01),
+    "high": LidarNoise(floor=0.025, dropout=0.05),
 }
 
 
@@ -60,22 +39,11 @@ def motion_noise(level: str | ExecutionNoise) -> ExecutionNoise:
     return MOTION_NOISE[level]
 
 
-def range_noise(level: str | RangeNoise) -> RangeNoise:
+def range_noise(level: str | LidarNoise) -> LidarNoise:
     """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
-    if isinstance(level, RangeNoise):
+    if isinstance(level, LidarNoise):
         return level
     if not isinstance(level, str) or level not in RANGE_NOISE:
-        expected = f"one of {', '.join(RANGE_NOISE)} or a RangeNoise, not {level!r}"
+        expected = f"one of {', '.join(RANGE_NOISE)} or a LidarNoise, not {level!r}"
         raise InputError("environment", "sensor_noise", expected)
     return RANGE_NOISE[level]
-
-
-def measure(
-    ranges: Float[np.ndarray, "*batch"], noise: RangeNoise, rng: np.random.Generator, longest: float
-) -> Float[np.ndarray, "*batch"]:
-    """``ranges`` (m) as measured, at most ``longest``; 0 where there is no reading.
-
-    Draws one normal and one uniform a reading whatever the noise is, so that runs of one seed can be compared.
-    """
-    error, lost = noise.std * rng.standard_normal(ranges.shape), rng.random(ranges.shape) < noise.dropout
-    return np.where(lost, 0.0, np.clip(ranges + error, 0.0, longest))
