@@ -2,6 +2,7 @@
 
 import itertools
 
+import equinox as eqx
 import hypothesis.strategies as st
 import jax
 import jax.numpy as jnp
@@ -156,7 +157,8 @@ def test_bellman_residual_is_what_is_returned(small_grid):
         i, j, k = np.meshgrid(*(np.arange(m) for m in V.shape), indexing="ij")
         planar = np.stack([i * RESOLUTION + ends[k, 0], j * RESOLUTION + ends[k, 1], ends[k, 2]], axis=-1)
         planar[..., :2] += grid.arena.origin
-        q.append(np.where(np.moveaxis(arcs[:, a], 0, -1), NEVER, 1.0 + 0.99 * result.cost_to_go.at(planar)))
+        after = sum(weight * V[index] for index, weight in result.cost_to_go._corners(planar)[0])
+        q.append(np.where(np.moveaxis(arcs[:, a], 0, -1), NEVER, 1.0 + 0.99 * after))
     backed_up = np.where(grid.goal_poses(place(grid.arena, 3.0, 3.0), 0.06, 0.0), 0.0, np.min(q, axis=0))
     inner = np.s_[2:-2, 2:-2]  # the query knows nothing between the outermost cell centres and the border
     assert result.residual < 1e-3
@@ -358,6 +360,20 @@ def test_query_is_trilinear_and_periodic(x, y, heading):
         assert cost.at(planar) == pytest.approx(expected, abs=2e-4)
         assert at_in_jax(cost, planar) == pytest.approx(expected, abs=2e-4)
     assert cost.at(planar).dtype == np.float32
+
+
+def test_query_leaves_out_what_collides():
+    """Next to a pinned pose the value is that of the others; among pinned ones only there is none."""
+    cost = linear_cost()
+    pinned = eqx.tree_at(lambda c: c.values, cost, cost.values.at[3:, :, :].set(NEVER))
+    planar = np.array([1.0 + 0.5 * 2.75, -1.0 + 0.5 * 1.0, np.pi])  # a quarter of it still open
+    assert pinned.at(planar) == pytest.approx(2.0 + 2.0)
+    assert pinned.reachable(planar)
+    planar[0] += 0.5
+    assert pinned.at(planar) == np.float32(NEVER)
+    assert not pinned.reachable(planar)
+    slope = slope_in_jax(pinned, planar)
+    assert np.isfinite(slope).all()
 
 
 def test_query_beyond_the_grid_and_gradient():

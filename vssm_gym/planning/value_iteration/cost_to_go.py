@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+SHARE = 1e-3  # of the weights: what is left of less is rounding
+
 
 class CostToGo(eqx.Module):
     """Cost-to-go on a grid of poses: trilinear between them, periodic in heading.
@@ -30,23 +32,25 @@ class CostToGo(eqx.Module):
     def at(self, planar: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """``V`` at poses ``(..., 3)``, m and rad; JAX for JAX arrays, else numpy; differentiable between grid planes.
 
-        A pose one of whose eight neighbours collides is charged that neighbour's share of :attr:`never`: within a cell
-        of a wall the value rises steeply, from what a map can resolve to what cannot be driven.
+        Poses of the grid that collide or have no way to the goal are left out of the mean and the weights of the others
+        grow to 1, so that a wall does not raise the cost of a free pose beside it. The obstacle of a heading is wider
+        than the car, so the poses between which another lies are all on one side of it. Where none of the eight has a
+        way the value jumps to :attr:`never`.
         """
         xp = _library(planar)
         values = xp.asarray(self.values)
         corners, inside = self._corners(planar)
-        found = sum(weight * values[index] for index, weight in corners)
-        return xp.where(inside, found, self.never).astype(np.float32)
+        share = total = 0.0
+        for index, weight in corners:
+            value = values[index]
+            counted = xp.where(value < np.float32(self.never), weight, 0.0)
+            share, total = share + counted, total + counted * value
+        known = inside & (share > SHARE)
+        return xp.where(known, total / xp.where(known, share, 1.0), self.never).astype(np.float32)
 
     def reachable(self, planar: Float[Array, "*batch 3"]) -> Array:
         """Whether any of the poses of the grid between which a pose lies has a way to the goal, ``(...)`` bool."""
-        xp = _library(planar)
-        values = xp.asarray(self.values)
-        corners, inside = self._corners(planar)
-        # not a comparison of the interpolated value, which rounds
-        ways = [(values[index] < np.float32(self.never)) & (weight > 0.0) for index, weight in corners]
-        return inside & xp.any(xp.stack(ways), axis=0)
+        return self.at(planar) < np.float32(self.never)
 
     def _corners(self, planar: Array) -> tuple[list[tuple[tuple[Array, Array, Array], Array]], Array]:
         """Indices and weights of the eight poses around each pose, and which poses lie within the grid."""
