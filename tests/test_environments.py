@@ -10,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from vssm_gym.envs.registration import ENVIRONMENTS
+from vssm_gym.errors import InputError
 
 IDS = sorted(ENVIRONMENTS)
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -187,3 +188,12 @@ def test_a_vector_environment_goes_on_after_an_episode(name):
     assert reward[0] == 0.0 and not terminated[0]
     vector.step(actions)
     vector.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_unknown_keyword_names_the_environment_and_what_it_takes(name):
+    title = name.removeprefix("vssm_gym/").removesuffix("-v0")
+    for build in (gym.make, gym.make_vec):
+        with pytest.raises(InputError, match=rf"^{title}: foo: .* it takes scene, .*render_mode") as error:
+            build(name, foo=1)
+        assert "simulation" not in error.value.expected and "\n" not in str(error.value)

@@ -33,6 +33,7 @@ class ExploreEnv(StagedEnv):
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
 
+    passes_to = Simulation
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(

@@ -27,6 +27,7 @@ class ImageNavEnv(StagedEnv):
         navigation: the keywords of :class:`~vssm_gym.envs.pointnav.PointNavEnv`, which moves, rewards and ends.
     """
 
+    passes_to = PointNavEnv
     metadata = PointNavEnv.metadata
 
     def __init__(self, scene: Any = "oak", **navigation: Any) -> None:

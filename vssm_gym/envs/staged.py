@@ -10,10 +10,13 @@ truncation (``TimeLimit``) is outside: only the wrapper knows of it.
 """
 
 import abc
-from typing import Any
+import inspect
+from typing import Any, ClassVar, Self
 
 import gymnasium as gym
 import numpy as np
+
+from vssm_gym.errors import InputError
 
 Report = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 
@@ -21,8 +24,19 @@ Report = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
     """Gymnasium's ``reset`` and ``step`` out of the four stages."""
 
+    passes_to: ClassVar[type | None] = None  # whose keywords the constructor takes besides its own
     parallel: bool = False  # whether several environments may look at once, in threads of one process
     _running: bool = False  # whether an episode has begun by a reset and not ended by a step
+
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        """Refuse keywords that the constructor does not take, with those that it does."""
+        taken = _keywords(cls)
+        for name in given:
+            if name not in taken:
+                raise InputError(
+                    cls.__name__.removesuffix("Env"), name, f"no such keyword; it takes {', '.join(taken)}"
+                )
+        return super().__new__(cls)
 
     @abc.abstractmethod
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -60,3 +74,14 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         observation, reward, terminated, truncated, info = self.report()
         self._running = not (terminated or truncated)
         return observation, reward, terminated, truncated, info
+
+
+def _keywords(cls: type) -> list[str]:
+    """The keywords of a class, and of the one that it passes the rest to."""
+    own = [
+        name
+        for name, parameter in inspect.signature(cls.__init__).parameters.items()  # type: ignore[misc]
+        if name != "self" and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+    ]
+    further = getattr(cls, "passes_to", None)
+    return own if further is None else list(dict.fromkeys(own + _keywords(further)))
