@@ -143,9 +143,8 @@ class DynamicWindow:
             _, _, free = self._arcs(planar, steerings, gear, ESCAPE_LENGTH)
             # Of arcs that are free far enough the one most to one side, each time the other: it turns the car.
             row = int(np.argmax(np.minimum(free, left) + 0.02 * side * steerings))
-            if free[row] > 1.5 * _PART:
-                speed = min(RECOVERY_SPEED, (free[row] - _PART) / self.car.dt)
-                control = np.array([gear * speed, steerings[row]])
+            if free[row] > RECOVERY_SPEED * self.car.dt + _PART:
+                control = np.array([gear * RECOVERY_SPEED, steerings[row]])
                 recovering = state.recovering - 1
                 return replace(state, control=control, status=DwaStatus.RECOVERING, recovering=recovering, gear=gear)
         return replace(state, control=np.zeros(2), status=DwaStatus.BLOCKED, recovering=0)
