@@ -1,19 +1,22 @@
 """The laser scanner: ranges in a room by hand, its noise against the stated law, its conventions."""
 
 import math
+import pickle
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from box_rooms import two_rooms
 from hypothesis import given
 from hypothesis import strategies as st
 
+import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.envs.lidar import PRESETS, Lidar, LidarConfig, LidarNoise, lidar_noise, measured
 from vssm_gym.envs.mjcf import World
-from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import make_tracer
+from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 
@@ -129,3 +132,47 @@ def test_impossible_noise_is_refused(change: dict) -> None:
         LidarNoise(**change)
     with pytest.raises(InputError, match="one of none, hokuyo, rplidar"):
         lidar_noise("perfect")
+
+
+CONFIG = LidarConfig(beams=45, fov=math.pi, max_range=3.0, height=0.4)
+
+
+@pytest.mark.parametrize("name", ["PointNav", "ImageNav", "Explore"])
+def test_a_robot_may_have_a_scanner(name: str) -> None:
+    """Its scan is that of its true pose, and its noise leaves image and motion alone."""
+    keywords = {"scene": ROOMS, "camera": {"width": 32, "height": 24}, "noise": "mid", "sensor_noise": "kinect"}
+    plain = gym.make(f"vssm_gym/{name}-v0", **keywords)
+    exact = gym.make(f"vssm_gym/{name}-v0", lidar=CONFIG, **keywords)
+    noisy = gym.make(f"vssm_gym/{name}-v0", lidar=vars(CONFIG), lidar_noise="rplidar", **keywords)
+    assert "scan" not in plain.observation_space.spaces
+    action = np.array([0.2, 0.0, 0.1, 0.0], np.float32)
+    for step in range(3):
+        (a, *_), (b, *_), (c, *_) = (
+            env.reset(seed=4) if step == 0 else env.step(action) for env in (plain, exact, noisy)
+        )
+        assert exact.observation_space.contains(b) and noisy.observation_space.contains(c)
+        pose = planar_to_matrix(exact.unwrapped.simulation.planar)
+        np.testing.assert_array_equal(b["scan"], Lidar(CONFIG, TRACER).scan(pose))
+        assert (b["scan"] != c["scan"]).mean() > 0.5
+        for key in a:
+            np.testing.assert_array_equal(a[key], b[key])
+            np.testing.assert_array_equal(a[key], c[key])
+    twin = pickle.loads(pickle.dumps(noisy.unwrapped))
+    np.testing.assert_array_equal(twin.step(action)[0]["scan"], noisy.unwrapped.step(action)[0]["scan"])
+
+
+def test_scanners_in_a_vector_environment_scan_as_single_ones() -> None:
+    keywords = {"scene": ROOMS, "camera": {"width": 32, "height": 24}, "lidar": True, "lidar_noise": "hokuyo"}
+    vector = gym.make_vec("vssm_gym/PointNav-v0", num_envs=2, **keywords)
+    scans = vector.reset(seed=1)[0]["scan"]
+    assert scans.shape == (2, 64)
+    for i in range(2):
+        alone = gym.make("vssm_gym/PointNav-v0", **keywords).reset(seed=1 + i)[0]
+        np.testing.assert_array_equal(scans[i], alone["scan"])
+    vector.close()
+
+
+@pytest.mark.parametrize("lidar", ["hokuyo", 3, {"rays": 5}, {"beams": 0}, {"fov": "wide"}])
+def test_a_scanner_that_is_none_is_refused(lidar: object) -> None:
+    with pytest.raises(InputError, match=r"lidar|LidarConfig"):
+        gym.make("vssm_gym/PointNav-v0", scene=ROOMS, lidar=lidar)

@@ -53,7 +53,7 @@ class ExploreEnv(StagedEnv):
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
         self.renderer_name = self.simulation.scenery.renderer_name
-        self.parallel = self.simulation.scenery.parallel
+        self.parallel = self.simulation.parallel
         self.coverage = Coverage(self.simulation.stage.observable, self.simulation.scenery.config.hfov)
         self.action_space = self.simulation.action_space()
         self.observation_space = gym.spaces.Dict(self.simulation.spaces())

@@ -13,7 +13,9 @@ Sources: data sheets of Hokuyo's URG-04LX (indoor scanner of small robots) and S
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +36,9 @@ class LidarConfig:
     height: float = 0.3  # m above the robot's origin
 
     def __post_init__(self) -> None:
+        for field in ("fov", "min_range", "max_range", "height"):
+            if not isinstance(value := getattr(self, field), int | float):
+                raise InputError("LidarConfig", field, f"a number, not {value!r:.80}")
         if isinstance(self.beams, bool) or not (isinstance(self.beams, int) and 1 <= self.beams <= 65536):
             raise InputError("LidarConfig", "beams", f"1 to 65536, not {self.beams!r}")
         if not 0.0 < self.fov <= 2.0 * math.pi:
@@ -86,6 +91,19 @@ def lidar_noise(spec: str | LidarNoise) -> LidarNoise:
     if not isinstance(spec, str) or spec not in PRESETS:
         raise InputError("lidar_noise", "name", f"one of {', '.join(PRESETS)}, or a LidarNoise; found {spec!r}")
     return PRESETS[spec]
+
+
+def lidar_config(spec: bool | LidarConfig | Mapping[str, Any] | None) -> LidarConfig | None:
+    """The scanner that a keyword asks for: True is the default one, None and False none; a mapping gives its fields."""
+    if spec is None or isinstance(spec, bool):
+        return LidarConfig() if spec else None
+    if isinstance(spec, LidarConfig):
+        return spec
+    known = [field.name for field in fields(LidarConfig)]
+    if not isinstance(spec, Mapping) or not set(spec) <= set(known):
+        expected = f"True, a LidarConfig or a mapping of {', '.join(known)}; found {spec!r:.80}"
+        raise InputError("environment", "lidar", expected)
+    return LidarConfig(**spec)
 
 
 class Lidar:

@@ -54,7 +54,7 @@ class PointNavEnv(StagedEnv):
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
         self.renderer_name = self.simulation.scenery.renderer_name
-        self.parallel = self.simulation.scenery.parallel
+        self.parallel = self.simulation.parallel
         self.success_radius = SUCCESS * self.robot.body_length
         self.sampler = self.simulation.stage.sampler
         if names := self.sampler.space.cut_off_rooms():

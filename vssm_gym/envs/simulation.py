@@ -13,6 +13,8 @@ import numpy as np
 
 from vssm_gym.axes import Matrix4, PlanarPose
 from vssm_gym.envs.eye import EXTENT, PICTURE, Eye
+from vssm_gym.envs.lidar import Lidar, LidarConfig, LidarNoise, lidar_config, measured
+from vssm_gym.envs.lidar import lidar_noise as lidar_noise_of
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.envs.scene import load_scene
@@ -21,11 +23,13 @@ from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.stage import stage_of
-from vssm_gym.envs.streams import seeded_streams
+from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.topdown import TopDown, beside_plan
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
+
+ROBOT_STREAMS = (*STREAMS, "lidar")
 
 
 class Simulation:
@@ -40,6 +44,9 @@ class Simulation:
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL. What made the images is in ``renderer_name``, to
             be recorded with results.
         physics: ``mujoco``.
+        lidar: whether the robot has a laser scanner, and which: True, or a :class:`LidarConfig`, or a mapping of its
+            fields; None and False for no scan.
+        lidar_noise: how its ranges err: ``none``, ``hokuyo``, ``rplidar`` or a :class:`LidarNoise`.
         observe_pose: whether the observation holds the true pose (an oracle's privilege).
         render_mode: ``rgb_array`` or None.
     """
@@ -52,6 +59,8 @@ class Simulation:
         camera: CameraConfig | Mapping[str, Any] | None = None,
         renderer: str = "raycast",
         physics: str = "mujoco",
+        lidar: bool | LidarConfig | Mapping[str, Any] | None = None,
+        lidar_noise: str | LidarNoise = "none",
         observe_pose: bool = False,
         render_mode: str | None = None,
     ) -> None:
@@ -72,12 +81,20 @@ class Simulation:
         self.path: list[np.ndarray] = []  # its positions
         self._K, self._T_body_cam = self.camera.K, self.robot.T_body_cam
         self._eye = Eye(self.scenery, self.sensor_noise)
+        config, self.lidar_noise = lidar_config(lidar), lidar_noise_of(lidar_noise)
+        self._lidar = None if config is None else Lidar(config, self.scenery.tracer)
+        self._scan: np.ndarray | None = None  # at the robot's pose
+        # Whether several environments may look at once, in threads of one process
+        self.parallel = self.scenery.parallel and (self._lidar is None or self.scenery.tracer.parallel)
         self._T_world_cam: Matrix4 | None = None  # at the robot's pose
         self._plan: TopDown | None = None
 
     def spaces(self) -> dict[str, gym.Space[Any]]:
         """The spaces of :meth:`observation`."""
         spaces = self._eye.spaces()
+        if self._lidar is not None:
+            config = self._lidar.config
+            spaces["scan"] = gym.spaces.Box(0.0, config.max_range, (config.beams,), np.float32)
         if self.observe_pose:
             far = np.array([EXTENT, EXTENT, np.pi], np.float32)
             spaces["pose"] = gym.spaces.Box(-far, far)
@@ -104,7 +121,7 @@ class Simulation:
     def seed(self, seed: int | None) -> None:
         """Restart all streams by a seed; without one they go on, or begin anywhere where there are none yet."""
         if seed is not None or not self.streams:
-            self.streams = seeded_streams(seed)
+            self.streams = seeded_streams(seed, ROBOT_STREAMS)
             self._eye.seed(self.streams["sensors"])
 
     def place(self, start: PlanarPose) -> None:
@@ -135,13 +152,18 @@ class Simulation:
         return self.robot.clip(values[:3]), bool(values[3] > 0.5)
 
     def look(self) -> None:
-        """Take the image at the robot's pose, as its sensor measures it; once, however often it is asked for."""
+        """Take image and scan at the robot's pose, as its sensors measure them; once, however often it is asked for."""
         self._eye.look(self.T_world_cam, self.robot.dt)
+        if self._lidar is not None and self._scan is None:
+            exact = self._lidar.scan(planar_to_matrix(self.planar))
+            self._scan = measured(exact, self.lidar_noise, self._lidar.config, self.streams["lidar"])
 
     def observation(self) -> dict[str, np.ndarray]:
-        """``rgb``, ``depth`` and, where it is observed, ``pose``; the arrays are the caller's."""
+        """``rgb``, ``depth`` and, where there are such, ``scan`` and ``pose``; the arrays are the caller's."""
         self.look()
         observation = self._eye.observation()
+        if self._scan is not None:
+            observation["scan"] = self._scan.copy()
         if self.observe_pose:
             observation["pose"] = self.planar.astype(np.float32)
         return observation
@@ -162,4 +184,4 @@ class Simulation:
 
     def _moved(self) -> None:
         self._eye.moved()
-        self._T_world_cam = None
+        self._T_world_cam = self._scan = None

@@ -33,9 +33,7 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         taken = _keywords(cls)
         for name in given:
             if name not in taken:
-                raise InputError(
-                    cls.__name__.removesuffix("Env"), name, f"no such keyword; it takes {', '.join(taken)}"
-                )
+                raise InputError(cls.__name__.removesuffix("Env"), name, f"one of its keywords: {', '.join(taken)}")
         return super().__new__(cls)
 
     @abc.abstractmethod
