@@ -21,10 +21,12 @@ import numpy as np
 import pytest
 from ansi import pixels
 
-from vssm_gym.cli.play_session import DRIVES, HUD, Session, arrow, goal_ahead
+from vssm_gym.cli.play import play
+from vssm_gym.cli.play_session import DRIVES, HUD, Session, arrow, goal_ahead, planar_pose
 from vssm_gym.cli.terminal import ENTER, LEAVE
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.errors import InputError
 
 RUN = "import sys; from vssm_gym.cli.main import main; sys.exit(main())"
 # A session leader's first terminal becomes its controlling one: Ctrl-C and hang-ups then reach it.
@@ -86,6 +88,34 @@ def test_the_end_of_time_is_told():
     assert "step 2 of 2" in text(driven.screen(100, 30))
 
 
+def test_a_maze_is_driven_by_its_plan():
+    env = gym.make("vssm_gym/LidarMaze-v0", noise="none", render_mode="rgb_array")
+    driven = Session(env, DRIVES["LidarMaze-v0"], "title", None, {}, seed=0)
+    before = driven.info["pose"]
+    screen = text(driven.screen(100, 30))
+    assert "goal" in screen and "step 0 of 1000" in screen
+    driven.press("a")
+    driven.press("up")
+    after = driven.info["pose"]
+    assert (after[2] - before[2] + math.pi) % (2 * math.pi) - math.pi == pytest.approx(math.radians(30.0))
+    assert np.hypot(*(after - before)[:2]) == pytest.approx(0.02)
+    driven.press("space")
+    assert "NOT THERE" in text(driven.screen(100, 30))
+    assert len(driven.screen(100, 30)) > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("Flight-v0",), r"ENV: expected an environment that one key a step can steer \(PointNav-v0, ImageNav-v0"),
+        (("LidarMaze-v0", "--record", "somewhere"), "an environment with a camera: LidarMaze-v0 has no images"),
+    ],
+)
+def test_what_cannot_be_played_is_said(arguments, expected):
+    with pytest.raises(InputError, match=expected):
+        play(arguments[0], record=Path(arguments[2]) if len(arguments) > 1 else None)
+
+
 def test_arrival_is_told():
     """Placed on its goal's side of the room by the environment's own task."""
     driven = session()
@@ -125,9 +155,11 @@ def test_the_goal_by_hand():
     T = np.eye(4)
     T[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # right +x, down -z, ahead +y
     T[:2, 3] = 1.0, 2.0
-    assert goal_ahead(T, np.array([1.0, 5.0])) == pytest.approx((3.0, 0.0))
-    assert goal_ahead(T, np.array([0.0, 2.0])) == pytest.approx((1.0, math.pi / 2))
-    distance, bearing = goal_ahead(T, np.array([1.0, 0.0]))
+    planar = planar_pose(T)
+    np.testing.assert_allclose(planar, [1.0, 2.0, math.pi / 2])
+    assert goal_ahead(planar, np.array([1.0, 5.0])) == pytest.approx((3.0, 0.0))
+    assert goal_ahead(planar, np.array([0.0, 2.0])) == pytest.approx((1.0, math.pi / 2))
+    distance, bearing = goal_ahead(planar, np.array([1.0, 0.0]))
     assert (distance, abs(bearing)) == pytest.approx((2.0, math.pi))
 
 

@@ -1,14 +1,14 @@
 """``vssm-gym play``: drive a robot by keyboard, in any terminal, also over SSH."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 
 def play(
     env: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ENV")] = "PointNav-v0",
-    scene: str = "oak",
+    scene: str | None = None,
     noise: str = "low",
     sensor_noise: str = "none",
     size: str = "160x120",
@@ -22,10 +22,10 @@ def play(
     No X server is needed; it works over SSH. One key is one step of the robot, so that nothing moves while you think.
 
     Args:
-        env: the environment's id.
-        scene: built-in name (oak) or path of a scene file.
+        env: the environment's id: PointNav-v0, ImageNav-v0, Explore-v0 or LidarMaze-v0.
+        scene: built-in name (oak; of a maze: rooms-v1) or path of a scene file.
         noise: execution noise: none, low, mid or high.
-        sensor_noise: what the camera adds to the exact image.
+        sensor_noise: what the camera, or the maze's scanner, adds to what it sees.
         size: WIDTHxHEIGHT of the camera's images.
         plan: show the plan from above from the start; p switches it.
         colours: 24-bit (true), or 256 for terminals that show no others.
@@ -44,7 +44,12 @@ def play(
 
     name = env.removeprefix("vssm_gym/")
     if name not in DRIVES:
-        raise InputError("play", "ENV", f"one of {', '.join(DRIVES)}; found {env!r}")
+        expected = f"an environment that one key a step can steer ({', '.join(DRIVES)}); found {env!r}"
+        raise InputError("play", "ENV", expected)
+    drive = DRIVES[name]
+    scene = drive.scene if scene is None else scene
+    if record is not None and not drive.camera:
+        raise InputError("play", "--record", f"an environment with a camera: {name} has no images to record")
     check_at_least("play", "seed", seed, 0)
     check_terminal("play")
     if record is not None:
@@ -52,16 +57,12 @@ def play(
         if record.exists() and any(record.iterdir()):
             raise InputError(record, "folder", "an empty or new folder: a recording is never overwritten")
     camera = camera_of("play", size)
-    print_notices([scene])
-    world = gym.make(
-        f"vssm_gym/{name}",
-        scene=scene,
-        noise=noise,
-        sensor_noise=sensor_noise,
-        camera=camera,
-    )
+    seeing: dict[str, Any] = {"camera": camera} if drive.camera else {"render_mode": "rgb_array"}
+    if drive.camera:
+        print_notices([scene])
+    world = gym.make(f"vssm_gym/{name}", scene=scene, noise=noise, sensor_noise=sensor_noise, **seeing)
     about = {"motion": "keyboard", "environment": name, "noise": noise, "sensor_noise": sensor_noise, "seed": seed}
-    session = Session(world, DRIVES[name], " · ".join([name, scene, f"noise {noise}"]), record, about, seed)
+    session = Session(world, drive, " · ".join([name, scene, f"noise {noise}"]), record, about, seed)
     session.plan = plan
     try:
         with whole_terminal() as terminal:

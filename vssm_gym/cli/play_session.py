@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.data.recording import recorded_episode
-from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.topdown import TopDown
 from vssm_gym.viz.terminal import Colours, depth_picture, side_by_side
 
@@ -28,6 +27,8 @@ class Drive:
 
     shares: dict[str, tuple[float, ...]]
     help: str
+    scene: str = "oak"  # where it drives unless told otherwise
+    camera: bool = True  # whether it sees by a camera, whose images can be recorded
 
     def action(self, key: str, space: Any) -> np.ndarray:
         """The action of a key, within the box ``space``."""
@@ -49,15 +50,28 @@ HOLONOMIC = Drive(
     "w ↑ ahead   a ← d → turn   z c curve   s ↓ wait   space I am there",
 )
 
-DRIVES: dict[str, Drive] = {"PointNav-v0": HOLONOMIC, "ImageNav-v0": HOLONOMIC, "Explore-v0": HOLONOMIC}
-"""The environments that can be played, by id without ``vssm_gym/``."""
+# (turn, s, stop) in a maze: the same keys
+MAZE = Drive(
+    {key: (turn, step, stop) for key, (turn, _, step, stop) in HOLONOMIC.shares.items()},
+    HOLONOMIC.help,
+    scene="rooms-v1",
+    camera=False,
+)
+
+DRIVES: dict[str, Drive] = {
+    "PointNav-v0": HOLONOMIC,
+    "ImageNav-v0": HOLONOMIC,
+    "Explore-v0": HOLONOMIC,
+    "LidarMaze-v0": MAZE,
+}
+"""The environments that can be played, by id without ``vssm_gym/``: those that one key a step can steer."""
 
 
 class Session:
     """Episodes driven by keys; ``left`` once the person wants to go.
 
     Args:
-        env: a robot on the floor of an apartment.
+        env: a robot on the floor of an apartment, or in a maze and with pictures (``render_mode="rgb_array"``).
         drive: its keys.
         title: of the screen.
         record: folder for a recording of each episode (1, 2, ...), or None.
@@ -74,7 +88,6 @@ class Session:
         self._record, self._about = record, about
         self._recording = contextlib.ExitStack()
         self._world: Any = env.unwrapped
-        self._simulation: Simulation = env.unwrapped.simulation  # type: ignore[attr-defined]
         self._plan: TopDown | None = None
         self._begin(seed)
 
@@ -86,7 +99,7 @@ class Session:
         self.episodes += 1
         self.steps = self.collisions = 0
         self.total, self.result = 0.0, ""
-        self._path = [planar_pose(self.info["T_world_cam"])[:2]]
+        self._path = [self._planar()[:2]]
 
     def press(self, key: str) -> None:
         """Do what a key says; keys that mean nothing do nothing, and an episode that is over takes no more steps."""
@@ -104,13 +117,14 @@ class Session:
         action = self.drive.action(key, self.env.action_space)
         self.observation, reward, terminated, truncated, self.info = self.env.step(action)
         self.steps += 1
-        self._path.append(planar_pose(self.info["T_world_cam"])[:2])
+        self._path.append(self._planar()[:2])
         self.collisions += bool(self.info["collision"])
         self.total += float(reward)
         if self._record is not None:
             if self._write is None:  # an episode without a step leaves no recording
                 folder = self._record / str(self.episodes)
-                self._write = self._recording.enter_context(recorded_episode(self._simulation, folder, self._about))
+                recording = recorded_episode(self._world.simulation, folder, self._about)
+                self._write = self._recording.enter_context(recording)
                 self._write(*self._first)
             self._write(self.observation, self.info)
         if terminated:
@@ -129,7 +143,9 @@ class Session:
         images = [v for v in self.observation.values() if v.ndim == 3 and v.dtype == np.uint8]
         if "depth" in self.observation:
             images.append(depth_picture(self.observation["depth"]))
-        if self.plan:
+        if not self.drive.camera:
+            images.append(np.asarray(self.env.render()))  # the plan and the readings in it: all that there is to see
+        elif self.plan:
             images.append(self._plan_picture())
         lines = side_by_side(images, columns, max(1, rows - HUD), colours)
         limit = f" of {self.env.spec.max_episode_steps}" if self.env.spec and self.env.spec.max_episode_steps else ""
@@ -152,17 +168,20 @@ class Session:
     def _plan_picture(self) -> np.ndarray:
         """The floor plan with the robot, its path and its goal; few pixels, so that the robot is still seen in them."""
         if self._plan is None:
-            self._plan = TopDown(self._simulation.scenery.boxes, PLAN, PLAN)
-        pose = planar_pose(self.info["T_world_cam"])
+            self._plan = TopDown(self._world.simulation.scenery.boxes, PLAN, PLAN)
         goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (None, 0.0)
-        return self._plan.draw(np.array(self._path), pose, self._simulation.robot.radius, goal, radius)
+        return self._plan.draw(np.array(self._path), self._planar(), self._world.simulation.robot.radius, goal, radius)
+
+    def _planar(self) -> np.ndarray:
+        """The true ``(x, y, heading)``."""
+        return self.info["pose"] if "pose" in self.info else planar_pose(self.info["T_world_cam"])
 
     def _has_goal(self) -> bool:
         return np.shape(self.observation.get("goal")) == (2,)
 
     def _goal_line(self) -> str:
-        """Where the goal truly lies, seen from the camera: a person at the keys is told, an agent is not."""
-        distance, bearing = goal_ahead(self.info["T_world_cam"], self.observation["goal"])
+        """Where the goal truly lies, seen from the robot: a person at the keys is told, an agent is not."""
+        distance, bearing = goal_ahead(self._planar(), self.observation["goal"])
         side = "left" if bearing >= 0.0 else "right"
         return f"goal {arrow(bearing)} {distance:.2f} m, {abs(math.degrees(bearing)):.0f}° {side}   "
 
@@ -180,10 +199,10 @@ def planar_pose(T_world_cam: np.ndarray) -> np.ndarray:
     return np.array([*T_world_cam[:2, 3], math.atan2(T_world_cam[1, 2], T_world_cam[0, 2])])
 
 
-def goal_ahead(T_world_cam: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """Distance (m) and bearing (rad, positive to the left, in (-pi, pi]) of ``goal (2,)`` on the floor plan."""
-    away = np.asarray(goal, dtype=np.float64) - T_world_cam[:2, 3]
-    ahead = T_world_cam[:2, 2]  # the camera's z axis
+def goal_ahead(planar: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
+    """Distance (m) and bearing (rad, positive to the left, in (-pi, pi]) of ``goal (2,)`` from ``(x, y, heading)``."""
+    away = np.asarray(goal, dtype=np.float64) - planar[:2]
+    ahead = np.array([math.cos(planar[2]), math.sin(planar[2])])
     cross, dot = ahead[0] * away[1] - ahead[1] * away[0], float(ahead @ away)
     return float(np.hypot(*away)), math.atan2(cross, dot)
 
