@@ -92,7 +92,7 @@ def plan(
         headings: of the search; doubled there.
         steerings: of the arcs, from full lock to full lock, odd.
         weight: of the heuristic; above 1 faster and up to as many times dearer.
-        time_limit: s of searching, after which the best plan so far is returned; the result then depends on the machine.
+        time_limit: s of searching, after which the best plan so far is returned: it then depends on the machine.
         max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
 
     Returns:
