@@ -314,11 +314,16 @@ def test_sparse_rewards_success_only():
     assert rewards[-1] == SUCCESS_REWARD and not any(rewards[:-1])
 
 
-def test_an_overturned_car_ends_the_episode_and_begins_anew():
+@pytest.mark.parametrize(
+    "state", [(0.3, 0.0, 1.0, 0.0, 0.0), (-0.5, 1.0, 0.0, 0.0, 0.0), (math.nan, 1.0, 0.0, 0.0, 0.0)]
+)
+def test_an_overturned_fallen_or_burst_car_ends_the_episode_and_begins_anew(state, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file there
     env = make(chain=True)
     env.reset(seed=0)
-    env.body.data.qpos[2:7] = 0.3, 0.0, 1.0, 0.0, 0.0
-    *_, terminated, _, info = env.step(act())
+    env.body.data.qpos[2:7] = state
+    observation, _, terminated, _, info = env.step(act())
+    assert env.observation_space.contains(observation)
     assert terminated and info["success"] is False and info["reason"] == "overturned or off the floor"
     _, info = env.reset()
     assert env.body.upright()

@@ -23,6 +23,7 @@ from vssm_gym.errors import InputError
 SUBSTEP = 0.005  # s
 SERVO = 4.0  # N m, of the steering
 TYRES, BODY, FLOOR, BOXES = 1, 2, 4, 8  # bits of what collides: tyres with the floor, the chassis with obstacles
+GAIN = 0.5  # share of the steering's error that its servo makes up for in a substep
 _HUB_MASS = 0.01  # kg, of what turns with the steering beside the wheel
 _SETTLE = 20  # substeps at rest after which the tyres carry the car
 
@@ -180,7 +181,13 @@ class BulletCar:
         p, client, car = self._bullet, self._client, self.car
         for j, angle in zip((0, 2), ackermann(steering, car), strict=True):
             p.setJointMotorControl2(
-                self._body, j, p.POSITION_CONTROL, targetPosition=angle, force=SERVO, physicsClientId=client
+                self._body,
+                j,
+                p.POSITION_CONTROL,
+                targetPosition=angle,
+                positionGain=GAIN,
+                force=SERVO,
+                physicsClientId=client,
             )
         inward = 0.5 * car.track * math.tan(steering) / car.wheelbase
         for j, share in ((4, 1.0 - inward), (5, 1.0 + inward)):

@@ -180,7 +180,8 @@ class CarNavEnv(StagedEnv):
         points, friction = self._actuators(ramp, float(command[1]), self.car.dt)
         already, self.touched = bool(self.touched), self.body.drive(points, friction)
         self.touches += bool(self.touched) and not already
-        self._planar = self.body.pose()
+        now = self.body.pose()
+        self._planar = now if np.isfinite(now).all() else was
         self.path_length += float(np.hypot(*(self._planar[:2] - was[:2])))
         self._path.append(self._planar[:2])
         if self._eye is not None:
