@@ -13,7 +13,7 @@ from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.fields import FieldCache, Fields
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, checked_pose, last_control
 from vssm_gym.planning.mpc.verdict import Verdict, to_result
-from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration import CostToGo
 
 Search = Callable[
     [Fields, Float[Array, "3"], Float[Array, "2"], Float[Array, "time 2"], PRNGKeyArray], tuple[Verdict, Array]

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration import CostToGo
 
 
 class Fields(eqx.Module):

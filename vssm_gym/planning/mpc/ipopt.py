@@ -29,10 +29,10 @@ from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, chec
 from vssm_gym.planning.mpc.ranking import ranked
 from vssm_gym.planning.mpc.verdict import Verdict, judge, to_result
 from vssm_gym.planning.mpc.windows import SUPPORT, ClearanceTable, ValueTable
-from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration import CostToGo
 
 CANDIDATES = 8 * FIXED  # to find a start among
-BETTER = 1.0  # step costs by which another start must beat the last plan, whose multipliers fit
+BETTER = 2.0  # step costs by which another start must beat the last plan, whose multipliers fit
 ROUNDING = 0.1  # of min(s, J), share of s
 REACH = 0.6  # m from where the start ends to where the plan may end: half the window of the cost-to-go
 SHARE = 0.7  # of the deadline for IPOPT: the start takes time too, and its clock is read between iterations
@@ -72,7 +72,7 @@ class Ipopt:
         warm: MpcResult | None = None,
         control: np.ndarray | None = None,
     ) -> MpcResult:
-        """See :meth:`~vssm_gym.planning.mpc.problem.MpcSolver.plan`. Building and compiling count as no solution time."""
+        """See :meth:`~vssm_gym.planning.mpc.problem.MpcSolver.plan`. Building and compiling do not count as time."""
         problem, horizon = self.problem, self.problem.config.horizon
         pose, last = checked_pose(state), last_control(problem, warm, control)
         fields = self._fields.of(value, clearance)
@@ -108,7 +108,7 @@ class Ipopt:
         verdict = jax.device_get(self._end(fields, inputs[0], inputs[1], both))
         seconds = time.perf_counter() - began
 
-        own = int(verdict.index) == 0
+        own = int(verdict.chosen) == 0
         kept = tuple(_a_step_later(found[name], horizon) for name in ("lam_x", "lam_g")) if own else ()
         converged = own and bool(statistics["success"])
         result = to_result(problem, verdict, converged, seconds, int(statistics["iter_count"]), step, kept)
@@ -166,17 +166,17 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
     c, s = ca.cos(before[2, :]), ca.sin(before[2, :])
     gaps = z - (before + ca.vertcat(c * forward - s * left, s * forward + c * left, turn))
 
-    offsets, radius = problem.discs
+    centres, radius = problem.discs
     heading_x, heading_y = ca.cos(z[2, :]), ca.sin(z[2, :])
-    px = ca.horzcat(*[z[0, :] + offset * heading_x for offset in offsets])
-    py = ca.horzcat(*[z[1, :] + offset * heading_y for offset in offsets])
+    px = ca.horzcat(*[z[0, :] + a * heading_x - b * heading_y for a, b in centres])
+    py = ca.horzcat(*[z[1, :] + a * heading_y + b * heading_x for a, b in centres])
     flat = _spline(
         ca,
         distances,
         (clearances.cells, clearances.cells),
         [(px - clearance_origin[0]) / clearances.resolution, (py - clearance_origin[1]) / clearances.resolution],
     )
-    clearance = ca.reshape(flat, horizon, config.discs).T - radius
+    clearance = ca.reshape(flat, horizon, len(centres)).T - radius
 
     turns = z[2, :] * (values.headings / (2.0 * math.pi))
     turns -= values.headings * ca.floor(turns / values.headings)
@@ -196,19 +196,16 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
     extra = (
         config.effort * (u[0, :] / car.max_speed) ** 2
         + config.smoothness * ca.sum1((change / ca.repmat(limits, 1, horizon)) ** 2)
-        + config.proximity * ca.sum1(ca.fmax(0.0, 1.0 - clearance / config.comfort) ** 2) / config.discs
+        + config.proximity * ca.sum1(ca.fmax(0.0, 1.0 - clearance / config.comfort) ** 2) / len(centres)
     )
     weights = discount ** ca.DM(np.arange(horizon)).T
     cost = ca.sum2(weights * (stage + step_cost * extra)) + discount**horizon * value[-1]
-    options = dict(OPTIONS)
+    options: dict[str, Any] = dict(OPTIONS)
     if math.isfinite(config.deadline):
         options["max_wall_time"] = SHARE * config.deadline
-    return ca.nlpsol(
-        "car",
-        "ipopt",
-        {"x": ca.vec(x), "p": p, "f": cost, "g": ca.vec(ca.vertcat(gaps, change, clearance))},
-        {"ipopt": options, "print_time": False, "calc_lam_p": False, "error_on_fail": False},
-    )
+    program: Any = {"x": ca.vec(x), "p": p, "f": cost, "g": ca.vec(ca.vertcat(gaps, change, clearance))}
+    settings: Any = {"ipopt": options, "print_time": False, "calc_lam_p": False, "error_on_fail": False}
+    return ca.nlpsol("car", "ipopt", program, settings)
 
 
 def _spline(ca: Any, coefficients: Any, shape: tuple[int, ...], places: list[Any]) -> Any:
@@ -244,13 +241,13 @@ def _bounds(problem: MpcProblem, low: np.ndarray, high: np.ndarray) -> tuple[np.
 
 def _least(problem: MpcProblem, clearance: float) -> np.ndarray:
     """Lower bounds of gaps, changes and clearances, step by step."""
-    one = np.concatenate([np.zeros(3), -problem.rates, np.full(problem.config.discs, clearance)])
+    one = np.concatenate([np.zeros(3), -problem.rates, np.full(len(problem.discs[0]), clearance)])
     return np.tile(one, problem.config.horizon)
 
 
 def _most(problem: MpcProblem) -> np.ndarray:
     """Upper bounds of the same."""
-    one = np.concatenate([np.zeros(3), problem.rates, np.full(problem.config.discs, np.inf)])
+    one = np.concatenate([np.zeros(3), problem.rates, np.full(len(problem.discs[0]), np.inf)])
     return np.tile(one, problem.config.horizon)
 
 

@@ -83,6 +83,6 @@ def refine(
         return shares, mean, square, multipliers, jnp.where(due, config.growth * penalty, penalty)
 
     shares = controls / limits
-    shape = (*controls.shape[:-1], problem.config.discs)
+    shape = (*controls.shape[:-1], len(problem.discs[0]))
     start = (shares, 0.0 * shares, 0.0 * shares, jnp.zeros(shape, controls.dtype), jnp.asarray(config.penalty))
     return limits * jax.lax.fori_loop(0, config.iterations, step, start)[0]

@@ -26,7 +26,7 @@ from vssm_gym.planning.mpc.objective import evaluate
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult
 from vssm_gym.planning.mpc.ranking import SHORTFALL_COST, shortfall
 from vssm_gym.planning.mpc.verdict import Verdict, judge
-from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration import CostToGo
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Mppi:
         scales = jnp.asarray(config.shrink ** np.arange(1, config.rounds))
         (mean, best), _ = jax.lax.scan(later, (mean, best), (keys[1:], scales))
         verdict = judge(problem, fields, state, last, jnp.stack([mean, best]), 1)
-        return verdict, verdict.index == 0
+        return verdict, verdict.chosen == 0
 
     def _average(
         self, fields: Fields, state: Array, last: Array, samples: Float[Array, "samples time 2"]

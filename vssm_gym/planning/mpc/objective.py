@@ -43,10 +43,11 @@ def rollout(problem: MpcProblem, state: Float[Array, "3"], controls: Float[Array
 
 def footprint_clearance(problem: MpcProblem, fields: Fields, states: Float[Array, "*batch 3"]) -> Array:
     """``d(p_i(z)) - r`` of every disc of the footprint, ``(*batch, discs)``, m."""
-    offsets, radius = problem.discs
-    heading = jnp.stack([jnp.cos(states[..., 2]), jnp.sin(states[..., 2])], axis=-1)
-    centres = states[..., None, :2] + jnp.asarray(offsets, states.dtype)[:, None] * heading[..., None, :]
-    return fields.distance(centres) - radius
+    centres, radius = problem.discs
+    x, y = jnp.asarray(centres.T, states.dtype)
+    c, s = jnp.cos(states[..., 2:]), jnp.sin(states[..., 2:])
+    points = jnp.stack([states[..., :1] + c * x - s * y, states[..., 1:2] + s * x + c * y], axis=-1)
+    return fields.distance(points) - radius
 
 
 def evaluate(

@@ -19,8 +19,8 @@ import numpy as np
 from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.footprint import car_discs
-from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.mpc.cover import cover
+from vssm_gym.planning.value_iteration import CostToGo
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class MpcConfig:
         horizon: T, steps of the car's ``dt``.
         margin: m, the least distance between the footprint's discs and an obstacle, m.
         comfort: distance below which closeness is charged, m; above ``margin``, so that noise meets a slope first.
-        discs: number of discs that cover the footprint.
+        discs: rows and columns of the discs that cover the footprint.
         speed_rate: largest change of speed, m/s^2.
         steering_rate: largest change of the steering angle, rad/s.
         effort: cost of a step at full speed, beside time: what makes the car stand still once it has arrived.
@@ -45,7 +45,7 @@ class MpcConfig:
     horizon: int = 25
     margin: float = 0.01
     comfort: float = 0.04
-    discs: int = 4
+    discs: tuple[int, int] = (2, 4)
     speed_rate: float = 3.0
     steering_rate: float = 4.0
     effort: float = 0.02
@@ -58,11 +58,14 @@ class MpcConfig:
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
+            if entry.name == "discs":
+                continue
             if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
                 raise InputError("MpcConfig", entry.name, f"a number; found {value!r:.80}")
-        for name in ("horizon", "discs"):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= 1):
-                raise InputError("MpcConfig", name, f"a whole number, at least 1; found {getattr(self, name)!r}")
+        if not (len(self.discs) == 2 and all(isinstance(n, int) and n >= 1 for n in self.discs)):
+            raise InputError("MpcConfig", "discs", f"rows and columns, whole numbers from 1; found {self.discs!r}")
+        if not (isinstance(self.horizon, int) and self.horizon >= 2):
+            raise InputError("MpcConfig", "horizon", f"a whole number, at least 2; found {self.horizon!r}")
         if not (isinstance(self.seed, int) and self.seed >= 0):
             raise InputError("MpcConfig", "seed", f"a whole number, at least 0; found {self.seed!r}")
         for name in ("speed_rate", "steering_rate", "tolerance", "deadline"):
@@ -77,15 +80,15 @@ class MpcConfig:
 
 @dataclass(frozen=True)
 class MpcProblem:
-    """A car under a configuration: all that is known before a map, a goal and a pose are. Hashable, so static in JAX."""
+    """A car under a configuration: what is known before map, goal and pose are. Hashable, so static in JAX."""
 
     car: Car = field(default_factory=Car)
     config: MpcConfig = field(default_factory=MpcConfig)
 
     @property
     def discs(self) -> tuple[np.ndarray, float]:
-        """Centres ahead of the rear axle, ``(discs,)`` m, and the radius, m."""
-        return car_discs(self.car, self.config.discs)
+        """Centres in the body frame, ``(discs, 2)`` m, and the radius, m."""
+        return cover(self.car, *self.config.discs)
 
     @property
     def rates(self) -> np.ndarray:

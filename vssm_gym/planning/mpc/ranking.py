@@ -8,7 +8,7 @@ from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.objective import Plans, evaluate, required_clearance
 from vssm_gym.planning.mpc.problem import MpcProblem
 
-SHORTFALL_COST = 1e4  # step costs a metre of violation: no detour over the horizon is worth a millimetre
+SHORTFALL_COST = 1e3  # step costs a metre of violation: what a refinement can repair, a detour of seconds cannot
 
 
 def shortfall(problem: MpcProblem, fields: Fields, state: Float[Array, "3"], plans: Plans) -> Array:

@@ -138,6 +138,8 @@ def _drive(problem: MpcProblem, state: Array, last: Array, controls: Array) -> t
 
 def _footprint_clearance(problem: MpcProblem, states: np.ndarray, clearance: ClearanceMap) -> np.ndarray:
     """Of every disc, ``(*batch, discs)`` m, from the map itself: nothing is moved to a device in an emergency."""
-    offsets, radius = problem.discs
-    heading = np.stack([np.cos(states[..., 2]), np.sin(states[..., 2])], axis=-1)
-    return clearance.at(states[..., None, :2] + offsets[:, None] * heading[..., None, :]) - radius
+    centres, radius = problem.discs
+    x, y = centres.T
+    c, s = np.cos(states[..., 2:]), np.sin(states[..., 2:])
+    points = np.stack([states[..., :1] + c * x - s * y, states[..., 1:2] + s * x + c * y], axis=-1)
+    return clearance.at(points) - radius

@@ -26,7 +26,7 @@ class Verdict(NamedTuple):
     violation: Array  # m
     clearance_min: Array  # m
     start_clearance: Array  # m
-    index: Array  # which of the plans it is
+    chosen: Array  # which of the plans it is
 
 
 def judge(

@@ -10,7 +10,7 @@ from scipy.ndimage import spline_filter
 
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.fields import walled
-from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration import CostToGo
 
 SUPPORT = 4  # coefficients that a cubic B-spline reads in each dimension
 
@@ -44,14 +44,15 @@ class ClearanceTable:
         self.resolution = float(clearance.resolution)
         self.cells = 2 * math.ceil(reach / self.resolution) + SUPPORT
         inside = walled(clearance)
-        steps = [
-            np.maximum(0, np.maximum(-k, k - n + 1))
-            for n in inside.shape
-            for k in [np.arange(-self.cells, n + self.cells)]
-        ]
-        beyond = self.resolution * (steps[0][:, None] + steps[1][None, :])
+        beyond_x, beyond_y = (self.resolution * self._beyond(n) for n in inside.shape)
+        beyond = beyond_x[:, None] + beyond_y[None, :]
         self.table = spline_filter(np.pad(inside, self.cells, mode="edge") - beyond, order=3, mode="nearest")
         self.origin = np.asarray(clearance.origin, np.float64) - self.cells * self.resolution
+
+    def _beyond(self, n: int) -> np.ndarray:
+        """How many cells outside an axis of ``n`` cells those of the padded axis are."""
+        k = np.arange(-self.cells, n + self.cells)
+        return np.maximum(0, np.maximum(-k, k - n + 1))
 
     def window(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients ``(cells, cells)`` flat, and the place of the first, ``(2,)`` m."""
