@@ -39,7 +39,7 @@ def build_car_spec(apartment: Apartment, car: Car) -> mujoco.MjSpec:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0  # tyres slip where friction ends, and hardly creep before
-    # Should a simulation ever burst, it stays burst and the car counts as overturned, instead of starting at the origin.
+    # Should a simulation ever burst, it stays so and the car counts as overturned, instead of starting at the origin.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], contype=TYRES, conaffinity=TYRES
