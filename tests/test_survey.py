@@ -9,9 +9,10 @@ import shapely
 from box_rooms import furniture, seeds, two_rooms
 from hypothesis import given, settings
 
-from vssm_gym.envs.free_space import FreeSpace, footprint
+from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.solids import footprint
 from vssm_gym.envs.survey import Waypoint, short_tour, survey_route
 from vssm_gym.errors import InputError
 
@@ -67,6 +68,23 @@ def test_sees_everything_and_touches_nothing(boxes: list, seed: int) -> None:
         furniture(f"piece {i}", (x, y, 0.3), (w, d, 0.6), yaw) for i, (x, y, w, d, yaw) in enumerate(boxes)
     )
     check(two_rooms(pieces=furnished), seed)
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.025, 0.01, 0.003])
+def test_what_lies_behind_a_passage_that_just_fits_is_seen(gap: float) -> None:
+    """The door, 0.9 m wide, left open by the robot's diameter and ``gap``: the clearance that is kept goes by it."""
+    width = 2.0 * ROBOT.radius + gap
+    block = furniture("block", (3.0, 1.5 + width + 0.5, 0.3), (0.6, 1.0, 0.6))
+    apartment = two_rooms(pieces=(block,))
+    space = FreeSpace.from_apartment(apartment, ROBOT.radius, ROBOT.height)
+    assert space.cut_off_rooms() == []
+    check(apartment)
+
+
+@settings(max_examples=8)
+@given(x=st.floats(2.6, 3.4), y=st.floats(1.3, 2.6), w=st.floats(0.2, 1.2), d=st.floats(0.2, 1.2), yaw=st.floats(0, 3))
+def test_sees_past_what_stands_in_the_door(x: float, y: float, w: float, d: float, yaw: float) -> None:
+    check(two_rooms(pieces=(furniture("piece", (x, y, 0.3), (w, d, 0.6), yaw),)))
 
 
 def test_built_in_apartment() -> None:

@@ -3,8 +3,9 @@
 Viewpoints are a greedy set cover: every free position (on a 0.2 m grid) has one within ``reach`` and in line of sight
 (past obstacles at the robot's height; the camera looks over the low ones).
 They and the ways between them keep the largest clearance with which all rooms stay connected; only what cannot be seen
-from there is visited more closely. The tour is nearest neighbour plus 2-opt over geodesic distances. It knows the true
-floor plan: it drives the recording of a map (``vssm-gym record``), never an agent.
+from there is visited more closely, as closely as a passage that the robot just fits through asks for. The tour is
+nearest neighbour plus 2-opt over geodesic distances. It knows the true floor plan: it drives the recording of a map
+(``vssm-gym record``), never an agent.
 """
 
 import itertools
@@ -15,7 +16,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.free_space import ROOM_AREA, FreeSpace
 from vssm_gym.envs.geodesic import Geodesics
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment
@@ -23,8 +24,9 @@ from vssm_gym.errors import InputError
 
 GRID = 0.2  # m between positions that must be seen, and between candidate viewpoints
 CLEARANCES = (0.2, 0.15, 0.1, 0.05)  # m between the robot's side and obstacles, tried in this order
-CLOSE = 0.03  # m of clearance where nothing wider sees a place
-_STRAIGHTEN = 0.02  # m by which a leg may cut the chords of a rounded corner; less than CLOSE
+# m of clearance where nothing wider sees a place: the first with which free space stays in one part
+CLOSE = (0.03, 0.015, 0.005, 0.001)
+STRAIGHTEN = 2.0 / 3.0  # of the clearance: by how much a leg may cut the chords of a rounded corner
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ def survey_route(apartment: Apartment, robot: HolonomicRobot, seed: int = 0, rea
         InputError: no room for the robot.
     """
     space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
-    wide, close = _clear(space), _within(space, CLOSE)
+    margin, close = _close(space)
+    wide = _clear(space, close)
     targets = _grid(space.largest, np.zeros(2))
     offset = np.random.default_rng(seed).uniform(0.0, GRID, 2)
     roomy, tight = _grid(wide.largest, offset), _grid(close.largest, offset)
@@ -63,16 +66,30 @@ def survey_route(apartment: Apartment, robot: HolonomicRobot, seed: int = 0, rea
         inside = np.flatnonzero(shapely.contains_xy(room, candidates))
         if name not in space.cut_off_rooms() and len(inside) and not np.isin(chosen, inside).any():
             chosen.append(int(inside[np.argmax(space.distance_to_obstacle(candidates[inside]))]))
-    return _route(candidates[chosen], np.array(chosen) < len(roomy), Geodesics(wide), Geodesics(close))
+    places, is_roomy = candidates[chosen], np.array(chosen) < len(roomy)
+    return _route(places, is_roomy, Geodesics(wide), Geodesics(close), STRAIGHTEN * margin)
 
 
-def _clear(space: FreeSpace) -> FreeSpace:
-    """The free space of the largest clearance with which no more rooms are cut off."""
+def _clear(space: FreeSpace, close: FreeSpace) -> FreeSpace:
+    """The free space of the largest clearance with which no more rooms are cut off; ``close`` where there is none."""
     for margin in CLEARANCES:
         wide = _within(space, margin)
         if wide is not space and set(wide.cut_off_rooms()) <= set(space.cut_off_rooms()):
             return wide
-    return _within(space, CLOSE)
+    return close
+
+
+def _close(space: FreeSpace) -> tuple[float, FreeSpace]:
+    """The largest clearance of CLOSE, m, with which ``space.largest`` stays connected, but for scraps, and its space.
+
+    A passage that leaves less room beside the robot falls shut with more: what is beyond would never be seen.
+    """
+    for margin in CLOSE:
+        near = _within(space, margin)
+        parts = [part.area for part in near.region.geoms if space.largest.intersects(part)]
+        if near is not space and sum(parts) - near.largest.area <= ROOM_AREA:
+            return margin, near
+    return 0.0, space
 
 
 def _within(space: FreeSpace, margin: float) -> FreeSpace:
@@ -135,9 +152,12 @@ def _without_needless(sees: Bool[np.ndarray, "k n"], chosen: list[int]) -> list[
 
 
 def _route(
-    points: Float[np.ndarray, "n 2"], roomy: Bool[np.ndarray, "n"], wide: Geodesics, close: Geodesics
+    points: Float[np.ndarray, "n 2"], roomy: Bool[np.ndarray, "n"], wide: Geodesics, close: Geodesics, cut: float
 ) -> list[Waypoint]:
-    """The tour through all viewpoints: ways between roomy ones in the wide space, all others in the close one."""
+    """The tour through all viewpoints: ways between roomy ones in the wide space, all others in the close one.
+
+    Legs may cut corners by ``cut`` m, less than both spaces keep from obstacles.
+    """
     lengths = close.matrix(points)
     pairs = np.ix_(roomy, roomy)
     lengths[pairs] = wide.matrix(points[roomy])
@@ -145,7 +165,7 @@ def _route(
     route = [_waypoint(points[order[0]], turn_around=True)]
     for a, b in itertools.pairwise(order):
         path = (wide if roomy[a] and roomy[b] else close).path(points[a], points[b])
-        corners = shapely.get_coordinates(shapely.LineString(path).simplify(_STRAIGHTEN))
+        corners = shapely.get_coordinates(shapely.LineString(path).simplify(cut))
         route += [_waypoint(corner, turn_around=False) for corner in corners[1:-1]]
         route.append(_waypoint(points[b], turn_around=True))
     return route
