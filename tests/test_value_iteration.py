@@ -264,7 +264,7 @@ def test_warm_start_reaches_the_same_fixed_point(change):
     assert warm.unreachable == cold.unreachable
     assert np.array_equal(values(warm) == NEVER, values(cold) == NEVER)
     assert np.abs(values(warm) - values(cold)).max() < 0.02
-    if change in ("nothing", "goal"):
+    if change in ("nothing", "goal", "door shut"):  # what the door shut off starts where it ends
         assert warm.sweeps <= cold.sweeps
 
 

@@ -125,3 +125,4 @@ def test_policy_cost_within_3_percent_of_twice_the_resolution(arena, grids, goal
     both = (a < coarse.never) & (b < fine.never)
     assert (a < coarse.never).mean() > 0.95  # greedy without looking ahead: the rest turns to and fro in tight places
     assert a[both].mean() <= 1.03 * b[both].mean()
+    assert coarse.at(starts).mean() == pytest.approx(fine.at(starts).mean(), rel=0.03)
