@@ -1,7 +1,7 @@
 """Four more arenas for cars, 5 x 4 m each, drawn by hand: what a car meets where people work.
 
 depot: rows of racks with aisles between them. garage: bays at right angles to a wall, gaps for parallel parking and
-pillars. dock: alleys too narrow to turn in, so that a car backs out. paddock: slanted barriers, and gates of two posts.
+pillars. dock: dead ends, which a car backs out of. paddock: slanted barriers, and gates of two posts.
 No gap is between 0.12 and 0.38 m wide, so that no centimetre decides whether a car fits that is 0.19 m wide; bays are
 0.42 m wide. It turns on 0.45 m.
 """
@@ -34,7 +34,7 @@ def depot() -> Apartment:
     wood = _look("planks", (0.8, 0.62, 0.42), 0.3)
     pallets = [(1.2, 1.3, 0.36, 0.3), (3.3, 2.4, 0.36, 0.3), (4.1, 2.9, 0.3, 0.3), (1.8, 2.9, 0.3, 0.3)]
     pieces += [_piece("pallet", pallet, 0.22, wood) for pallet in pallets]
-    pieces += [_piece("drum", (4.55, 2.1, 0.26, 0.26), 0.4, _look("metal", RED, 0.5), 0.4)]
+    pieces += [_piece("drum", (4.53, 2.1, 0.26, 0.26), 0.4, _look("metal", RED, 0.5), 0.4)]
     floor = Material(color=(0.86, 0.84, 0.80), texture="granite", scale=1.6)
     walls = (
         _look("brick", CREAM, 1.2),
