@@ -16,7 +16,7 @@ from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.generator import SIZES, generate
 from vssm_gym.envs.generator.built_in import MAKERS
-from vssm_gym.envs.generator.furnish import KINDS
+from vssm_gym.envs.generator.furnish import PROGRAMS
 from vssm_gym.envs.generator.plans import HOMES
 from vssm_gym.envs.mazes import load_maze
 from vssm_gym.envs.preview import preview
@@ -137,7 +137,7 @@ def test_sizes(name: str) -> None:
     size = name.split(":")[2]
     assert ROOMS[size][0] <= len(apartment.rooms) <= ROOMS[size][1]
     assert len(furniture(apartment)) >= {"small": 60, "medium": 100, "large": 120}[size]
-    assert {room.kind for room in apartment.rooms} <= set(KINDS)
+    assert {room.kind for room in apartment.rooms} <= PROGRAMS.keys()
     assert apartment.name == (name if size != "medium" else name.removesuffix(":medium"))
     assert sum(door.rooms[1] is None for door in apartment.doors) == 1 and apartment.windows
 

@@ -5,14 +5,13 @@ NaN and infinities. `parse_apartment` turns plain data into an `Apartment` and r
 as one `InputError` that names the source and the field.
 """
 
-import hashlib
-import json
 import math
 from typing import Annotated, Any, Literal, Self
 
 import shapely
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from vssm_gym.envs.content_hash import content_hash
 from vssm_gym.envs.solids import SolidBox, solid_boxes
 from vssm_gym.envs.textures import TEXTURES
 from vssm_gym.envs.validation import validated
@@ -193,9 +192,7 @@ class Apartment(_Model):
 
     def content_hash(self) -> str:
         """First 16 hex digits of the SHA-256 of the canonical JSON without ``notes``."""
-        content = self.model_dump(mode="json", exclude={"notes"})
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+        return content_hash(self, without="notes")
 
 
 def _check_extent(apartment: Apartment) -> None:

@@ -23,7 +23,7 @@ from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.envs.scene import Apartment
 from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.streams import seeded_streams
-from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet
+from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.topdown import TopDown
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
@@ -81,7 +81,7 @@ class LidarMazeEnv(StagedEnv):
         self.robot, self.beams = ROBOT, beams
         self._lidar = LidarConfig(beams=beams, max_range=LONGEST)
         self.success_radius = SUCCESS * self.robot.body_length
-        self.tasks = self.maze.tasks if tasks is None else self._checked_set(tasks)
+        self.tasks = self.maze.tasks if tasks is None else checked_set("LidarMaze", tasks, self.maze.apartment)
         self.objective: Approach | Coverage = Coverage(self.maze.space)
         if task == "navigate":
             dense = reward == "dense"
@@ -191,13 +191,6 @@ class LidarMazeEnv(StagedEnv):
         self.planar = np.array([x, y, wanted[2]])
         self._path.append(self.planar[:2])
         return touched
-
-    def _checked_set(self, tasks: Any) -> TaskSet:
-        if not isinstance(tasks, TaskSet) or not tasks.tasks:
-            raise InputError("LidarMaze", "tasks", f"a TaskSet that holds a task; found {tasks!r:.80}")
-        if tasks.scene_hash != self.maze.apartment.content_hash():
-            raise InputError("tasks", "scene_hash", f"tasks of this version of {self.maze.name!r}")
-        return tasks
 
     def _check(self, task: Any) -> None:
         if not isinstance(task, Task):

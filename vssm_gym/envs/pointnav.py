@@ -14,7 +14,7 @@ import numpy as np
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.simulation import EXTENT, Simulation
 from vssm_gym.envs.staged import StagedEnv
-from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet
+from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 
@@ -60,7 +60,7 @@ class PointNavEnv(StagedEnv):
         if names := self.sampler.space.cut_off_rooms():
             kept = "tasks are drawn from the largest connected part"
             warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
-        self.tasks = None if tasks is None else self._checked_set(tasks)
+        self.tasks = None if tasks is None else checked_set("PointNav", tasks, self.apartment)
         self._goal_distance = self.simulation.stage.goal_distance() if reward == "dense" else None
         self.action_space = self.simulation.action_space()
         goal = gym.spaces.Box(-EXTENT, EXTENT, (2,), np.float32)
@@ -139,13 +139,6 @@ class PointNavEnv(StagedEnv):
         if self.tasks is None:
             return self.sampler.draw(stream)
         return self.tasks.tasks[stream.integers(len(self.tasks.tasks))]
-
-    def _checked_set(self, tasks: Any) -> TaskSet:
-        if not isinstance(tasks, TaskSet) or not tasks.tasks:
-            raise InputError("PointNav", "tasks", f"a TaskSet that holds a task; found {tasks!r:.80}")
-        if tasks.scene_hash != self.apartment.content_hash():
-            raise InputError("tasks", "scene_hash", f"tasks of this version of {self.apartment.name!r}")
-        return tasks
 
     def _checked(self, task: Any) -> Task:
         if not isinstance(task, Task):

@@ -5,7 +5,6 @@ hash of each scene, so that a changed scene is noticed before results are compar
 have splits of their own (:mod:`vssm_gym.envs.tasks`): the same rooms, other starts and goals.
 """
 
-import hashlib
 import json
 import re
 from functools import cache
@@ -14,6 +13,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from vssm_gym.envs.content_hash import content_hash
 from vssm_gym.envs.scene import built_in_scenes, load_scene
 from vssm_gym.envs.tasks import SPLITS, Split
 from vssm_gym.envs.validation import validated
@@ -66,9 +66,7 @@ class SceneSplits(_Model):
 
     def content_hash(self) -> str:
         """First 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
-        content = self.model_dump(mode="json", exclude={"hash"})
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+        return content_hash(self, without="hash")
 
     def changed(self) -> list[str]:
         """One line for each scene that is not what was frozen: made otherwise, gone, or not frozen yet."""

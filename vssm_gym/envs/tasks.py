@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from vssm_gym.envs.content_hash import content_hash
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.geodesic import Geodesics
 from vssm_gym.envs.robots import HolonomicRobot
@@ -78,9 +79,7 @@ class TaskSet(_Model):
 
     def content_hash(self) -> str:
         """First 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
-        content = self.model_dump(mode="json", exclude={"hash"})
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+        return content_hash(self, without="hash")
 
 
 def save(tasks: TaskSet, path: Path) -> None:
@@ -219,6 +218,15 @@ class TaskSampler:
     def _task(self, task_id: int, start: Sequence[float], goal: Sequence[float], geodesic: float) -> Task:
         data = {"id": task_id, "scene": self._scene, "start": list(start), "goal": list(goal), "geodesic": geodesic}
         return validated(Task, data, "task")
+
+
+def checked_set(source: str, tasks: object, apartment: Apartment) -> TaskSet:
+    """A task set that an environment was given; :class:`InputError` naming ``source`` unless it is of this scene."""
+    if not isinstance(tasks, TaskSet) or not tasks.tasks:
+        raise InputError(source, "tasks", f"a TaskSet that holds a task; found {tasks!r:.80}")
+    if tasks.scene_hash != apartment.content_hash():
+        raise InputError("tasks", "scene_hash", f"tasks of this version of {apartment.name!r}")
+    return tasks
 
 
 def _hashed(tasks: TaskSet) -> TaskSet:

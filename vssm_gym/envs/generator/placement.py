@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from vssm_gym.envs.apartment import Apartment, Box, Door, Furniture, Room, Window
 from vssm_gym.envs.generator.pieces import LOW, STEP, Block, Piece
+from vssm_gym.envs.generator.quarter_turns import ROUNDING, contains, gaps, overlap, overlap3, turned, turned3
 from vssm_gym.envs.solids import SolidBox, footprint
 
 CLOSED, PASSAGE = 0.11, 0.47  # m: gaps between two things are at most the one or at least the other
@@ -28,7 +29,6 @@ _WINDOW = 0.15  # m before a window that stay free
 _CELL = 0.02  # m, grid on which ways are followed
 _POCKET = 0.15  # m^2 of floor that a piece may cut off
 _TRIES = 12  # places that would block the way before a piece is given up
-_EPS = 1e-6
 
 _TURNS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the piece's x axis after q quarter turns
 
@@ -82,7 +82,7 @@ class Site:
         self.obstacles = self.solids[low][:, [0, 1, 3, 4]]  # (n, 4) what stops a ground robot
         self.airy = np.zeros(len(self.obstacles), dtype=bool)
         self.fronts = np.zeros((0, 4))
-        self._inside = _contains(corners)
+        self._inside = contains(corners)
         self.entries: list[np.ndarray] = []  # a free point before each door
         self.furniture: list[Furniture] = []
         self._holes(apartment)
@@ -98,7 +98,7 @@ class Site:
         runs: list[tuple[float, float, float]] = []  # from, to, thickness
         for wall in sorted(apartment.walls, key=lambda w: min(w.start[axis], w.end[axis])):
             p, q = sorted((wall.start[axis], wall.end[axis]))
-            on_line = max(abs(end[1 - axis] - a[1 - axis]) for end in (wall.start, wall.end)) < _EPS
+            on_line = max(abs(end[1 - axis] - a[1 - axis]) for end in (wall.start, wall.end)) < ROUNDING
             if not on_line or not low < 0.5 * (p + q) < high:
                 continue
             if runs and runs[-1][2] == wall.thickness:
@@ -183,7 +183,7 @@ class Site:
             if any(np.abs(origins[i] - origins[j]).sum() < 0.12 and turns[i] == turns[j] for j in refused):
                 continue
             shift = np.array([*origins[i], 0.0, *origins[i], 0.0])
-            if _overlap3(_turned3(blocks, turns[i]) + shift, occupied).any():
+            if overlap3(turned3(blocks, turns[i]) + shift, occupied).any():
                 continue
             if self._keeps_ways(piece, origins[i], int(turns[i])):
                 self._add(piece, origins[i], int(turns[i]))
@@ -211,21 +211,21 @@ class Site:
         for q in np.unique(turns):
             where = np.flatnonzero(turns == q)
             moved = origins[where]
-            rects = _turned(np.array([piece.bounds]), q)[None] + np.tile(moved, 2)[:, None]
+            rects = turned(np.array([piece.bounds]), q)[None] + np.tile(moved, 2)[:, None]
             ok = self._inside(rects[:, 0, :2]) & self._inside(rects[:, 0, 2:])
             ok &= self._inside(0.5 * (rects[:, 0, :2] + rects[:, 0, 2:]))
             if len(lying):
-                low = _turned(lying, q)[None] + np.tile(moved, 2)[:, None]
-                gap = _gaps(low, self.obstacles)
+                low = turned(lying, q)[None] + np.tile(moved, 2)[:, None]
+                gap = gaps(low, self.obstacles)
                 closed = np.where(self.airy, -1.0, CLOSED)  # nothing stands close to what robots pass under
                 if piece.airy:
                     closed = np.full(len(self.airy), -1.0)
                 ok &= ((gap <= closed) | (gap >= PASSAGE)).all(axis=(1, 2))
-                ok &= ~_overlap(low, self.fronts).any(axis=(1, 2))
+                ok &= ~overlap(low, self.fronts).any(axis=(1, 2))
             if piece.front > 0.0:
                 x0, _, x1, y1 = piece.bounds
-                ahead = _turned(np.array([[x0, y1, x1, y1 + piece.front]]), q)[None] + np.tile(moved, 2)[:, None]
-                ok &= ~_overlap(ahead, self.obstacles).any(axis=(1, 2))
+                ahead = turned(np.array([[x0, y1, x1, y1 + piece.front]]), q)[None] + np.tile(moved, 2)[:, None]
+                ok &= ~overlap(ahead, self.obstacles).any(axis=(1, 2))
             good[where] = ok
         return good
 
@@ -234,7 +234,7 @@ class Site:
         rects = piece.on_floor
         if not len(rects):
             return True
-        rects = _turned(rects, turn) + np.tile(origin, 2)
+        rects = turned(rects, turn) + np.tile(origin, 2)
         shape = np.ceil((self.high - self.low) / _CELL).astype(int)
         blocked = np.zeros(shape + 2, dtype=bool)
         blocked[[0, -1]] = blocked[:, [0, -1]] = True
@@ -242,8 +242,8 @@ class Site:
         grid = np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1)
         blocked[1:-1, 1:-1] = ~self._inside(grid.reshape(-1, 2)).reshape(shape)
         for x0, y0, x1, y1 in np.concatenate([self.obstacles, rects]):
-            a, b = np.floor((np.array([x0, y0]) - self.low) / _CELL + _EPS).astype(int) + 1
-            c, d = np.ceil((np.array([x1, y1]) - self.low) / _CELL - _EPS).astype(int) + 1
+            a, b = np.floor((np.array([x0, y0]) - self.low) / _CELL + ROUNDING).astype(int) + 1
+            c, d = np.ceil((np.array([x1, y1]) - self.low) / _CELL - ROUNDING).astype(int) + 1
             blocked[max(a, 0) : max(c, 0), max(b, 0) : max(d, 0)] = True
         free = ndimage.distance_transform_edt(~blocked) * _CELL > WIDE
         parts, _ = ndimage.label(free)
@@ -262,14 +262,14 @@ class Site:
     def _add(self, piece: Piece, origin: np.ndarray, turn: int) -> None:
         shift4, shift6 = np.tile(origin, 2), np.array([*origin, 0.0, *origin, 0.0])
         rects = piece.on_floor
-        self.obstacles = np.concatenate([self.obstacles, _turned(rects, turn) + shift4])
+        self.obstacles = np.concatenate([self.obstacles, turned(rects, turn) + shift4])
         self.airy = np.concatenate([self.airy, np.full(len(rects), piece.airy)])
         if piece.front > 0.0:
             x0, _, x1, y1 = piece.bounds
-            ahead = _turned(np.array([[x0, y1, x1, y1 + piece.front]]), turn) + shift4
+            ahead = turned(np.array([[x0, y1, x1, y1 + piece.front]]), turn) + shift4
             self.fronts = np.concatenate([self.fronts, ahead])
         for part in piece.parts:
-            blocks = _turned3(np.array([[*b.low, *b.high] for b in part.blocks]), turn) + shift6
+            blocks = turned3(np.array([[*b.low, *b.high] for b in part.blocks]), turn) + shift6
             if blocks[:, 5].max() > STEP:  # rugs lie under the rest
                 self.solids = np.concatenate([self.solids, blocks])
             count = self._names[part.category] = self._names.get(part.category, 0) + 1
@@ -282,46 +282,3 @@ def _box(row: np.ndarray, b: Block) -> Box:
     center = tuple(round(float(0.5 * (row[k] + row[k + 3])), 4) for k in range(3))
     size = tuple(round(float(row[k + 3] - row[k]), 4) for k in range(3))
     return Box(center=center, size=size, material=b.material)  # type: ignore[arg-type]
-
-
-def _turned(rects: Float[np.ndarray, "n 4"], q: int) -> Float[np.ndarray, "n 4"]:
-    """Rectangles (x0, y0, x1, y1) after q quarter turns about the origin."""
-    x0, y0, x1, y1 = rects.T
-    return np.stack([(x0, y0, x1, y1), (-y1, x0, -y0, x1), (-x1, -y1, -x0, -y0), (y0, -x1, y1, -x0)][q], axis=1)
-
-
-def _turned3(blocks: Float[np.ndarray, "n 6"], q: int) -> Float[np.ndarray, "n 6"]:
-    flat = _turned(blocks[:, [0, 1, 3, 4]], q)
-    return np.concatenate([flat[:, :2], blocks[:, 2:3], flat[:, 2:], blocks[:, 5:]], axis=1)
-
-
-def _gaps(a: Float[np.ndarray, "n k 4"], b: Float[np.ndarray, "m 4"]) -> Float[np.ndarray, "n k m"]:
-    """Distance between rectangles, 0 where they meet."""
-    a, b = a[:, :, None], b[None, None]
-    dx = np.maximum(0.0, np.maximum(a[..., 0] - b[..., 2], b[..., 0] - a[..., 2]))
-    dy = np.maximum(0.0, np.maximum(a[..., 1] - b[..., 3], b[..., 1] - a[..., 3]))
-    return np.hypot(dx, dy)
-
-
-def _overlap(a: Float[np.ndarray, "n k 4"], b: Float[np.ndarray, "m 4"]) -> Bool[np.ndarray, "n k m"]:
-    a, b = a[:, :, None], b[None, None]
-    low, high = np.maximum(a[..., :2], b[..., :2]), np.minimum(a[..., 2:], b[..., 2:])
-    return (high - low > _EPS).all(axis=-1)
-
-
-def _overlap3(a: Float[np.ndarray, "n 6"], b: Float[np.ndarray, "m 6"]) -> Bool[np.ndarray, "n m"]:
-    low, high = np.maximum(a[:, None, :3], b[None, :, :3]), np.minimum(a[:, None, 3:], b[None, :, 3:])
-    return (high - low > _EPS).all(axis=-1)
-
-
-def _contains(corners: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Whether points (n, 2) lie in a rectilinear polygon: the crossings of its upright edges to their left are odd."""
-    upright = [(a, b) for a, b in itertools.pairwise([*corners, corners[0]]) if a[0] == b[0]]
-
-    def contains(points: np.ndarray) -> np.ndarray:
-        odd = np.zeros(len(points), dtype=bool)
-        for a, b in upright:
-            odd ^= (points[:, 0] > a[0]) & (points[:, 1] > min(a[1], b[1])) & (points[:, 1] <= max(a[1], b[1]))
-        return odd
-
-    return contains
