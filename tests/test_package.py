@@ -79,8 +79,8 @@ def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
                     imported.add(node.module.split(".")[0])
     foreign = imported - set(sys.stdlib_module_names) - {"vssm_gym"}
     modules = {MODULE_OF.get(name, name) for name in declared(PROJECT["project"]["dependencies"])}
-    # Of agents/sb3.py alone, which nothing here imports; the car's second simulator, imported where it is asked for; and a
-    # peer that `bench envs` measures where it is installed.
+    # Of agents/sb3.py alone, which nothing here imports; the car's second simulator, where it is asked for; and a peer
+    # that `bench envs` measures where it is installed.
     assert foreign - modules == {"miniworld", "pybullet", "stable_baselines3", "torch"}
     assert modules <= foreign
     assert {"stable-baselines3", "torch"} == declared(PROJECT["project"]["optional-dependencies"]["rl"])
