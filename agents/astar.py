@@ -13,6 +13,7 @@ class AStarAgent:
     """Localises against the map, plans in the map."""
 
     name = "astar"
+    robot = "holonomic"
     needs_pose = False
     needs_map = True
 

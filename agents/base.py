@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from vssm_gym.car import Car
 from vssm_gym.voxel_map import VoxelMap
 
 Observation: TypeAlias = Mapping[str, np.ndarray]
@@ -25,13 +26,15 @@ class AgentContext:
         K: ``(3, 3)`` intrinsic matrix, pixels.
         camera: image ``(width, height)``, pixels.
         T_body_cam: ``(4, 4)`` pose of the camera in the body frame, metres.
-        limits: ``(3,)`` largest turn (rad), direction offset (rad) and step (m) of one command.
+        limits: of one command: ``(3,)`` largest turn (rad), direction offset (rad) and step (m); of a car ``(2,)``
+            largest speed (m/s) and steering angle (rad).
         dt: seconds a step.
         map: the learned map; None where the agent asked for none.
         start_pose: ``(3,)`` x (m), y (m), heading (rad) in the map frame.
-        body_length: diameter of the robot's footprint, metres.
-        success_radius: a stop within this distance of the goal succeeds, metres.
+        body_length: diameter of the robot's footprint, or length of the car's, metres.
+        success_radius: a stop within this distance of the goal succeeds, metres; a car only has to come so near.
         noise: standard deviations of the execution noise: turn (rad), step (m).
+        car: the car's measures; None for another robot.
     """
 
     K: np.ndarray
@@ -44,6 +47,7 @@ class AgentContext:
     body_length: float
     success_radius: float
     noise: tuple[float, float]
+    car: Car | None = None
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,13 @@ class Decision:
     """One action and what the agent believed when it chose it.
 
     Attributes:
-        action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task.
+        action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task. Of a car ``(2,)``
+            ``(speed m/s, steering rad)``.
         pose: ``(3,)`` estimate ``(x, y, heading)`` in the map frame; None for an agent that keeps none.
         status: one readable line on the agent's state; reports print it where a run fails.
         latency: seconds by stage: "tracking", "planning", "control".
         plan: ``(n, 2)`` waypoints still to be driven, world frame, metres; None without a plan.
+        gives_up: that the task cannot be done, for the reason in ``status``; only a robot without a stop says it so.
     """
 
     action: np.ndarray
@@ -63,6 +69,7 @@ class Decision:
     status: str
     latency: dict[str, float] = field(default_factory=dict)
     plan: np.ndarray | None = None
+    gives_up: bool = False
 
 
 @runtime_checkable
@@ -74,6 +81,7 @@ class Agent(Protocol):
     """
 
     name: str
+    robot: str  # which it drives: "holonomic" or "car"
     needs_pose: bool  # whether it reads observation["pose"]: oracles only
     needs_map: bool  # whether context.map must be there
 

@@ -13,6 +13,7 @@ class DeadReckoningAgent:
     """Localises by its own commands, plans in the map."""
 
     name = "dead_reckoning"
+    robot = "holonomic"
     needs_pose = False
     needs_map = True
 

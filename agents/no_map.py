@@ -13,6 +13,7 @@ class NoMapAgent:
     """Localises against the previous image, plans in the map."""
 
     name = "no_map"
+    robot = "holonomic"
     needs_pose = False
     needs_map = True
 

@@ -14,6 +14,7 @@ class OracleAgent:
     """Knows the true pose, plans in the map."""
 
     name = "oracle"
+    robot = "holonomic"
     needs_pose = True
     needs_map = True
 

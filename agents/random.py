@@ -18,6 +18,7 @@ class RandomAgent:
     """``turn ~ U(-max, max)``, ``o ~ U(-max, max)``, ``s ~ U(0, max)``; sees nothing, knows nothing."""
 
     name = "random"
+    robot = "holonomic"
     needs_pose = False
     needs_map = False
 

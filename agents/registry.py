@@ -3,10 +3,31 @@
 from vssm_gym.agents.astar import AStarAgent
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
+from vssm_gym.agents.dwa import DwaAgent
+from vssm_gym.agents.greedy import GreedyAgent
+from vssm_gym.agents.hybrid_astar import HybridAStarAgent
 from vssm_gym.agents.no_map import NoMapAgent
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.random import RandomAgent
+from vssm_gym.agents.vi_ipopt import ViIpoptAgent
+from vssm_gym.agents.vi_mpc import ViMpcAgent
+from vssm_gym.agents.vi_mpc_tracked import ViMpcTrackedAgent
+from vssm_gym.agents.vi_mppi import ViMppiAgent
 
 AGENTS: dict[str, type[Agent]] = {
-    agent.name: agent for agent in (AStarAgent, NoMapAgent, DeadReckoningAgent, OracleAgent, RandomAgent)
+    agent.name: agent
+    for agent in (
+        AStarAgent,
+        NoMapAgent,
+        DeadReckoningAgent,
+        OracleAgent,
+        RandomAgent,
+        ViMpcAgent,
+        ViIpoptAgent,
+        ViMppiAgent,
+        ViMpcTrackedAgent,
+        HybridAStarAgent,
+        GreedyAgent,
+        DwaAgent,
+    )
 }

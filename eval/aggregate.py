@@ -16,7 +16,8 @@ from vssm_gym.errors import InputError
 Row = Mapping[str, Any]  # one episode, as `vssm_gym.eval.sweep` writes it
 
 RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
-CONDITION = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer")  # what an episode shares with its pair
+# What an episode shares with its pair.
+CONDITION = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics")
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,6 @@ from vssm_gym.envs.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 
 T = TypeVar("T")
-ROBOTS = ("holonomic",)
-ENVIRONMENTS = ("vssm_gym/PointNav-v0",)  # whose tasks the agents know how to do
-RENDERERS = ("raycast",)
-SENSOR_NOISE = ("none",)
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
 
 
@@ -68,6 +64,7 @@ class SweepConfig(BaseModel):
     noise: Names = ("low",)
     sensor_noise: Names = ("none",)
     renderer: Names = ("raycast",)
+    physics: Names = ("mujoco",)
     tasks: Annotated[Seeds, BeforeValidator(_task_ids)]
     seeds: Seeds = (0,)
     voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
@@ -83,6 +80,7 @@ class Condition:
     noise: str
     sensor_noise: str
     renderer: str
+    physics: str
 
 
 @dataclass(frozen=True)
@@ -105,6 +103,7 @@ class Episode:
             "noise": c.noise,
             "sensor_noise": c.sensor_noise,
             "renderer": c.renderer,
+            "physics": c.physics,
             "task": self.task,
             "seed": self.seed,
             "agent": self.agent,
@@ -122,10 +121,10 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
     Agents vary fastest: a sweep that is stopped early still has the same tasks for every agent.
     """
     worlds = itertools.product(
-        config.scenes, config.env, config.robot, config.noise, config.sensor_noise, config.renderer
+        config.scenes, config.env, config.robot, config.noise, config.sensor_noise, config.renderer, config.physics
     )
-    for scene, env, robot, noise, sensor_noise, renderer in worlds:
-        condition = Condition(env, scene, robot, noise, sensor_noise, renderer)
+    for scene, env, robot, noise, sensor_noise, renderer, physics in worlds:
+        condition = Condition(env, scene, robot, noise, sensor_noise, renderer, physics)
         for task, seed, agent in itertools.product(config.tasks, config.seeds, config.agents):
             yield Episode(condition, task, seed, agent)
 
@@ -186,14 +185,26 @@ def check_names(config: SweepConfig, source: object) -> None:
     from vssm_gym.agents.registry import AGENTS
     from vssm_gym.envs.robots import NOISE_LEVELS
     from vssm_gym.envs.scene import built_in_scenes
+    from vssm_gym.envs.sensor_noise import PRESETS
+    from vssm_gym.envs.sensors import RENDERERS
+    from vssm_gym.eval.courses import COURSES
+
+    for env in config.env:
+        if env not in COURSES:
+            raise InputError(source, "env", f"one of {', '.join(COURSES)}; found {env!r}")
+    robots = tuple(dict.fromkeys(COURSES[env].robot for env in config.env))
+    if len(robots) > 1:
+        raise InputError(source, "env", f"environments of one robot; found {' and '.join(robots)}")
+    able = sorted(name for name, agent in AGENTS.items() if agent.robot == robots[0])
+    physics = list(COURSES[config.env[0]].physics)
 
     known: list[tuple[str, Sequence[str], Sequence[str]]] = [
-        ("env", config.env, ENVIRONMENTS),
-        ("agents", config.agents, sorted(AGENTS)),
-        ("robot", config.robot, ROBOTS),
+        ("agents", config.agents, able),
+        ("robot", config.robot, robots),
         ("noise", config.noise, list(NOISE_LEVELS)),
-        ("sensor_noise", config.sensor_noise, SENSOR_NOISE),
+        ("sensor_noise", config.sensor_noise, list(PRESETS)),
         ("renderer", config.renderer, RENDERERS),
+        ("physics", config.physics, physics),
     ]
     for field, chosen, available in known:
         for name in chosen:

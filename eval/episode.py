@@ -89,7 +89,7 @@ def run_episode(
         contacts.append(bool(info["collision"]))
 
     path, goal, contact = np.array(positions), np.array(task.goal), np.array(contacts)
-    estimates = _estimates(decisions, stopped)
+    estimates = estimates_of(decisions, stopped)
     success = bool(info.get("success", False))
     metrics = episode_metrics(
         success=success,
@@ -113,16 +113,16 @@ def run_episode(
         **metrics,
         "failure": None if success else failure,
         "status": decisions[-1].status,
-        "latency": _latency(decisions, seconds),
+        "latency": latency_of(decisions, seconds),
         "end_on": env.unwrapped.end_on,  # type: ignore[attr-defined]
         "tracer": env.unwrapped.renderer_name,  # type: ignore[attr-defined]
         "success_radius": context.success_radius,
         "goal": [float(v) for v in goal],
-        "trace": _trace(path, estimates, contact),
+        "trace": trace_of(path, estimates, contact),
     }
 
 
-def _estimates(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
+def estimates_of(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
     """The agent's positions at reset and after every step; None if it never gave one.
 
     A decision's estimate is of the time before its action. After the last action the agent is not asked again: a stop
@@ -140,7 +140,7 @@ def _remaining(sampler: TaskSampler, position: np.ndarray, goal: np.ndarray, suc
     return sampler.geodesics.length(sampler.space.nearest(position), goal, success_radius)
 
 
-def _latency(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[str, dict[str, float]]:
+def latency_of(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[str, dict[str, float]]:
     """50 % and 95 % points of every stage that the agent reports, and of the whole decision, seconds."""
     stages = {stage: [d.latency[stage] for d in decisions if stage in d.latency] for stage in decisions[0].latency}
     return {
@@ -149,7 +149,7 @@ def _latency(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[st
     }
 
 
-def _trace(
+def trace_of(
     positions: np.ndarray, estimates: np.ndarray | None, contacts: np.ndarray
 ) -> dict[str, list[list[float]] | None]:
     """True and estimated path at the same few times, and some of the places of contact, to the millimetre."""

@@ -16,13 +16,18 @@ METRICS = {
     "soft_spl": "SoftSPL",
     "steps": "steps",
     "collisions": "collisions",
+    "touched": "touched",
+    "seconds": "seconds",
+    "direction_changes": "direction changes",
+    "heading_error": "heading error rad",
     "distance_to_goal": "to goal m",
     "location_error_mean": "location error m",
     "location_error_final": "final error m",
 }
 DIGITS = {"steps": 0, "collisions": 1, "location_error_mean": 3, "location_error_final": 3}
 DIFFERENCES = ("spl", "success", "soft_spl", "location_error_mean")
-BY = ("scene", "noise", "sensor_noise", "renderer", "agent")  # the order of columns; the constant ones are not shown
+# The order of columns; the constant ones are not shown.
+BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "agent")
 
 
 def html_table(header: Sequence[str], lines: Sequence[Sequence[str]], numbers_from: int) -> str:
@@ -47,6 +52,7 @@ def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
 def results(rows: Sequence[Row], seed: int, metrics: Sequence[str] = tuple(METRICS)) -> str:
     """Mean and 95 % interval of each metric for each condition and agent."""
     by = grouping(rows)
+    metrics = [metric for metric in metrics if any(row.get(metric) is not None for row in rows)]
     header = [*(name.replace("_", " ") for name in by), "episodes", *(METRICS[metric] for metric in metrics)]
     lines = [
         [*line.group, str(line.episodes), *(line.values[m].text(DIGITS.get(m, 2)) for m in metrics)]

@@ -14,7 +14,7 @@ from typing import Any, Self
 from vssm_gym.errors import InputError
 
 FILE = "episodes.jsonl"
-KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "task", "seed", "agent")
+KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics", "task", "seed", "agent")
 """The fields that identify an episode; each combination appears once in a log."""
 
 

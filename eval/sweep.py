@@ -16,10 +16,10 @@ from typing import Any
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.tasks import load, save, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval import worker
 from vssm_gym.eval.config import Episode, SweepConfig, expand, scene_name
+from vssm_gym.eval.courses import COURSES, course_of
 from vssm_gym.eval.destinations import check_at_least, check_folder
 from vssm_gym.eval.maps import Progress, ensure_map, map_hash
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
@@ -137,23 +137,19 @@ def _jobs(
     """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
     from vssm_gym.agents.registry import AGENTS
 
-    task_file, map_file = _task_file(scene, out, max(config.tasks) + 1), None
+    apartment, map_file = load_scene(scene), None
+    task_files = {}
+    for env in dict.fromkeys(episode.condition.env for episode in episodes):
+        task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"
+        course_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
     if any(AGENTS[episode.agent].needs_map for episode in episodes):
         map_file = ensure_map(scene, out, voxel=config.voxel, seed=manifest["seed"], progress=progress)
     with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
     maps = {agent: with_map if AGENTS[agent].needs_map else without for agent in config.agents}
-    signature = manifest["config_hash"], package_version()
-    return [worker.Job(episode, *maps[episode.agent], task_file, *signature) for episode in episodes]
-
-
-def _task_file(scene: str, out: Path, n: int) -> Path:
-    """The first ``n`` test tasks of a scene as a file of the sweep; one that is there is kept."""
-    apartment, path = load_scene(scene), out / "tasks" / f"{scene_name(scene)}.json"
-    if path.is_file() and len(load(path, apartment).tasks) >= n:
-        return path
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save(task_set(apartment, HolonomicRobot(), "test", n), path)
-    return path
+    signature = apartment.content_hash(), manifest["config_hash"], package_version()
+    return [
+        worker.Job(episode, *maps[episode.agent], task_files[episode.condition.env], *signature) for episode in episodes
+    ]
 
 
 def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, progress: Progress | None) -> None:

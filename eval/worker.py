@@ -17,13 +17,11 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vssm_gym.eval.config import Condition, Episode, episode_seed
+from vssm_gym.eval.config import Episode
+from vssm_gym.eval.courses import course_of
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
-    import gymnasium as gym
-
     from vssm_gym.agents.base import Agent
-    from vssm_gym.envs.tasks import TaskSampler, TaskSet
     from vssm_gym.voxel_map import VoxelMap
 
 # NPROC is what XLA's CPU client sizes its thread pool by.
@@ -50,6 +48,7 @@ class Job:
     map_file: Path | None  # None for an agent that needs no map
     map_hash: str | None
     task_file: Path
+    scene_hash: str
     config_hash: str
     version: str
 
@@ -88,30 +87,15 @@ def _leave_with(sentinel: int) -> None:
 
 def run(job: Job) -> dict[str, Any]:
     """Run one episode; returns its row, ready for the log."""
-    from vssm_gym.agents.registry import AGENTS
-    from vssm_gym.envs.robots import NOISE_LEVELS
-    from vssm_gym.eval.episode import run_episode
-
-    episode, condition = job.episode, job.episode.condition
-    tasks = _tasks(job.task_file)
-    agent = _agent(episode.agent)
-    env = _env(condition, AGENTS[episode.agent].needs_pose)
-    scene_hash = tasks.scene_hash
-    noise = NOISE_LEVELS[condition.noise]
-    result = run_episode(
-        env,
-        _sampler(condition.scene),
-        agent,
-        tasks.tasks[episode.task],
-        seed=episode_seed(episode.seed, scene_hash, episode.task),
-        voxel_map=_map(job.map_file) if job.map_file else None,
-        noise=(noise.turn, noise.step),
-    )
+    episode = job.episode
+    course, agent = course_of(episode.condition.env), _agent(episode.agent)
+    voxel_map = _map(job.map_file) if job.map_file else None
+    result = course.run(episode, agent, job.task_file, voxel_map)
     signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}
     if episode.agent not in _compiled:
         _compiled.add(episode.agent)
         release_memory()
-    return episode.identity(scene_hash) | signature | result
+    return episode.identity(job.scene_hash) | signature | result
 
 
 def release_memory() -> None:
@@ -128,40 +112,8 @@ def _agent(name: str) -> "Agent":
     return AGENTS[name]()
 
 
-@lru_cache(maxsize=2)  # of one condition, with and without the observed pose: episodes come condition by condition
-def _env(condition: Condition, observe_pose: bool) -> "gym.Env":
-    import gymnasium as gym
-
-    return gym.make(
-        condition.env,
-        scene=condition.scene,
-        noise=condition.noise,
-        sensor_noise=condition.sensor_noise,
-        renderer=condition.renderer,
-        observe_pose=observe_pose,
-        reward="sparse",
-        disable_env_checker=True,
-    )
-
-
-@lru_cache(maxsize=1)
-def _sampler(scene: str) -> "TaskSampler":
-    from vssm_gym.envs.robots import HolonomicRobot
-    from vssm_gym.envs.scene import load_scene
-    from vssm_gym.envs.tasks import TaskSampler
-
-    return TaskSampler(load_scene(scene), HolonomicRobot())
-
-
 @lru_cache(maxsize=1)
 def _map(path: Path) -> "VoxelMap":
     from vssm_gym.voxel_map import VoxelMap
 
     return VoxelMap.load(path)
-
-
-@lru_cache(maxsize=1)
-def _tasks(path: Path) -> "TaskSet":
-    from vssm_gym.envs.tasks import load
-
-    return load(path)

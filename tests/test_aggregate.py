@@ -11,7 +11,7 @@ from vssm_gym.eval.aggregate import Interval, bootstrap_mean, group_rows, mean, 
 
 def episode(agent="astar", task=0, seed=0, scene="oak", noise="low", **metrics):
     row = {"env": "E", "scene": scene, "scene_hash": scene, "robot": "r", "noise": noise, "sensor_noise": "none"}
-    return row | {"renderer": "raycast", "agent": agent, "task": task, "seed": seed} | metrics
+    return row | {"renderer": "raycast", "physics": "mujoco", "agent": agent, "task": task, "seed": seed} | metrics
 
 
 @pytest.mark.parametrize("draw", [lambda rng: rng.normal(1.0, 2.0, 60), lambda rng: rng.random(60) < 0.8])

@@ -7,8 +7,8 @@ from box_rooms import furniture, two_rooms
 
 from vssm_gym.envs.coverage import CELL, REACH, Coverage, Observable
 from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.tracing import EmbreeTracer
 from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.tracing import EmbreeTracer
 
 ROBOT = HolonomicRobot()
 AROUND = 2.0 * np.pi

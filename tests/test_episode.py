@@ -183,7 +183,12 @@ class Scrambled(gym.Wrapper):
 
 # Compiling a tracker takes more than 5 s.
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in ("astar", "no_map") else n for n in AGENTS]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("astar", "no_map") else name
+        for name, agent in AGENTS.items()
+        if agent.robot == "holonomic"
+    ],
 )
 def test_no_agent_acts_on_what_info_says(name, sampler):
     """Two runs whose infos have nothing in common, and the same actions to the last bit."""

@@ -12,7 +12,6 @@ import pytest
 from vssm_gym.camera import Camera
 from vssm_gym.envs import gl_backends
 from vssm_gym.envs.gl_backends import BACKENDS, find_backend
-from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Material, SolidBox, load_scene

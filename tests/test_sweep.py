@@ -152,7 +152,7 @@ def test_what_an_interrupted_sweep_left_is_a_sweeps_folder(tmp_path, left):
 def test_bad_input_that_a_worker_finds_is_shown_as_it_is(folder, tmp_path):
     """And not as a worker that died: the error crosses from process to process."""
     episode = next(expand(load_config(folder / "sweep.yaml")))
-    job = worker.Job(episode, None, None, tmp_path / "tasks.json", "hash", "version")
+    job = worker.Job(episode, None, None, tmp_path / "tasks.json", "scene", "hash", "version")
     with EpisodeLog(tmp_path / FILE) as log, pytest.raises(InputError, match=r"tasks\.json: file: expected a readable"):
         _run([job], log, 1, 1, None)
 

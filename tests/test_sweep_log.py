@@ -119,10 +119,16 @@ def test_tasks_are_a_count_a_range_or_a_list(tmp_path, tasks, ids):
         ("scenes: oak\nagents: random\ntasks: 1\nnoise: [low, loud]", r"noise: expected one of none, low.*'loud'"),
         ("scenes: baobab\nagents: random\ntasks: 1", r"scenes: expected a built-in scene \(.*oak.*\) or an existing"),
         ("scenes: oak\nagents: random\ntasks: 1\nrobot: tank", r"robot: expected one of holonomic; found 'tank'"),
-        ("scenes: oak\nagents: random\ntasks: 1\nrenderer: gl", r"renderer: expected one of raycast; found 'gl'"),
+        ("scenes: oak\nagents: vi_mpc\ntasks: 1", r"agents: expected one of astar, .*; found 'vi_mpc'"),
+        (
+            "scenes: arena\nenv: vssm_gym/CarNav-v0\nagents: vi_mpc\ntasks: 1",
+            r"robot: expected one of car; found 'holonomic'",
+        ),
+        ("scenes: oak\nagents: random\ntasks: 1\nphysics: bullet", r"physics: expected one of mujoco; found 'bullet'"),
+        ("scenes: oak\nagents: random\ntasks: 1\nrenderer: oil", r"renderer: expected one of raycast, gl; found 'oil'"),
         (
             "scenes: oak\nagents: random\ntasks: 1\nsensor_noise: fog",
-            r"sensor_noise: expected one of none; found 'fog'",
+            r"sensor_noise: expected one of none, kinect, stereo; found 'fog'",
         ),
         ("scenes: oak\nagents: random\ntasks: 1\nenv: CartPole-v1", r"env: expected one of vssm_gym/PointNav-v0"),
         ("scenes: oak\nagents: random\ntasks: 1\ncolour: red", r"colour: expected one of the fields env, scenes"),

@@ -1,0 +1,36 @@
+"""The critic of the car's agents: value iteration to a target, with as much room around the car as there is."""
+
+import numpy as np
+
+from vssm_gym.car import Car
+from vssm_gym.planning.footprint import Arena
+from vssm_gym.planning.value_iteration import PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
+
+# Room around the footprint (m) and share of the target's region, tried in turn: to aim at the middle with room to
+# spare, then as tightly as the car fits, then at all of the region.
+ATTEMPTS = ((0.015, 0.5), (0.0, 0.5), (0.0, 1.0))
+REACHED, ALIGNED = 0.10, np.radians(15.0)  # m and rad from the target that count as there
+
+
+class Critic:
+    """Costs-to-go of one floor plan; the tests of footprints are made once for all targets."""
+
+    def __init__(self, arena: Arena, car: Car) -> None:
+        self._arena, self._car = arena, car
+        self._grids: dict[float, PoseGrid] = {}
+
+    def aim(self, planar: np.ndarray, goal: np.ndarray) -> ValueResult:
+        """The cost-to-go of ``goal`` ``(2,)`` or ``(3,)``, or the reason why the car at ``planar`` cannot get there."""
+        for margin, share in ATTEMPTS:
+            grid, region = self._grid(margin), (share * REACHED, share * ALIGNED)
+            result = solve(grid, goal, *region, start=planar)
+            if result.cost_to_go is not None:
+                return result
+        if result.status is ValueStatus.START_BLOCKED:  # by the map, whose surfaces err: the car stands there after all
+            return solve(grid, goal, *region)
+        return result
+
+    def _grid(self, margin: float) -> PoseGrid:
+        if margin not in self._grids:
+            self._grids[margin] = PoseGrid.of(self._arena, self._car, ValueConfig(margin=margin))
+        return self._grids[margin]

@@ -1,0 +1,23 @@
+"""``vi_mpc_tracked``: ``vi_mpc`` that is told its start and from then on sees RGB-D images only (SPEC 7).
+
+The pose is tracked against the learned map, with the car's arc as prior.
+"""
+
+from vssm_gym.agents.driving import Driver
+from vssm_gym.agents.localization import MapLocalizer
+from vssm_gym.agents.vi_mpc import PROBLEM, ValueMpc
+from vssm_gym.planning.mpc.random_search import RandomSearch
+
+
+class ViMpcTrackedAgent:
+    """Localises against the map; value iteration and random search with an augmented Lagrangian."""
+
+    name = "vi_mpc_tracked"
+    robot = "car"
+    needs_pose = False
+    needs_map = True
+
+    def __init__(self) -> None:
+        solver = RandomSearch(PROBLEM)
+        driver = Driver(MapLocalizer(), lambda arena, car: ValueMpc(arena, car, solver))
+        self.reset, self.act = driver.reset, driver.act

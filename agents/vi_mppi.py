@@ -1,0 +1,20 @@
+"""``vi_mppi``: the critic of ``vi_mpc``, and path-integral control (MPPI) as actor (SPEC 7)."""
+
+from vssm_gym.agents.driving import Driver
+from vssm_gym.agents.localization import TruePose
+from vssm_gym.agents.vi_mpc import PROBLEM, ValueMpc
+from vssm_gym.planning.mpc.mppi import Mppi
+
+
+class ViMppiAgent:
+    """Value iteration and path-integral control (MPPI); the pose is observed."""
+
+    name = "vi_mppi"
+    robot = "car"
+    needs_pose = True
+    needs_map = True
+
+    def __init__(self) -> None:
+        solver = Mppi(PROBLEM)
+        driver = Driver(TruePose(), lambda arena, car: ValueMpc(arena, car, solver))
+        self.reset, self.act = driver.reset, driver.act
