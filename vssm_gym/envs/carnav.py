@@ -20,6 +20,7 @@ from vssm_gym.envs.car_noise import CarActuators, CarNoise, car_noise
 from vssm_gym.envs.car_picture import draw_run
 from vssm_gym.envs.car_tasks import REACHED, TARGETS, CarTask, Targets, car_sampler_of
 from vssm_gym.envs.eye import EXTENT, PICTURE, Eye
+from vssm_gym.envs.mjcf import MujocoCar
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensor_noise import SensorNoise
@@ -135,6 +136,7 @@ class CarNavEnv(StagedEnv):
         if unknown := set(options) - {"task", "goal", "restart"}:
             expected = f"no other keys than 'task', 'goal' and 'restart'; found {sorted(unknown)}"
             raise InputError("reset", "options", expected)
+        number = 0 if self.task is None else self.task.id + 1  # of a chain's next task
         task, goal, restart = options.get("task"), options.get("goal"), options.get("restart", False)
         on = self.chain and self.task is not None and seed is None and task is None and not restart
         on = on and self.body.upright() and self._on_floor()
@@ -143,14 +145,14 @@ class CarNavEnv(StagedEnv):
         if task is not None:
             self._check(task)
         elif goal is not None:
-            task = self.sampler.task(self._planar.tolist(), self._parsed(goal), self._next_id())
+            task = self.sampler.task(self._planar.tolist(), self._parsed(goal), number)
         if seed is not None or not self._streams:
             self._streams = seeded_streams(seed)
             if self._eye is not None:
                 self._eye.seed(self._streams["sensors"])
         stream = self._streams["task"]
         if on:
-            self.task = task or self.sampler.goal_from(stream, self._planar, self.targets, self._next_id())
+            self.task = task or self.sampler.goal_from(stream, self._planar, self.targets, number)
         else:
             self.task = task or self.sampler.draw(stream, self.targets)
             self.body.reset(np.array(self.task.start))
@@ -271,9 +273,6 @@ class CarNavEnv(StagedEnv):
             raise InputError("reset", "goal", expected)
         return values.tolist()
 
-    def _next_id(self) -> int:
-        return 0 if self.task is None else self.task.id + 1
-
     def _on_floor(self) -> bool:
         return bool(shapely.intersects_xy(self.sampler.space.floor, *self._planar[:2]))
 
@@ -299,6 +298,4 @@ def _make_body(physics: str, apartment: Apartment, car: Car) -> CarBody:
         from vssm_gym.envs.bullet_car import BulletCar  # an extra
 
         return BulletCar(apartment, car)
-    from vssm_gym.envs.mjcf import MujocoCar
-
     return MujocoCar(apartment, car)
