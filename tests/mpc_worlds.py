@@ -1,4 +1,4 @@
-"""Shared by the tests of the car's controllers: plans and costs-to-go that one can write down, and an oracle in float64."""
+"""Shared by the tests of the car's controllers: plans and costs-to-go that one can write down, and an oracle."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +26,9 @@ def clearance_of(distance) -> ClearanceMap:
     """``distance(x, y)`` to the nearest obstacle on the grid, m."""
     axis = np.arange(LOW, HIGH + 1e-9, CLEARANCE_CELL)
     x, y = np.meshgrid(axis, axis, indexing="ij")
-    return ClearanceMap(np.ascontiguousarray(distance(x, y) + 0.0 * x, np.float32), np.array([LOW, LOW]), CLEARANCE_CELL)
+    return ClearanceMap(
+        np.ascontiguousarray(distance(x, y) + 0.0 * x, np.float32), np.array([LOW, LOW]), CLEARANCE_CELL
+    )
 
 
 def wrapped(angle):

@@ -148,8 +148,10 @@ def test_the_discs_cover_the_edge_of_the_footprint(rows: int, columns: int, seed
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("horizon", 1), ("margin", -0.1), ("comfort", 0.005), ("discs", (0, 3)), ("deadline", 0.0), ("seed", -1)]
-    + [("effort", float("nan")), ("speed_rate", 0.0), ("tolerance", "small")],
+    [
+        *[("horizon", 1), ("margin", -0.1), ("comfort", 0.005), ("discs", (0, 3)), ("deadline", 0.0), ("seed", -1)],
+        *[("effort", float("nan")), ("speed_rate", 0.0), ("tolerance", "small")],
+    ],
 )
 def test_a_bad_configuration_is_named(field: str, value: object) -> None:
     with pytest.raises(InputError, match=field):

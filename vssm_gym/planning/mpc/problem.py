@@ -43,9 +43,9 @@ class MpcConfig:
     """
 
     horizon: int = 25
-    margin: float = 0.01
-    comfort: float = 0.04
-    discs: tuple[int, int] = (2, 4)
+    margin: float = 0.02
+    comfort: float = 0.05
+    discs: tuple[int, int] = (3, 6)
     speed_rate: float = 3.0
     steering_rate: float = 4.0
     effort: float = 0.02
