@@ -10,8 +10,8 @@ from car_yard import arc
 
 from vssm_gym.car import Car
 from vssm_gym.envs.car_tasks import car_sampler_of
-from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.solids import footprint
 
 CAR = Car()
 DRAWN = ("depot", "dock", "garage", "paddock")

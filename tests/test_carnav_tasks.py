@@ -23,8 +23,8 @@ from vssm_gym.envs.car_tasks import (
     car_sampler_of,
     make_car_tasks,
 )
-from vssm_gym.envs.free_space import footprint
 from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 
 CAR = Car()
