@@ -5,7 +5,6 @@ of what the car can reach (:mod:`vssm_gym.envs.car_space`), and more than APART 
 """
 
 import copy
-import hashlib
 import math
 import threading
 import weakref
@@ -22,7 +21,7 @@ from vssm_gym.envs.car_space import CarSpace
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.progress import GoalDistance
 from vssm_gym.envs.scene import Apartment
-from vssm_gym.envs.validation import choose, validated
+from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import wrap_angle
 
@@ -152,14 +151,6 @@ class CarTaskSampler:
     def _task(self, task_id: int, start: Sequence[float] | np.ndarray, goal: Sequence[float]) -> CarTask:
         data = {"id": task_id, "scene": self.apartment.name, "start": [float(v) for v in start], "goal": list(goal)}
         return validated(CarTask, data, "task")
-
-
-def make_car_tasks(sampler: CarTaskSampler, n: int, targets: Targets = "poses", seed: int = 0) -> tuple[CarTask, ...]:
-    """``n`` tasks; number i is of a stream of its own, seeded by (scene, targets, seed, i), however many there are."""
-    choose("tasks", "targets", targets, TARGETS)
-    key = hashlib.sha256(f"car|{sampler.apartment.name}|{targets}|{seed}".encode()).digest()
-    entropy = [int.from_bytes(key[i : i + 4], "little") for i in range(0, 16, 4)]
-    return tuple(sampler.draw(np.random.default_rng([*entropy, i]), targets, i) for i in range(n))
 
 
 def _written(pose: Sequence[float]) -> str:
