@@ -13,7 +13,7 @@ from vssm_gym.envs.car_task_sets import CarTaskSet, load, make_car_tasks, save
 from vssm_gym.envs.car_tasks import ALIGNED, REACHED, CarTask
 from vssm_gym.envs.scene import Apartment
 from vssm_gym.eval.config import Condition, Episode, episode_seed
-from vssm_gym.eval.episode import estimates_of, latency_of, trace_of
+from vssm_gym.eval.episode import estimates_of, latency_of, thinned, trace_of
 from vssm_gym.eval.failure import failure_reason
 from vssm_gym.eval.metrics import episode_metrics
 from vssm_gym.planning import reeds_shepp
@@ -53,7 +53,8 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
     Returns:
         The metrics of :func:`episode_metrics`, with the length of the shortest Reeds-Shepp curve into the target's
         region, obstacles apart, as ``geodesic``; ``touches`` (times the car came to touch something), ``touched``,
-        ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``, ``status``, latencies, ``trace``.
+        ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``, ``status``, latencies, ``trace`` (its
+        ``poses`` with headings).
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     world: Any = env.unwrapped
@@ -115,7 +116,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         "tracer": world.renderer_name,
         "success_radius": context.success_radius,
         "goal": [float(v) for v in goal],
-        "trace": trace_of(path[:, :2], estimates, contact),
+        "trace": {**trace_of(path[:, :2], estimates, contact), "poses": thinned(path)},
     }
 
 

@@ -158,13 +158,13 @@ def trace_of(
         known = known[np.isfinite(estimates).all(axis=1)]
     touched = positions[1:][contacts]
     return {
-        "true": _thinned(positions[known], TRACE_POINTS),
-        "estimate": None if estimates is None else _thinned(estimates[known], TRACE_POINTS),
-        "contacts": _thinned(touched, TRACE_CONTACTS),
+        "true": thinned(positions[known]),
+        "estimate": None if estimates is None else thinned(estimates[known]),
+        "contacts": thinned(touched, TRACE_CONTACTS),
     }
 
 
-def _thinned(points: np.ndarray, limit: int) -> list[list[float]]:
+def thinned(points: np.ndarray, limit: int = TRACE_POINTS) -> list[list[float]]:
     """At most ``limit`` of the points, first and last among them."""
     chosen = np.unique(np.linspace(0, len(points) - 1, min(limit, len(points))).round().astype(int))
     return points[chosen].round(3).tolist()
