@@ -89,7 +89,7 @@ def _alone(kind: str, scene: str | None, seed: int, **keywords: Any) -> float:
             env.reset()
         return 1
 
-    rate = _rate(step)
+    rate = steps_a_second(step)
     env.close()
     return rate
 
@@ -106,7 +106,7 @@ def _many(kind: str, scene: str, seed: int, **keywords: Any) -> float:
         env.step(actions.astype(np.float32))
         return ROBOTS
 
-    rate = _rate(step)
+    rate = steps_a_second(step)
     env.close()
     return rate
 
@@ -125,10 +125,10 @@ def _embree(scene: str, seed: int) -> float:
         tracer.trace(np.array([*rng.uniform(low[:2], high[:2]), 0.4]), (rays @ R_world_cam.T).astype(np.float32))
         return 1
 
-    return _rate(step)
+    return steps_a_second(step)
 
 
-def _rate(step: Callable[[], int]) -> float:
+def steps_a_second(step: Callable[[], int]) -> float:
     """Median of steps a second over the windows; what is compiled or built at first is not counted."""
     warm = time.perf_counter() + 0.3
     while time.perf_counter() < warm:
@@ -160,6 +160,6 @@ def _miniworld(seed: int) -> float:
                 env.reset()
             return 1
 
-        rate = _rate(step)
+        rate = steps_a_second(step)
         env.close()
     return rate

@@ -6,34 +6,40 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "soak": 100_000}
+Suite = Literal["speed", "envs", "soak", "car", "tracker", "drift", "slam"]
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "soak": 100_000, "car": 300}
+DEFAULT_SCENE = {"car": "arena"}  # the others: oak
 
 
 def bench(
-    suite: Annotated[Literal["speed", "envs", "soak", "tracker", "drift", "slam"], tyro.conf.Positional] = "speed",
+    suite: Annotated[
+        Literal["speed", "envs", "soak", "car", "tracker", "drift", "slam"], tyro.conf.Positional
+    ] = "speed",
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
-    scene: str = "oak",
+    scene: str | None = None,
     out: Path = Path("out/bench"),
     trials: int | None = None,
     workers: int = 2,
     seed: int = 0,
 ) -> None:
-    """Measure on this machine: `speed` of every stage, steps of the `envs`, the `tracker`, `drift`, or `slam`.
+    """Measure on this machine: `speed` of every stage, the `envs`, the `car`, the `tracker`, `drift`, or `slam`.
 
     `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `envs` prints
     steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `soak` drives
     at random through every environment and ten procedural apartments and checks each step: no NaN, no body inside a
-    wall, memory flat. `tracker`
-    drives trajectories of 100 steps by the true pose and prints the tracker's location RMSE. `drift` chains goals over
-    100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the same images. `slam` runs
-    SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's dense SLAM, where that is installed.
+    wall, memory flat. `car` times value iteration, each controller in closed loop, hybrid A* and both simulators of the
+    robot car. `tracker` drives trajectories of 100 steps by the true pose and prints the tracker's location RMSE.
+    `drift` chains goals over 100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the
+    same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's dense SLAM, where
+    that is installed.
 
     Args:
         suite: what to measure.
         sequence: TUM folder, for `slam` only.
-        scene: built-in name or path of a scene file.
+        scene: built-in name or path of a scene file; `oak` unless told, for `car` `arena`.
         out: folder for the learned map, which is kept, and for the figures as JSON.
-        trials: drives or runs, steps of `soak`; 300 for `tracker`, 4 for `drift`, 1 for `slam`, 100000 for `soak`.
+        trials: drives or runs, steps of `soak`, steps of each controller of `car`; 300 for `tracker` and `car`, 4 for
+            `drift`, 1 for `slam`, 100000 for `soak`.
         workers: processes of `tracker` and `drift`.
         seed: of the drives.
     """
@@ -51,6 +57,7 @@ def bench(
     from vssm_gym.files import atomic_write
 
     count = DEFAULT_TRIALS.get(suite, 1) if trials is None else trials
+    scene = DEFAULT_SCENE.get(suite, "oak") if scene is None else scene
     for field, value, least in (("trials", count, 1), ("workers", workers, 1), ("seed", seed, 0)):
         check_at_least("bench", field, value, least)
     check_folder(out)
@@ -70,6 +77,10 @@ def bench(
             from vssm_gym.eval.soak import soak
 
             result = soak(steps=count, seed=seed, progress=progress)
+        elif suite == "car":
+            from vssm_gym.eval.bench_car import measure as measure_car
+
+            result = measure_car(scene=scene, steps=count, seed=seed, progress=progress)
         else:
             map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
             result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
@@ -116,6 +127,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
     if suite == "envs":
         _show_envs(table, result, console)
         return
+    if suite == "car":
+        _show_car(table, result, console)
+        return
     if suite == "soak":
         for name in ("environment", "scene", "steps", "episodes", "collisions", "deepest, mm"):
             table.add_column(name, justify="left" if name in ("environment", "scene") else "right", no_wrap=True)
@@ -158,6 +172,20 @@ def _show_envs(table: Any, result: dict[str, Any], console: Any) -> None:
     console.print(table)
     if result["peer"]:
         console.print(f"compared with nothing: {result['peer']}", soft_wrap=True)
+
+
+def _show_car(table: Any, result: dict[str, Any], console: Any) -> None:
+    """One row a part: median and 95th percentile, what is promised, and what else was counted."""
+    for name in ("part", "median", "95 %", "unit", "aim", "beside"):
+        table.add_column(name, justify="left" if name in ("part", "unit", "beside") else "right")
+    for row in result["rows"]:
+        values = ("" if v is None else f"{v:,.0f}" if v >= 100.0 else f"{v:.3g}" for v in (row["p50"], row["p95"]))
+        beside = ", ".join(f"{name} {f'{v:.2g}' if isinstance(v, float) else v}" for name, v in row["facts"].items())
+        table.add_row(row["what"], *values, row["unit"], "" if row["aim"] is None else f"{row['aim']:g}", beside)
+    console.print(table)
+    console.print(f"machine: {result['machine']}")
+    if result["missing"]:
+        console.print(f"not measured: {result['missing']}", soft_wrap=True)
 
 
 def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
