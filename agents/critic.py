@@ -8,7 +8,7 @@ from vssm_gym.planning.value_iteration import PoseGrid, ValueConfig, ValueResult
 
 # Room around the footprint (m) and share of the target's region, tried in turn: to aim at the middle with room to
 # spare, then as tightly as the car fits, then at all of the region.
-ATTEMPTS = ((0.015, 0.5), (0.0, 0.5), (0.0, 1.0))
+ATTEMPTS = ((0.03, 0.5), (0.01, 0.5), (0.0, 1.0))
 REACHED, ALIGNED = 0.10, np.radians(15.0)  # m and rad from the target that count as there
 
 
