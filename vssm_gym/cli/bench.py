@@ -28,10 +28,10 @@ def bench(
     steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `soak` drives
     at random through every environment and ten procedural apartments and checks each step: no NaN, no body inside a
     wall, memory flat. `car` times value iteration, each controller in closed loop, hybrid A* and both simulators of the
-    robot car. `tracker` drives trajectories of 100 steps by the true pose and prints the tracker's location RMSE.
-    `drift` chains goals over 100 m and compares the map tracker with frame-to-frame alignment and dead reckoning on the
-    same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's dense SLAM, where
-    that is installed.
+    robot car. `tracker` drives trajectories of 100 steps by the true pose and prints the tracker's
+    location RMSE. `drift` chains goals over 100 m and compares the map tracker with frame-to-frame alignment and dead
+    reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's
+    dense SLAM, where that is installed.
 
     Args:
         suite: what to measure.
