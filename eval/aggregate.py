@@ -38,15 +38,6 @@ class Interval:
         return f"{mean} [{low}, {high}]" if np.isfinite(self.low) else f"{mean} [-]"
 
 
-@dataclass(frozen=True)
-class Line:
-    """One line of a table: the values it is grouped by, and an interval for each metric."""
-
-    group: tuple[str, ...]
-    episodes: int
-    values: dict[str, Interval]
-
-
 def bootstrap_mean(values: Sequence[float], tasks: Sequence[Hashable], seed: int = 0) -> Interval:
     """``mean(x)`` and the 2.5 % and 97.5 % quantiles of ``sum_c w_c S_c / sum_c w_c n_c``, w ~ Multinomial(C, 1/C).
 
@@ -92,29 +83,43 @@ def mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
     return bootstrap_mean([float(row[metric]) for row in present], [task_key(row) for row in present], seed)
 
 
-def paired_difference(rows: Iterable[Row], metric: str, agent: str, reference: str, seed: int = 0) -> Interval:
+def paired_difference(
+    rows: Iterable[Row], metric: str, agent: str, reference: str, seed: int = 0, by: str = "agent"
+) -> Interval:
     """``mean(agent - reference)`` over episodes that both ran on the same condition, task and seed, with its interval.
 
     The episode seed does not depend on the agent, so both met the same task and the same noise stream: the difference
     is far tighter than that of two independent means. Episodes without a partner are left out.
 
+    Args:
+        by: the field whose two values are compared, all others equal; ``"physics"`` compares two simulators.
+
     Raises:
-        InputError: the two agents share no episode.
+        InputError: the two share no episode.
     """
-    first, second = _by_episode(rows, metric, agent), _by_episode(rows, metric, reference)
-    shared = [key for key in first if key in second]
+    return bootstrap_mean(*paired_values(rows, metric, agent, reference, by), seed)
+
+
+def paired_values(
+    rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent"
+) -> tuple[list[float], list[Hashable]]:
+    """``first - second`` of every episode that both ran, and its task; raises like :func:`paired_difference`."""
+    rows = list(rows)
+    of_first, of_second = _by_episode(rows, metric, by, first), _by_episode(rows, metric, by, second)
+    shared = [key for key in of_first if key in of_second]
     if not shared:
-        raise InputError("paired difference", f"{agent} - {reference}", f"episodes of both agents that have {metric}")
-    differences = [first[key][0] - second[key][0] for key in shared]
-    return bootstrap_mean(differences, [first[key][1] for key in shared], seed)
+        both = "agents" if by == "agent" else by
+        raise InputError("paired difference", f"{first} - {second}", f"episodes of both {both} that have {metric}")
+    return [of_first[key][0] - of_second[key][0] for key in shared], [of_first[key][1] for key in shared]
 
 
-def _by_episode(rows: Iterable[Row], metric: str, agent: str) -> dict[tuple, tuple[float, Hashable]]:
-    """Episode (condition, task, seed) to its value and task, for one agent."""
+def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[tuple, tuple[float, Hashable]]:
+    """Episode (all that identifies it but ``by``) to its value and task, where ``by`` is ``value``."""
+    same = [name for name in (*CONDITION, "agent") if name != by]
     return {
-        (*(row[name] for name in CONDITION), row["task"], row["seed"]): (float(row[metric]), task_key(row))
+        (*(row[name] for name in same), row["task"], row["seed"]): (float(row[metric]), task_key(row))
         for row in rows
-        if row["agent"] == agent and row.get(metric) is not None
+        if row[by] == value and row.get(metric) is not None
     }
 
 
@@ -124,13 +129,3 @@ def group_rows(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[str, ...], 
     for row in rows:
         groups.setdefault(tuple(str(row[name]) for name in by), []).append(row)
     return groups
-
-
-def table(
-    rows: Iterable[Row], metrics: Sequence[str], by: Sequence[str] = ("scene", "noise", "agent"), seed: int = 0
-) -> list[Line]:
-    """One :class:`Line` a group of rows, with the interval of every metric."""
-    return [
-        Line(group, len(members), {metric: mean(members, metric, seed) for metric in metrics})
-        for group, members in group_rows(rows, by).items()
-    ]

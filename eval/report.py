@@ -10,12 +10,16 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
 from vssm_gym.eval.aggregate import Row, group_rows
+from vssm_gym.eval.report_car import CAR_VIEW
+from vssm_gym.eval.report_view import POINTNAV_VIEW, View
 from vssm_gym.eval.rows import FILE, read_rows
 from vssm_gym.files import atomic_write
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
 MANIFEST = "sweep.json"
+# Fields of a row, and the lists of the configuration that say in which order their values come.
+ORDERED = {name: name for name in ("noise", "sensor_noise", "renderer", "physics")} | {"agent": "agents"}
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
 
 STYLE = """
@@ -44,10 +48,11 @@ def write_report(folder: Path, seed: int = 0) -> Path:
         InputError: the folder holds no sweep, or no episode of it has ended.
     """
     manifest = read_manifest(folder / MANIFEST)
-    rows = _in_config_order(read_rows(folder / FILE), manifest["config"])
+    view = CAR_VIEW if "car" in manifest["config"]["robot"] else POINTNAV_VIEW
+    rows = [view.measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
-    page = _page(rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}, seed)
+    page = _page(view, rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}, seed)
     target = folder / "report.html"
     with atomic_write(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -70,41 +75,41 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
     """Rows as if one worker had run them in order: agents as the configuration lists them, then tasks and seeds."""
-    agents = {name: i for i, name in enumerate(config["agents"])}
-    noises = {name: i for i, name in enumerate(config["noise"])}
+    rank = {field: {name: i for i, name in enumerate(config[names])} for field, names in ORDERED.items()}
     return sorted(
         rows,
-        key=lambda row: (row["scene"], noises[row["noise"]], agents[row["agent"]], row["task"], row["seed"]),
+        key=lambda row: (row["scene"], *(rank[field][row[field]] for field in ORDERED), row["task"], row["seed"]),
     )
 
 
-def _page(rows: Sequence[Row], manifest: dict[str, Any], maps: dict[str, Path], seed: int) -> str:
-    backgrounds = {scene: pictures.topdown(VoxelMap.load(path)) for scene, path in maps.items() if path.is_file()}
+def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], files: dict[str, Path], seed: int) -> str:
+    maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path.is_file()}
+    backgrounds = {scene: pictures.topdown(voxel_map, view.cut_height) for scene, voxel_map in maps.items()}
     reference = tables.reference_agent(rows)
     sections = [
-        _header(rows, manifest, seed),
-        _failures(rows, backgrounds),
+        _header(view, rows, manifest, seed),
+        _failures(view, rows, backgrounds),
         "<h2>Results</h2>",
-        "<p class=note>Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
-        "Location error is measured by the harness against the simulator's pose, at every step.</p>",
-        f"<div class=wide>{tables.results(rows, seed)}</div>",
+        f"<p class=note>{view.note}</p>",
+        f"<div class=wide>{tables.results(rows, seed, view.measures)}</div>",
     ]
     if reference:
         sections += [
             f"<h2>Paired differences to {escape(reference)}</h2>",
             "<p class=note>Same task, same seed, same noise stream; an interval that leaves out 0 is a difference.</p>",
-            f"<div class=wide>{tables.differences(rows, reference, seed)}</div>",
+            f"<div class=wide>{tables.differences(rows, reference, seed, view.measures)}</div>",
         ]
-    sections.append("<h2>Curves</h2>")
-    for group, members in group_rows(rows, tables.grouping(rows)[:-1]).items():
-        image = pictures.data_url(figures.curves(members, seed), "image/svg+xml")
+    sections += [view.comparison(rows, seed), "<h2>Curves</h2>"]
+    for group, members in group_rows(rows, view.curves_by(rows)).items():
+        image = pictures.data_url(view.curves(members, seed), "image/svg+xml")
         sections.append(f"<h3>{escape(' · '.join(group))}</h3><img src='{image}' alt='curves of {escape(group[0])}'>")
     sections += [
         "<h2>Latency of a step</h2>",
         "<p class=note>Wall-clock times inside a worker that shares this machine with the others.</p>",
         tables.latencies(rows),
+        view.plans(rows, maps),
         "<h2>Successful runs</h2>",
-        _runs(figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds),
+        _runs(view, figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds),
     ]
     title = f"vssm-gym: {', '.join(dict.fromkeys(row['scene'] for row in rows))}"
     return (
@@ -114,17 +119,14 @@ def _page(rows: Sequence[Row], manifest: dict[str, Any], maps: dict[str, Path], 
     )
 
 
-def _header(rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
+def _header(view: View, rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     config = manifest["config"]
     facts = {
         "episodes": f"{len(rows)} of {manifest['episodes']}",
         "configuration": manifest["config_hash"],
         "version": ", ".join(sorted({row["version"] for row in rows})),
         "environment": ", ".join(config["env"]),
-        "renderer": ", ".join(config["renderer"]),
-        "robot": ", ".join(config["robot"]),
-        "noise": ", ".join(config["noise"]),
-        "sensor noise": ", ".join(config["sensor_noise"]),
+        **{name.replace("_", " "): ", ".join(config[name]) for name in view.conditions},
         "voxel": f"{config['voxel']} m",
         "ends on": ", ".join(sorted({row["end_on"] for row in rows})),
         "seeds": ", ".join(str(seed) for seed in config["seeds"]),
@@ -132,7 +134,7 @@ def _header(rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items())
     unfinished = len(rows) < manifest["episodes"]
     warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
-    headline = tables.results(rows, seed, ("spl", "success"))
+    headline = tables.results(rows, seed, view.measures, view.measures.headline, view.headline_by(rows))
     known = {scene: notice for scene, notice in manifest.get("notices", {}).items() if notice}
     notices = "".join(f"<p class=bad>{escape(scene)}: {escape(notice)}</p>" for scene, notice in known.items())
     raw = escape(json.dumps(config, indent=1))
@@ -143,38 +145,33 @@ def _header(rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     )
 
 
-def _failures(rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
-    failed = [row for row in rows if row["failure"]]
-    if not failed:
-        return "<h2>Failures</h2><p class=good>None: every episode succeeded.</p>"
-    drawn = figures.choose_failures(rows, FAILURES_DRAWN, FAILURES_OF_ONE)
-    key = pictures.data_url(figures.legend(), "image/svg+xml")
+def _failures(view: View, rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
+    shown = [row for row in rows if view.failed(row)]
+    if not shown:
+        return f"<h2>{view.failures}</h2><p class=good>{view.without_failures}</p>"
+    drawn = figures.choose_failures(rows, FAILURES_DRAWN, FAILURES_OF_ONE, view.failed)
+    key = pictures.data_url(view.legend(), "image/svg+xml")
     return (
-        f"<h2>Failures</h2><div class=wide>{tables.failure_counts(rows)}</div>"
-        f"<p class=note>{len(drawn)} of {len(failed)} failed episodes are drawn, agents that fail rarely first, "
-        "on the map that the agents were given (dark: cut at 1.2 m; grey: never seen).</p>"
-        f"<img src='{key}' alt='key'>{_runs(drawn, backgrounds)}"
-        f"<details><summary>all {len(failed)} failures</summary>"
+        f"<h2>{view.failures}</h2><div class=wide>{tables.failure_counts(rows)}</div>"
+        f"<p class=note>{len(drawn)} of {len(shown)} {view.such} are drawn, agents that fail rarely first, "
+        f"on the map that the agents were given (dark: cut at {view.cut_height:g} m; grey: never seen).</p>"
+        f"<img src='{key}' alt='key'>{_runs(view, drawn, backgrounds)}"
+        f"<details><summary>all {sum(map(figures.has_failed, rows))} failures</summary>"
         f"<div class=wide>{tables.failure_list(rows)}</div></details>"
     )
 
 
-def _runs(rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
+def _runs(view: View, rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
     if not rows:
         return "<p class=note>None.</p>"
-    return f"<div class=runs>{''.join(_run(row, backgrounds.get(row['scene'])) for row in rows)}</div>"
+    return f"<div class=runs>{''.join(_run(view, row, backgrounds.get(row['scene'])) for row in rows)}</div>"
 
 
-def _run(row: Row, background: pictures.Background | None) -> str:
-    image = pictures.data_url(figures.run_picture(row, background), "image/webp")
-    name = f"{row['agent']} · {row['scene']} · {row['noise']} · task {row['task']} · seed {row['seed']}"
-    outcome = (
-        f"<span class=bad>{escape(row['failure'])}</span>"
-        if row["failure"]
-        else f"<span class=good>success</span>, SPL {row['spl']:.2f}"
-    )
-    numbers = f"{row['steps']} steps, {row['path_length']:.1f} m of {row['geodesic']:.1f} m"
+def _run(view: View, row: Row, background: pictures.Background | None) -> str:
+    image = pictures.data_url(view.picture(row, background), "image/webp")
+    name = f"{row['agent']} · {view.condition(row)} · task {row['task']} · seed {row['seed']}"
+    outcome = f"<span class=bad>{escape(row['failure'])}</span>" if row["failure"] else view.success(row)
     return (
         f"<figure><img src='{image}' alt='{escape(name)}'><figcaption>{escape(name)}<br>{outcome}<br>"
-        f"{numbers}</figcaption></figure>"
+        f"{view.numbers(row)}</figcaption></figure>"
     )

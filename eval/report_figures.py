@@ -1,8 +1,9 @@
 """The figures of a report: curves over all episodes, and single runs drawn on the learned map."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -10,11 +11,13 @@ from vssm_gym.eval import aggregate
 from vssm_gym.eval.aggregate import Row
 from vssm_gym.viz import pictures
 
+GROUPS = ("scene", "noise", "physics", "agent")  # runs are chosen from each of these in turn
 # Okabe and Ito: told apart with colour-blind eyes too.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
 
-def _colours(rows: Sequence[Row]) -> dict[str, str]:
+def colours(rows: Sequence[Row]) -> dict[str, str]:
+    """A colour for each agent, in the order in which they first appear."""
     agents = dict.fromkeys(str(row["agent"]) for row in rows)
     return {agent: PALETTE[i % len(PALETTE)] for i, agent in enumerate(agents)}
 
@@ -24,7 +27,7 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
     figure = Figure(figsize=(11.5, 3.3), layout="constrained")
     success, cdf, growth = figure.subplots(1, 3)
     for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
-        colour = _colours(rows)[agent]
+        colour = colours(rows)[agent]
         _success_by_length(success, members, agent, colour, seed)
         _error_cdf(cdf, members, agent, colour)
         _error_growth(growth, members, agent, colour)
@@ -88,28 +91,35 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
     return pictures.webp(figure)
 
 
-def legend() -> bytes:
-    """The key to every run's picture, once."""
-    figure = Figure(figsize=(7.5, 0.35))
-    handles = pictures.legend_handles()
+def legend(more: Sequence[Artist] = ()) -> bytes:
+    """The key to every run's picture, once, with ``more`` handles."""
+    handles = [*pictures.legend_handles(), *more]
+    figure = Figure(figsize=(1.25 * len(handles), 0.35))
     figure.legend(handles=handles, loc="center", ncols=len(handles), frameon=False, fontsize=9)
     return pictures.svg(figure)
 
 
-def choose_failures(rows: Sequence[Row], limit: int, each: int) -> list[Row]:
+def has_failed(row: Row) -> bool:
+    """Whether the episode has a failure to give a reason for."""
+    return bool(row["failure"])
+
+
+def choose_failures(
+    rows: Sequence[Row], limit: int, each: int, failed: Callable[[Row], bool] = has_failed
+) -> list[Row]:
     """Failed runs to draw: agents that fail rarely come first, for theirs are the ones to learn from.
 
     At most ``each`` of one agent and condition, at most ``limit`` in all.
     """
-    failed = aggregate.group_rows([row for row in rows if row["failure"]], ["scene", "noise", "agent"])
-    episodes: Mapping[tuple, list] = aggregate.group_rows(rows, ["scene", "noise", "agent"])
-    rarest = sorted(failed, key=lambda group: len(failed[group]) / len(episodes[group]))
-    return [row for group in rarest for row in failed[group][:each]][:limit]
+    chosen = aggregate.group_rows(filter(failed, rows), GROUPS)
+    episodes: Mapping[tuple, list] = aggregate.group_rows(rows, GROUPS)
+    rarest = sorted(chosen, key=lambda group: len(chosen[group]) / len(episodes[group]))
+    return [row for group in rarest for row in chosen[group][:each]][:limit]
 
 
 def choose_successes(rows: Sequence[Row], limit: int) -> list[Row]:
     """The longest successful tasks of each agent and condition, in turn, so that every agent that succeeds is seen."""
-    groups = aggregate.group_rows([row for row in rows if row["success"]], ["scene", "noise", "agent"])
+    groups = aggregate.group_rows([row for row in rows if row["success"]], GROUPS)
     ranked = [sorted(members, key=lambda row: -row["geodesic"]) for members in groups.values()]
     turns = max((len(members) for members in ranked), default=0)
     return [members[turn] for turn in range(turns) for members in ranked if turn < len(members)][:limit]

@@ -1,31 +1,72 @@
 """The tables of a report as HTML: results with intervals, paired differences, latencies, failures by reason."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval import aggregate
-from vssm_gym.eval.aggregate import Row
+from vssm_gym.eval import aggregate, shares
+from vssm_gym.eval.aggregate import Interval, Row
 
-METRICS = {
-    "spl": "SPL",
-    "success": "success",
-    "soft_spl": "SoftSPL",
-    "steps": "steps",
-    "collisions": "collisions",
-    "touched": "touched",
-    "seconds": "seconds",
-    "direction_changes": "direction changes",
-    "heading_error": "heading error rad",
-    "distance_to_goal": "to goal m",
-    "location_error_mean": "location error m",
-    "location_error_final": "final error m",
-}
-DIGITS = {"steps": 0, "collisions": 1, "location_error_mean": 3, "location_error_final": 3}
-DIFFERENCES = ("spl", "success", "soft_spl", "location_error_mean")
+
+@dataclass(frozen=True)
+class Measures:
+    """What the tables of an environment's report show.
+
+    Attributes:
+        names: fields of a row in the order of columns, and their headings.
+        headline: those that the page opens with.
+        compared: those whose paired differences are shown.
+        digits: after the point, where not 2.
+        shares: booleans, shown in % with the interval of a share.
+    """
+
+    names: Mapping[str, str]
+    headline: tuple[str, ...]
+    compared: tuple[str, ...]
+    digits: Mapping[str, int]
+    shares: frozenset[str] = frozenset()
+
+    def mean(self, rows: Sequence[Row], metric: str, seed: int) -> str:
+        """Mean and 95 % interval of a metric, as a cell."""
+        share = metric in self.shares
+        return self.text(metric, shares.percent(rows, metric) if share else aggregate.mean(rows, metric, seed))
+
+    def difference(
+        self, rows: Sequence[Row], metric: str, first: str, second: str, seed: int, by: str = "agent"
+    ) -> Interval | None:
+        """Paired ``first - second`` of a metric; None where they share nothing to compare, as with an agent that keeps
+        no estimate and so has no location error."""
+        try:
+            if metric in self.shares:
+                return shares.paired_percent(rows, metric, first, second, by)
+            return aggregate.paired_difference(rows, metric, first, second, seed, by)
+        except InputError:
+            return None
+
+    def text(self, metric: str, interval: Interval | None) -> str:
+        """The cell of an interval, with the metric's digits."""
+        return interval.text(self.digits.get(metric, 2)) if interval else "-"
+
+
+POINTNAV = Measures(
+    names={
+        "spl": "SPL",
+        "success": "success",
+        "soft_spl": "SoftSPL",
+        "steps": "steps",
+        "collisions": "collisions",
+        "distance_to_goal": "to goal m",
+        "location_error_mean": "location error m",
+        "location_error_final": "final error m",
+    },
+    headline=("spl", "success"),
+    compared=("spl", "success", "soft_spl", "location_error_mean"),
+    digits={"steps": 0, "collisions": 1, "location_error_mean": 3, "location_error_final": 3},
+)
 # The order of columns; the constant ones are not shown.
 BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "agent")
 
@@ -49,14 +90,28 @@ def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
     )
 
 
-def results(rows: Sequence[Row], seed: int, metrics: Sequence[str] = tuple(METRICS)) -> str:
-    """Mean and 95 % interval of each metric for each condition and agent."""
-    by = grouping(rows)
-    metrics = [metric for metric in metrics if any(row.get(metric) is not None for row in rows)]
-    header = [*(name.replace("_", " ") for name in by), "episodes", *(METRICS[metric] for metric in metrics)]
+def results(
+    rows: Sequence[Row],
+    seed: int,
+    measures: Measures = POINTNAV,
+    metrics: Sequence[str] = (),
+    by: Sequence[str] | None = None,
+) -> str:
+    """Mean and 95 % interval of each of ``metrics`` (all that are measured) for each group of rows.
+
+    Args:
+        rows: episodes.
+        seed: of the resampling.
+        measures: how metrics are shown.
+        metrics: the columns.
+        by: what rows are grouped by: the condition and agent.
+    """
+    by = grouping(rows) if by is None else by
+    shown = [metric for metric in metrics or measures.names if any(row.get(metric) is not None for row in rows)]
+    header = [*(name.replace("_", " ") for name in by), "episodes", *(measures.names[metric] for metric in shown)]
     lines = [
-        [*line.group, str(line.episodes), *(line.values[m].text(DIGITS.get(m, 2)) for m in metrics)]
-        for line in aggregate.table(rows, metrics, by, seed)
+        [*group, str(len(members)), *(measures.mean(members, metric, seed) for metric in shown)]
+        for group, members in aggregate.group_rows(rows, by).items()
     ]
     return html_table(header, lines, len(by))
 
@@ -69,27 +124,23 @@ def reference_agent(rows: Sequence[Row]) -> str | None:
     return "astar" if "astar" in agents else agents[0]
 
 
-def differences(rows: Sequence[Row], reference: str, seed: int) -> str:
+def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measures = POINTNAV) -> str:
     """Paired differences ``reference - other`` over the episodes that both ran."""
     by = grouping(rows)[:-1]
-    header = [*(name.replace("_", " ") for name in by), "difference", "pairs", *(METRICS[m] for m in DIFFERENCES)]
+    names = [measures.names[metric] for metric in measures.compared]
+    header = [*(name.replace("_", " ") for name in by), "difference", "pairs", *names]
     lines = []
     for group, members in aggregate.group_rows(rows, by).items():
         for other in dict.fromkeys(str(row["agent"]) for row in members):
             if other == reference:
                 continue
-            intervals = [_difference(members, metric, reference, other, seed) for metric in DIFFERENCES]
-            pairs = max((interval.episodes for interval in intervals if interval), default=0)
-            cells = [i.text(DIGITS.get(m, 2)) if i else "-" for m, i in zip(DIFFERENCES, intervals, strict=True)]
+            found = {
+                metric: measures.difference(members, metric, reference, other, seed) for metric in measures.compared
+            }
+            pairs = max((interval.episodes for interval in found.values() if interval), default=0)
+            cells = [measures.text(metric, interval) for metric, interval in found.items()]
             lines.append([*group, f"{reference} - {other}", str(pairs), *cells])
     return html_table(header, lines, len(by) + 1)
-
-
-def _difference(rows: Sequence[Row], metric: str, agent: str, other: str, seed: int) -> aggregate.Interval | None:
-    try:
-        return aggregate.paired_difference(rows, metric, agent, other, seed)
-    except InputError:  # an agent that keeps no estimate has no location error to compare
-        return None
 
 
 def latencies(rows: Sequence[Row]) -> str:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.aggregate import Interval, bootstrap_mean, group_rows, mean, paired_difference, table
+from vssm_gym.eval.aggregate import Interval, bootstrap_mean, group_rows, mean, paired_difference
 
 
 def episode(agent="astar", task=0, seed=0, scene="oak", noise="low", **metrics):
@@ -87,13 +87,17 @@ def test_pairs_never_mix_conditions():
         paired_difference(rows, "spl", "a", "b")
 
 
-def test_tables_group_in_order_and_skip_missing_values():
-    rows = [episode("z", t, spl=1.0, error=None) for t in range(3)]
-    rows += [episode("a", t, spl=0.0, error=0.5 + t) for t in range(3)]
-    first, second = table(rows, ["spl", "error"])
-    assert first.group == ("oak", "low", "z")
-    assert first.values["error"].text() == "-"
-    assert second.values["error"].mean == pytest.approx(1.5)
-    assert second.episodes == 3
+def test_groups_keep_their_order_and_missing_values_are_left_out():
+    rows = [episode("z", t, error=None) for t in range(3)] + [episode("a", t, error=0.5 + t) for t in range(3)]
+    groups = group_rows(rows, ["agent"])
+    assert list(groups) == [("z",), ("a",)]
+    assert mean(groups["z",], "error").text() == "-"
+    assert mean(groups["a",], "error").mean == pytest.approx(1.5)
     assert mean(rows, "error").episodes == 3
-    assert list(group_rows(rows, ["agent"])) == [("z",), ("a",)]
+
+
+def test_simulators_are_paired_agent_by_agent():
+    rows = [episode("a", t, physics=p, spl=0.5 + (p == "mujoco")) for t in range(4) for p in ("mujoco", "bullet")]
+    rows += [episode("b", t, physics="bullet", spl=9.0) for t in range(4)]
+    interval = paired_difference(rows, "spl", "bullet", "mujoco", by="physics")
+    assert (interval.mean, interval.episodes) == (-1.0, 4)

@@ -1,0 +1,81 @@
+"""What tells the reports of environments apart; :mod:`vssm_gym.eval.report` puts the page together from it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from vssm_gym.eval import report_figures as figures
+from vssm_gym.eval import report_tables as tables
+from vssm_gym.eval.aggregate import Row
+from vssm_gym.viz import pictures
+from vssm_gym.voxel_map import VoxelMap
+
+
+@dataclass(frozen=True)
+class View:
+    """How the episodes of an environment are measured, drawn and told of.
+
+    Attributes:
+        conditions: lists of the configuration that the page opens with.
+        measures: of the tables.
+        note: HTML, what the results' numbers are.
+        measured: a row with the fields that follow from others.
+        headline_by: what the headline's lines are grouped by.
+        comparison: HTML of a section after the agents' differences.
+        curves_by: fields with one figure of curves for each combination.
+        curves: that figure as SVG.
+        plans: HTML of a section drawn from the learned maps, by scene.
+        cut_height: m, of the map that runs are drawn on.
+        failed: whether a run belongs to those that are drawn first.
+        failures: the heading of their section.
+        such: what those runs are called.
+        without_failures: what is said where there are none.
+        legend: the key to the pictures as SVG.
+        picture: one run on its map as WebP.
+        condition: where and how a run took place.
+        success: HTML, the outcome of a run that succeeded.
+        numbers: what a run took.
+    """
+
+    conditions: tuple[str, ...]
+    measures: tables.Measures
+    note: str
+    measured: Callable[[Row], Row]
+    headline_by: Callable[[Sequence[Row]], Sequence[str]]
+    comparison: Callable[[Sequence[Row], int], str]
+    curves_by: Callable[[Sequence[Row]], Sequence[str]]
+    curves: Callable[[Sequence[Row], int], bytes]
+    plans: Callable[[Sequence[Row], Mapping[str, VoxelMap]], str]
+    cut_height: float
+    failed: Callable[[Row], bool]
+    failures: str
+    such: str
+    without_failures: str
+    legend: Callable[[], bytes]
+    picture: Callable[[Row, pictures.Background | None], bytes]
+    condition: Callable[[Row], str]
+    success: Callable[[Row], str]
+    numbers: Callable[[Row], str]
+
+
+POINTNAV_VIEW = View(
+    conditions=("renderer", "robot", "noise", "sensor_noise"),
+    measures=tables.POINTNAV,
+    note="Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
+    "Location error is measured by the harness against the simulator's pose, at every step.",
+    measured=lambda row: row,
+    headline_by=tables.grouping,
+    comparison=lambda rows, seed: "",
+    curves_by=lambda rows: tables.grouping(rows)[:-1],
+    curves=figures.curves,
+    plans=lambda rows, maps: "",
+    cut_height=pictures.CUT_HEIGHT,
+    failed=figures.has_failed,
+    failures="Failures",
+    such="failed episodes",
+    without_failures="None: every episode succeeded.",
+    legend=figures.legend,
+    picture=figures.run_picture,
+    condition=lambda row: f"{row['scene']} · {row['noise']}",
+    success=lambda row: f"<span class=good>success</span>, SPL {row['spl']:.2f}",
+    numbers=lambda row: f"{row['steps']} steps, {row['path_length']:.1f} m of {row['geodesic']:.1f} m",
+)
