@@ -151,13 +151,16 @@ def _failures(view: View, rows: Sequence[Row], backgrounds: dict[str, pictures.B
         return f"<h2>{view.failures}</h2><p class=good>{view.without_failures}</p>"
     drawn = figures.choose_failures(rows, FAILURES_DRAWN, FAILURES_OF_ONE, view.failed)
     key = pictures.data_url(view.legend(), "image/svg+xml")
+    reasons = (
+        f"<details><summary>all {failed} failures</summary><div class=wide>{tables.failure_list(rows)}</div></details>"
+        if (failed := sum(map(figures.has_failed, rows)))
+        else ""
+    )
     return (
         f"<h2>{view.failures}</h2><div class=wide>{tables.failure_counts(rows)}</div>"
         f"<p class=note>{len(drawn)} of {len(shown)} {view.such} are drawn, agents that fail rarely first, "
         f"on the map that the agents were given (dark: cut at {view.cut_height:g} m; grey: never seen).</p>"
-        f"<img src='{key}' alt='key'>{_runs(view, drawn, backgrounds)}"
-        f"<details><summary>all {sum(map(figures.has_failed, rows))} failures</summary>"
-        f"<div class=wide>{tables.failure_list(rows)}</div></details>"
+        f"<img src='{key}' alt='key'>{_runs(view, drawn, backgrounds)}{reasons}"
     )
 
 

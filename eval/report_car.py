@@ -9,10 +9,10 @@ from vssm_gym.eval import report_tables
 from vssm_gym.eval.aggregate import Row, group_rows
 from vssm_gym.eval.report_view import View
 from vssm_gym.eval.value_figures import ValuePainter
-from vssm_gym.planning.footprint import Z_MAX
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
+CUT_HEIGHT = 0.1  # m: through all that the car can run into, and above the floor
 TARGETS = 2  # of each scene, whose cost-to-go is drawn
 
 NOTE = (
@@ -79,7 +79,7 @@ CAR_VIEW = View(
     curves_by=lambda rows: [name for name in report_tables.grouping(rows) if name not in ("scene", "agent")],
     curves=figures.curves,
     plans=_plans,
-    cut_height=Z_MAX,
+    cut_height=CUT_HEIGHT,
     failed=lambda row: bool(row["failure"] or row["touched"]),
     failures="Failures and touches",
     such="episodes that failed or touched something",

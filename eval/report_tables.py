@@ -162,15 +162,18 @@ def kind(reason: str) -> str:
 
 
 def failure_counts(rows: Sequence[Row]) -> str:
-    """How often each agent failed for each kind of reason."""
+    """How often each agent failed for each kind of reason, and touched something where that is counted by episode."""
     by = grouping(rows)
     kinds = sorted({kind(row["failure"]) for row in rows if row["failure"]})
+    touched = ["touched"] if any(row.get("touched") for row in rows) else []
     lines = []
     for group, members in aggregate.group_rows(rows, by).items():
         counts = Counter(kind(row["failure"]) for row in members if row["failure"])
         failed = f"{counts.total()} of {len(members)}"
-        lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in kinds)])
-    return html_table([*(name.replace("_", " ") for name in by), "failed", *kinds], lines, len(by))
+        counts.update({name: sum(row[name] for row in members) for name in touched})
+        lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in (*kinds, *touched))])
+    header = [*(name.replace("_", " ") for name in by), "failed", *kinds, *touched]
+    return html_table(header, lines, len(by))
 
 
 def failure_list(rows: Sequence[Row]) -> str:

@@ -114,6 +114,9 @@ def test_the_page_opens_with_reached_and_touched_and_shows_touches_first(sweep_f
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", text)
     assert captions[0].startswith("vi_mpc · arena · bullet · low · task 3")  # reached, but not without a touch
     assert "touches 2" in captions[0]
+    counts = next(table for table in text.split("<table>") if "<th>failed</th>" in table)
+    counts = [line for line in cells(counts) if line[2:4] == ["bullet", "vi_mpc"]]
+    assert [line[4:] for line in counts] == [["0 of 8", "", "1"]]  # failed, timed out, touched
     assert "all 4 failures" in page.text
     assert "Clopper and Pearson" in page.text
 
