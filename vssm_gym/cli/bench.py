@@ -179,13 +179,20 @@ def _show_car(table: Any, result: dict[str, Any], console: Any) -> None:
     for name in ("part", "median", "95 %", "unit", "aim", "beside"):
         table.add_column(name, justify="left" if name in ("part", "unit", "beside") else "right")
     for row in result["rows"]:
-        values = ("" if v is None else f"{v:,.0f}" if v >= 100.0 else f"{v:.3g}" for v in (row["p50"], row["p95"]))
-        beside = ", ".join(f"{name} {f'{v:.2g}' if isinstance(v, float) else v}" for name, v in row["facts"].items())
+        values = ("" if v is None else _written(v) for v in (row["p50"], row["p95"]))
+        beside = ", ".join(f"{name} {_written(v)}" for name, v in row["facts"].items())
         table.add_row(row["what"], *values, row["unit"], "" if row["aim"] is None else f"{row['aim']:g}", beside)
     console.print(table)
     console.print(f"machine: {result['machine']}")
     if result["missing"]:
         console.print(f"not measured: {result['missing']}", soft_wrap=True)
+
+
+def _written(value: float | int | str) -> str:
+    """Whole numbers and words as they are, others to three digits."""
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
