@@ -3,6 +3,8 @@
 Plans once a target, and again where the car has left its plan or ended beside the target; reads the true pose.
 """
 
+import itertools
+
 import numpy as np
 
 from vssm_gym.agents.driving import Driver, Step
@@ -12,10 +14,13 @@ from vssm_gym.planning.car_pursuit import Drive
 from vssm_gym.planning.footprint import Arena
 from vssm_gym.planning.footprint_levels import FootprintLevels
 from vssm_gym.planning.hybrid_astar import CarPlan, plan
+from vssm_gym.planning.result import PlanStatus
 
 MARGINS = (0.02, 0.0)  # m around the footprint, tried in turn
 ASTRAY = 0.08  # m from the plan
 TURNED = 0.4  # rad off the plan's heading
+# Around the target, inside its region, where the car fits by a map that is rounded to cells: m, m, rad.
+OFFSETS = np.array([[0.0, 0.0, 0.0], *itertools.product((-0.04, 0.0, 0.04), (-0.04, 0.0, 0.04), (-0.1, 0.0, 0.1))])
 
 
 class HybridPursuit:
@@ -45,11 +50,15 @@ class HybridPursuit:
         return Step(following.control, "follows its drive", self._drive.poses[:, :2])
 
     def _plan(self, planar: np.ndarray) -> CarPlan:
-        for levels in self._levels:
-            result = plan(levels, self._car, planar, self._goal)
-            if result.found:
-                self._drive, self._progress = Drive(result.poses, result.gears), 0.0
-                break
+        """The first drive found: to the target with room to spare, without, then to poses around it."""
+        for goal in self._goal + OFFSETS[:, : len(self._goal)]:
+            for levels in self._levels:
+                result = plan(levels, self._car, planar, goal)
+                if result.found:
+                    self._drive, self._progress = Drive(result.poses, result.gears), 0.0
+                    return result
+            if result.status is not PlanStatus.GOAL_BLOCKED:
+                return result
         return result
 
 
