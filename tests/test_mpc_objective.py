@@ -112,6 +112,19 @@ def test_ipopts_splines_are_the_tables_where_those_are_linear() -> None:
     np.testing.assert_allclose(g[:, 5:], clear, atol=1e-5)
 
 
+def test_the_cost_to_go_goes_on_for_two_cells_into_collision_and_no_further() -> None:
+    """A half-space of free poses of cost 3: cell by cell the price of the way, then never; free poses keep theirs."""
+    never = 1.0 / (1.0 - 0.99)
+    value = worlds.value_of(lambda x, y, h: np.where(x < 0.0, 3.0, never))
+    table = np.asarray(make_fields(value, worlds.clearance_of(lambda x, y: 1.0), PROBLEM.car).value.values)
+    cell = worlds.VALUE_CELL / worlds.MOTION
+    first = int(np.argmax(np.asarray(value.values)[:, 0, 0] > 3.0))
+    np.testing.assert_allclose(table[:first], 3.0)
+    np.testing.assert_allclose(table[first], 3.0 + cell, rtol=1e-6)
+    np.testing.assert_allclose(table[first + 1], 3.0 + 2 * cell, rtol=1e-6)
+    np.testing.assert_allclose(table[first + 2 :], never, rtol=1e-6)
+
+
 @given(st.integers(0, 10_000))
 def test_a_rollout_is_the_bicycle_step_by_step(seed: int) -> None:
     rng = np.random.default_rng(seed)

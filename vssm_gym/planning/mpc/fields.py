@@ -1,11 +1,12 @@
 """The two lookup tables of the problem, as the solvers read them: cost-to-go and clearance.
 
-    J(z) trilinear (CostToGo.at);   d(p) bilinear
+    J(z) trilinear (CostToGo.at), continued a little way into collision;   d(p) bilinear
 
 Beyond its grid nothing is known of a plan, so the border of the clearance's grid counts as a wall: inside,
 ``d = min(d, distance to the border)``, outside ``d = -distance``.
 """
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +19,9 @@ from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.value_iteration import CostToGo
+
+CONTINUED = 2  # cells: what trilinear interpolation and IPOPT's spline read beyond a free pose
+NEVER_SHARE = 0.999  # of the cost of never arriving, from which on a pose counts as having no way
 
 
 class Fields(eqx.Module):
@@ -82,13 +86,35 @@ def make_fields(value: CostToGo, clearance: ClearanceMap, car: Car) -> Fields:
     f32 = lambda a: jnp.asarray(a, jnp.float32)
     discount, step_cost = value_units(value, car)
     return Fields(
-        jax.tree.map(f32, value),
+        eqx.tree_at(lambda v: v.values, jax.tree.map(f32, value), continued(f32(value.values), value)),
         f32(walled(clearance)),
         f32(clearance.origin),
         f32(clearance.resolution),
         f32(discount),
         f32(step_cost),
     )
+
+
+@partial(jax.jit, static_argnames=("never", "cost"))
+def _a_cell_deeper(table: Array, never: float, cost: float) -> Array:
+    """``min over the six neighbours + cost`` where the table says never."""
+    padded = jnp.pad(table, ((1, 1), (1, 1), (0, 0)), constant_values=never)
+    nearest = jnp.minimum(jnp.roll(table, 1, axis=2), jnp.roll(table, -1, axis=2))
+    for beside in (padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]):
+        nearest = jnp.minimum(nearest, beside)
+    return jnp.where(table >= NEVER_SHARE * never, jnp.minimum(never, nearest + cost), table)
+
+
+def continued(table: Array, value: CostToGo) -> Array:
+    """The cost-to-go continued :data:`CONTINUED` cells into poses that collide, at the price of driving there.
+
+    Interpolation mixes the cost of never arriving into every pose within a cell of a collision. A critic alone must be
+    warned so; here the constraint keeps the car out, and next to walls the warning makes barriers and hollows that
+    drown the differences which lead through a tight manoeuvre.
+    """
+    for _ in range(CONTINUED):
+        table = _a_cell_deeper(table, value.never, float(value.resolution) / value.motion_length)
+    return table
 
 
 def value_units(value: CostToGo, car: Car) -> tuple[float, float]:

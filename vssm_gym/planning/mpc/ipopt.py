@@ -24,6 +24,7 @@ from jaxtyping import Array
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.candidates import FIXED, propose
 from vssm_gym.planning.mpc.fields import FieldCache, Fields
+from vssm_gym.planning.mpc.lagrangian import RefineConfig, refine
 from vssm_gym.planning.mpc.objective import required_clearance, rollout, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, checked_pose, last_control
 from vssm_gym.planning.mpc.ranking import ranked
@@ -32,7 +33,8 @@ from vssm_gym.planning.mpc.windows import SUPPORT, ClearanceTable, ValueTable
 from vssm_gym.planning.value_iteration import CostToGo
 
 CANDIDATES = 8 * FIXED  # to find a start among
-BETTER = 2.0  # step costs by which another start must beat the last plan, whose multipliers fit
+STARTS = 4  # the last plan and the best of the candidates, of which IPOPT gets one
+MEND = RefineConfig(outer=2)  # of the starts: noise has moved the car
 ROUNDING = 0.1  # of min(s, J), share of s
 REACH = 0.6  # m from where the start ends to where the plan may end: half the window of the cost-to-go
 SHARE = 0.7  # of the deadline for IPOPT: the start takes time too, and its clock is read between iterations
@@ -78,7 +80,7 @@ class Ipopt:
         fields = self._fields.of(value, clearance)
         if self._tables is None or self._tables[0] is not fields:
             reach = horizon * problem.car.dt * problem.car.max_speed + problem.car.length
-            self._tables = fields, ValueTable(value, REACH), ClearanceTable(clearance, reach)
+            self._tables = fields, ValueTable(fields.value, REACH), ClearanceTable(clearance, reach)
         values, clearances = self._tables[1:]
         step = 0 if warm is None else warm.step + 1
         plan = np.zeros((horizon, 2)) if warm is None else warm.controls
@@ -121,11 +123,13 @@ class Ipopt:
         problem = self.problem
         key = jax.random.fold_in(jax.random.key(problem.config.seed), step)
         candidates = propose(problem, key, last, plan, CANDIDATES)
-        (best,), (score,) = ranked(problem, fields, state, last, candidates, 1)
-        (warm,), (warm_score,) = ranked(problem, fields, state, last, candidates[:1], 1)
-        is_warm = warm_score <= score + BETTER
-        start = jnp.where(is_warm, warm, best)
-        return start, rollout(problem, state, start), is_warm, required_clearance(problem, fields, state)
+        best, _ = ranked(problem, fields, state, last, candidates, STARTS - 1)
+        starts = jnp.concatenate([candidates[:1], best])
+        least = required_clearance(problem, fields, state)
+        mended = refine(problem, MEND, fields, state, last, least, starts)
+        verdict = judge(problem, fields, state, last, jnp.concatenate([mended, starts]), STARTS)
+        is_warm = verdict.chosen % STARTS == 0
+        return verdict.controls, rollout(problem, state, verdict.controls), is_warm, least
 
     def _judge(self, fields: Fields, state: Array, last: Array, plans: Array) -> Verdict:
         return judge(self.problem, fields, state, last, within_rates(self.problem, last, plans), 1)
