@@ -54,7 +54,8 @@ def hits(box: SolidBox, origin: np.ndarray, directions: np.ndarray) -> np.ndarra
     R_box_world = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     o, d = R_box_world @ (origin - box.center), directions @ R_box_world.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        near, far = (-np.sign(d) * np.array(box.size) / 2 - o) / d, (np.sign(d) * np.array(box.size) / 2 - o) / d
+        half = np.copysign(0.5 * np.array(box.size), d)
+        near, far = (-half - o) / d, (half - o) / d
     enter, leave = near.max(axis=1), far.min(axis=1)
     t = np.where(enter > 0.0, enter, leave)  # from inside, the far side is seen
     return np.where((enter <= leave) & (leave > 0.0), t, np.inf)
@@ -88,8 +89,8 @@ layouts = st.lists(
 
 
 def seen(boxes: list[SolidBox], T_world_cam: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    camera = RaycastCamera(boxes, CAMERA)
-    return camera.render(T_world_cam)[1].ravel(), camera.boxes(T_world_cam).ravel()
+    depth, box = RaycastCamera(boxes, CAMERA).first_boxes(T_world_cam)
+    return depth.ravel(), box.ravel()
 
 
 def embree(boxes: list[SolidBox], T_world_cam: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,6 +151,53 @@ def test_no_ray_slips_between_faces(layout, heading, pitch, roll):
     T_world_cam = tilted(heading, pitch, roll)
     T_world_cam[:3, 3] += 4.0, 4.0, 1.0
     assert RaycastCamera(boxes, CAMERA).render(T_world_cam)[1].min() > 0.0
+
+
+@pytest.mark.parametrize(("width", "height"), [(161, 121), (64, 1), (33, 3)])
+@pytest.mark.parametrize("roll", [0.0, 1e-14, -1e-10])
+def test_a_face_seen_edge_on_makes_no_depths_up(width, height, roll):
+    """A table top exactly at the eye's height, in an image with a row of pixels exactly at the horizon."""
+    camera = Camera.from_hfov(width, height, math.pi / 2)
+    boxes = [*room(8, 8, 2.5), solid((5.0, 4.0, 0.3), (0.6, 0.6, 0.2), 0.5)]
+    T_world_cam = tilted(0.3, 0.0, roll)
+    T_world_cam[:3, 3] = 1.5, 4.1, 0.4
+    rays = np.asarray(camera.rays(), dtype=np.float64).reshape(-1, 3) @ T_world_cam[:3, :3].T
+    expected = np.stack([hits(box, T_world_cam[:3, 3], rays) for box in boxes]).min(axis=0)
+    depth = RaycastCamera(boxes, camera).render(T_world_cam)[1].ravel()
+    # Along the edge a ray either just meets the table or just passes it.
+    table = hits(boxes[-1], T_world_cam[:3, 3] - [0.0, 0.0, 1e-9], rays)
+    behind = np.stack([hits(box, T_world_cam[:3, 3], rays) for box in boxes[:-1]]).min(axis=0)
+    right = [np.isclose(depth, d, rtol=1e-5) for d in (expected, table, behind)]
+    assert np.logical_or.reduce(right).all()
+
+
+def test_where_faces_coincide_the_first_box_shows():
+    """And not one of them here and the other there, as rounding has it."""
+    boxes = [solid((3.0, 0.0, 0.4), (1.0, 2.0, 2.0)), solid((3.0, 0.4, 0.4), (1.0, 2.0, 2.0))]
+    T_world_cam = tilted(0.37, 0.2, 0.1)
+    depth, box = RaycastCamera(boxes, CAMERA).first_boxes(T_world_cam)
+    alone = RaycastCamera(boxes[:1], CAMERA).first_boxes(T_world_cam)[0]
+    assert (box[alone > 0.0] == 0).all() and (box == 1).any()
+    np.testing.assert_array_equal(depth[alone > 0.0], alone[alone > 0.0])
+
+
+def test_a_sheet_without_thickness_is_seen():
+    depth, box = RaycastCamera([solid((3.0, 0.0, 0.5), (0.0, 2.0, 2.0))], CAMERA).first_boxes(look(0.0, 0.0, 0.0))
+    assert depth[24, 32] == 3.0 and box[24, 32] == 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("entry", [(0, 3), (1, 1)])
+def test_a_pose_that_is_no_pose_is_refused(value, entry):
+    T_world_cam = look(1.0, 1.0, 0.3)
+    T_world_cam[entry] = value
+    with pytest.raises(InputError, match="T_world_cam"):
+        RaycastCamera(room(4.0, 4.0, 2.5), CAMERA).render(T_world_cam)
+
+
+def test_a_camera_without_anything_to_see_is_refused():
+    with pytest.raises(InputError, match="boxes"):
+        RaycastCamera([], CAMERA)
 
 
 @given(st.floats(0.3, 2.7), st.floats(0.3, 3.7), angles)

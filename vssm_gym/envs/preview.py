@@ -104,7 +104,7 @@ def _best_view(
     for x, y in positions:
         for heading in 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS:
             T_world_cam = _look(x, y, heading)
-            depth, box = coarse.render(T_world_cam)[1], coarse.boxes(T_world_cam)
+            depth, box = coarse.first_boxes(T_world_cam)
             met, count = np.unique(names[box[box >= 0]], return_counts=True)
             shown = set(met[count >= ENOUGH].tolist()) - {""}
             # What stands right before the eye hides the room: distance counts as much as a handful of pieces.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from vssm_gym.envs.raster import SIDES
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.envs.textures import texture_atlas
 
@@ -50,6 +51,7 @@ def looks_of(boxes: Sequence[SolidBox]) -> Looks:
     colors = np.array([(*box.material.color, 1.0 / box.material.scale) for box in boxes], dtype=np.float32)
     white = np.full((1, *texture_atlas(names).shape[1:]), 255, dtype=np.uint8)  # what the sky shows
     texels, levels = _mips(np.concatenate([white, texture_atlas(names)]))
+    assert levels > 1  # a pixel blends two of them
     textures = texels.shape[1] * np.array([1 + names.index(box.material.texture) for box in boxes], dtype=np.int64)
     return Looks(shifts, colors, textures, texels.ravel(), levels)
 
@@ -95,10 +97,10 @@ def _byte(value):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _describe(T, fx, fy, cx, cy, frame, shift, color, axis, sign, row):
-    """What of one face all its pixels share, into ``row`` (15,).
+    """What of one face all its pixels share, into ``row`` (14,).
 
     ``u = row[0] + z (row[1] + row[2] i + row[3] j)`` tiles, ``v`` alike from ``row[4]``; ``row[8]``: m from the eye to
-    the face's plane; ``row[9]``: light of sky and lamp; ``row[10]``: (tiles a pixel at depth 1)^2; colour from 11 on.
+    the face's plane; ``row[9]``: light of sky and lamp; ``row[10]``: tiles^2 a pixel at depth 1; colour from 11 on.
     """
     c, s = frame[6], frame[7]
     dx, dy, dz = T[0, 3] - frame[0], T[1, 3] - frame[1], T[2, 3] - frame[2]
@@ -130,7 +132,7 @@ def _describe(T, fx, fy, cx, cy, frame, shift, color, axis, sign, row):
     row[8] = abs(sign * eye[axis] - frame[3 + axis])
     slant = nx * LAMP_DIRECTION[0] + ny * LAMP_DIRECTION[1] + nz * LAMP_DIRECTION[2]
     row[9] = AMBIENT + 0.5 * LAMP * (1.0 + slant)
-    row[10] = (tiles / fx) ** 2
+    row[10] = tiles * tiles / (fx * fy)
     row[11], row[12], row[13] = color[0], color[1], color[2]
 
 
@@ -152,7 +154,7 @@ def shade(T, fx, fy, cx, cy, frames, shifts, colors, textures, texels, levels, l
         depth: float32 ``(H, W)``, written: z, m, 0 where nothing is seen.
     """
     height, width = nearness.shape
-    sky = 6 * frames.shape[0]
+    sky = SIDES * frames.shape[0]
     rows, described = np.empty((sky + 1, 14), dtype=np.float32), np.zeros(sky, dtype=np.bool_)
     starts = np.zeros(sky + 1, dtype=np.uint64)  # of the faces' textures
     rows[sky], rows[sky, 9] = 0.0, 1.0
@@ -176,9 +178,9 @@ def shade(T, fx, fy, cx, cy, frames, shifts, colors, textures, texels, levels, l
             else:
                 if not described[f]:
                     described[f] = True
-                    box, sign = f // 6, 2.0 * (f % 2) - 1.0
+                    box, sign = f // SIDES, 2.0 * (f % 2) - 1.0
                     starts[f] = textures[box]
-                    _describe(T, fx, fy, cx, cy, frames[box], shifts[box], colors[box], (f % 6) // 2, sign, rows[f])
+                    _describe(T, fx, fy, cx, cy, frames[box], shifts[box], colors[box], (f % SIDES) // 2, sign, rows[f])
                 _place(i, end, j, rows[f], nearness[j], u, v, depth[j])
             _spread(i, end, f, rows[f], away, steady, texel2, shown)
             i = end
@@ -222,7 +224,8 @@ def _light(away, steady, texel2, levels, length2, depth, level, light):
     for i in range(level.shape[0]):
         distance2 = depth[i] * depth[i] * length2[i]
         cosine = min(one, away[i] / np.sqrt(max(distance2, np.float32(1e-12))))
-        # A pixel covers `distance / f` metres across, 1 / cosine as much along: the level suits their geometric mean.
+        # On the axis a pixel covers distance / f metres across and 1 / cosine as much along: the level suits their
+        # geometric mean. Off the axis it covers less: towards the corners of wide images textures are a bit soft.
         footprint2 = distance2 * texel2[i] / max(cosine, np.float32(0.02))
         detail = np.float32(-0.5) * _log2(max(footprint2, np.float32(1e-12)))
         level[i] = min(max(detail, zero), finest)
