@@ -23,7 +23,7 @@ class Tracer(Protocol):
     """Finds the first box along rays that leave one point.
 
     ``trace(origin (3,), directions (n, 3))``, float32 directions, gives ``t`` float32 ``(n,)`` in multiples of the
-    direction and the box's index int32 ``(n,)``; where nothing is hit ``t`` is 0 and the index -1. All in the world frame, m.
+    direction and the box's index int32 ``(n,)``; where nothing is hit ``t`` is 0 and the index -1. World frame, m.
     """
 
     name: str  # recorded with results
