@@ -32,12 +32,12 @@ from vssm_gym.planning.mpc.verdict import Verdict, judge, to_result
 from vssm_gym.planning.mpc.windows import SUPPORT, ClearanceTable, ValueTable
 from vssm_gym.planning.value_iteration import CostToGo
 
-CANDIDATES = 8 * FIXED  # to find a start among
-STARTS = 4  # the last plan and the best of the candidates, of which IPOPT gets one
-MEND = RefineConfig(outer=2)  # of the starts: noise has moved the car
+CANDIDATES = 4 * FIXED  # to find a start among
+STARTS = 3  # the last plan and the best of the candidates, of which IPOPT gets one
+MEND = RefineConfig(outer=2, inner=10)  # of the starts: noise has moved the car
 ROUNDING = 0.1  # of min(s, J), share of s
 REACH = 0.6  # m from where the start ends to where the plan may end: half the window of the cost-to-go
-SHARE = 0.7  # of the deadline for IPOPT: the start takes time too, and its clock is read between iterations
+SHARE = 0.5  # of the deadline for IPOPT: the start takes time too, and its clock is read between iterations
 OPTIONS = {
     "tol": 1e-3,
     "constr_viol_tol": 1e-5,

@@ -33,7 +33,7 @@ from vssm_gym.planning.value_iteration import CostToGo
 class MppiConfig:
     """Samples and temperature."""
 
-    samples: int = 384  # of each round
+    samples: int = 256  # of each round
     rounds: int = 4
     temperature: float = 0.1  # lambda, step costs
     shrink: float = 0.5  # of the noise from one round to the next
