@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from vssm_gym.car import Car
 from vssm_gym.envs.car_space import CarSpace
+from vssm_gym.envs.car_task_sets import make_car_tasks
 from vssm_gym.envs.car_tasks import (
     ALIGNED,
     APART,
@@ -176,3 +177,11 @@ def test_a_scene_without_room_is_refused():
     sampler = car_sampler_of(yard(0.5, 0.5), CAR)
     with pytest.raises(InputError, match="yard: rooms: expected room for a car"):
         sampler.draw(np.random.default_rng(0))
+
+
+def test_every_target_that_is_drawn_would_be_accepted():
+    """A corner of `paddock` holds poses near the drivable part that nothing drivable comes close enough to."""
+    tasks = make_car_tasks(load_scene("paddock"), 70)
+    sampler = car_sampler_of(load_scene("paddock"), CAR)
+    for task in tasks.tasks:
+        sampler.validate(task)

@@ -143,7 +143,10 @@ class CarTaskSampler:
             for pose in self.space.sample(rng, _BLOCK, GOAL_MARGIN).round(4):
                 if away_from is not None and math.hypot(*(pose[:2] - away_from)) <= APART:
                     continue
-                if self.space.part(pose) == part:
+                if self.space.part(pose) != part:
+                    continue
+                # A target must be within reach by its own tolerances, tighter than what joins a pose to a part.
+                if away_from is None or part in self.space.parts_within(pose, REACHED, ALIGNED):
                     return pose
         expected = f"room for a car to drive {APART} m; no target found that it can reach"
         raise InputError(self.apartment.name, "rooms", expected)
