@@ -1,8 +1,8 @@
 """``bench envs``: steps a second of the environments, through ``gym.make`` and ``gym.make_vec`` as anyone would.
 
 A step is everything: physics, rays, shading, reward, observation, info. Rates are medians over windows of random
-actions that never stop; the same windows for every row. One row traces the same image's rays with Embree instead of
-drawing it, without textures and light: what a ray tracer would cost.
+actions that never stop; the same windows for every row. Two rows make depth images and nothing else, drawn as
+the camera does it and traced with Embree: what a ray tracer would cost.
 """
 
 import importlib.util
@@ -17,6 +17,7 @@ import gymnasium as gym
 import numpy as np
 
 import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tracing import EmbreeTracer
@@ -47,7 +48,8 @@ def measure(*, scene: str = SCENE, seed: int = 0, progress: Progress | None = No
         ("RGB-D 160x120", lambda: _alone("PointNav", scene, seed), 1, 1200.0),
         (f"the same, {ROBOTS} at once", lambda: _many("PointNav", scene, seed), two, 700.0),
         ("RGB-D 160x120 as a Kinect sees", lambda: _alone("PointNav", scene, seed, sensor_noise="kinect"), 1, None),
-        ("Embree's rays of such an image, nothing else", lambda: _embree(scene, seed), 1, None),
+        ("depth images alone, 160x120", lambda: _images(scene, seed, traced=False), 1, None),
+        ("the same by Embree's rays", lambda: _images(scene, seed, traced=True), 1, None),
         ("64 rays", lambda: _alone("PointNav", scene, seed, **scan), 1, None),
         (f"64 rays, {ROBOTS} at once", lambda: _many("PointNav", scene, seed, **scan), two, None),
         ("Explore", lambda: _alone("Explore", scene, seed), 1, None),
@@ -111,10 +113,11 @@ def _many(kind: str, scene: str, seed: int, **keywords: Any) -> float:
     return rate
 
 
-def _embree(scene: str, seed: int) -> float:
-    """Images a second of which Embree traces every pixel's ray, by its wheel's public call, from places all over."""
+def _images(scene: str, seed: int, traced: bool) -> float:
+    """Depth images a second from places all over: as the camera draws them, or each pixel's ray traced by Embree."""
     boxes, camera = load_scene(scene).boxes(), CameraConfig().intrinsics()
-    tracer, rays = EmbreeTracer(boxes), np.asarray(camera.rays(), dtype=np.float64).reshape(-1, 3)
+    drawn, tracer = RaycastCamera(boxes, camera), EmbreeTracer(boxes)
+    rays = np.asarray(camera.rays(), dtype=np.float64).reshape(-1, 3)
     rng = np.random.default_rng(seed)
     low, high = (edge([box.center for box in boxes], axis=0) for edge in (np.min, np.max))
 
@@ -122,7 +125,13 @@ def _embree(scene: str, seed: int) -> float:
         heading = rng.uniform(-np.pi, np.pi)
         c, s = np.cos(heading), np.sin(heading)
         R_world_cam = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R_BODY_CAM
-        tracer.trace(np.array([*rng.uniform(low[:2], high[:2]), 0.4]), (rays @ R_world_cam.T).astype(np.float32))
+        origin = np.array([*rng.uniform(low[:2], high[:2]), 0.4])
+        if traced:
+            tracer.trace(origin, (rays @ R_world_cam.T).astype(np.float32))
+        else:
+            T_world_cam = np.eye(4)
+            T_world_cam[:3, :3], T_world_cam[:3, 3] = R_world_cam, origin
+            drawn.first_boxes(T_world_cam)
         return 1
 
     return steps_a_second(step)
