@@ -14,10 +14,9 @@ from pydantic import BaseModel, ConfigDict
 
 from vssm_gym.car import Car
 from vssm_gym.envs.car_tasks import CarTask, Targets, car_sampler_of
+from vssm_gym.envs.content_hash import content_hash
 from vssm_gym.envs.scene import Apartment
-from vssm_gym.envs.tasks import Split
-from vssm_gym.envs.validation import validated
-from vssm_gym.errors import InputError
+from vssm_gym.envs.tasks import Split, read
 from vssm_gym.files import atomic_write
 
 
@@ -36,9 +35,7 @@ class CarTaskSet(BaseModel):
 
     def content_hash(self) -> str:
         """First 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
-        content = self.model_dump(mode="json", exclude={"hash"})
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+        return content_hash(self, without="hash")
 
 
 def make_car_tasks(
@@ -75,23 +72,5 @@ def save(tasks: CarTaskSet, path: Path) -> None:
 
 
 def load(path: Path, apartment: Apartment | None = None) -> CarTaskSet:
-    """The task set in a file; for ``apartment`` where one is given.
-
-    Raises:
-        InputError: no such file, no JSON, another format, content that does not match its hash, or another scene's.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "file", "a readable task file") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"JSON ({error})") from error
-    tasks = validated(CarTaskSet, data, path)
-    if tasks.hash != tasks.content_hash():
-        raise InputError(
-            path, "hash", f"{tasks.content_hash()}, the hash of the tasks as they are; found {tasks.hash!r}"
-        )
-    if apartment is not None and tasks.scene_hash != apartment.content_hash():
-        expected = f"{apartment.content_hash()}, the hash of scene {apartment.name}; found {tasks.scene_hash}"
-        raise InputError(path, "scene_hash", expected)
-    return tasks
+    """The task set in a file; raises as :func:`vssm_gym.envs.tasks.read`."""
+    return read(CarTaskSet, path, apartment)

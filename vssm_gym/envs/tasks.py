@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -90,8 +90,16 @@ def save(tasks: TaskSet, path: Path) -> None:
         temporary.write_text(f'{head},\n "tasks": [\n{lines}\n ]\n}}\n', encoding="utf-8")
 
 
+S = TypeVar("S", bound=BaseModel)
+
+
 def load(path: Path, apartment: Apartment | None = None) -> TaskSet:
-    """The task set in a file; for ``apartment`` where one is given.
+    """The task set in a file; see :func:`read`."""
+    return read(TaskSet, path, apartment)
+
+
+def read(kind: type[S], path: Path, apartment: Apartment | None) -> S:
+    """The set of tasks of a kind of robot in a file; for ``apartment`` where one is given.
 
     Raises:
         InputError: no such file, no JSON, another format, content that does not match its hash, or another scene's.
@@ -102,7 +110,7 @@ def load(path: Path, apartment: Apartment | None = None) -> TaskSet:
         raise InputError(path, "file", "a readable task file") from error
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"JSON ({error})") from error
-    tasks = validated(TaskSet, data, path)
+    tasks: Any = validated(kind, data, path)
     found = tasks.content_hash()
     if tasks.hash != found:
         raise InputError(path, "hash", f"{found}, the hash of the tasks as they are; found {tasks.hash!r}")
