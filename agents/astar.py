@@ -14,6 +14,7 @@ class AStarAgent:
 
     name = "astar"
     robot = "holonomic"
+    task = "pointgoal"
     needs_pose = False
     needs_map = True
 

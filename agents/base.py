@@ -82,6 +82,7 @@ class Agent(Protocol):
 
     name: str
     robot: str  # which it drives: "holonomic" or "car"
+    task: str  # "pointgoal": drive to observation["goal"]; "explore": map what is there, no goal is observed
     needs_pose: bool  # whether it reads observation["pose"]: oracles only
     needs_map: bool  # whether context.map must be there
 

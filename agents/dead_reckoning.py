@@ -14,6 +14,7 @@ class DeadReckoningAgent:
 
     name = "dead_reckoning"
     robot = "holonomic"
+    task = "pointgoal"
     needs_pose = False
     needs_map = True
 

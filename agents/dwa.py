@@ -43,6 +43,7 @@ class DwaAgent:
 
     name = "dwa"
     robot = "car"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

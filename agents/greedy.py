@@ -69,6 +69,7 @@ class GreedyAgent:
 
     name = "greedy"
     robot = "car"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

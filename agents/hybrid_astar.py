@@ -67,6 +67,7 @@ class HybridAStarAgent:
 
     name = "hybrid_astar"
     robot = "car"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

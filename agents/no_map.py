@@ -14,6 +14,7 @@ class NoMapAgent:
 
     name = "no_map"
     robot = "holonomic"
+    task = "pointgoal"
     needs_pose = False
     needs_map = True
 

@@ -15,6 +15,7 @@ class OracleAgent:
 
     name = "oracle"
     robot = "holonomic"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

@@ -19,6 +19,7 @@ class RandomAgent:
 
     name = "random"
     robot = "holonomic"
+    task = "pointgoal"
     needs_pose = False
     needs_map = False
 

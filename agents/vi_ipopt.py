@@ -11,6 +11,7 @@ class ViIpoptAgent:
 
     name = "vi_ipopt"
     robot = "car"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

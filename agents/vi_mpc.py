@@ -52,6 +52,7 @@ class ViMpcAgent:
 
     name = "vi_mpc"
     robot = "car"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

@@ -14,6 +14,7 @@ class ViMpcTrackedAgent:
 
     name = "vi_mpc_tracked"
     robot = "car"
+    task = "pointgoal"
     needs_pose = False
     needs_map = True
 

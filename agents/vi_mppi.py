@@ -11,6 +11,7 @@ class ViMppiAgent:
 
     name = "vi_mppi"
     robot = "car"
+    task = "pointgoal"
     needs_pose = True
     needs_map = True
 

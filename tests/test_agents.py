@@ -39,7 +39,8 @@ ROBOT = HolonomicRobot()
 CAMERA = Camera.from_hfov(64, 48, math.radians(90.0))
 LOW = NOISE_LEVELS["low"]
 SEES = ["astar", "no_map"]  # agents that need images
-ON_FOOT = [name for name, agent in AGENTS.items() if agent.robot == "holonomic"]  # cars: tests/test_car_agents.py
+# Of the others: tests/test_car_agents.py, tests/test_explorers.py.
+ON_FOOT = [name for name, agent in AGENTS.items() if agent.robot == "holonomic" and agent.task == "pointgoal"]
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +125,7 @@ def test_protocol(name):
     assert isinstance(agent, Agent)
     assert agent.name == name
     assert {type(agent.needs_pose), type(agent.needs_map)} == {bool}
+    assert agent.task in ("pointgoal", "explore")
     # Whatever the environment's info holds, there is no way to hand it over.
     assert list(inspect.signature(agent.act).parameters) == ["observation"]
     assert list(inspect.signature(agent.reset).parameters) == ["context", "observation", "seed"]

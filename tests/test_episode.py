@@ -187,7 +187,7 @@ class Scrambled(gym.Wrapper):
     [
         pytest.param(name, marks=pytest.mark.slow) if name in ("astar", "no_map") else name
         for name, agent in AGENTS.items()
-        if agent.robot == "holonomic"
+        if agent.robot == "holonomic" and agent.task == "pointgoal"
     ],
 )
 def test_no_agent_acts_on_what_info_says(name, sampler):
