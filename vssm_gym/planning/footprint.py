@@ -12,8 +12,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from vssm_gym.car import Car
+from vssm_gym.columns import KNOWN_SHARE, observed_columns
 from vssm_gym.errors import InputError
-from vssm_gym.planning.clearance import KNOWN_SHARE, ClearanceMap, observed_columns
+from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.voxel_map import VoxelMap
 
 Unknown = Literal["optimistic", "mean", "averse"]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from vssm_gym.columns import KNOWN_SHARE, observed_columns
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
-from vssm_gym.planning.clearance import KNOWN_SHARE, observed_columns
 from vssm_gym.voxel_map import VoxelMap
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
