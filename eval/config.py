@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -52,7 +52,8 @@ class SweepConfig(BaseModel):
     """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
 
     ``scenes`` are built-in names or paths of scene files; a relative path starts at the folder of the YAML file.
-    ``voxel`` (m) is the cell size of the maps that agents are given.
+    ``voxel`` (m) is the cell size of the maps that agents are given; ``map_poses`` says whether their images were taken
+    where the recording has them or where PRISM estimates them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
@@ -68,6 +69,7 @@ class SweepConfig(BaseModel):
     tasks: Annotated[Seeds, BeforeValidator(_task_ids)]
     seeds: Seeds = (0,)
     voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
+    map_poses: Literal["recorded", "estimated"] = "recorded"
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,13 @@
-"""Maps that agents are given: closed-form updates over a recording at its known poses (SPEC 4, off-line map)."""
+"""Maps that agents are given: closed-form updates over a recording (SPEC 4, off-line map).
+
+At the poses recorded with it, as a motion-capture hall would know them, or at those that PRISM estimates.
+"""
 
 import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,11 +18,13 @@ from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.errors import InputError
+from vssm_gym.eval.drive_poses import estimate_poses
 from vssm_gym.eval.version import package_version
 from vssm_gym.inference.map_update import MapUpdateConfig, update
 from vssm_gym.voxel_map import VoxelMap, read_metadata
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+Poses = Literal["recorded", "estimated"]
 
 MARGIN = 0.25  # m around the farthest points seen: the truncation band and the next frames' noise
 LOOKED_AT = 200  # frames that the bounds are taken from
@@ -31,13 +37,14 @@ def build_map(
     voxel: float,
     progress: Progress | None = None,
     warn: Callable[[tuple[str, ...]], None] | None = None,
+    poses: Poses = "recorded",
 ) -> VoxelMap:
-    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence with ground-truth poses.
+    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence, at the poses ``z_t`` recorded with it or estimated.
 
     The grid spans what the depth images show, not what anybody knows of the scene.
 
     Args:
-        sequence: with ``groundtruth.txt``.
+        sequence: with ``groundtruth.txt``; of estimated poses only the first of it is read.
         voxel: cell size, m.
         progress: told after every frame.
         warn: told in the end which frames were damaged; they count as empty.
@@ -45,28 +52,36 @@ def build_map(
     Raises:
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
     """
-    reader, poses = FrameReader(sequence), sequence.true_poses()
-    config = MapUpdateConfig()
-    low, high = grid_bounds(reader, poses, config)
+    reader, config = FrameReader(sequence), MapUpdateConfig()
+    taken, fits = _poses(sequence, voxel, poses, progress)
+    low, high = grid_bounds(reader, taken, config)
     shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
     if np.prod(shape) > MAX_CELLS:
         raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
     voxel_map = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
-    for i, T_world_cam in enumerate(poses):
+    for done, i in enumerate(np.flatnonzero(fits).tolist(), 1):
         rgb, depth = reader[i]
         voxel_map = update(
             voxel_map,
             jnp.asarray(depth),
             jnp.asarray(rgb, jnp.float32) / 255.0,
-            jnp.asarray(T_world_cam, jnp.float32),
+            jnp.asarray(taken[i], jnp.float32),
             reader.camera,
             config,
         )
         if progress:
-            progress("map", i + 1, len(poses))
+            progress("map", done, int(fits.sum()))
     if warn:
         warn(reader.notices)
     return voxel_map
+
+
+def _poses(sequence: Sequence, voxel: float, poses: Poses, progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
+    """``T_world_cam`` of each frame, and which of them go into the map."""
+    if poses == "recorded":
+        return sequence.true_poses(), np.ones(len(sequence.frames), dtype=bool)
+    estimate = estimate_poses(sequence, voxel, progress)
+    return estimate.T_world_cam, estimate.fits
 
 
 def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -91,17 +106,26 @@ def _rays(camera: Camera) -> np.ndarray:
     return homogeneous @ np.linalg.inv(camera.K).T
 
 
-def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: Progress | None = None) -> Path:
+def ensure_map(
+    scene: str,
+    folder: Path,
+    *,
+    voxel: float,
+    seed: int,
+    poses: Poses = "recorded",
+    progress: Progress | None = None,
+) -> Path:
     """The learned map of a scene under ``folder``: ``maps/NAME.npz``, from the drive in ``recordings/NAME``.
 
-    Both are kept; what is there already is used again if scene, seed, noise and tracer of the drive and the cell size
-    are the same, else made anew. Nothing that this package did not make is replaced.
+    Both are kept; what is there already is used again if scene, seed, noise and tracer of the drive, the cell size and
+    the kind of poses are the same, else made anew. Nothing that this package did not make is replaced.
 
     Args:
         scene: built-in name or path of a scene file.
         folder: of a sweep.
         voxel: cell size, m.
         seed: of the recorded drive.
+        poses: at which the images enter the map: see :func:`build_map`.
         progress: told after every frame recorded and every frame mapped.
 
     Raises:
@@ -120,7 +144,7 @@ def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: P
         found = read_metadata(map_file)
         if "scene_hash" not in found:
             raise InputError(map_file, "file", "a map that a sweep or bench made, or none")
-        if _agrees(found, origin | {"voxel": voxel}):
+        if _agrees(found, origin | {"voxel": voxel, "poses": poses}):
             return map_file
     if recording.exists():
         found = read_provenance(recording)
@@ -131,9 +155,9 @@ def ensure_map(scene: str, folder: Path, *, voxel: float, seed: int, progress: P
     if not recording.exists():
         recording.parent.mkdir(parents=True, exist_ok=True)
         record(scene, recording, noise=NOISE, seed=seed, progress=progress)
-    voxel_map = build_map(load_sequence(recording), voxel, progress)
+    voxel_map = build_map(load_sequence(recording), voxel, progress, poses=poses)
     map_file.parent.mkdir(parents=True, exist_ok=True)
-    voxel_map.save(map_file, **origin, voxel=voxel, package_version=package_version())
+    voxel_map.save(map_file, **origin, voxel=voxel, poses=poses, package_version=package_version())
     return map_file
 
 

@@ -143,7 +143,9 @@ def _jobs(
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"
         course_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
     if any(AGENTS[episode.agent].needs_map for episode in episodes):
-        map_file = ensure_map(scene, out, voxel=config.voxel, seed=manifest["seed"], progress=progress)
+        map_file = ensure_map(
+            scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, progress=progress
+        )
     with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
     maps = {agent: with_map if AGENTS[agent].needs_map else without for agent in config.agents}
     signature = apartment.content_hash(), manifest["config_hash"], package_version()

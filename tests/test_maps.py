@@ -146,7 +146,7 @@ def drives(recording, monkeypatch):
 
     monkeypatch.setattr(maps, "record", record_note)
     monkeypatch.setattr(maps, "load_sequence", lambda folder: folder)
-    monkeypatch.setattr(maps, "build_map", lambda *_: VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)))
+    monkeypatch.setattr(maps, "build_map", lambda *_, **__: VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)))
     return made
 
 
@@ -159,7 +159,9 @@ def test_a_map_is_made_anew_where_anything_that_decides_it_differs(recording, dr
     for field, value in (("renderer", "raycast-other"), ("noise", "high"), ("seed", 5), ("scene_hash", "other")):
         note = tmp_path / "recordings" / "rooms" / PROVENANCE
         note.write_text(json.dumps(json.loads(note.read_text()) | {field: value}))
-        metadata = {key: known[key] for key in ("scene_hash", "seed", "noise", "renderer", "voxel", "package_version")}
+        metadata = {
+            key: known[key] for key in ("scene_hash", "seed", "noise", "renderer", "voxel", "poses", "package_version")
+        }
         VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)).save(path, **metadata | {field: value})
         assert map_hash(path) != first
         before = len(drives)

@@ -206,13 +206,13 @@ def test_every_status_has_words() -> None:
 
 def test_tracking_compiles_once() -> None:
     """Whatever the poses, commands, maps and images, lost or not."""
-    before = tracking._correct._cache_size(), tracking.step_frames._cache_size()
+    before = tracking.correct._cache_size(), tracking.step_frames._cache_size()
     state = start()
     for command, planar in drive(3, 8):
         for m in (MAP, VoxelMap.prior(*GRID)):
             state, _ = step_map(state, command, see(planar), m)
         state, _ = tracking.step_frames(state, jnp.asarray(command, jnp.float32), see(planar), RIG, NOISE)
-    assert tracking._correct._cache_size() - before[0] <= 1
+    assert tracking.correct._cache_size() - before[0] <= 1
     assert tracking.step_frames._cache_size() - before[1] <= 1
 
 

@@ -1,20 +1,25 @@
 """``vssm-gym map build SEQUENCE --out map.npz``: learn a map from a recording; ``map export MAP --out DIR``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 
 def build(
-    sequence: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")], out: Path, voxel: float = 0.05
+    sequence: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")],
+    out: Path,
+    voxel: float = 0.05,
+    poses: Literal["recorded", "estimated"] = "recorded",
 ) -> None:
-    """Build a map in closed form from a recorded sequence at its ground-truth poses.
+    """Build a map in closed form from a recorded sequence.
 
     Args:
         sequence: TUM folder with groundtruth.txt; `vssm-gym record` makes one.
         out: the map file to write (.npz).
         voxel: size of a cell, metres.
+        poses: at which images enter the map: recorded (ground truth), or as PRISM estimates them from a survey's images
+            and commands.
     """
     from vssm_gym.cli.console import progress_bars
     from vssm_gym.cli.slam import print_warnings
@@ -30,7 +35,7 @@ def build(
     print_warnings(recording.notices)
     damaged: list[str] = []
     with progress_bars() as progress:
-        voxel_map = build_map(recording, voxel, progress, damaged.extend)
+        voxel_map = build_map(recording, voxel, progress, damaged.extend, poses)
     print_warnings(damaged)
     voxel_map.save(out)
     size = " x ".join(f"{n * voxel:.1f}" for n in voxel_map.shape)

@@ -88,7 +88,7 @@ def first(start: Float[Array, "3"], image: RGBD, std: tuple[float, float, float]
 
 
 @partial(jax.jit, static_argnums=6)
-def _correct(
+def correct(
     state: TrackerState,
     predicted: PlanarBelief,
     reference: RGBD,
@@ -96,13 +96,17 @@ def _correct(
     image: RGBD,
     rig: RobotRig,
     config: TrackerConfig,
+    seen: Float[Array, "height width"] | None = None,
 ) -> tuple[TrackerState, TrackerInfo]:
-    """Align the image to a reference and combine with the prediction; keep the prediction where they do not fit."""
+    """Align the image to a reference and combine with the prediction; keep the prediction where they do not fit.
+
+    ``seen`` is the luminance of the camera image taken where the reference was rendered; Gauss-Newton alone uses it.
+    """
     basis = planar_basis(rig)
     T_ref_cam = inverse(T_world_ref) @ planar_to_matrix(predicted.planar) @ rig.T_body_cam
     problem = (T_ref_cam, prior_precision(predicted, config), T_ref_cam, basis, reference, image, rig.camera)
     if config.adam is None:
-        T, agreement = align(*problem, config.align)
+        T, agreement = align(*problem, config.align, seen=seen)
     else:
         # The same pixels at every step: a step stays a function of its arguments.
         T, agreement = align_adam(*problem, config.align, jax.random.key(0), config.adam)
@@ -175,7 +179,7 @@ def step_map(
     # image and computes it again there (25 ms more a step; it ignores optimization barriers on the CPU).
     predicted, T_world_ref = predict(state.belief, control, noise, rig)
     reference = emission.render(m, T_world_ref, rig.camera)
-    return _correct(state, predicted, reference, T_world_ref, image, rig, config)
+    return correct(state, predicted, reference, T_world_ref, image, rig, config)
 
 
 @partial(jax.jit, static_argnums=5)
@@ -194,7 +198,7 @@ def step_frames(
     planar = state.belief.planar
     predicted = planar_predict(PlanarBelief(planar, jnp.zeros((3, 3))), control, noise)
     T_world_ref = planar_to_matrix(planar) @ rig.T_body_cam
-    moved, info = _correct(state, predicted, state.image, T_world_ref, image, rig, config)
+    moved, info = correct(state, predicted, state.image, T_world_ref, image, rig, config)
     carried = planar_predict(state.belief, control, MotionNoise(0.0, 0.0)).covariance
     belief = PlanarBelief(moved.belief.planar, carried + moved.belief.covariance)
     return TrackerState(belief, moved.image, moved.lost), info
