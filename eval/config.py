@@ -48,12 +48,25 @@ def _task_ids(value: Any) -> Any:
     return _as_tuple(value)
 
 
+class ExploreSettings(BaseModel):
+    """How explorers run.
+
+    ``steps`` (of 0.2 s) is the time limit of a run; ``navigation`` is how many PointNav tasks ``astar`` then drives on
+    the map that the run left.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    steps: Annotated[int, Field(gt=0)] = 1500
+    navigation: Annotated[int, Field(ge=0)] = 0
+
+
 class SweepConfig(BaseModel):
     """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
 
     ``scenes`` are built-in names or paths of scene files; a relative path starts at the folder of the YAML file.
     ``voxel`` (m) is the cell size of the maps that agents are given; ``map_poses`` says whether their images were taken
-    where the recording has them or where PRISM estimates them.
+    where the recording has them or where PRISM estimates them. ``explore`` is for Explore alone.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
@@ -70,6 +83,7 @@ class SweepConfig(BaseModel):
     seeds: Seeds = (0,)
     voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
     map_poses: Literal["recorded", "estimated"] = "recorded"
+    explore: ExploreSettings | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +107,7 @@ class Episode:
     task: int
     seed: int  # of the sweep's list; `episode_seed` mixes it with scene and task
     agent: str
+    explore: ExploreSettings | None = None  # of an explorer's run
 
     def identity(self, scene_hash: str) -> dict[str, Any]:
         """The fields of a row that say which episode it is, scenes by their short name and content."""
@@ -128,7 +143,7 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
     for scene, env, robot, noise, sensor_noise, renderer, physics in worlds:
         condition = Condition(env, scene, robot, noise, sensor_noise, renderer, physics)
         for task, seed, agent in itertools.product(config.tasks, config.seeds, config.agents):
-            yield Episode(condition, task, seed, agent)
+            yield Episode(condition, task, seed, agent, config.explore)
 
 
 def episode_seed(seed: int, scene_hash: str, task: int) -> int:
@@ -197,7 +212,12 @@ def check_names(config: SweepConfig, source: object) -> None:
     robots = tuple(dict.fromkeys(COURSES[env].robot for env in config.env))
     if len(robots) > 1:
         raise InputError(source, "env", f"environments of one robot; found {' and '.join(robots)}")
-    able = sorted(name for name, agent in AGENTS.items() if agent.robot == robots[0])
+    if len({COURSES[env].task for env in config.env}) > 1:
+        raise InputError(source, "env", f"environments of one task; found {' and '.join(config.env)}")
+    task = COURSES[config.env[0]].task
+    if config.explore is not None and task != "explore":
+        raise InputError(source, "explore", f"no such field with {config.env[0]}: only explorers have it")
+    able = sorted(name for name, agent in AGENTS.items() if (agent.robot, agent.task) == (robots[0], task))
     physics = list(COURSES[config.env[0]].physics)
 
     known: list[tuple[str, Sequence[str], Sequence[str]]] = [

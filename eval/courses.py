@@ -1,4 +1,4 @@
-"""The environments of sweeps: which robot drives there, and the module that sets, runs and judges their episodes."""
+"""The environments of sweeps: which robot does what there, and the module that sets, runs and judges their episodes."""
 
 from importlib import import_module
 from pathlib import Path
@@ -12,16 +12,18 @@ if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
 
 
 class Entry(NamedTuple):
-    """A row of :data:`COURSES`."""
+    """A row of :data:`COURSES`: agents of this robot and this task can run there (:mod:`vssm_gym.agents.base`)."""
 
     module: str
     robot: str
+    task: str
     physics: tuple[str, ...]
 
 
 COURSES = {
-    "vssm_gym/PointNav-v0": Entry("vssm_gym.eval.pointnav_course", "holonomic", ("mujoco",)),
-    "vssm_gym/CarNav-v0": Entry("vssm_gym.eval.carnav_course", "car", ("mujoco", "bullet")),
+    "vssm_gym/PointNav-v0": Entry("vssm_gym.eval.pointnav_course", "holonomic", "pointgoal", ("mujoco",)),
+    "vssm_gym/Explore-v0": Entry("vssm_gym.eval.explore_course", "holonomic", "explore", ("mujoco",)),
+    "vssm_gym/CarNav-v0": Entry("vssm_gym.eval.carnav_course", "car", "pointgoal", ("mujoco", "bullet")),
 }
 
 

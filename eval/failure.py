@@ -37,29 +37,38 @@ def failure_reason(
         contacts: for each step whether the robot touched something.
         body_length: m.
     """
-    lost = _lost_track(positions, estimates, contacts, body_length)
-    if lost:
-        noticed = (
-            "which the agent noticed" if any("lost" in status for status in statuses) else "unnoticed by the agent"
-        )
-        return f"lost track: {lost}, {noticed}"
+    if lost := lost_track(statuses, positions, estimates, contacts, body_length):
+        return lost
     last = statuses[-1]
     if last.startswith(("gave up", "looking around")):
         return f"planner: {last}"
-    tail = positions[-STUCK_STEPS:]
-    spread = float(np.linalg.norm(tail - tail[-1], axis=1).max())
     away = float(np.linalg.norm(positions[-1] - goal))
-    if not stopped and spread < body_length and np.mean(contacts[-STUCK_STEPS:]) >= STUCK_CONTACTS:
-        return f"collision: stuck, {spread:.2f} m in the last {len(tail)} steps, {away:.2f} m from the goal"
+    if not stopped and (stuck := stuck_at(positions, contacts, body_length)):
+        return f"{stuck}, {away:.2f} m from the goal"
     if stopped:
         return f"stopped outside: {away:.3f} m from the goal"
     return f"time out: {away:.2f} m from the goal after {len(positions) - 1} steps"
 
 
-def _lost_track(
-    positions: np.ndarray, estimates: np.ndarray | None, contacts: np.ndarray, body_length: float
+def stuck_at(
+    positions: Float[np.ndarray, "time 2"], contacts: Bool[np.ndarray, "steps"], body_length: float
 ) -> str | None:
-    """Since when and how far the estimate is off at the end; None where it is not, or where there is none."""
+    """``collision: ...`` where the robot hardly moved and mostly touched something over the last steps."""
+    tail = positions[-STUCK_STEPS:]
+    spread = float(np.linalg.norm(tail - tail[-1], axis=1).max())
+    if spread < body_length and len(contacts) and np.mean(contacts[-STUCK_STEPS:]) >= STUCK_CONTACTS:
+        return f"collision: stuck, {spread:.2f} m in the last {len(tail)} steps"
+    return None
+
+
+def lost_track(
+    statuses: Sequence[str],
+    positions: Float[np.ndarray, "time 2"],
+    estimates: Float[np.ndarray, "time 2"] | None,
+    contacts: Bool[np.ndarray, "steps"],
+    body_length: float,
+) -> str | None:
+    """``lost track: ...``: since when and how far the estimate is off at the end; None where it is not, or is none."""
     if estimates is None:
         return None
     error = np.linalg.norm(estimates - positions, axis=1)
@@ -69,7 +78,8 @@ def _lost_track(
     good = known[error[known] <= body_length]
     since = int(good[-1]) + 1 if len(good) else 0
     touched = bool(np.any(contacts[max(0, since - CONTACT_MEMORY) : since]))
+    noticed = "which the agent noticed" if any("lost" in status for status in statuses) else "unnoticed by the agent"
     return (
-        f"{error[known[-1]]:.2f} m off at the end, more than {body_length:g} m since step {since}"
-        f"{', after a contact' if touched else ''}"
+        f"lost track: {error[known[-1]]:.2f} m off at the end, more than {body_length:g} m since step {since}"
+        f"{', after a contact' if touched else ''}, {noticed}"
     )

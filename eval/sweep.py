@@ -1,7 +1,8 @@
 """``sweep CONFIG --out DIR``: every episode of a configuration once, over worker processes, whatever interrupts it.
 
 The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, ``recordings/``, ``maps/`` and
-``episodes.jsonl``. Only this process writes them; a worker that dies takes nothing along but its own episode.
+``episodes.jsonl``. Only this process writes them; a worker that dies takes nothing along but its own episode. Workers
+of explorers write whole files to ``explored/``: the maps that are left by the first run of each agent in each scene.
 """
 
 import hashlib
@@ -88,7 +89,8 @@ def check_arguments(out: Path, workers: int, seed: int) -> None:
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
     """16 hex digits of what decides the results: configuration, scenes (by content, not by path), seed."""
-    content = config.model_dump(mode="json") | {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
+    content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
+    content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -150,8 +152,25 @@ def _jobs(
     maps = {agent: with_map if AGENTS[agent].needs_map else without for agent in config.agents}
     signature = apartment.content_hash(), manifest["config_hash"], package_version()
     return [
-        worker.Job(episode, *maps[episode.agent], task_files[episode.condition.env], *signature) for episode in episodes
+        worker.Job(
+            episode,
+            *maps[episode.agent],
+            task_files[episode.condition.env],
+            *signature,
+            explored_file=_explored_file(episode, out, config),
+        )
+        for episode in episodes
     ]
+
+
+def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | None:
+    """Where the map of an explorer's first run in each world is kept; None of other episodes."""
+    c = episode.condition
+    first = (episode.task, episode.seed) == (config.tasks[0], config.seeds[0])
+    if COURSES[c.env].task != "explore" or not first:
+        return None
+    world = (scene_name(c.scene), c.noise, c.sensor_noise, c.renderer, episode.agent)
+    return out / "explored" / f"{'-'.join(world)}.npz"
 
 
 def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, progress: Progress | None) -> None:

@@ -42,7 +42,7 @@ _compiled: set[str] = set()  # agents that this process has run
 
 @dataclass(frozen=True)
 class Job:
-    """One episode to run, and what a worker cannot know: where map and tasks are, and what to sign the row with."""
+    """One episode to run, and what a worker cannot know: where maps and tasks are, and what to sign the row with."""
 
     episode: Episode
     map_file: Path | None  # None for an agent that needs no map
@@ -51,6 +51,7 @@ class Job:
     scene_hash: str
     config_hash: str
     version: str
+    explored_file: Path | None = None  # where the map that an explorer leaves is kept
 
 
 @contextlib.contextmanager
@@ -91,11 +92,23 @@ def run(job: Job) -> dict[str, Any]:
     course, agent = course_of(episode.condition.env), _agent(episode.agent)
     voxel_map = _map(job.map_file) if job.map_file else None
     result = course.run(episode, agent, job.task_file, voxel_map)
+    if job.explored_file:
+        result["explored"] = _keep(agent, job)
     signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}
     if episode.agent not in _compiled:
         _compiled.add(episode.agent)
         release_memory()
     return episode.identity(job.scene_hash) | signature | result
+
+
+def _keep(agent: "Agent", job: Job) -> str | None:
+    """Write the map that an agent has left; its file's name, None for an agent without."""
+    left: VoxelMap | None = getattr(agent, "map", None)
+    if left is None or job.explored_file is None:
+        return None
+    job.explored_file.parent.mkdir(parents=True, exist_ok=True)
+    left.save(job.explored_file, agent=job.episode.agent, scene_hash=job.scene_hash, package_version=job.version)
+    return job.explored_file.name
 
 
 def release_memory() -> None:

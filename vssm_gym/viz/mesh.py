@@ -52,27 +52,42 @@ def surface_mesh(m: VoxelMap) -> Mesh:
     # It names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
     cells, faces, _, _ = marching_cubes(occupancy[_box(low, high + 1)], 0.0, gradient_direction="ascent", mask=mask)
     vertices = np.asarray(m.origin, np.float64) + (cells + low + BLOCK * first) * float(m.voxel_size)
-    known = np.asarray(m.observed_at(_inside(m, vertices))) >= KNOWN_SHARE
+    known = np.asarray(_observed(m, _inside(m, vertices)))[: len(vertices)] >= KNOWN_SHARE
     faces = faces[known[faces].all(axis=1)]
     used, faces = np.unique(faces, return_inverse=True)
     return _mesh(m, vertices[used], faces.reshape(-1, 3))
 
 
 def _mesh(m: VoxelMap, vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    p_world = _inside(m, vertices)
-    rgb = np.asarray(m.field(p_world))[:, 1:]
+    rgb, precision = (np.asarray(a)[: len(vertices)] for a in _belief(m, _inside(m, vertices)))
     return Mesh(
         vertices.astype(np.float32),
         faces.astype(np.int32),
         np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8),
-        1.0 / np.asarray(m.precision(p_world))[:, 0],
+        1.0 / precision,
     )
 
 
+@jax.jit
+def _observed(m: VoxelMap, p_world: jax.Array) -> jax.Array:
+    return m.observed_at(p_world)
+
+
+@jax.jit
+def _belief(m: VoxelMap, p_world: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Colour, and precision of occupancy."""
+    return m.colour_at(p_world), m.precision(p_world)[:, 0]
+
+
 def _inside(m: VoxelMap, vertices: np.ndarray) -> jax.Array:
-    """Vertices for the map's queries: one on the grid's face may round to outside, where they answer with the prior."""
+    """Vertices for the map's queries: one on the grid's face may round to outside, where they answer with the prior.
+
+    Zeros fill them up to a power of two: no two meshes have as many, and each number would compile anew.
+    """
     inset = np.array([[1e-3], [-1e-3]]) * float(m.voxel_size)
-    return jnp.asarray(np.clip(vertices, *(m.bounds + inset)), jnp.float32)
+    p_world = np.zeros((1 << max(0, len(vertices) - 1).bit_length(), 3), np.float32)
+    p_world[: len(vertices)] = np.clip(vertices, *(m.bounds + inset))
+    return jnp.asarray(p_world)
 
 
 def _box(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
