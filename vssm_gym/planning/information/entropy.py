@@ -17,4 +17,5 @@ def entropy(m: VoxelMap) -> float:
     second count of the same cells, and nothing that a robot plans with.
     """
     precision = np.asarray(m.occupancy_precision, dtype=np.float64)
-    return 0.5 * float(np.sum(np.log(PRIOR_OCCUPANCY_STD**-2 / precision)))
+    prior = np.float32(PRIOR_OCCUPANCY_STD**-2)  # as cells hold it, so that an empty map's entropy is 0
+    return 0.5 * float(np.sum(np.log(float(prior) / precision)))

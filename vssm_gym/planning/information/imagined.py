@@ -1,4 +1,9 @@
-"""Images imagined from the current belief: depth rendered at the map's mean, many views in one call (SPEC 8)."""
+"""Images imagined from the current belief: depth of many views in a call, at the map's mean or in a sample (SPEC 8).
+
+Literal samples of unknown cells, ``N(-0.001, 10^2)`` each on its own, are solid by the next cell: nobody would look
+into the unknown. The prior says nothing of how surfaces hang together, so samples take a word from elsewhere: unknown
+space is scattered with obstacles at random, one cell wide, as dense as a given mean free path of rays asks for.
+"""
 
 from functools import partial
 
@@ -9,8 +14,11 @@ from jaxtyping import Array, Float
 
 from vssm_gym import emission
 from vssm_gym.camera import Camera
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.emission_uncertainty import Readings, sample_map
+from vssm_gym.errors import InputError
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
+SHADOW = 5.0  # voxels^2 that a cell above zero among free ones hides: 4 of a ray along an axis, up to 6 of others
 AT_ONCE = 16  # views a call of the renderer: as many rays as one 160x120 image has, with 1200 pixels a view
 
 
@@ -31,7 +39,7 @@ def imagine(m: VoxelMap, T_world_cam: np.ndarray, camera: Camera, max_depth: flo
     """
     views = len(T_world_cam)
     padded = np.concatenate([T_world_cam, np.repeat(T_world_cam[:1], -views % AT_ONCE, axis=0)])
-    batches = jnp.asarray(padded, jnp.float32).reshape(-1, AT_ONCE, 4, 4)
+    batches = padded.astype(np.float32).reshape(-1, AT_ONCE, 4, 4)  # by NumPy: JAX would compile this for each length
     images = [np.asarray(_depths(m, T, camera, max_depth)) for T in batches]
     return np.concatenate(images)[:views]
 
@@ -46,3 +54,34 @@ def _depth(m: VoxelMap, T_world_cam: Array, camera: Camera, max_depth: float | A
     k, hit = emission.search(m, centre, directions, max_depth)
     depth = emission.intersect(m, centre, directions, jnp.where(hit, k, 2))
     return jnp.where(hit, jnp.minimum(depth, max_depth), max_depth).reshape(camera.height, camera.width)
+
+
+def draw(seed: int, m: VoxelMap, mean_free_path: float, std: float) -> VoxelMap:
+    """``M ~ q(M)``: observed cells as :func:`~vssm_gym.emission_uncertainty.sample_map` draws them, others by chance.
+
+    An unknown cell is occupied with probability ``1 - exp(-voxel / (SHADOW mean_free_path))``, so that rays survive
+    ``d`` metres of unknown space with about ``exp(-d / mean_free_path)``.
+
+    Args:
+        seed: of the sample.
+        m: map belief.
+        mean_free_path: of a ray in unknown space, m.
+        std: of the map update.
+
+    Raises:
+        InputError: a block-sparse map, whose unknown blocks have no cells to draw.
+    """
+    if m.table is not None:
+        raise InputError("InformationConfig", "samples", "0, the mean, for a block-sparse map")
+    return _draw(jax.random.PRNGKey(seed), m, mean_free_path, Readings(counted=std))
+
+
+@jax.jit
+def _draw(key: Array, m: VoxelMap, mean_free_path: float, readings: Readings) -> VoxelMap:
+    by_known, by_unknown = jax.random.split(key)
+    sampled = sample_map(by_known, m, readings)
+    chance = 1.0 - jnp.exp(-m.voxel_size / (SHADOW * mean_free_path))
+    obstacle = (m.occupancy_precision < OBSERVED_PRECISION) & (
+        jax.random.uniform(by_unknown, m.occupancy.shape) < chance
+    )
+    return m.with_occupancy(jnp.where(obstacle, m.voxel_size, sampled.occupancy))
