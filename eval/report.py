@@ -1,7 +1,7 @@
 """``report DIR``: one self-contained HTML page from a sweep's rows: headline, failures first, tables, curves, runs."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
 from vssm_gym.eval.aggregate import Row, group_rows
 from vssm_gym.eval.report_car import CAR_VIEW
+from vssm_gym.eval.report_explore import EXPLORE_VIEW
 from vssm_gym.eval.report_view import POINTNAV_VIEW, View
 from vssm_gym.eval.rows import FILE, read_rows
 from vssm_gym.files import atomic_write
@@ -18,6 +19,11 @@ from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
 MANIFEST = "sweep.json"
+VIEWS = {
+    "vssm_gym/PointNav-v0": POINTNAV_VIEW,
+    "vssm_gym/CarNav-v0": CAR_VIEW,
+    "vssm_gym/Explore-v0": EXPLORE_VIEW,
+}
 # Fields of a row, and the lists of the configuration that say in which order their values come.
 ORDERED = {name: name for name in ("noise", "sensor_noise", "renderer", "physics")} | {"agent": "agents"}
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
@@ -48,11 +54,11 @@ def write_report(folder: Path, seed: int = 0) -> Path:
         InputError: the folder holds no sweep, or no episode of it has ended.
     """
     manifest = read_manifest(folder / MANIFEST)
-    view = CAR_VIEW if "car" in manifest["config"]["robot"] else POINTNAV_VIEW
+    view = VIEWS[manifest["config"]["env"][0]]
     rows = [view.measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
-    page = _page(view, rows, manifest, {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}, seed)
+    page = _page(view, rows, manifest, folder, seed)
     target = folder / "report.html"
     with atomic_write(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -82,9 +88,10 @@ def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list
     )
 
 
-def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], files: dict[str, Path], seed: int) -> str:
+def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], folder: Path, seed: int) -> str:
+    files = {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}
     maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path.is_file()}
-    backgrounds = {scene: pictures.topdown(voxel_map, view.cut_height) for scene, voxel_map in maps.items()}
+    backgrounds = view.backgrounds(maps, folder, rows)
     reference = tables.reference_agent(rows)
     sections = [
         _header(view, rows, manifest, seed),
@@ -107,7 +114,7 @@ def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], files: dict
         "<h2>Latency of a step</h2>",
         "<p class=note>Wall-clock times inside a worker that shares this machine with the others.</p>",
         tables.latencies(rows),
-        view.plans(rows, maps),
+        view.plans(rows, maps, folder),
         "<h2>Successful runs</h2>",
         _runs(view, figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds),
     ]
@@ -134,7 +141,7 @@ def _header(view: View, rows: Sequence[Row], manifest: dict[str, Any], seed: int
     line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items())
     unfinished = len(rows) < manifest["episodes"]
     warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
-    headline = tables.results(rows, seed, view.measures, view.measures.headline, view.headline_by(rows))
+    headline = view.headline(rows, seed)
     known = {scene: notice for scene, notice in manifest.get("notices", {}).items() if notice}
     notices = "".join(f"<p class=bad>{escape(scene)}: {escape(notice)}</p>" for scene, notice in known.items())
     raw = escape(json.dumps(config, indent=1))
@@ -145,7 +152,7 @@ def _header(view: View, rows: Sequence[Row], manifest: dict[str, Any], seed: int
     )
 
 
-def _failures(view: View, rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
+def _failures(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Background]) -> str:
     shown = [row for row in rows if view.failed(row)]
     if not shown:
         return f"<h2>{view.failures}</h2><p class=good>{view.without_failures}</p>"
@@ -159,12 +166,12 @@ def _failures(view: View, rows: Sequence[Row], backgrounds: dict[str, pictures.B
     return (
         f"<h2>{view.failures}</h2><div class=wide>{tables.failure_counts(rows)}</div>"
         f"<p class=note>{len(drawn)} of {len(shown)} {view.such} are drawn, agents that fail rarely first, "
-        f"on the map that the agents were given (dark: cut at {view.cut_height:g} m; grey: never seen).</p>"
+        f"{view.drawn_on} (dark: cut at {view.cut_height:g} m; grey: never seen).</p>"
         f"<img src='{key}' alt='key'>{_runs(view, drawn, backgrounds)}{reasons}"
     )
 
 
-def _runs(view: View, rows: Sequence[Row], backgrounds: dict[str, pictures.Background]) -> str:
+def _runs(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Background]) -> str:
     if not rows:
         return "<p class=note>None.</p>"
     return f"<div class=runs>{''.join(_run(view, row, backgrounds.get(row['scene'])) for row in rows)}</div>"

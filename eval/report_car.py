@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 
 from vssm_gym.eval import car_figures as figures
 from vssm_gym.eval import car_tables as tables
 from vssm_gym.eval import report_tables
 from vssm_gym.eval.aggregate import Row, group_rows
-from vssm_gym.eval.report_view import View
+from vssm_gym.eval.report_view import View, learned
 from vssm_gym.eval.value_figures import ValuePainter
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
@@ -37,7 +38,7 @@ def _comparison(rows: Sequence[Row], seed: int) -> str:
     )
 
 
-def _plans(rows: Sequence[Row], maps: Mapping[str, VoxelMap]) -> str:
+def _plans(rows: Sequence[Row], maps: Mapping[str, VoxelMap], folder: Path) -> str:
     """Slices for the first targets of each scene that has a map, with the first run to each drawn over them."""
     drawn = []
     for (scene,), members in group_rows(rows, ["scene"]).items():
@@ -74,11 +75,13 @@ CAR_VIEW = View(
     measures=tables.CAR,
     note=NOTE,
     measured=tables.measured,
-    headline_by=tables.pooled,
+    headline=lambda rows, seed: report_tables.headline(rows, seed, tables.CAR, tables.pooled(rows)),
     comparison=_comparison,
     curves_by=lambda rows: [name for name in report_tables.grouping(rows) if name not in ("scene", "agent")],
     curves=figures.curves,
     plans=_plans,
+    backgrounds=learned(CUT_HEIGHT),
+    drawn_on="on the map that the agents were given",
     cut_height=CUT_HEIGHT,
     failed=lambda row: bool(row["failure"] or row["touched"]),
     failures="Failures and touches",

@@ -118,8 +118,11 @@ def choose_failures(
 
 
 def choose_successes(rows: Sequence[Row], limit: int) -> list[Row]:
-    """The longest successful tasks of each agent and condition, in turn, so that every agent that succeeds is seen."""
+    """The longest successful tasks of each agent and condition, in turn, so that every agent that succeeds is seen.
+
+    By geodesic; where there is no goal by the path that was driven.
+    """
     groups = aggregate.group_rows([row for row in rows if row["success"]], GROUPS)
-    ranked = [sorted(members, key=lambda row: -row["geodesic"]) for members in groups.values()]
+    ranked = [sorted(members, key=lambda row: -row.get("geodesic", row["path_length"])) for members in groups.values()]
     turns = max((len(members) for members in ranked), default=0)
     return [members[turn] for turn in range(turns) for members in ranked if turn < len(members)][:limit]

@@ -67,6 +67,8 @@ POINTNAV = Measures(
     compared=("spl", "success", "soft_spl", "location_error_mean"),
     digits={"steps": 0, "collisions": 1, "location_error_mean": 3, "location_error_final": 3},
 )
+# How a failed episode ended, as far as its environment measures it.
+ENDS = {"distance_to_goal": "to goal m", "location_error_final": "error m"}
 # The order of columns; the constant ones are not shown.
 BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "agent")
 
@@ -114,6 +116,11 @@ def results(
         for group, members in aggregate.group_rows(rows, by).items()
     ]
     return html_table(header, lines, len(by))
+
+
+def headline(rows: Sequence[Row], seed: int, measures: Measures, by: Sequence[str]) -> str:
+    """The measures that a page opens with, for each group of rows."""
+    return results(rows, seed, measures, measures.headline, by)
 
 
 def reference_agent(rows: Sequence[Row]) -> str | None:
@@ -178,7 +185,8 @@ def failure_counts(rows: Sequence[Row]) -> str:
 
 def failure_list(rows: Sequence[Row]) -> str:
     """Every failed episode with its reason."""
-    by = grouping(rows)
+    by, failed = grouping(rows), [row for row in rows if row["failure"]]
+    ends = {name: said for name, said in ENDS.items() if all(name in row for row in failed)}
     lines = [
         [
             *(str(row[name]) for name in by),
@@ -186,11 +194,9 @@ def failure_list(rows: Sequence[Row]) -> str:
             str(row["seed"]),
             row["failure"],
             str(row["steps"]),
-            f"{row['distance_to_goal']:.2f}",
-            "-" if row["location_error_final"] is None else f"{row['location_error_final']:.2f}",
+            *("-" if row[name] is None else f"{row[name]:.2f}" for name in ends),
         ]
-        for row in rows
-        if row["failure"]
+        for row in failed
     ]
-    header = [*(name.replace("_", " ") for name in by), "task", "seed", "reason", "steps", "to goal m", "error m"]
+    header = [*(name.replace("_", " ") for name in by), "task", "seed", "reason", "steps", *ends.values()]
     return html_table(header, lines, len(by) + 3)

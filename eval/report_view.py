@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
@@ -19,12 +20,14 @@ class View:
         measures: of the tables.
         note: HTML, what the results' numbers are.
         measured: a row with the fields that follow from others.
-        headline_by: what the headline's lines are grouped by.
+        headline: HTML of the tables that the page opens with.
         comparison: HTML of a section after the agents' differences.
         curves_by: fields with one figure of curves for each combination.
         curves: that figure as SVG.
-        plans: HTML of a section drawn from the learned maps, by scene.
-        cut_height: m, of the map that runs are drawn on.
+        plans: HTML of a section drawn from the learned maps, by scene, or from others in the sweep's folder.
+        backgrounds: what runs are drawn on, by scene, from the same.
+        drawn_on: what that is called.
+        cut_height: m, of it.
         failed: whether a run belongs to those that are drawn first.
         failures: the heading of their section.
         such: what those runs are called.
@@ -40,11 +43,13 @@ class View:
     measures: tables.Measures
     note: str
     measured: Callable[[Row], Row]
-    headline_by: Callable[[Sequence[Row]], Sequence[str]]
+    headline: Callable[[Sequence[Row], int], str]
     comparison: Callable[[Sequence[Row], int], str]
     curves_by: Callable[[Sequence[Row]], Sequence[str]]
     curves: Callable[[Sequence[Row], int], bytes]
-    plans: Callable[[Sequence[Row], Mapping[str, VoxelMap]], str]
+    plans: Callable[[Sequence[Row], Mapping[str, VoxelMap], Path], str]
+    backgrounds: Callable[[Mapping[str, VoxelMap], Path, Sequence[Row]], Mapping[str, pictures.Background]]
+    drawn_on: str
     cut_height: float
     failed: Callable[[Row], bool]
     failures: str
@@ -57,17 +62,26 @@ class View:
     numbers: Callable[[Row], str]
 
 
+def learned(
+    cut_height: float,
+) -> Callable[[Mapping[str, VoxelMap], Path, Sequence[Row]], dict[str, pictures.Background]]:
+    """``backgrounds`` of a view whose runs are drawn on the maps that agents were given, cut at ``cut_height`` m."""
+    return lambda maps, folder, rows: {scene: pictures.topdown(m, cut_height) for scene, m in maps.items()}
+
+
 POINTNAV_VIEW = View(
     conditions=("renderer", "robot", "noise", "sensor_noise"),
     measures=tables.POINTNAV,
     note="Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
     "Location error is measured by the harness against the simulator's pose, at every step.",
     measured=lambda row: row,
-    headline_by=tables.grouping,
+    headline=lambda rows, seed: tables.headline(rows, seed, tables.POINTNAV, tables.grouping(rows)),
     comparison=lambda rows, seed: "",
     curves_by=lambda rows: tables.grouping(rows)[:-1],
     curves=figures.curves,
-    plans=lambda rows, maps: "",
+    plans=lambda rows, maps, folder: "",
+    backgrounds=learned(pictures.CUT_HEIGHT),
+    drawn_on="on the map that the agents were given",
     cut_height=pictures.CUT_HEIGHT,
     failed=figures.has_failed,
     failures="Failures",

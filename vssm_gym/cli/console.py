@@ -37,24 +37,25 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_results(log: Path) -> None:
-    """SPL, success, location error and failures of every agent of an episode log, one table a condition, on stdout."""
+    """What every agent of an episode log was worth, by condition, on stdout; the columns suit the environment."""
     from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.eval import aggregate
     from vssm_gym.eval.rows import read_rows
+    from vssm_gym.eval.summary import SUMMARIES
 
     console = Console(highlight=False)
-    for condition, rows in aggregate.group_rows(read_rows(log), ("scene", "noise")).items():
-        table = Table(title=f"{' · '.join(condition)}: means over tasks [95 % interval]", box=None)
+    for (env, *condition), rows in aggregate.group_rows(read_rows(log), ("env", "scene", "noise", "physics")).items():
+        columns = SUMMARIES[env]
+        table = Table(title=f"{' · '.join(condition)}; in brackets 95 % intervals", title_justify="left", box=None)
         table.add_column("agent", no_wrap=True)
-        for name in ("runs", "SPL", "success", "error m", "failed"):
+        for name in ("runs", *columns, "failed"):
             table.add_column(name, justify="right", no_wrap=True)
         for (agent,), members in aggregate.group_rows(rows, ("agent",)).items():
-            spl, success, error = (aggregate.mean(members, m) for m in ("spl", "success", "location_error_mean"))
             failed = sum(row["failure"] is not None for row in members)
-            mean_error = "-" if error.episodes == 0 else f"{error.mean:.3f}"
-            table.add_row(agent, str(len(members)), spl.text(), success.text(), mean_error, str(failed))
+            values = [value(members) for value in columns.values()]
+            table.add_row(agent, str(len(members)), *values, str(failed))
         console.print(table)
 
 

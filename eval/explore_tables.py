@@ -1,0 +1,198 @@
+"""The tables of explorers (SPEC 8): ways to shares of coverage, paired ratios, scene by scene, at equal lengths."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vssm_gym.eval import explore_metrics as metrics
+from vssm_gym.eval import shares
+from vssm_gym.eval.aggregate import Interval, Row, bootstrap_mean, group_rows
+from vssm_gym.eval.explore_metrics import GOAL, SHARES, Ratio
+from vssm_gym.eval.report_tables import Measures, grouping, html_table
+
+TIED = 50.0  # nats: tables show tenths of a knat
+EQUAL_WAYS = (5.0, 10.0, 20.0, 40.0)  # m at which maps are compared
+
+EXPLORE = Measures(
+    names={
+        "success": f"covered {GOAL} %",
+        "reached_99": "covered 99 %",
+        "metres_50": "m to 50 %",
+        "metres_90": f"m to {GOAL} %",
+        "metres_99": "m to 99 %",
+        "seconds_90": f"s to {GOAL} %",
+        "coverage_percent": "coverage %",
+        "known": "information knat",
+        "complete_percent": "surface complete %",
+        "accuracy_cm": "mesh accuracy cm",
+        "completion_cm": "mesh completion cm",
+        "touched": "touched %",
+        "navigation_success": "navigation success %",
+        "navigation_spl": "navigation SPL",
+        "decision_p95": "decision p95 ms",
+    },
+    headline=(),
+    compared=("coverage_percent", "known", "complete_percent", "completion_cm", "touched", "navigation_success"),
+    digits={
+        **dict.fromkeys(("success", "reached_99", "touched", "coverage_percent", "complete_percent"), 1),
+        **dict.fromkeys(("metres_50", "metres_90", "metres_99", "seconds_90", "known"), 1),
+        **dict.fromkeys(("accuracy_cm", "completion_cm"), 2),
+        **dict.fromkeys(("navigation_success", "decision_p95"), 0),
+    },
+    shares=frozenset({"success", "reached_99", "touched"}),
+)
+POOLED = ("accuracy_cm", "completion_cm", "complete_percent", "navigation_success", "navigation_spl")
+
+
+def measured(row: Row) -> dict[str, Any]:
+    """A row in the units of the tables; None where it says nothing."""
+    navigation, total = row.get("navigation"), row["latency"].get("total")
+
+    def scaled(name: str, factor: float) -> float | None:
+        return None if row.get(name) is None else factor * row[name]
+
+    return {
+        **row,
+        "reached_99": row["metres_99"] is not None,
+        "coverage_percent": 100.0 * row["coverage"],
+        "known": scaled("entropy", -1e-3),
+        "complete_percent": scaled("completeness", 100.0),
+        "accuracy_cm": scaled("accuracy", 100.0),
+        "completion_cm": scaled("completion", 100.0),
+        "navigation_success": 100.0 * navigation["success"] if navigation else None,
+        "navigation_spl": navigation["spl"] if navigation else None,
+        "decision_p95": 1e3 * total["p95"] if total else None,
+    }
+
+
+def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The conditions without scenes, over which the headline counts all runs, and without the agent."""
+    return tuple(name for name in grouping(rows) if name not in ("scene", "agent"))
+
+
+def headline(rows: Sequence[Row], seed: int) -> str:
+    """Each agent over all scenes: median ways, shares that got there, touched, mesh, navigation on its maps."""
+    by = (*pooled(rows), "agent")
+    shown = [name for name in POOLED if any(row.get(name) is not None for row in rows)]
+    header = [*(name.replace("_", " ") for name in by), "runs", "scenes", *(f"m to {share} %" for share in SHARES)]
+    header += [f"covered {GOAL} %", "covered 99 %", "touched %", *(EXPLORE.names[name] for name in shown)]
+    lines = []
+    for group, members in group_rows(rows, by).items():
+        line = [*group, str(len(members)), str(len({row["scene_hash"] for row in members}))]
+        line += [way(metrics.median_way(members, share, seed)) for share in SHARES]
+        line += [shares.percent(members, name).text(1) for name in ("success", "reached_99", "touched")]
+        line += [EXPLORE.text(name, over_scenes(members, name, seed)) for name in shown]
+        lines.append(line)
+    return html_table(header, lines, len(by))
+
+
+def over_scenes(rows: Sequence[Row], name: str, seed: int) -> Interval:
+    """Mean over runs, resampling scenes; runs that lack the value are left out."""
+    present = [row for row in rows if row.get(name) is not None]
+    return bootstrap_mean([float(row[name]) for row in present], metrics.clusters(present), seed)
+
+
+def way(interval: Interval) -> str:
+    """A median way with its interval; ``never`` where a bound is that of a run that did not get there."""
+    values = [interval.mean, interval.low, interval.high]
+    if np.isnan(interval.mean):
+        return "-"
+    mean, low, high = ("never" if np.isinf(v) else f"{v:.1f}" for v in values)
+    return f"{mean} [-]" if np.isnan(interval.low) else f"{mean} [{low}, {high}]"
+
+
+def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
+    """The reference's way to a share of coverage over each other agent's, over all scenes."""
+    by = pooled(rows)
+    header = [*(name.replace("_", " ") for name in by), "ratio of ways", "pairs", "scenes"]
+    header += [f"{column} {share} %" for share in (GOAL, 99) for column in ("to", "shorter to", "missed")]
+    lines = []
+    for group, members in group_rows(rows, by).items():
+        for other in others(members, reference):
+            found = [metrics.ratio(members, reference, other, share, seed) for share in (GOAL, 99)]
+            scenes = str(len({a["scene_hash"] for a, _ in metrics.pairs(members, reference, other)}))
+            line = [*group, f"{reference} / {other}", str(found[0].pairs), scenes]
+            for r in found:
+                line += [r.text, f"{r.shorter} of {r.interval.episodes}", f"{r.first_missed} / {r.second_missed}"]
+            lines.append(line)
+    return html_table(header, lines, len(by) + 1)
+
+
+def others(rows: Sequence[Row], reference: str) -> list[str]:
+    """The other agents, in the order of the rows."""
+    return [name for name in dict.fromkeys(str(row["agent"]) for row in rows) if name != reference]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """In one scene, the other agent that the reference leads by least."""
+
+    scene: str
+    agent: str
+    ratio: Ratio
+
+    @property
+    def verdict(self) -> str:
+        """Whose way is shorter, as far as the interval over starts tells."""
+        low, high = self.ratio.interval.low, self.ratio.interval.high
+        if high < 1.0:
+            return "shorter"
+        return "longer" if low > 1.0 else "not told apart"
+
+
+def rivals(rows: Sequence[Row], reference: str, seed: int) -> list[Rival]:
+    """The hardest other agent of each scene by the ratio of ways to ``GOAL`` %; scenes without a pair are left out."""
+    hardest = []
+    for (scene,), members in group_rows(rows, ["scene"]).items():
+        by_agent = {name: metrics.ratio(members, reference, name, GOAL, seed) for name in others(members, reference)}
+        candidates = [Rival(scene, name, found) for name, found in by_agent.items() if found.interval.episodes]
+        if candidates:
+            hardest.append(max(candidates, key=lambda rival: rival.ratio.interval.mean))
+    return hardest
+
+
+def by_scene(found: Sequence[Rival], reference: str) -> str:
+    """One line a scene: the hardest other agent and how the reference compares."""
+    lines = [
+        [
+            rival.scene,
+            rival.agent,
+            rival.verdict,
+            str(rival.ratio.pairs),
+            rival.ratio.text,
+            f"{rival.ratio.shorter} of {rival.ratio.interval.episodes}",
+            f"{rival.ratio.first_missed} / {rival.ratio.second_missed}",
+        ]
+        for rival in found
+    ]
+    header = ["scene", "hardest other agent", f"{reference}'s way is", "pairs", f"ratio to {GOAL} %"]
+    return html_table([*header, "shorter", "missed"], lines, 3)
+
+
+def not_lowest(rows: Sequence[Row], reference: str) -> dict[str, list[str]]:
+    """By scene, the others whose map's entropy is the lower one in the mean of pairs, and at which path lengths."""
+    found: dict[str, list[str]] = {}
+    for (scene,), members in group_rows(rows, ["scene"]).items():
+        for other in others(members, reference):
+            means = {m: metrics.paired_at(members, "entropy", other, reference, m).mean for m in EQUAL_WAYS}
+            ahead = ", ".join(f"{m:g}" for m, mean in means.items() if mean < -TIED)
+            if ahead:
+                found.setdefault(scene, []).append(f"{other} at {ahead} m")
+    return found
+
+
+def at_equal_ways(rows: Sequence[Row], reference: str, seed: int) -> str:
+    """``other - reference`` of map entropy and of coverage at the same path length: above 0 and below 0 lead."""
+    header = ["difference", *(f"entropy at {m:g} m, knat" for m in EQUAL_WAYS)]
+    header += [f"coverage at {m:g} m, %" for m in EQUAL_WAYS]
+    lines = []
+    for other in others(rows, reference):
+        line = [f"{other} - {reference}"]
+        for name, factor in (("entropy", 1e-3), ("coverage", 100.0)):
+            for m in EQUAL_WAYS:
+                d = metrics.paired_at(rows, name, other, reference, m, seed)
+                line.append(Interval(factor * d.mean, factor * d.low, factor * d.high, d.tasks, d.episodes).text(1))
+        lines.append(line)
+    return html_table(header, lines, 1)

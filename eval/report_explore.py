@@ -1,0 +1,163 @@
+"""The explorers' part of a report (SPEC 8): ways and their ratios, scene by scene, curves, runs, maps that are left."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+from vssm_gym.eval import explore_figures as figures
+from vssm_gym.eval import explore_tables as tables
+from vssm_gym.eval.aggregate import Row, group_rows
+from vssm_gym.eval.explore_metrics import GOAL, KNOWN, ratio
+from vssm_gym.eval.report_tables import reference_agent
+from vssm_gym.eval.report_view import View
+from vssm_gym.viz import pictures
+from vssm_gym.voxel_map import VoxelMap
+
+SCENES_SHOWN = 3  # whose maps are drawn, one an agent
+FRONTIER = "frontier"  # what the names of the baselines that the claim is about begin with
+
+NOTE = (
+    "Scene by scene. Metres and seconds to a share of coverage are means of the runs that got there, which "
+    "flatters agents that often do not: the headline's medians and ratios count the others. <b>Coverage</b>: of "
+    "the area that can be seen at all from where the robot can get. <b>Information</b>: by how much the entropy "
+    "of the map's occupancy is below the prior's. <b>Surface complete</b>: the share of the surface that could be "
+    "seen which the map shows within 10 cm. <b>Mesh</b>: mean distance of the map's surface from the scene "
+    "(accuracy), and of what could be seen from the map's surface, 50 cm at most (completion). <b>Navigation</b>: "
+    "PointNav tasks of the scene, driven by <code>astar</code> on the map that the run left. <b>Touched</b>: runs "
+    "in which the robot touched anything. In brackets 95 % intervals: of shares by Clopper and Pearson, else the "
+    "percentile bootstrap over starts."
+)
+CENSORED = (
+    f"A run that ended below {GOAL} % (or 99 %) is censored, and counts: in medians as longer than any that got "
+    "there, in ratios with the value that speaks against the first agent. If time was out for the other agent the "
+    "metres that it had driven stand for its way, which would have been longer; if it stopped by itself the ratio "
+    "counts as 1 at most; if the first agent did not get there, all the metres that a robot can drive in the time "
+    "stand for its way. Pairs in which neither got there say nothing. Ratios are geometric means over pairs of "
+    "the same scene, start and noise; intervals resample whole scenes (with one scene: starts). <i>Missed</i>: "
+    "runs of the first / of the other agent that did not get there."
+)
+
+
+def _headline(rows: Sequence[Row], seed: int) -> str:
+    reference = reference_agent(rows)
+    page = f"<div class=wide>{tables.headline(rows, seed)}</div>"
+    if reference:
+        page += f"<div class=wide>{tables.ratios(rows, reference, seed)}</div>{_verdict(rows, reference, seed)}"
+    return f"{page}<p class=note>{CENSORED}</p>"
+
+
+def _verdict(rows: Sequence[Row], reference: str, seed: int) -> str:
+    """What the ratios say of the reference and the baselines that are frontier explorers, and where it is not so."""
+    baselines = [name for name in tables.others(rows, reference) if name.startswith(FRONTIER)]
+    found = {name: ratio(rows, reference, name, GOAL, seed) for name in baselines}
+    found = {name: r for name, r in found.items() if r.interval.episodes}
+    said = ""
+    if found:
+        best = max(found, key=lambda name: found[name].interval.mean)
+        kind = "good" if found[best].interval.high < 1.0 else "bad"
+        said = (
+            f"<p class={kind}>To {GOAL} % coverage {escape(reference)} drives {found[best].text} of the way of the "
+            f"best frontier baseline, {escape(best)}.</p>"
+        )
+    behind = [rival for rival in tables.rivals(rows, reference, seed) if rival.ratio.interval.mean >= 1.0]
+    where = ", ".join(f"{rival.scene} ({rival.agent}, {rival.ratio.text})" for rival in behind)
+    said += f"<p class=bad>{escape(reference)} is not the best in: {escape(where)}.</p>" if behind else ""
+    lower = [f"{scene} ({', '.join(ahead)})" for scene, ahead in tables.not_lowest(rows, reference).items()]
+    entropy = f"Its map's entropy at equal path length is not the lowest in: {escape('; '.join(lower))}."
+    return said + (f"<p class=bad>{entropy}</p>" if lower else "")
+
+
+def _comparison(rows: Sequence[Row], seed: int) -> str:
+    reference = reference_agent(rows)
+    page = ""
+    if reference:
+        page = (
+            f"<h2>Scene by scene</h2><p class=note>The other agent whose way to {GOAL} % is the shortest against "
+            f"{escape(reference)}'s; intervals over starts.</p>"
+            f"<div class=wide>{tables.by_scene(tables.rivals(rows, reference, seed), reference)}</div>"
+            "<h2>At equal path length</h2><p class=note>Paired differences; entropy above 0 and coverage below 0 speak "
+            f"for {escape(reference)}. Pairs in which time was out for one before that length are left out.</p>"
+            f"<div class=wide>{tables.at_equal_ways(rows, reference, seed)}</div>"
+        )
+    return (
+        f"{page}<h2>Runs that got there</h2>{_image(figures.reached(rows), 'share of runs that had covered a share')}"
+        f"<h2>Coverage in each scene</h2>{_image(figures.scenes(rows, seed), 'coverage in each scene')}"
+        f"<p class=note>Curves of means: an agent that stops keeps its map; one for which time is out is unknown after "
+        f"that, and a mean needs {100 * KNOWN:.0f} % of the runs. Entropy is that of the map's occupancy in nats, "
+        "relative to the prior: H(M) - H(prior).</p>"
+    )
+
+
+def _image(content: bytes, name: str) -> str:
+    return f"<img src='{pictures.data_url(content, 'image/svg+xml')}' alt='{escape(name)}'>"
+
+
+def _backgrounds(maps: Mapping[str, VoxelMap], folder: Path, rows: Sequence[Row]) -> dict[str, pictures.Background]:
+    """Of each scene the map of widest coverage that a run has left; one is in memory at a time."""
+    del maps  # explorers are given none
+    kept = group_rows([row for row in rows if _kept(folder, row)], ["scene"])
+    best = {scene: max(members, key=lambda row: row["coverage"]) for (scene,), members in kept.items()}
+    return {scene: figures.plan_of(VoxelMap.load(_file(folder, row))) for scene, row in best.items()}
+
+
+def _file(folder: Path, row: Row) -> Path:
+    return folder / "explored" / str(row["explored"])
+
+
+def _kept(folder: Path, row: Row) -> bool:
+    return bool(row.get("explored")) and _file(folder, row).is_file()
+
+
+def _plans(rows: Sequence[Row], maps: Mapping[str, VoxelMap], folder: Path) -> str:
+    """The maps that the agents have left in the first scenes, with the runs that made them."""
+    del maps
+    kept = group_rows([row for row in rows if _kept(folder, row)], ["scene"])
+    drawn = []
+    for (scene,), members in list(kept.items())[:SCENES_SHOWN]:
+        for row in members:
+            image = figures.run_picture(row, figures.plan_of(VoxelMap.load(_file(folder, row))))
+            name = f"{scene} · {row['agent']} · start {row['task']}"
+            url = pictures.data_url(image, "image/webp")
+            drawn.append(
+                f"<figure><img src='{url}' alt='{escape(name)}'><figcaption>{escape(name)}<br>{_numbers(row)}"
+                "</figcaption></figure>"
+            )
+    if not drawn:
+        return ""
+    note = f"From above, cut at {figures.CUT_HEIGHT:g} m; grey was never seen. The files are in explored/."
+    return f"<h2>Maps that are left</h2><p class=note>{note}</p><div class=runs>{''.join(drawn)}</div>"
+
+
+def _success(row: Row) -> str:
+    said = f"<span class=good>{100.0 * row['coverage']:.0f} % covered</span>, {escape(row['status'])}"
+    return said + (", <span class=bad>touched</span>" if row["touched"] else "")
+
+
+def _numbers(row: Row) -> str:
+    way = "-" if row["metres_90"] is None else f"{row['metres_90']:.1f}"
+    return f"{GOAL} % after {way} m; {row['path_length']:.1f} m and {row['seconds']:.0f} s in all"
+
+
+EXPLORE_VIEW = View(
+    conditions=("renderer", "robot", "noise", "sensor_noise"),
+    measures=tables.EXPLORE,
+    note=NOTE,
+    measured=tables.measured,
+    headline=_headline,
+    comparison=_comparison,
+    curves_by=tables.pooled,
+    curves=figures.curves,
+    plans=_plans,
+    backgrounds=_backgrounds,
+    drawn_on="on the map of widest coverage that an explorer left there",
+    cut_height=figures.CUT_HEIGHT,
+    failed=lambda row: bool(row["failure"] or row["touched"]),
+    failures="Failures and touches",
+    such=f"runs that ended below {GOAL} % or touched something",
+    without_failures=f"None: every run covered {GOAL} %, nothing was touched.",
+    legend=figures.legend,
+    picture=figures.run_picture,
+    condition=lambda row: f"{row['scene']} · {row['noise']}",
+    success=_success,
+    numbers=_numbers,
+)
