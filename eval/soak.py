@@ -6,6 +6,7 @@ Checked are: observations inside their spaces (so no NaN), finite rewards, no bo
 
 import resource
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium as gym
@@ -21,7 +22,8 @@ TOLERANCE = 0.006  # m: contacts are found no deeper than a substep, 5 mm (envs/
 FLOOR = (
     0.03  # m that a robot may be off free space: contacts, and the recess behind a closed outer door (envs/tasks.py)
 )
-SMALL = {"width": 40, "height": 30}
+SEEING = {"camera": {"width": 40, "height": 30}, "sensor_noise": "kinect"}
+CAR_SCENE = "arena"
 
 Progress = Callable[[str, int, int], None]
 
@@ -42,11 +44,13 @@ def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = Non
     """
     sizes = ("small", "medium", "large")
     scenes = [f"procedural:{seed + i}:{sizes[i % 3]}" for i in range(PROCEDURAL)]
-    plans = [(name, scene) for scene in scenes for name in APARTMENTS]
-    plans += [("vssm_gym/LidarMaze-v0", "rooms-v1"), ("vssm_gym/Flight-v0", "hall"), ("vssm_gym/PointNav-v0", "elm")]
+    plans = [(name, scene, SEEING) for scene in scenes for name in APARTMENTS]
+    plans += [("vssm_gym/LidarMaze-v0", "rooms-v1", {}), ("vssm_gym/Flight-v0", "hall", SEEING)]
+    plans += [("vssm_gym/PointNav-v0", "elm", SEEING), *(("vssm_gym/CarNav-v0", CAR_SCENE, car) for car in _cars())]
     share, rows, memory = -(-steps // len(plans)), [], []
-    for i, (name, scene) in enumerate(plans):
-        rows.append((name.removeprefix("vssm_gym/"), scene, *_drive(name, scene, share, seed)))
+    for i, (name, scene, keywords) in enumerate(plans):
+        world = f"{scene}, {keywords['physics']}" if "physics" in keywords else scene
+        rows.append((name.removeprefix("vssm_gym/"), world, *_drive(name, scene, share, seed, keywords)))
         if i + 1 == max(1, len(plans) // 10) or i + 1 == len(plans):
             memory.append(_resident_mb())
         if progress:
@@ -57,8 +61,13 @@ def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = Non
     return {"scene": f"{len(plans)} worlds", "rows": rows, "memory_mb": memory, "steps": share * len(plans)}
 
 
-def _drive(name: str, scene: str, steps: int, seed: int) -> tuple[int, int, int, float]:
-    keywords: dict[str, Any] = {} if "Maze" in name else {"camera": SMALL, "sensor_noise": "kinect"}
+def _cars() -> list[dict[str, Any]]:
+    """Keywords of CarNav for each simulator that is installed."""
+    simulators = ["mujoco", "bullet"] if find_spec("pybullet") else ["mujoco"]
+    return [SEEING | {"physics": physics} for physics in simulators]
+
+
+def _drive(name: str, scene: str, steps: int, seed: int, keywords: dict[str, Any]) -> tuple[int, int, int, float]:
     env = gym.make(name, scene=scene, noise="high", **keywords)
     world: Any = env.unwrapped
     inside = _penetration(world)
@@ -72,14 +81,14 @@ def _drive(name: str, scene: str, steps: int, seed: int) -> tuple[int, int, int,
         action = np.clip(way + 0.2 * (high - low) * rng.standard_normal(low.shape), low, high)
         if "Flight" in name:  # hovering, pushed about
             action = 0.1 * action + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
-        else:
+        elif "Car" not in name:
             action[-1] = float(rng.random() < 0.002)
         observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
         depth = inside()
         deepest = max(deepest, depth)
         if not env.observation_space.contains(observation) or not np.isfinite(float(reward)) or depth > TOLERANCE:
             raise SoakError(f"{name} in {scene}, seed {seed}, step {k}: {1e3 * depth:.1f} mm inside, reward {reward}")
-        collisions += bool(info["collision"])
+        collisions += bool(info.get("collision", info.get("touching")))
         if terminated or truncated:
             env.reset()
             episodes += 1
@@ -104,6 +113,16 @@ def _penetration(world: Any) -> Callable[[], float]:
             return max(0.0, radius - float(space.distance_to_solid(xy)))
 
         return of_plan
+    if hasattr(world, "car"):
+        shrunk = np.arange(0.0, 0.02, 0.0005)
+
+        def of_car() -> float:
+            for by in shrunk:
+                if world.sampler.space.free(world.planar, -by):
+                    return float(by)
+            return np.inf
+
+        return of_car
     if hasattr(world, "maze"):
         from vssm_gym.envs.planar import clearance
 
