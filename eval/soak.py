@@ -88,7 +88,7 @@ def _drive(name: str, scene: str, steps: int, seed: int, keywords: dict[str, Any
         deepest = max(deepest, depth)
         if not env.observation_space.contains(observation) or not np.isfinite(float(reward)) or depth > TOLERANCE:
             raise SoakError(f"{name} in {scene}, seed {seed}, step {k}: {1e3 * depth:.1f} mm inside, reward {reward}")
-        collisions += bool(info.get("collision", info.get("touching")))
+        collisions += bool(info["collision"])
         if terminated or truncated:
             env.reset()
             episodes += 1
