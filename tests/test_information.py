@@ -98,12 +98,12 @@ def test_a_view_is_the_cells_that_the_update_makes_more_precise(seed: int) -> No
     grid = Grid.of(m)
     m = update(m, jnp.asarray(depth), jnp.zeros((15, 20, 3)), jnp.asarray(T), CAMERA, CLEAR)
     expected = np.asarray(m.occupancy_precision) > before
-    wrong = cells_of(observed(depth, T, CAMERA, grid, CLEAR, 1), len(before), 1) != expected
+    wrong = cells_of(observed(depth[None], T[None], CAMERA, grid, CLEAR, 1)[0], len(before), 1) != expected
     assert wrong.sum() <= 2  # a cell on the border between two pixels, or at the band's end
     for every in (2, 4, 8):
         chosen = np.zeros(BLOCK**3, bool)
         chosen[np.arange(64) * BLOCK + heights(every)] = True
-        part = cells_of(observed(depth, T, CAMERA, grid, CLEAR, every), len(before), every)
+        part = cells_of(observed(depth[None], T[None], CAMERA, grid, CLEAR, every)[0], len(before), every)
         assert (part != (expected & chosen)).sum() <= 2
 
 

@@ -6,14 +6,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-Suite = Literal["speed", "envs", "soak", "car", "tracker", "drift", "slam"]
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "soak": 100_000, "car": 300}
+Suite = Literal["speed", "envs", "soak", "car", "information", "tracker", "drift", "slam"]
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "soak": 100_000, "car": 300, "information": 40}
 DEFAULT_SCENE = {"car": "arena"}  # the others: oak
 
 
 def bench(
     suite: Annotated[
-        Literal["speed", "envs", "soak", "car", "tracker", "drift", "slam"], tyro.conf.Positional
+        Literal["speed", "envs", "soak", "car", "information", "tracker", "drift", "slam"], tyro.conf.Positional
     ] = "speed",
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
     scene: str | None = None,
@@ -22,13 +22,14 @@ def bench(
     workers: int = 2,
     seed: int = 0,
 ) -> None:
-    """Measure on this machine: `speed` of every stage, the `envs`, the `car`, the `tracker`, `drift`, or `slam`.
+    """Measure on this machine: `speed` of every stage, `envs`, `car`, `information`, `tracker`, `drift` or `slam`.
 
     `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `envs` prints
     steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `soak` drives
     at random through every environment and ten procedural apartments and checks each step: no NaN, no body inside a
     wall, memory flat. `car` times value iteration, each controller in closed loop, hybrid A* and both simulators of the
-    robot car. `tracker` drives trajectories of 100 steps by the true pose and prints the tracker's
+    robot car. `information` times an imagined step of an explorer and compares how it ranks candidates with all pixels
+    and with the true images. `tracker` drives trajectories of 100 steps by the true pose and prints the tracker's
     location RMSE. `drift` chains goals over 100 m and compares the map tracker with frame-to-frame alignment and dead
     reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's
     dense SLAM, where that is installed.
@@ -38,8 +39,8 @@ def bench(
         sequence: TUM folder, for `slam` only.
         scene: built-in name or path of a scene file; `oak` unless told, for `car` `arena`.
         out: folder for the learned map, which is kept, and for the figures as JSON.
-        trials: drives or runs, steps of `soak`, steps of each controller of `car`; 300 for `tracker` and `car`, 4 for
-            `drift`, 1 for `slam`, 100000 for `soak`.
+        trials: drives or runs, steps of `soak`, steps of each controller of `car`, candidates of `information`; 300 for
+            `tracker` and `car`, 40 for `information`, 4 for `drift`, 1 for `slam`, 100000 for `soak`.
         workers: processes of `tracker` and `drift`.
         seed: of the drives.
     """
@@ -81,6 +82,11 @@ def bench(
             from vssm_gym.eval.bench_car import measure as measure_car
 
             result = measure_car(scene=scene, steps=count, seed=seed, progress=progress)
+        elif suite == "information":
+            from vssm_gym.eval.bench_information import measure as measure_information
+
+            check_at_least("bench", "trials", count, 5)  # that can be ranked
+            result = measure_information(scene=scene, candidates=count, seed=seed, progress=progress)
         else:
             map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
             result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
@@ -129,6 +135,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         return
     if suite == "car":
         _show_car(table, result, console)
+        return
+    if suite == "information":
+        _show_information(table, result, console)
         return
     if suite == "soak":
         for name in ("environment", "scene", "steps", "episodes", "collisions", "deepest, mm"):
@@ -186,6 +195,26 @@ def _show_car(table: Any, result: dict[str, Any], console: Any) -> None:
     console.print(f"machine: {result['machine']}")
     if result["missing"]:
         console.print(f"not measured: {result['missing']}", soft_wrap=True)
+
+
+def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
+    """One row a map (images in it) and estimate: ms a step, Spearman's rank correlations, estimate over truth."""
+    names = ("map", "estimate", "ms", "rank, all", "rank, true", "ratio")
+    for name in names:
+        table.add_column(name, justify="left" if name == "estimate" else "right")
+    for row in result["rows"]:
+        figures = (
+            f"{row[name]:.{digits}f}" for name, digits in (("ms", 2), ("rank", 3), ("rank_true", 3), ("ratio", 2))
+        )
+        table.add_row(str(row["map"]), row["what"], *figures)
+    ms, rank = result["aims"]
+    table.caption = (
+        f"default: at most {ms:g} ms and at least {rank:g} with all pixels; {result['candidates']} candidates"
+    )
+    console.print(table)
+    console.print("map: images in it. rank: with all pixels and cells, and with the true images. ratio: to these")
+    console.print(f"recompilations for other candidates: {result['recompilations']}")
+    console.print(f"machine: {result['machine']}")
 
 
 def _written(value: float | int | str) -> str:

@@ -124,8 +124,7 @@ def gain_of_paths(
     along = np.zeros(paths.shape)
     for drawn in maps:
         depths = imagine(drawn, views, small, config.max_depth)
-        pairs = zip(depths, views, strict=True)
-        seen = [observed(depth, T, small, grid, config.update, config.every) for depth, T in pairs]
+        seen = observed(depths, views, small, grid, config.update, config.every)
         along += gains(m, seen, paths, config.update.std**-2, config.every, config.known) / len(maps)
     return Gain(along[:, -1].copy(), along)
 

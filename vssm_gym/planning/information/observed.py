@@ -51,41 +51,46 @@ def heights(every: int) -> np.ndarray:
 
 def observed(
     depth: np.ndarray, T_world_cam: np.ndarray, camera: Camera, grid: Grid, config: MapUpdateConfig, every: int
-) -> Observed:
-    """The cells that an image updates.
+) -> list[Observed]:
+    """The cells that each of a number of images updates.
 
     Args:
-        depth: ``(height, width)`` z-depth, m; no reading where it is not in ``(min_depth, max_depth]``.
-        T_world_cam: ``(4, 4)`` camera pose.
-        camera: intrinsics of the image.
+        depth: ``(views, height, width)`` z-depth, m; no reading where it is not in ``(min_depth, max_depth]``.
+        T_world_cam: ``(views, 4, 4)`` camera poses.
+        camera: intrinsics of the images.
         grid: of the map.
         config: of the map update.
         every: one cell in so many is looked at: 1, 2, 4 or 8.
     """
     truncation = config.truncation * grid.voxel
     depth = np.where(depth <= config.max_depth, depth, np.float32(0.0))
-    T_cam_world = np.asarray(inverse(np.asarray(T_world_cam, np.float64)))
-    K = (camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2])
-    low, high = _reach(T_world_cam, camera, grid, float(depth.max()) + truncation)
-    room = int(np.prod(high - low))
-    block, words = np.empty(room, np.int64), np.empty((room, BLOCK // every), np.uint64)
+    T_world_cam = np.asarray(T_world_cam, np.float64)
+    T_cam_world, rows = np.ascontiguousarray(inverse(T_world_cam)), heights(every)
+    (fx, _, cx), (_, fy, cy), _ = camera.K
+    low, high = _reach(T_world_cam, camera.K, depth.shape[1:], grid, depth.max(axis=(1, 2)) + truncation)
     tile = max(1, -(-camera.width // TILES))
-    n = _observe(
-        depth, _tiles(depth, tile), tile, T_cam_world, K, grid, truncation, config.min_depth, low, high,
-        heights(every), block, words,
-    )  # fmt: skip
-    return Observed(block[:n].copy(), words[:n].copy())
+    room = int(np.prod(high - low, axis=1).max(initial=0))
+    block, words = np.empty(room, np.int64), np.empty((room, len(rows)), np.uint64)
+    seen = []
+    for image, T, first, end in zip(depth, T_cam_world, low, high, strict=True):
+        n = _observe(
+            image, _tiles(image, tile), tile, T, (fx, fy, cx, cy), grid, truncation, config.min_depth, first, end,
+            rows, block, words,
+        )  # fmt: skip
+        seen.append(Observed(block[:n].copy(), words[:n].copy()))
+    return seen
 
 
-def _reach(T_world_cam: np.ndarray, camera: Camera, grid: Grid, depth: float) -> tuple[np.ndarray, np.ndarray]:
-    """The box of blocks, first and past the last, around all that the camera sees up to ``depth`` (m)."""
-    u, v = np.array([-0.5, camera.width - 0.5]), np.array([-0.5, camera.height - 0.5])
-    x, y = (a.ravel() for a in np.meshgrid((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))
-    corners = depth * np.stack([x, y, np.ones(4)], axis=-1) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
-    points = np.concatenate([corners, T_world_cam[None, :3, 3]])
+def _reach(
+    T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, ...], grid: Grid, depth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The boxes of blocks, first and past the last ``(views, 3)``, around all that is seen up to ``depth`` (m)."""
+    corners = np.array([[u, v, 1.0] for u in (-0.5, size[1] - 0.5) for v in (-0.5, size[0] - 0.5)])
+    rays = np.concatenate([corners @ np.linalg.inv(K).T, np.zeros((1, 3))])  # and the camera's own place
+    points = depth[:, None, None] * (rays @ T_world_cam[:, :3, :3].swapaxes(1, 2)) + T_world_cam[:, None, :3, 3]
     cells = (points - np.array(grid.origin)) / grid.voxel
-    low = np.floor(cells.min(axis=0) - 1.0).astype(np.int64) // BLOCK
-    high = np.ceil(cells.max(axis=0) + 1.0).astype(np.int64) // BLOCK + 1
+    low = np.floor(cells.min(axis=1) - 1.0).astype(np.int64) // BLOCK
+    high = np.ceil(cells.max(axis=1) + 1.0).astype(np.int64) // BLOCK + 1
     return np.clip(low, 0, grid.blocks), np.clip(np.maximum(high, low), 0, grid.blocks)
 
 
