@@ -12,6 +12,8 @@ ENVIRONMENTS: dict[str, tuple[str, str, int | None]] = {
     "vssm_gym/Flight-v0": ("flight", "FlightEnv", None),  # with its reference, after 600 s at most
     "vssm_gym/CarNav-v0": ("carnav", "CarNavEnv", 600),  # 60 s
 }
+# Imagined: it takes a map instead of a scene, and its vector environment is one compiled step.
+WORLD_MODEL = "vssm_gym/WorldModelNav-v0"
 
 
 def register() -> None:
@@ -24,3 +26,10 @@ def register() -> None:
                 vector_entry_point=f"vssm_gym.envs.vector:{module}",
                 max_episode_steps=steps,
             )
+    if WORLD_MODEL not in gym.registry:
+        gym.register(
+            id=WORLD_MODEL,
+            entry_point="vssm_gym.envs.world_model.single:WorldModelNavEnv",
+            vector_entry_point="vssm_gym.envs.world_model.vector:WorldModelVectorEnv",
+            max_episode_steps=500,
+        )

@@ -1,0 +1,123 @@
+"""What may be chosen of an imagined environment, checked."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from vssm_gym.envs.car_noise import CarNoise, car_noise
+from vssm_gym.envs.robots import ExecutionNoise, execution_noise
+from vssm_gym.envs.sensors import CameraConfig, camera_config
+from vssm_gym.envs.validation import choose
+from vssm_gym.errors import InputError
+
+SOURCE = "WorldModelNav"
+BEAMS = 64  # of a scan
+# Keywords of the constructors beside those of Imagination
+OWN = ("map", "render_mode")
+CHOICES: dict[str, tuple[str, ...]] = {
+    "robot": ("holonomic", "car"),
+    "observation": ("scan", "depth", "rgbd"),
+    "end_on": ("stop", "reach"),
+    "reward": ("dense", "sparse"),
+    "unknown": ("blocked", "free", "penalised"),
+}
+
+
+@dataclass(frozen=True)
+class Imagination:
+    """Keywords of the environment; see ``docs/envs/world_model_nav.md``.
+
+    Args:
+        robot: ``holonomic`` stands for PointNav, ``car`` for CarNav with ``targets="points"``.
+        observation: ``scan``, ``depth`` or ``rgbd``.
+        noise: a level of the real environment's, its noise dataclass, or a pair of them: each episode draws its own
+            between the two.
+        camera: of the images; a scan takes its angle.
+        max_depth: m; what is farther gives no reading.
+        end_on: as PointNav's; a car always ends on arrival.
+        reward: ``dense`` or ``sparse``.
+        unknown: whether space that nothing observed stops a robot, lets it pass, or lets it pass at a price.
+        map_samples: maps drawn from the posterior, of which each episode takes one; 0: the posterior's mean.
+        start_std: of the start about the task's, where the robot believes to be: forward (m), left (m), turn (rad).
+        pose_std: of the estimated pose's error once it has settled, likewise.
+        pose_memory: share of that error that is left after a step.
+        show_uncertainty: whether the observation holds ``pose_std``.
+        tasks: a ``TaskSet`` or sequence of tasks with ``start`` and ``goal``; None: they are drawn in free space.
+        pool, goals: how many tasks are drawn, and to how many goals.
+        pool_seed: of that draw and of the maps'.
+    """
+
+    robot: Literal["holonomic", "car"] = "holonomic"
+    observation: Literal["scan", "depth", "rgbd"] = "scan"
+    noise: Any = "low"
+    camera: CameraConfig | Mapping[str, Any] | None = None
+    max_depth: float = 8.0
+    end_on: Literal["stop", "reach"] = "stop"
+    reward: Literal["dense", "sparse"] = "dense"
+    unknown: Literal["blocked", "free", "penalised"] = "blocked"
+    map_samples: int = 0
+    start_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pose_std: tuple[float, float, float] = (0.02, 0.02, 0.01)
+    pose_memory: float = 0.8
+    show_uncertainty: bool = False
+    tasks: Any = field(default=None, compare=False)
+    pool: int = 4096
+    goals: int = 64
+    pool_seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, available in CHOICES.items():
+            choose(SOURCE, name, getattr(self, name), available)
+        for name, least, most in (
+            ("map_samples", 0, 64),
+            ("pool", 1, 10**6),
+            ("goals", 1, 1024),
+            ("pool_seed", 0, 2**31),
+        ):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not (isinstance(value, int) and least <= value <= most):
+                raise InputError(SOURCE, name, f"a whole number from {least} to {most}; found {value!r:.80}")
+        for name in ("start_std", "pose_std"):
+            _checked_stds(name, getattr(self, name))
+        for name, limit in {"max_depth": 100.0, "pose_memory": 1.0}.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not (isinstance(value, int | float) and 0.0 <= value <= limit):
+                raise InputError(SOURCE, name, f"a number from 0 to {limit:g}; found {value!r:.80}")
+        if not isinstance(self.show_uncertainty, bool):
+            raise InputError(SOURCE, "show_uncertainty", f"True or False; found {self.show_uncertainty!r:.80}")
+        object.__setattr__(self, "camera", CameraConfig(64, 48) if self.camera is None else camera_config(self.camera))
+        self.noise_range()
+
+    @classmethod
+    def of(cls, keywords: Mapping[str, Any]) -> "Imagination":
+        """From the keywords of ``gym.make``; an unknown one raises :class:`InputError` that names those there are."""
+        names = [one.name for one in fields(cls)]
+        for name in keywords:
+            if name not in names:
+                expected = f"one of its keywords: {', '.join((OWN[0], *names, *OWN[1:]))}"
+                raise InputError(SOURCE, name, expected)
+        return cls(**keywords)
+
+    def noise_range(self) -> tuple[Any, Any]:
+        """The two ends of the noise: of :class:`ExecutionNoise` or of :class:`CarNoise`."""
+        parse: Any = execution_noise if self.robot == "holonomic" else car_noise
+        pair = isinstance(self.noise, Sequence) and not isinstance(self.noise, str)
+        if pair and len(self.noise) != 2:
+            raise InputError(SOURCE, "noise", f"one level, or a pair of them; found {self.noise!r:.80}")
+        low, high = (parse(one) for one in (self.noise if pair else (self.noise, self.noise)))
+        return low, high
+
+
+def noise_parameters(noise: ExecutionNoise | CarNoise) -> tuple[float, ...]:
+    """What an imagined robot knows of a level: (turn, step), or the car's lags, spreads and jitters."""
+    if isinstance(noise, ExecutionNoise):
+        return noise.turn, noise.step
+    names = ("speed_lag", "steering_lag", "calibration", "trim", "speed_jitter", "steering_jitter")
+    return tuple(float(getattr(noise, name)) for name in names)
+
+
+def _checked_stds(name: str, value: Any) -> None:
+    numbers = isinstance(value, Sequence) and len(value) == 3
+    if not numbers or not all(isinstance(v, int | float) and math.isfinite(v) and v >= 0.0 for v in value):
+        raise InputError(SOURCE, name, f"three standard deviations (m, m, rad), none negative; found {value!r:.80}")

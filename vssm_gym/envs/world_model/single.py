@@ -1,0 +1,74 @@
+"""``gym.make("vssm_gym/WorldModelNav-v0", map="oak.npz")``: one imagined robot, a vector environment of one."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.envs.world_model.vector import WorldModelVectorEnv
+from vssm_gym.errors import InputError
+
+
+class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
+    """See :class:`~vssm_gym.envs.world_model.vector.WorldModelVectorEnv`, which takes the same keywords."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+
+    def __init__(self, map: Any = None, render_mode: str | None = None, **keywords: Any) -> None:
+        self.vector = WorldModelVectorEnv(map, 1, -1, render_mode, **keywords)
+        self.render_mode = render_mode
+        self.action_space = self.vector.single_action_space
+        self.observation_space = self.vector.single_observation_space
+        self.success_radius, self.robot = self.vector.success_radius, self.vector.robot
+        self._running = False
+
+    @property
+    def planar(self) -> np.ndarray:
+        """The imagined truth, x, y, heading; not for agents."""
+        return self.vector.planar[0]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode: ``options["task"]``, the number of a task of the pool, or one of the seeded stream."""
+        super().reset(seed=seed)
+        observation, infos = self.vector.reset(seed=seed, options=options)
+        self._running = True
+        return _first(observation), _info(infos) | _still(self.vector)
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Carry out ``action``; raises ``ResetNeeded`` where no episode is under way."""
+        if not self._running:
+            raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
+        try:
+            batch = np.asarray(action)[None]
+        except ValueError:  # a ragged list
+            raise InputError(
+                "step", "action", f"numbers of shape {self.action_space.shape}; found {action!r:.80}"
+            ) from None
+        observation, reward, terminated, truncated, infos = self.vector.step(batch)
+        self._running = not (terminated[0] or truncated[0])
+        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _info(infos)
+
+    def render(self) -> np.ndarray | None:
+        """The robot on the belief's floor plan; None if not asked for."""
+        pictures = self.vector.render()
+        return None if pictures is None else pictures[0]
+
+
+def _first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The caller's own copies."""
+    return {key: np.array(value[0]) for key, value in observation.items()}
+
+
+def _info(infos: dict[str, Any]) -> dict[str, Any]:
+    return {key: _plain(values[0]) for key, values in infos.items() if not key.startswith("_") and infos[f"_{key}"][0]}
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if np.ndim(value) == 0 else np.array(value)
+
+
+def _still(vector: WorldModelVectorEnv) -> dict[str, Any]:
+    """What an info always holds, before the first step."""
+    return {"collision": False, "control": np.zeros(len(vector.world.low), np.float32)}

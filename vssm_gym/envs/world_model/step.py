@@ -1,0 +1,196 @@
+"""One compiled step of many imagined robots: move, judge, begin anew where an episode has ended, look.
+
+    e' = rho e + sqrt(1 - rho^2) n,  n ~ N(0, pose_std^2)          error of the estimated pose, (forward, left, turn)
+
+The robot believes to be at ``T exp(e)`` while it is at T: at first ``e ~ N(0, start_std^2)``, the belief about its
+start, in the end ``N(0, pose_std^2)``, what a tracker leaves. Goals are shown from where it believes to be.
+
+Every robot has a stream of its own: draw number i is ``threefry(key, i)``, one a step and one a beginning, whatever was
+commanded and however many robots there are.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from vssm_gym.car import Car
+from vssm_gym.envs.world_model.motion import Moved, believed, drive_car, drive_holonomic
+from vssm_gym.envs.world_model.ways import BEYOND
+from vssm_gym.envs.world_model.world import Rules, World
+
+_NORMALS = 5  # a step: two of the motion, three of the estimate
+
+
+class State(eqx.Module):
+    """n robots."""
+
+    key: Array  # (n, 2) uint32
+    draws: Int[Array, "n"]  # taken from the stream
+    planar: Float[Array, "n 3"]  # x, y (m), heading (rad)
+    error: Float[Array, "n 3"]  # of the estimate: forward, left (m), turn (rad)
+    variance: Float[Array, "n 3"]  # of that error
+    servos: Float[Array, "n 4"]  # of a car
+    noise: Float[Array, "n parameters"]  # of this episode
+    which: Int[Array, "n"]  # map of this episode
+    task: Int[Array, "n"]  # of the pool
+    potential: Float[Array, "n"]  # m to the goal; more than BEYOND where that is not known
+    steps: Int[Array, "n"]  # of this episode
+    ended: Bool[Array, "n"]
+
+
+class Outcome(eqx.Module):
+    """What a step gives beside the new state."""
+
+    observation: dict[str, Array]
+    reward: Float[Array, "n"]
+    terminated: Bool[Array, "n"]
+    truncated: Bool[Array, "n"]
+    success: Bool[Array, "n"]
+    collision: Bool[Array, "n"]
+    command: Float[Array, "n command"]  # as clipped
+    begun: Bool[Array, "n"]  # whether this step began an episode and its action counted for nothing
+
+
+def empty_state(world: World, n: int) -> State:
+    """n robots before their first episode."""
+    zeros = lambda *shape: jnp.zeros((n, *shape), jnp.float32)
+    count = lambda: jnp.zeros(n, jnp.int32)  # one array each: the step takes over the memory of all
+    return State(
+        jnp.zeros((n, 2), jnp.uint32), count(), zeros(3), zeros(3), zeros(3), zeros(4), zeros(world.noise.shape[1]),
+        count(), count(), zeros(), count(), jnp.ones(n, bool),
+    )  # fmt: skip
+
+
+@partial(jax.jit, static_argnums=0, donate_argnums=2)
+def step(rules: Rules, world: World, state: State, action: Float[Array, "n action"]) -> tuple[State, Outcome]:
+    """Carry out ``action``; robots whose episode had ended begin their next one instead, with reward 0."""
+    begun = state.ended
+    keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
+    normal = jax.vmap(lambda key: jax.random.normal(key, (_NORMALS,)))(keys)
+    moved, stopped, command = _act(rules, world, state, action, normal)
+    rho, spread = world.pose_memory, 1.0 - world.pose_memory**2
+    after = State(
+        state.key, state.draws + 1, moved.planar,
+        rho * state.error + jnp.sqrt(spread) * world.pose_std * normal[:, 2:],
+        rho**2 * state.variance + spread * world.pose_std**2,
+        moved.servos, state.noise, state.which, state.task, state.potential, state.steps + 1, state.ended,
+    )  # fmt: skip
+    goal = world.ways.goals[world.pool.goal[state.task]]
+    arrived = jnp.hypot(*(moved.planar[:, :2] - goal).T) <= rules.success_radius
+    terminated = (stopped if rules.stops else arrived) & ~begun
+    truncated = (world.max_steps > 0) & (after.steps >= world.max_steps) & ~begun
+    success = terminated & arrived
+    reward, potential = _reward(rules, world, after, success, moved.collision)
+    after = eqx.tree_at(lambda s: (s.potential, s.ended), after, (potential, terminated | truncated))
+    # A branch, because most steps begin nothing
+    after = jax.lax.cond(
+        jnp.any(begun), lambda s: _where(begun, begin(rules, world, state, None), s), lambda s: s, after
+    )
+    return after, Outcome(
+        observe(rules, world, after),
+        jnp.where(begun, 0.0, reward),
+        terminated,
+        truncated,
+        success,
+        moved.collision & ~begun,
+        jnp.where(begun[:, None], 0.0, command),
+        begun,
+    )
+
+
+def begin(rules: Rules, world: World, state: State, task: Int[Array, "n"] | None) -> State:
+    """New episodes of all robots: task, map, noise and start drawn from their streams; ``task`` >= 0 sets the first."""
+    keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
+    share, normal = jax.vmap(lambda key: (jax.random.uniform(key, (3,)), jax.random.normal(key, (8,))[3:]))(keys)
+    drawn = jnp.minimum((share[:, 0] * len(world.pool.goal)).astype(jnp.int32), len(world.pool.goal) - 1)
+    task = drawn if task is None else jnp.where(task >= 0, task, drawn)
+    which = jnp.minimum((share[:, 1] * world.maps).astype(jnp.int32), world.maps - 1)
+    noise = world.noise[0] + share[:, 2:] * (world.noise[1] - world.noise[0])
+    start = world.pool.start[task]
+    # The robot is off its start by -e: then it believes to be exactly there.
+    error = normal[:, :3] * world.start_std
+    heading = start[:, 2] - error[:, 2]
+    c, s = jnp.cos(heading), jnp.sin(heading)
+    x, y = start[:, 0] - c * error[:, 0] + s * error[:, 1], start[:, 1] - s * error[:, 0] - c * error[:, 1]
+    planar = believed(jnp.stack([x, y, heading], axis=-1), jnp.zeros_like(error))
+    servos = jnp.zeros((*which.shape, 4))
+    if isinstance(rules.robot, Car):
+        trim = noise[:, 3] * normal[:, 4]
+        servos = jnp.stack([jnp.zeros_like(trim), trim, 1.0 + noise[:, 2] * normal[:, 3], trim], axis=-1)
+    zero, variance = jnp.zeros_like(which), jnp.broadcast_to(world.start_std**2, error.shape)
+    potential = world.ways.at(world.pool.goal[task], x, y)
+    return State(
+        state.key, state.draws + 1, planar, error, variance, servos, noise, which, task, potential, zero,
+        jnp.zeros_like(state.ended),
+    )  # fmt: skip
+
+
+@partial(jax.jit, static_argnums=0)
+def restart(
+    rules: Rules,
+    world: World,
+    state: State,
+    shown: dict[str, Array],
+    index: Int[Array, "w"],
+    task: Int[Array, "w"],
+) -> tuple[State, dict[str, Array]]:
+    """New episodes of the robots ``index``; the others stay as they are, numbers beyond the last do nothing."""
+    some = jax.tree.map(lambda a: a.at[index].get(mode="clip"), state)
+    some = begin(rules, world, some, task)
+    put = lambda a, b: a.at[index].set(b, mode="drop")
+    return jax.tree.map(put, state, some), jax.tree.map(put, shown, observe(rules, world, some))
+
+
+def observe(rules: Rules, world: World, state: State) -> dict[str, Array]:
+    """Image or scan at the true pose; ``goal``, ``pose`` and perhaps ``pose_std`` of the estimated one."""
+    shown = world.view(state.which, state.planar)
+    pose = believed(state.planar, state.error)
+    away = world.ways.goals[world.pool.goal[state.task]] - pose[:, :2]
+    bearing = jnp.arctan2(away[:, 1], away[:, 0]) - pose[:, 2]
+    shown["goal"] = jnp.stack([jnp.hypot(away[:, 0], away[:, 1]), jnp.cos(bearing), jnp.sin(bearing)], axis=-1)
+    shown["pose"] = pose
+    if rules.show_uncertainty:
+        shown["pose_std"] = jnp.sqrt(state.variance)
+    return shown
+
+
+def _act(
+    rules: Rules, world: World, state: State, action: Array, normal: Array
+) -> tuple[Moved, Bool[Array, "n"], Float[Array, "n command"]]:
+    """The motion, which robots stopped, and the commands as clipped."""
+    command = jnp.clip(action[:, : len(world.low)], world.low, world.high)
+    if isinstance(rules.robot, Car):
+        moved = drive_car(
+            world.ground, state.which, state.planar, command, state.servos, state.noise, normal[:, :2], rules.robot
+        )
+        return moved, jnp.zeros_like(moved.collision), command
+    stopped = (action[:, 3] > 0.5) & rules.stops
+    command = jnp.where(stopped[:, None], 0.0, command)  # a stop carries out nothing else
+    moved = drive_holonomic(
+        world.ground, state.which, state.planar, command, state.noise, normal[:, :2], rules.robot.radius
+    )
+    return moved, stopped, command
+
+
+def _reward(
+    rules: Rules, world: World, state: State, success: Array, collision: Array
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """Of the step that led to ``state``, and the new potential."""
+    prize = rules.success_reward * success
+    lost = rules.unknown_cost * ~world.ground.known_at(state.planar[:, 0], state.planar[:, 1])
+    if not rules.dense:
+        return prize - lost, state.potential
+    now = world.ways.at(world.pool.goal[state.task], state.planar[:, 0], state.planar[:, 1])
+    # Squeezed between obstacles a robot may be off the grid of free positions: it gains nothing until it is back.
+    held = (now > BEYOND) | (state.potential > BEYOND)
+    gained = jnp.where(held, 0.0, state.potential - now)
+    potential = jnp.where(now > BEYOND, state.potential, now)
+    return gained - rules.step_cost - rules.touch_cost * collision + prize - lost, potential
+
+
+def _where(mask: Bool[Array, "n"], a: State, b: State) -> State:
+    pick = lambda x, y: jnp.where(mask.reshape(-1, *[1] * (x.ndim - 1)), x, y)
+    return jax.tree.map(pick, a, b)

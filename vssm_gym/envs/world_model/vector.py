@@ -1,0 +1,249 @@
+"""``gym.make_vec("vssm_gym/WorldModelNav-v0", map="oak.npz", num_envs=256)``: many robots in one compiled step.
+
+Episodes restart as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its
+action and returns the next episode's first observation with reward 0. ``reset(options={"reset_mask": mask})`` restarts
+some at once, as :class:`vssm_gym.agents.sb3.SB3VecEnv` does. Observations are read-only views of what was computed,
+without copies, and stay as they are.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import gymnasium as gym
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from vssm_gym.car import Car
+from vssm_gym.envs.eye import EXTENT
+from vssm_gym.envs.validation import choose
+from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
+from vssm_gym.envs.world_model.picture import PlanPicture
+from vssm_gym.envs.world_model.step import empty_state, restart, step
+from vssm_gym.envs.world_model.world import build_world, rules_of
+from vssm_gym.envs.wrappers import FAR
+from vssm_gym.errors import InputError
+
+FEW = 8  # an eighth of the robots, and at least as many, are restarted by a small call, more by one for all
+
+
+class WorldModelVectorEnv(VectorEnv):
+    """``num_envs`` robots in the belief of one map; see the module, and ``docs/envs/world_model_nav.md`` for keywords.
+
+    Args:
+        map: a map file's path, or a :class:`~vssm_gym.voxel_map.VoxelMap`.
+        num_envs: how many.
+        max_episode_steps: steps after which an episode is truncated; -1 for none.
+        render_mode: ``rgb_array`` or None.
+        keywords: of :class:`~vssm_gym.envs.world_model.config.Imagination`.
+    """
+
+    metadata = {  # noqa: RUF012  (Gymnasium's own declaration)
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+        "render_modes": ["rgb_array"],
+        "render_fps": 5,
+    }
+
+    def __init__(
+        self,
+        map: Any = None,
+        num_envs: int = 1,
+        max_episode_steps: int = -1,
+        render_mode: str | None = None,
+        **keywords: Any,
+    ) -> None:
+        choose(SOURCE, "render_mode", render_mode, (None, "rgb_array"))
+        wanted = Imagination.of(keywords)
+        for name, value, least in (("num_envs", num_envs, 1), ("max_episode_steps", max_episode_steps, -1)):
+            if isinstance(value, bool) or not (isinstance(value, int) and value >= least and value != 0):
+                raise InputError("make_vec", name, f"a whole number, at least 1; found {value!r:.80}")
+        self.imagination, self.rules = wanted, rules_of(wanted)
+        self.world = build_world(map, wanted, self.rules, max_episode_steps)
+        self.num_envs, self.render_mode, self.max_episode_steps = num_envs, render_mode, max_episode_steps
+        self.robot, self.success_radius = self.rules.robot, self.rules.success_radius
+        self.single_action_space, self.single_observation_space = _action_space(self.robot), _observation_space(wanted)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._state = empty_state(self.world, num_envs)
+        self._shown: dict[str, Any] = {}  # observation of last
+        self._begun = False
+        self._picture: PlanPicture | None = None
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode everywhere, or where ``options["reset_mask"]`` says so.
+
+        Args:
+            seed: of each robot's stream: one a robot, or the first of consecutive ones; None: the streams go on.
+            options: ``reset_mask`` ``(num_envs,)`` bool; ``task``: numbers of the pool's tasks, one a robot or one for
+                all.
+        """
+        options = dict(options or {})
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise InputError("reset", "options['reset_mask']", f"{self.num_envs} booleans, one of them true")
+        tasks = self._tasks(options.pop("task", None))
+        if options:
+            raise InputError("reset", "options", f"no other keys than 'reset_mask' and 'task'; found {sorted(options)}")
+        if not (self._begun or mask.all()):
+            raise gym.error.ResetNeeded("the first reset is one of all environments: reset_mask comes later")
+        self._seed(seed, mask)
+        n = self.num_envs
+        if not self._begun:
+            space: Any = self.observation_space
+            self._shown = {key: jnp.zeros(part.shape, part.dtype) for key, part in space.items()}
+        few = min(n, max(FEW, n // 8))
+        if not self._begun and few < n:  # compiled now, not in the middle of an episode
+            nobody = np.full(few, n, np.int32)
+            restart(self.rules, self.world, self._state, self._shown, jnp.asarray(nobody), jnp.zeros(few, jnp.int32))
+        chosen = np.flatnonzero(mask)
+        width = few if len(chosen) <= few else n
+        index, task = np.full(width, n, np.int32), np.full(width, -1, np.int32)
+        index[: len(chosen)], task[: len(chosen)] = chosen, tasks[chosen]
+        self._state, self._shown = restart(
+            self.rules, self.world, self._state, self._shown, jnp.asarray(index), jnp.asarray(task)
+        )
+        self._begun = True
+        if self._picture is not None:
+            self._picture.forget(chosen)
+        return self._observation(), self._start_infos(mask)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Carry out one action a robot; those whose episode has ended start their next one instead.
+
+        Actions that are not ``num_envs`` finite ones of the action space's shape change nothing anywhere.
+        """
+        if not self._begun:
+            raise gym.error.ResetNeeded("call reset before step")
+        batch = np.asarray(actions)
+        if batch.shape != self.action_space.shape or batch.dtype.kind not in "fiu" or not np.isfinite(batch).all():
+            found = f"found {batch.dtype} {batch.shape}, {actions!r:.80}"
+            raise InputError("step", "actions", f"finite numbers of shape {self.action_space.shape}; {found}")
+        self._state, outcome = step(self.rules, self.world, self._state, jnp.asarray(batch, jnp.float32))
+        self._shown = outcome.observation
+        terminated, truncated, begun = (np.asarray(a) for a in (outcome.terminated, outcome.truncated, outcome.begun))
+        everywhere = np.ones(self.num_envs, bool)
+        infos: dict[str, Any] = {
+            "collision": np.asarray(outcome.collision),
+            "_collision": everywhere,
+            "control": np.asarray(outcome.command),
+            "_control": everywhere,
+        }
+        if terminated.any():
+            infos |= {"success": np.asarray(outcome.success), "_success": terminated}
+        if begun.any():
+            infos |= self._start_infos(begun)
+            if self._picture is not None:
+                self._picture.forget(np.flatnonzero(begun))
+        return self._observation(), np.asarray(outcome.reward, np.float64), terminated, truncated, infos
+
+    @property
+    def planar(self) -> np.ndarray:
+        """The imagined truth, ``(num_envs, 3)`` x, y, heading; not for agents."""
+        return np.array(self._state.planar)
+
+    @property
+    def goals(self) -> np.ndarray:
+        """The goals of the present episodes, ``(num_envs, 2)``, m."""
+        return np.asarray(self.world.ways.goals)[np.asarray(self.world.pool.goal)[np.asarray(self._state.task)]]
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Each robot on the belief's floor plan: uint8 ``(360, width, 3)``; None if not asked for."""
+        if self.render_mode is None or not self._begun:
+            return None
+        if self._picture is None:
+            self._picture = PlanPicture(self.world.ground, self.num_envs)
+        return self._picture.draw(self.planar, self.goals, self.success_radius, _radius(self.robot))
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """The attribute ``name``, the same for every robot."""
+        return self.call(name)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """The attribute ``name``, called with the arguments where it is a method, once for every robot."""
+        value = getattr(self, name)
+        return tuple(value(*args, **kwargs) if callable(value) else value for _ in range(self.num_envs))
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Refused: the robots of one world have nothing of their own to set."""
+        raise InputError("set_attr", name, "keywords at construction: the robots share one world")
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return {key: np.asarray(value) for key, value in self._shown.items()}
+
+    def _start_infos(self, mask: np.ndarray) -> dict[str, Any]:
+        task = np.asarray(self._state.task)
+        start = np.asarray(self.world.pool.start)[task]
+        return {"task": task, "_task": mask, "start_pose": start, "_start_pose": mask}
+
+    def _tasks(self, given: Any) -> np.ndarray:
+        """Numbers of tasks, one a robot; -1: drawn."""
+        if given is None:
+            return np.full(self.num_envs, -1, np.int32)
+        numbers, count = np.asarray(given), len(self.world.pool.goal)
+        fits = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
+        if not fits or (numbers < 0).any() or (numbers >= count).any():
+            expected = f"a number from 0 to {count - 1}, or {self.num_envs} of them; found {given!r:.80}"
+            raise InputError("reset", "options['task']", expected)
+        return np.broadcast_to(numbers, (self.num_envs,)).astype(np.int32)
+
+    def _seed(self, seed: Any, mask: np.ndarray) -> None:
+        if seed is None and self._begun:
+            return
+        if seed is None:
+            fresh = np.random.SeedSequence().generate_state(2 * self.num_envs, np.uint32)
+            keys, mask = fresh.reshape(-1, 2), np.ones(self.num_envs, bool)
+        else:
+            single = isinstance(seed, int | np.integer)
+            seeds = [int(seed) + i for i in range(self.num_envs)] if single else list(seed)
+            if len(seeds) != self.num_envs:
+                raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
+            keys = np.array(self._state.key)
+            for i, one in enumerate(seeds):
+                if one is not None:
+                    keys[i] = (int(one) >> 32) & 0xFFFFFFFF, int(one) & 0xFFFFFFFF
+            mask = mask & np.array([one is not None for one in seeds])
+        key = jnp.where(mask[:, None], jnp.asarray(keys, jnp.uint32), self._state.key)
+        draws = jnp.where(mask, 0, self._state.draws)
+        self._state = _replace(self._state, key=key, draws=draws)
+
+
+def _replace(state: Any, **fields: Any) -> Any:
+    return eqx.tree_at(lambda s: tuple(getattr(s, name) for name in fields), state, tuple(fields.values()))
+
+
+def _radius(robot: Any) -> float:
+    return 0.5 * robot.width if isinstance(robot, Car) else robot.radius
+
+
+def _action_space(robot: Any) -> gym.spaces.Box:
+    """That of the environment which the imagined one stands for."""
+    if isinstance(robot, Car):
+        high = robot.limits.astype(np.float32)
+        return gym.spaces.Box(-high, high)
+    turn, offset, reach = robot.limits
+    low, most = [-turn, -offset, 0.0, 0.0], [turn, offset, reach, 1.0]
+    return gym.spaces.Box(np.array(low, np.float32), np.array(most, np.float32))
+
+
+def _observation_space(wanted: Imagination) -> gym.spaces.Dict:
+    camera: Any = wanted.camera
+    size = (camera.height, camera.width)
+    far = np.array([EXTENT, EXTENT, math.pi], np.float32)
+    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([FAR, 1.0, 1.0], np.float32)
+    spaces: dict[str, gym.Space[Any]] = {"goal": gym.spaces.Box(low, high), "pose": gym.spaces.Box(-far, far)}
+    if wanted.observation == "scan":
+        spaces["scan"] = gym.spaces.Box(0.0, wanted.max_depth, (BEAMS,), np.float32)
+    else:
+        spaces["depth"] = gym.spaces.Box(0.0, EXTENT, size, np.float32)
+    if wanted.observation == "rgbd":
+        spaces["rgb"] = gym.spaces.Box(0, 255, (*size, 3), np.uint8)
+    if wanted.show_uncertainty:
+        spaces["pose_std"] = gym.spaces.Box(0.0, EXTENT, (3,), np.float32)
+    return gym.spaces.Dict(spaces)

@@ -1,0 +1,151 @@
+"""What imagined robots see: scans, depth images and RGB-D images of the belief, by the emission's law.
+
+    scan_k = depth at column ``u_k = (k + 1/2) W / 64 - 1/2`` of the camera's horizontal plane, k = 0 (left) ... 63
+
+Depths are z-depths, m; 0 = no reading. The camera stands upright, so a ray of the horizontal plane stays at its height:
+the trilinear field there is bilinear in x and y, and a scan in that slice is exactly what the emission renders. Images
+are traced in the box of the map that was observed at all.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from vssm_gym.camera import Camera
+from vssm_gym.envs.world_model.config import BEAMS
+from vssm_gym.envs.world_model.rays import RayField, depths
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+
+SLICE_FINE, BOX_FINE = 4, 1  # nodes a cell
+AT_ONCE = 16  # robots whose images are traced together: their rays fit the cache
+
+
+class View(eqx.Module):
+    """A camera on robots in one or several maps; see the module."""
+
+    field: RayField
+    colour: Float[Array, "cells 3"] | None  # of the box's cells, (maps, *shape) in C order
+    across: Float[Array, "width"]  # of pixel columns: camera x a metre of z-depth, to the right
+    down: Float[Array, "height"]  # of rows; of a scan one zero
+    forward: float = eqx.field(static=True)  # m, of the camera before the robot's origin
+    height: float = eqx.field(static=True)  # m above the floor
+    max_depth: float = eqx.field(static=True)  # m
+
+    @classmethod
+    def scan(cls, maps: list[VoxelMap], camera: Camera, T_body_cam: np.ndarray, max_depth: float) -> "View":
+        """64 rays."""
+        height = float(T_body_cam[2, 3])
+        low, high = _observed_box(maps[0])
+        field = _cut(maps, low, high, height)
+        columns = (np.arange(BEAMS) + 0.5) * camera.width / BEAMS - 0.5
+        across = jnp.asarray((columns - camera.cx) / camera.fx, jnp.float32)
+        return cls(field, None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth)
+
+    @classmethod
+    def images(
+        cls, maps: list[VoxelMap], camera: Camera, T_body_cam: np.ndarray, max_depth: float, colour: bool
+    ) -> "View":
+        """Depth images, with colour or without."""
+        low, high = _observed_box(maps[0])
+        field = _cut(maps, low, high, None)
+        colours = None
+        if colour:
+            p_world = _centres(maps[0], low, high)
+            colours = jnp.concatenate([m.colour_at(p_world).reshape(-1, 3) for m in maps])
+        across = jnp.asarray((np.arange(camera.width) - camera.cx) / camera.fx, jnp.float32)
+        down = jnp.asarray((np.arange(camera.height) - camera.cy) / camera.fy, jnp.float32)
+        forward, height = float(T_body_cam[0, 3]), float(T_body_cam[2, 3])
+        return cls(field, colours, across, down, forward, height, max_depth)
+
+    def __call__(self, which: Int[Array, "n"], planar: Float[Array, "n 3"]) -> dict[str, Array]:
+        """``scan (n, 64)``, or ``depth (n, height, width)`` and perhaps ``rgb`` uint8 of robots at ``planar``."""
+        if len(self.field.shape) == 2:
+            return {"scan": self._rays(which, planar)[0].reshape(-1, BEAMS)}
+
+        def look(one):
+            depth, rgb = self._rays(one[0][None], one[1][None])
+            return (depth,) if rgb is None else (depth, rgb)
+
+        size = (len(self.down), len(self.across))
+        if planar.shape[0] > AT_ONCE:
+            seen = jax.lax.map(lambda one: look(one), (which, planar), batch_size=AT_ONCE)
+        else:
+            seen = tuple(a for a in self._rays(which, planar) if a is not None)
+        images = {"depth": seen[0].reshape(-1, *size)}
+        if len(seen) > 1:
+            images["rgb"] = jnp.round(255.0 * jnp.clip(seen[1], 0.0, 1.0)).astype(jnp.uint8).reshape(-1, *size, 3)
+        return images
+
+    def _rays(self, which: Array, planar: Array) -> tuple[Array, Array | None]:
+        """Depths (rays,) of all pixels of all robots, and colours (rays, 3) where there are such."""
+        n, per = planar.shape[0], len(self.down) * len(self.across)
+        right = jnp.tile(self.across, len(self.down))  # per pixel, rows first
+        c, s = jnp.cos(planar[:, 2, None]), jnp.sin(planar[:, 2, None])
+        spread = lambda a: jnp.broadcast_to(a, (n, per)).reshape(-1)
+        x, y = planar[:, 0, None] + self.forward * c, planar[:, 1, None] + self.forward * s
+        centre, direction = [spread(x), spread(y)], [spread(c + s * right), spread(s - c * right)]
+        which = spread(which[:, None])
+        if len(self.field.shape) == 2:
+            angle = spread(planar[:, 2, None] - jnp.arctan(right))
+            return depths(self.field, which, tuple(centre), tuple(direction), self.max_depth, angle), None
+        down = spread(jnp.repeat(self.down, len(self.across))[None])
+        centre, direction = [*centre, jnp.full_like(centre[0], self.height)], [*direction, -down]
+        depth = depths(self.field, which, tuple(centre), tuple(direction), self.max_depth)
+        if self.colour is None:
+            return depth, None
+        at = [c + d * depth for c, d in zip(centre, direction, strict=True)]
+        return depth, jnp.where((depth > 0.0)[:, None], self._colour_at(which, at), 0.0)
+
+    def _colour_at(self, which: Array, p_world: list[Array]) -> Float[Array, "rays 3"]:
+        """Trilinear colour, as the map's own."""
+        assert self.colour is not None
+        *strides, per_map = self.field.strides()
+        low, weights, offsets = which * per_map, [jnp.ones_like(p_world[0])], [0]
+        for p, o, n, stride in zip(p_world, self.field.origin, self.field.shape, strides, strict=True):
+            g = (p - o) / self.field.voxel_size
+            cell = jnp.clip(jnp.floor(g), 0.0, n - 2.0)
+            low += cell.astype(jnp.int32) * stride
+            weights = [w * f for w in weights for f in (1.0 - (g - cell), g - cell)]
+            offsets = [o_ + more for o_ in offsets for more in (0, stride)]
+        corners = (self.colour.at[low + offset].get(mode="promise_in_bounds") for offset in offsets)
+        return sum(w[:, None] * corner for w, corner in zip(weights, corners, strict=True))  # type: ignore[return-value]
+
+
+def _observed_box(m: VoxelMap) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and one past the highest cell of the map that was observed, and one around them; ``(3,)`` each."""
+    seen = np.asarray(m.dense(m.occupancy_precision)).reshape(m.shape) > OBSERVED_PRECISION
+    low, high = [], []
+    for axis in range(3):
+        index = np.flatnonzero(seen.any(axis=tuple(a for a in range(3) if a != axis)))
+        first, last = (0, seen.shape[axis] - 1) if len(index) == 0 else (int(index[0]), int(index[-1]))
+        low.append(max(0, first - 1))
+        high.append(min(seen.shape[axis], last + 2))
+    return np.array(low), np.array(high)
+
+
+def _centres(m: VoxelMap, low: np.ndarray, high: np.ndarray, height: float | None = None) -> Float[Array, "*cells 3"]:
+    """World positions of the box's cell centres, or of those of its columns at ``height`` m."""
+    axes = [float(m.origin[a]) + float(m.voxel_size) * np.arange(low[a], high[a]) for a in range(3)]
+    if height is not None:
+        axes[2] = np.array([height])
+    return jnp.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), jnp.float32)
+
+
+def _cut(maps: list[VoxelMap], low: np.ndarray, high: np.ndarray, height: float | None) -> RayField:
+    """The observed box of the maps, or the slice of it at ``height`` m."""
+    m, dims = maps[0], 2 if height is not None else 3
+    p_world = _centres(m, low, high, height)
+    occupancy = np.stack([np.asarray(_occupancy(one, p_world)) for one in maps])
+    occupancy = occupancy[..., 0] if dims == 2 else occupancy
+    origin = (np.asarray(m.origin) + float(m.voxel_size) * low)[:dims]
+    return RayField.cut(occupancy, origin, float(m.voxel_size), SLICE_FINE if dims == 2 else BOX_FINE)
+
+
+# A point on the grid's last cell centre counts as outside where rounding puts it there: nudged in by 1e-4 cells.
+@jax.jit
+def _occupancy(m: VoxelMap, p_world: Array) -> Array:
+    low, high = m.origin, m.origin + m.voxel_size * (jnp.array(m.shape) - 1.0)
+    slack = 1e-4 * m.voxel_size
+    return m.occupancy_at(jnp.clip(p_world, low + slack, high - slack))
