@@ -2,13 +2,18 @@
 
 from vssm_gym.agents.astar import AStarAgent
 from vssm_gym.agents.base import Agent
+from vssm_gym.agents.candidate_random import CandidateRandomAgent
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.dwa import DwaAgent
+from vssm_gym.agents.frontier_gain import FrontierGainAgent
+from vssm_gym.agents.frontier_nearest import FrontierNearestAgent
 from vssm_gym.agents.greedy import GreedyAgent
 from vssm_gym.agents.hybrid_astar import HybridAStarAgent
+from vssm_gym.agents.mi_explorer import MiExplorerAgent
 from vssm_gym.agents.no_map import NoMapAgent
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.random import RandomAgent
+from vssm_gym.agents.random_walk import RandomWalkAgent
 from vssm_gym.agents.vi_ipopt import ViIpoptAgent
 from vssm_gym.agents.vi_mpc import ViMpcAgent
 from vssm_gym.agents.vi_mpc_tracked import ViMpcTrackedAgent
@@ -29,5 +34,10 @@ AGENTS: dict[str, type[Agent]] = {
         HybridAStarAgent,
         GreedyAgent,
         DwaAgent,
+        MiExplorerAgent,
+        FrontierNearestAgent,
+        FrontierGainAgent,
+        CandidateRandomAgent,
+        RandomWalkAgent,
     )
 }

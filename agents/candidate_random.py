@@ -1,0 +1,64 @@
+"""``candidate_random``: the candidates of ``mi_explorer``, one of them at random: what choosing by information adds.
+
+goal ~ U({q : A(q) >= least area})          A: expected unknown area in sight of a candidate, m^2
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vssm_gym.agents.exploring import Belief, Choice, Explorer, around
+from vssm_gym.planning.exploration import candidates
+from vssm_gym.voxel_map import VoxelMap
+
+
+@dataclass(frozen=True)
+class CandidateRandomConfig:
+    """Settings of ``candidate_random``: the candidates are those of ``mi_explorer``."""
+
+    spacing: float = 0.5  # m between candidates
+    hazard: float = 0.7  # 1/m, of surfaces in unknown space
+    least_area: float = 0.05  # m^2 of unknown space in sight
+
+
+class RandomCandidate:
+    """:class:`~vssm_gym.agents.exploring.Strategy`: any candidate; it is gone to before another is drawn."""
+
+    def __init__(self, config: CandidateRandomConfig) -> None:
+        self._config = config
+
+    def reset(self, seed: int) -> None:
+        """Draws follow from ``seed``."""
+        self._rng = np.random.default_rng(seed)
+        self._goal: np.ndarray | None = None
+
+    def choose(self, belief: Belief) -> Choice | None:
+        """The goal of before until it is reached, then another."""
+        c = self._config
+        found = candidates(
+            belief.roadmap, spacing=c.spacing, hazard=c.hazard, least_area=c.least_area, dismissed=belief.dismissed
+        )
+        if not len(found.xy):
+            return None
+        if self._goal is None or belief.arrived or not belief.roadmap.reaches(self._goal):
+            self._goal = found.xy[self._rng.integers(len(found.xy))]
+        return Choice(self._goal, around(belief.planar[2]), None, f"to one of {len(found.xy)} candidates")
+
+
+class CandidateRandomAgent:
+    """Random candidates; the pose is observed."""
+
+    name = "candidate_random"
+    robot = "holonomic"
+    task = "explore"
+    needs_pose = True
+    needs_map = False
+
+    def __init__(self, config: CandidateRandomConfig | None = None) -> None:
+        self._explorer = Explorer(RandomCandidate(config or CandidateRandomConfig()))
+        self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._explorer.map

@@ -1,0 +1,293 @@
+"""The driver that all explorers share: update the map -> read its floor plan -> choose where to go -> follow.
+
+Explorers differ in their :class:`Strategy` and in nothing else. The pose is observed (SPEC 8) and the map is the
+agent's own. Every episode begins with a look around. A choice is made anew every ``replan_steps``, when it is carried
+out or has become pointless, and when something unforeseen stands in its way.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
+from vssm_gym.agents.own_map import OwnMap, OwnMapConfig
+from vssm_gym.camera import Camera
+from vssm_gym.errors import InputError
+from vssm_gym.geometry import wrap_angle
+from vssm_gym.planning.astar import needed, plan
+from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.exploration import Roadmap
+from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.frontier import frontier_cells
+from vssm_gym.planning.pursuit import steer
+from vssm_gym.planning.taut import tighten
+from vssm_gym.voxel_map import VoxelMap
+
+ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
+LEAST_STEP = 0.02  # m, worth its noise
+ALIGNED = 0.12  # rad, the same of a look
+
+
+@dataclass(frozen=True)
+class ExploringConfig:
+    """How carefully to drive and how often to choose; lengths in metres."""
+
+    margins: tuple[float, ...] = (0.08, 0.03)  # clearance of a way beyond the robot's radius: the first that leads on
+    replan_steps: int = 5
+    guard: float = 0.015  # of clearance beyond the radius that a step keeps, whatever the noise does
+    sigmas: float = 3.5  # of the execution noise that a step is prepared for
+    daring: float = 0.8  # by which that shrinks with every step that was refused since the last one
+    held_share: float = 0.6  # of the way's margin: more is not asked of a step, or it could not be driven
+    lookahead: float = 0.6  # of the way ahead that is checked for something unforeseen at every step
+    known_share: float = 0.8  # of a target's frontier cells, after which it is pointless to go there
+    max_failures: int = 25  # steps in a row without a way or a step to take, after which the robot is boxed in
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What a strategy chooses by.
+
+    Attributes:
+        map: the belief over the apartment, world frame; valid until the next step.
+        roadmap: free space and ways in it.
+        planar: ``(3,)`` x, y (m), heading (rad).
+        camera: what will be seen,
+        T_body_cam: and from where on the body, ``(4, 4)``.
+        dismissed: ``(n, 2)`` places, m, that were looked at in vain.
+        arrived: whether the last choice was carried out, or cannot be.
+    """
+
+    map: VoxelMap
+    roadmap: Roadmap
+    planar: np.ndarray
+    camera: Camera
+    T_body_cam: np.ndarray
+    dismissed: np.ndarray
+    arrived: bool
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Where to go and where to look.
+
+    Attributes:
+        goal: ``(2,)`` m; None: stay here.
+        looks: headings (rad) to turn to at the goal, one after the other.
+        target: ``(n, 2)`` m, the frontier cells that this is about: when they are known it is pointless; None: none.
+        status: one readable line.
+    """
+
+    goal: np.ndarray | None
+    looks: tuple[float, ...]
+    target: np.ndarray | None
+    status: str
+
+
+class Strategy(Protocol):
+    """What makes explorers differ."""
+
+    def reset(self, seed: int) -> None:
+        """Open an episode whose random choices follow from ``seed``."""
+        ...
+
+    def choose(self, belief: Belief) -> Choice | None:
+        """What to do next; None where nothing is left to gain."""
+        ...
+
+
+def around(heading: float) -> tuple[float, ...]:
+    """Three looks that make a whole turn, back to ``heading`` (rad); every turn takes the shorter way."""
+    return tuple(float(wrap_angle(heading + turn)) for turn in (2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0, 0.0))
+
+
+class Explorer:
+    """Drives where its strategy chooses until that finds nothing left, then stops."""
+
+    def __init__(
+        self, strategy: Strategy, config: ExploringConfig | None = None, own: OwnMapConfig | None = None
+    ) -> None:
+        self._strategy, self._config, self._own_config = strategy, config or ExploringConfig(), own or OwnMapConfig()
+        self._own: OwnMap
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._own.map
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode in a world of which nothing is known."""
+        if "pose" not in observation:
+            raise InputError("observation", "pose", "the true pose: make the environment with observe_pose=True")
+        self._context = context
+        self._own = OwnMap(context, self._own_config)
+        self._strategy.reset(seed)
+        heading = float(observation["pose"][2])
+        self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
+        self._path: np.ndarray | None = None
+        self._roadmap: Roadmap | None = None
+        self._margin = self._config.margins[0]
+        self._arrived, self._failed = True, ""
+        self._age = self._failures = 0
+        self._dismissed: list[np.ndarray] = []
+
+    def act(self, observation: Observation) -> Decision:
+        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        began = time.perf_counter()
+        planar = np.asarray(observation["pose"], np.float64)
+        self._own.take(planar, observation)
+        floor = self._own.plan()
+        mapped = time.perf_counter()
+        self._age += 1
+        near = floor.clearance(planar[:2], 1.2)
+        if self._done(planar):
+            self._dismiss()
+        if self._pointless(floor) or self._stale(planar, near):
+            self._choice = None
+        finished = None
+        if self._choice is not None and self._path is not None:
+            self._path = self._followed(planar)
+            if self._path is None:
+                self._choice = None
+        if self._choice is None:
+            finished = self._choose(planar, floor)
+        planned = time.perf_counter()
+        command, activity = (np.array(STOP_COMMAND), finished) if finished else self._command(planar, near)
+        stop = finished is not None or self._failures > self._config.max_failures
+        if stop and finished is None:
+            command, activity = np.array(STOP_COMMAND), "boxed in: no step leads out"
+        ended = time.perf_counter()
+        latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
+        return Decision(np.array([*command, float(stop)], np.float32), planar.copy(), activity, latency, self._path)
+
+    def _done(self, planar: np.ndarray) -> bool:
+        """Whether the choice is carried out: the robot is there and has looked where it wanted to."""
+        if self._choice is None:
+            return False
+        if self._path is not None and math.hypot(*(self._path[-1] - planar[:2])) <= ARRIVED:
+            self._path = None
+        looks = list(self._choice.looks)
+        while looks and self._path is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
+            looks.pop(0)
+        self._choice = replace(self._choice, looks=tuple(looks))
+        return self._path is None and not looks
+
+    def _pointless(self, floor: FloorPlan) -> bool:
+        """Whether what the choice is about has been seen meanwhile."""
+        choice = self._choice
+        if choice is None or choice.target is None:
+            return False
+        cell = np.clip(floor.index(choice.target), 0, np.array(floor.cells.shape) - 1)
+        left = frontier_cells(floor.cells)[cell[:, 0], cell[:, 1]]
+        return bool(left.mean() <= 1.0 - self._config.known_share)
+
+    def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
+        """Whether the way is to be chosen anew: by the clock, or because it is not free any more."""
+        if self._choice is None or self._path is None:
+            return False  # looks are carried out to their end
+        if self._age >= self._config.replan_steps:
+            return True
+        least = self._radius + min(0.0, self._margin - 0.02)
+        ahead = points_along(self._path, self._config.lookahead)
+        return bool(near.at(ahead[1:]).min(initial=math.inf) < min(least, float(near.at(planar[:2])) - 0.01))
+
+    def _choose(self, planar: np.ndarray, floor: FloorPlan) -> str | None:
+        """Choose and plan the way; the reason where nothing is left to do."""
+        self._age, self._path = 0, None
+        reached = 0
+        for margin in self._config.margins:
+            roadmap = Roadmap.of(floor, planar[:2], self._radius + margin)
+            reached = int(np.isfinite(roadmap.distance).sum())
+            dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
+            belief = Belief(
+                self._own.map, roadmap, planar, self._own.camera, self._own.T_body_cam, dismissed, self._arrived
+            )
+            choice = self._strategy.choose(belief)
+            if choice is None:
+                continue
+            self._choice, self._roadmap, self._margin, self._arrived = choice, roadmap, margin, False
+            if choice.goal is None:
+                return None
+            # The roadmap's edges are looked at less closely than A*'s: a way may need less room than was asked.
+            for tight in (margin, 0.5 * margin, 0.0, -0.02):
+                way = plan(roadmap.clearance, planar, choice.goal, self._radius, margin=tight, goal_radius=ARRIVED)
+                if way.found:
+                    self._margin, self._path = tight, way.path if len(way.path) > 1 else None
+                    return None
+            self._failures += 1
+            self._dismissed.append(np.atleast_2d(choice.goal))
+            self._dismiss()
+            self._failed = way.status.message
+            return None
+        room = reached * floor.resolution**2
+        return "finished: nothing left to gain" if room > math.pi * self._radius**2 else "boxed in: no free place to go"
+
+    def _dismiss(self) -> None:
+        """Give up what the choice was about."""
+        if self._choice is not None and self._choice.target is not None:
+            self._dismissed.append(self._choice.target)
+        self._choice, self._arrived = None, True
+
+    def _command(self, planar: np.ndarray, near: ClearanceMap) -> tuple[np.ndarray, str]:
+        """One step along the path, or one turn towards the next look."""
+        limits = self._context.limits
+        choice = self._choice
+        if choice is None:  # no way after all
+            return np.array([limits[0], 0.0, 0.0]), self._failed
+        if self._path is not None:
+            command = steer(planar, self._path, limits)
+            if command[2] > 0.0:
+                command = self._careful(planar, command, near)
+            if np.any(command != 0.0):
+                self._failures = 0 if command[2] > 0.0 else self._failures
+                return command, choice.status
+            self._failures += 1
+            if self._failures % 4 == 0:
+                self._dismiss()
+            self._choice = None
+            return np.array([limits[0], 0.0, 0.0]), "held up: choosing anew"
+        turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
+        return np.array([turn, 0.0, 0.0]), choice.status
+
+    def _followed(self, planar: np.ndarray) -> np.ndarray | None:
+        """The path from where the robot is now; None where no part of it is in sight."""
+        assert self._path is not None and self._roadmap is not None
+        end = self._path[-1]
+        points = np.concatenate([planar[None, :2], self._path[1:]])
+        need = needed(self._roadmap.clearance, planar[:2], self._radius + self._margin - 0.015)
+        return tighten(self._roadmap.clearance, points, end, 0.0, need)
+
+    def _careful(self, planar: np.ndarray, command: np.ndarray, near: ClearanceMap) -> np.ndarray:
+        """The command with its step shortened so that the noise will not carry the body into anything."""
+        c, (turn_std, step_std) = self._config, self._context.noise
+        # Held up again and again, it dares more: what the noise does with small probability only.
+        sigmas = c.sigmas * c.daring**self._failures
+        direction = planar[2] + command[1]
+        unit = np.array([math.cos(direction), math.sin(direction)])
+        spread = math.sin(min(sigmas * turn_std, 0.5 * math.pi))
+        far = sigmas * step_std
+        t = np.arange(0.01, float(command[2]) + far + 0.005, 0.01)
+        asked = self._radius + np.minimum(c.guard + spread * np.maximum(t - far, 0.0), c.held_share * self._margin)
+        # A robot that is too near already may go along what it is near to.
+        have, here = near.at(planar[:2] + t[:, None] * unit), float(near.at(planar[:2]))
+        bad = np.flatnonzero(have < np.minimum(asked, here - 0.004))
+        if len(bad) == 0:
+            return command
+        step = float(t[bad[0]]) - 0.01 - far
+        return np.array([0.0, command[1], step]) if step >= LEAST_STEP else np.zeros(3)
+
+    @property
+    def _radius(self) -> float:
+        return 0.5 * self._context.body_length
+
+
+def points_along(path: Sequence[np.ndarray] | np.ndarray, length: float, spacing: float = 0.05) -> np.ndarray:
+    """Points every ``spacing`` m of a polyline ``(n, 2)``, from its start to ``length`` m on; ``(k, 2)``."""
+    path = np.asarray(path)
+    edges = np.hypot(*np.diff(path, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(edges)])
+    s = np.arange(0.0, min(length, along[-1]) + 1e-9, spacing)
+    return np.stack([np.interp(s, along, path[:, a]) for a in (0, 1)], axis=1)

@@ -1,0 +1,169 @@
+"""``mi_explorer``: goes and looks where imagined images teach its map most, in the order that leaves least undone.
+
+    I(M; x | z) = sum_cells 1/2 log(1 + n lambda_u / lambda)     gain of looks z; what they share is counted once
+    order = argmin sum_legs |leg| (gain not yet made)            ``mode`` "coverage": a tour that leaves nothing behind
+    goal = argmax gain / way,  or  gain - price way              ``mode`` "rate", "difference": greedy, as published
+
+At every choice it first asks what a look in another direction from where it stands would teach: that costs time and no
+way. Else it takes up to ``places`` candidates that see different parts of the unknown, imagines a look around at each,
+and goes to the first of the best order.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.agents.exploring import Belief, Choice, Explorer
+from vssm_gym.camera import Camera
+from vssm_gym.geometry import planar_to_matrix, wrap_angle
+from vssm_gym.planning.exploration import Roadmap, candidates, representatives
+from vssm_gym.planning.frontier import REACH
+from vssm_gym.planning.information import InformationConfig, gain_of_paths
+from vssm_gym.planning.repairman import best_order
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+
+Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (poses, paths through them) -> nats along each
+AROUND = 4  # looks of a quarter turn make a look around
+
+
+@dataclass(frozen=True)
+class MiExplorerConfig:
+    """What is a candidate, what gain is worth, and what of it is too little."""
+
+    mode: Literal["coverage", "rate", "difference"] = "coverage"
+    price: float = 5000.0  # nats a metre, of the mode "difference"
+    spacing: float = 0.5  # m between candidates
+    hazard: float = 0.7  # 1/m, of surfaces in unknown space, which an image at the map's mean does not have
+    least_area: float = 0.05  # m^2 of unknown space that a candidate sees
+    places: int = 10  # candidates that are imagined, at most
+    decay: float = 0.1  # 1/m, by which nearer ones are taken for them
+    least_gain: float = 1000.0  # nats, of a place that is worth going to
+    headings: int = 8  # of looks from here
+    least_look: float = 3000.0  # nats, of one of them
+    look_share: float = 0.02  # and of the whole tour's gain
+    turn_price: float = 300.0  # nats a radian
+    repeat: tuple[float, float] = (0.3, 0.5)  # m and rad: looks so close to one that was made are not made again
+    strip: float = 1.0 / 3.0  # of the image's height, around the horizon: see `_strip`
+    information: InformationConfig = field(default_factory=lambda: InformationConfig(max_depth=REACH))
+
+
+class MutualInformation:
+    """:class:`~vssm_gym.agents.exploring.Strategy`: expected information; see the module."""
+
+    def __init__(self, config: MiExplorerConfig) -> None:
+        self._config = config
+
+    def reset(self, seed: int) -> None:
+        """Nothing here is random."""
+        self._left = 0.0  # nats of the last tour
+        self._looks: list[tuple[float, float, float]] = []  # poses (m, rad) of the looks that were made
+
+    def choose(self, belief: Belief) -> Choice | None:
+        """A look from here, or the first place of a tour."""
+        unseen, strip = _unseen(belief.map), _strip(belief.camera, self._config.strip)
+
+        def gain(planar: np.ndarray, paths: np.ndarray) -> np.ndarray:
+            views = planar_to_matrix(planar) @ belief.T_body_cam
+            return gain_of_paths(unseen, views, paths, strip, self._config.information).along
+
+        return self._look(belief, gain) or self._tour(belief, gain)
+
+    def _look(self, belief: Belief, gain: Gains) -> Choice | None:
+        """The look from here that teaches most for the turn, where that is enough."""
+        c, (x, y, heading) = self._config, belief.planar
+        within, apart = c.repeat
+        made = [h for a, b, h in self._looks if math.hypot(a - x, b - y) < within]
+        turns = np.arange(c.headings) * 2.0 * math.pi / c.headings
+        fresh = np.array([t for t in turns if all(abs(wrap_angle(float(t - h))) > apart for h in made)])
+        if len(fresh) == 0:
+            return None
+        planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
+        nats = gain(planar, np.arange(len(fresh))[:, None])[:, -1]
+        k = int(np.argmax(nats - c.turn_price * np.abs(wrap_angle(fresh - heading))))
+        if nats[k] < max(c.least_look, c.look_share * self._left):
+            return None
+        self._looks.append((x, y, float(fresh[k])))
+        return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
+
+    def _tour(self, belief: Belief, gain: Gains) -> Choice | None:
+        """Where to go first; None where no place is worth it."""
+        c, roadmap = self._config, belief.roadmap
+        found = candidates(
+            roadmap, spacing=c.spacing, hazard=c.hazard, least_area=c.least_area, dismissed=belief.dismissed
+        )
+        chosen, share = representatives(found, c.places, c.decay, c.least_area)
+        if len(chosen) == 0:
+            return None
+        xy, away = found.xy[chosen], found.distance[chosen]
+        turns = np.arange(AROUND) * 2.0 * math.pi / AROUND
+        planar = np.column_stack([np.repeat(xy, AROUND, axis=0), np.tile(turns, len(xy))])
+        # One trajectory through all of them: what a place adds to those before it.
+        along = gain(planar, np.arange(len(planar))[None])[0, AROUND - 1 :: AROUND]
+        worth = np.diff(along, prepend=0.0) * share - c.least_gain
+        worth[np.array([self._visited(place) for place in xy])] = 0.0
+        kept = np.flatnonzero(worth > 0.0)
+        if len(kept) == 0:
+            return None
+        xy, away, worth = xy[kept], away[kept], worth[kept]
+        self._left = float(worth.sum())
+        first = self._first(roadmap, xy, away, worth)
+        status = f"to {worth[first]:.0f} of {self._left:.0f} nats in {len(xy)} places, {away[first]:.1f} m away"
+        return Choice(xy[first], (), None, status)
+
+    def _first(self, roadmap: Roadmap, xy: np.ndarray, away: np.ndarray, worth: np.ndarray) -> int:
+        """The place to go to first, by the configuration's mode."""
+        if self._config.mode == "rate":
+            return int(np.argmax(worth / np.maximum(away, 0.1)))
+        if self._config.mode == "difference":
+            return int(np.argmax(worth - self._config.price * away))
+        between = np.array([roadmap.at(roadmap.distances_from(place), xy) for place in xy])
+        longest = 10.0 * float(np.max(between[np.isfinite(between)], initial=1.0))
+        order, _ = best_order(away, np.where(np.isfinite(between), between, longest), worth)
+        return int(order[0])
+
+    def _visited(self, xy: np.ndarray) -> bool:
+        """Whether looks were made from this very place: what it still promises is not there."""
+        return any(math.hypot(a - xy[0], b - xy[1]) < 0.5 * self._config.repeat[0] for a, b, _ in self._looks)
+
+
+def _unseen(m: VoxelMap) -> VoxelMap:
+    """The map as one in which every cell that was ever observed is known for certain.
+
+    A first look at a cell gains 2.3 nats and later ones less and less, but known cells are many: together they would
+    outweigh a small place that nobody has seen. After one real observation a cell is known to 3 cm.
+    """
+    precision = jnp.where(m.occupancy_precision > OBSERVED_PRECISION, 1e9, m.occupancy_precision)
+    return eqx.tree_at(lambda held: held.occupancy_precision, m, precision)
+
+
+def _strip(camera: Camera, share: float) -> Camera:
+    """The camera with the middle ``share`` of its rows.
+
+    Walls are known up to where they were seen. The rows above would look over them into an unknown that is not there.
+    """
+    rows = max(1, round(share * camera.height))
+    return Camera(camera.width, rows, camera.fx, camera.fy, camera.cx, camera.cy - 0.5 * (camera.height - rows))
+
+
+class MiExplorerAgent:
+    """Exploration by mutual information; the pose is observed."""
+
+    name = "mi_explorer"
+    robot = "holonomic"
+    task = "explore"
+    needs_pose = True
+    needs_map = False
+
+    def __init__(self, config: MiExplorerConfig | None = None) -> None:
+        self._explorer = Explorer(MutualInformation(config or MiExplorerConfig()))
+        self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._explorer.map

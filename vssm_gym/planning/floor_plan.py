@@ -1,0 +1,149 @@
+"""The floor plan of a growing belief: each column of cells is free, occupied or unknown to a body of some height.
+
+    occupied: the mean occupancy exceeds 0 in an observed cell        free: none does, and half of the heights were seen
+
+Read from the map's own cells without interpolation, in milliseconds, so that it can follow the map from step to step;
+:class:`~vssm_gym.planning.clearance.ClearanceMap` looks at a finished map more finely. What an explorer knows beside
+its map is added: where its body has been nothing stands, and what it saw close by is there although a thin leg
+averages away in cells wider than it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from vssm_gym.block_table import BLOCK
+from vssm_gym.planning.clearance import KNOWN_SHARE, ClearanceMap
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+
+PAD = 5.0  # m around what is known: unknown space to look into
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """What a body would meet in each column of the map; see the module.
+
+    Attributes:
+        cells: ``(nx, ny)`` int8 of ``FREE``, ``OCCUPIED``, ``UNKNOWN``, indexed along world x, y.
+        depth: ``(nx, ny)`` float32 highest mean occupancy, m: positive in what is occupied.
+        origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
+        resolution: edge of a cell, m.
+    """
+
+    cells: np.ndarray
+    depth: np.ndarray
+    origin: np.ndarray
+    resolution: float
+
+    @classmethod
+    def of(
+        cls,
+        voxel_map: VoxelMap,
+        z_min: float,
+        z_max: float,
+        body: np.ndarray | None = None,
+        near: np.ndarray | None = None,
+        seen: np.ndarray | None = None,
+    ) -> "FloorPlan":
+        """The plan of the heights ``z_min..z_max`` (m), cut to what is known with :data:`PAD` metres around it.
+
+        Args:
+            voxel_map: the belief; not kept, so that its memory may be given to the next update.
+            z_min: above the floor's noise.
+            z_max: top of the body.
+            body: ``(cells x, cells y)`` bool over the whole map: where the robot's body has been: free.
+            near: the same of a ring around it: free where it is unknown, since the camera looks over it.
+            seen: the same: where something was seen at the body's height: occupied.
+        """
+        origin, voxel = np.asarray(voxel_map.origin, np.float64), float(voxel_map.voxel_size)
+        first, last = (int(np.clip(round((z - origin[2]) / voxel), 0, voxel_map.shape[2] - 1)) for z in (z_min, z_max))
+        if voxel_map.table is None:
+            slot = np.arange(int(np.prod(voxel_map.blocks)), dtype=np.int32).reshape(voxel_map.blocks)
+            stored = np.ones(voxel_map.blocks, bool)
+        else:
+            slot = np.asarray(voxel_map.table.slot)
+            stored = slot != 0
+        occupancy, precision = np.asarray(voxel_map.occupancy), np.asarray(voxel_map.occupancy_precision)
+        top, known = _columns(occupancy, precision, slot, stored, first, last)
+        unknown = known < KNOWN_SHARE * (last - first + 1)
+        occupied = top > 0.0
+        if seen is not None:
+            occupied |= seen
+            top = np.where(seen, np.maximum(top, 0.5 * voxel), top)
+        if near is not None:
+            unknown &= ~near
+        if body is not None:
+            unknown, occupied = unknown & ~body, occupied & ~body
+            top = np.where(body, -voxel, top)
+        cells = np.where(occupied, OCCUPIED, np.where(unknown, UNKNOWN, FREE)).astype(np.int8)
+        window = _around(cells != UNKNOWN, round(PAD / voxel))
+        start = np.array([window[0].start, window[1].start])
+        cut_cells, cut_top = (np.ascontiguousarray(a[window]) for a in (cells, top.astype(np.float32)))
+        return cls(cut_cells, cut_top, origin[:2] + start * voxel, voxel)
+
+    def clearance(self, centre: np.ndarray | None = None, reach: float = 0.0) -> ClearanceMap:
+        """Signed distance to what is not free, occupied or unknown; with ``centre`` only within ``reach`` m of it.
+
+        It covers what is known with one cell around it; beyond, a clearance map says that nothing is free.
+        """
+        window = _around(self.cells != UNKNOWN, 1)
+        if centre is not None:
+            middle, size = self.index(centre), round(reach / self.resolution)
+            near = [(max(0, c - size), min(n, c + size + 1)) for c, n in zip(middle, self.cells.shape, strict=True)]
+            window = (slice(*near[0]), slice(*near[1]))
+        cells, depth = self.cells[window], self.depth[window]
+        # Half a cell is the unbiased place of a border without a surface, as in ClearanceMap.from_voxel_map.
+        signed = np.where(cells == UNKNOWN, 0.5 * self.resolution, np.where(np.isfinite(depth), depth, -1.0))
+        start = np.array([window[0].start, window[1].start])
+        return ClearanceMap.from_depth(signed, self.origin + start * self.resolution, self.resolution)
+
+    def index(self, xy: np.ndarray) -> np.ndarray:
+        """Cells ``(..., 2)`` int of world points; may lie outside."""
+        return np.floor((np.asarray(xy, np.float64) - self.origin) / self.resolution + 0.5).astype(int)
+
+    def centres(self, cells: np.ndarray) -> np.ndarray:
+        """World points ``(..., 2)`` of the middles of cells, m."""
+        return self.origin + np.asarray(cells, np.float64) * self.resolution
+
+    def state(self, xy: np.ndarray) -> np.ndarray:
+        """``FREE``, ``OCCUPIED`` or ``UNKNOWN`` at world points ``(..., 2)``; unknown beyond the plan."""
+        cell = self.index(xy)
+        inside = np.all((cell >= 0) & (cell < self.cells.shape), axis=-1)
+        held = np.where(inside[..., None], cell, 0)
+        return np.where(inside, self.cells[held[..., 0], held[..., 1]], UNKNOWN)
+
+
+def _around(known: np.ndarray, pad: int) -> tuple[slice, slice]:
+    """The box around what is known with ``pad`` cells on each side; all of it where nothing is."""
+    spans = []
+    for axis in (0, 1):
+        index = np.flatnonzero(known.any(axis=1 - axis))
+        n = known.shape[axis]
+        spans.append(slice(max(0, index[0] - pad), min(n, index[-1] + pad + 1)) if len(index) else slice(0, n))
+    return spans[0], spans[1]
+
+
+@njit(cache=True, nogil=True)
+def _columns(occupancy, precision, slot, stored, first, last):
+    """Highest observed occupancy (-inf where none) and number of observed cells, over heights ``first..last``."""
+    bx, by, _ = slot.shape
+    top = np.full((bx * BLOCK, by * BLOCK), -np.inf, np.float32)
+    known = np.zeros((bx * BLOCK, by * BLOCK), np.int32)
+    for a in range(bx):
+        for b in range(by):
+            for c in range(first // BLOCK, last // BLOCK + 1):
+                if not stored[a, b, c]:
+                    continue
+                row = slot[a, b, c]
+                k0, k1 = max(first - c * BLOCK, 0), min(last - c * BLOCK, BLOCK - 1)
+                for i in range(BLOCK):
+                    for j in range(BLOCK):
+                        x, y = a * BLOCK + i, b * BLOCK + j
+                        for k in range(k0, k1 + 1):
+                            cell = (i * BLOCK + j) * BLOCK + k
+                            if precision[row, cell] > OBSERVED_PRECISION:
+                                known[x, y] += 1
+                                top[x, y] = max(top[x, y], occupancy[row, cell])
+    return top, known
