@@ -8,9 +8,11 @@ import pytest
 from explore_runs import run
 from test_report import Page, box_map
 from test_report_car import cells
+from test_report_car import rows_of_a_sweep as rows_of_cars
 
 from vssm_gym.cli.console import print_results
 from vssm_gym.eval import explore_figures, explore_tables
+from vssm_gym.eval.aggregate import Interval
 from vssm_gym.eval.report import write_report
 from vssm_gym.eval.report_explore import EXPLORE_VIEW
 from vssm_gym.viz import pictures
@@ -170,9 +172,17 @@ def test_the_console_says_what_suits_explorers(sweep_folder, capsys):
     assert re.search(r"random_walk +4 +never +0\.0", said)
 
 
-def test_ways_are_written_with_never_where_a_bound_is():
-    from vssm_gym.eval.aggregate import Interval
+def test_the_console_says_what_suits_cars(tmp_path, capsys):
+    (tmp_path / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows_of_cars()))
+    print_results(tmp_path / "episodes.jsonl")
+    said = capsys.readouterr().out
+    assert "arena · low · bullet" in said
+    assert "reached %" in said
+    assert "SPL" not in said
+    assert re.search(r"dwa +8 +75\.0 \[", said)
 
+
+def test_ways_are_written_with_never_where_a_bound_is():
     assert explore_tables.way(Interval(20.0, 15.0, np.inf, 3, 9)) == "20.0 [15.0, never]"
     assert explore_tables.way(Interval(np.inf, np.nan, np.nan, 1, 1)) == "never [-]"
     assert explore_tables.way(Interval(np.nan, np.nan, np.nan, 0, 0)) == "-"
