@@ -6,14 +6,15 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-Suite = Literal["speed", "envs", "soak", "car", "information", "tracker", "drift", "slam"]
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "soak": 100_000, "car": 300, "information": 40}
+Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"]
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40}
+DEFAULT_TRIALS |= {"soak": 100_000, "rl": 1_000_000}  # steps
 DEFAULT_SCENE = {"car": "arena"}  # the others: oak
 
 
 def bench(
     suite: Annotated[
-        Literal["speed", "envs", "soak", "car", "information", "tracker", "drift", "slam"], tyro.conf.Positional
+        Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"], tyro.conf.Positional
     ] = "speed",
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
     scene: str | None = None,
@@ -22,25 +23,28 @@ def bench(
     workers: int = 2,
     seed: int = 0,
 ) -> None:
-    """Measure on this machine: `speed` of every stage, `envs`, `car`, `information`, `tracker`, `drift` or `slam`.
+    """Measure here: `speed` of every stage, `envs`, `rl`, `car`, `information`, `tracker`, `drift` or `slam`.
 
     `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `envs` prints
-    steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `soak` drives
-    at random through every environment and ten procedural apartments and checks each step: no NaN, no body inside a
-    wall, memory flat. `car` times value iteration, each controller in closed loop, hybrid A* and both simulators of the
-    robot car. `information` times an imagined step of an explorer and compares how it ranks candidates with all pixels
-    and with the true images. `tracker` drives trajectories of 100 steps by the true pose and prints the tracker's
-    location RMSE. `drift` chains goals over 100 m and compares the map tracker with frame-to-frame alignment and dead
-    reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's
-    dense SLAM, where that is installed.
+    steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `rl`
+    prints robot-steps a second inside a learned map beside the simulator's, how they grow with the robots, memory
+    over a million steps, and how far imagined and real robots part under the same commands. `soak` drives at random
+    through every environment and ten procedural apartments and checks each step: no NaN, no body inside a wall,
+    memory flat. `car` times value iteration, each controller in closed loop, hybrid A* and both simulators of the
+    robot car. `information` times an imagined step of an explorer and compares how it ranks candidates with all
+    pixels and with the true images. `tracker` drives trajectories of 100 steps by the true pose and prints the
+    tracker's location RMSE. `drift` chains goals over 100 m and compares the map tracker with frame-to-frame
+    alignment and dead reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time
+    and error with Open3D's dense SLAM, where that is installed.
 
     Args:
         suite: what to measure.
         sequence: TUM folder, for `slam` only.
         scene: built-in name or path of a scene file; `oak` unless told, for `car` `arena`.
         out: folder for the learned map, which is kept, and for the figures as JSON.
-        trials: drives or runs, steps of `soak`, steps of each controller of `car`, candidates of `information`; 300 for
-            `tracker` and `car`, 40 for `information`, 4 for `drift`, 1 for `slam`, 100000 for `soak`.
+        trials: drives or runs, steps of `soak` and `rl`, steps of each controller of `car`, candidates of
+            `information`; 300 for `tracker` and `car`, 40 for `information`, 4 for `drift`, 1 for `slam`, 100000 for
+            `soak`, 1000000 for `rl`.
         workers: processes of `tracker` and `drift`.
         seed: of the drives.
     """
@@ -107,6 +111,10 @@ def _on_a_map(
         from vssm_gym.eval.bench_speed import speed
 
         return speed(scene, map_file, seed=seed, progress=progress)
+    if suite == "rl":
+        from vssm_gym.eval.bench_rl import measure
+
+        return measure(scene, map_file, steps=trials, seed=seed, progress=progress)
     from vssm_gym.eval import bench_tracking
 
     run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
@@ -132,6 +140,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         return
     if suite == "envs":
         _show_envs(table, result, console)
+        return
+    if suite == "rl":
+        _show_rl(table, result, console)
         return
     if suite == "car":
         _show_car(table, result, console)
@@ -181,6 +192,28 @@ def _show_envs(table: Any, result: dict[str, Any], console: Any) -> None:
     console.print(table)
     if result["peer"]:
         console.print(f"compared with nothing: {result['peer']}", soft_wrap=True)
+
+
+def _show_rl(table: Any, result: dict[str, Any], console: Any) -> None:
+    """One row a kind and number of robots; then what is promised of memory, compilation and agreement."""
+    for name in ("robots", "at once", "steps/s", "aim"):
+        table.add_column(name, justify="left" if name == "robots" else "right", no_wrap=True)
+    for what, robots, rate, aim in result["rows"]:
+        table.add_row(what, str(robots), f"{rate:,.0f}", "" if aim is None else f"{aim:,.0f}")
+    console.print(table)
+    for what, ratio, aim in result["ratios"]:
+        console.print(f"{what}: {ratio:,.1f}" + ("" if aim is None else f" (aim {aim:g})"))
+    early, late = result["memory_mb"]
+    console.print(f"memory over {result['steps']:,} steps: {early:.0f} MB after the first tenth, {late:.0f} at the end")
+    console.print(f"recompilations: {result['recompilations']}")
+    replayed = result["replay"]
+    console.print(f"{replayed['rollouts']} rollouts of {replayed['seconds']:g} s, {replayed['touched']} with contact:")
+    for name in ("all", "free", "touching"):
+        if name in replayed:
+            position, scan = (replayed[name][key] for key in ("position_m", "scan_m"))
+            off = ", ".join(f"{100 * e['p50']:.1f} cm ({100 * e['p90']:.1f})" for e in (position, scan))
+            console.print(f"  {name}: position, scans off by {off}: median (90 %)")
+    console.print(f"machine: {result['machine']}")
 
 
 def _show_car(table: Any, result: dict[str, Any], console: Any) -> None:
