@@ -249,6 +249,8 @@ class Explorer:
                 self._dismiss()
             self._choice = None
             return np.array([limits[0], 0.0, 0.0]), "held up: choosing anew"
+        if not choice.looks:
+            return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 

@@ -14,8 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.exploring import Belief, Choice, Explorer
@@ -28,6 +26,7 @@ from vssm_gym.planning.repairman import best_order
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (poses, paths through them) -> nats along each
+NEAR = 0.2  # m: as good as the same place
 AROUND = 4  # looks of a quarter turn make a look around
 
 
@@ -49,7 +48,11 @@ class MiExplorerConfig:
     turn_price: float = 300.0  # nats a radian
     repeat: tuple[float, float] = (0.3, 0.5)  # m and rad: looks so close to one that was made are not made again
     strip: float = 1.0 / 3.0  # of the image's height, around the horizon: see `_strip`
-    information: InformationConfig = field(default_factory=lambda: InformationConfig(max_depth=REACH))
+    # A cell that was observed is known to 3 cm: looking again would outweigh, by the number of known cells, a small
+    # place that nobody has seen.
+    information: InformationConfig = field(
+        default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION)
+    )
 
 
 class MutualInformation:
@@ -62,14 +65,19 @@ class MutualInformation:
         """Nothing here is random."""
         self._left = 0.0  # nats of the last tour
         self._looks: list[tuple[float, float, float]] = []  # poses (m, rad) of the looks that were made
+        self._goal: np.ndarray | None = None
+        self._visited: list[np.ndarray] = []  # goals that were reached, m
 
     def choose(self, belief: Belief) -> Choice | None:
         """A look from here, or the first place of a tour."""
-        unseen, strip = _unseen(belief.map), _strip(belief.camera, self._config.strip)
+        if belief.arrived and self._goal is not None and math.hypot(*(self._goal - belief.planar[:2])) < NEAR:
+            self._visited.append(self._goal)
+            self._goal = None
+        strip = _strip(belief.camera, self._config.strip)
 
         def gain(planar: np.ndarray, paths: np.ndarray) -> np.ndarray:
             views = planar_to_matrix(planar) @ belief.T_body_cam
-            return gain_of_paths(unseen, views, paths, strip, self._config.information).along
+            return gain_of_paths(belief.map, views, paths, strip, self._config.information).along
 
         return self._look(belief, gain) or self._tour(belief, gain)
 
@@ -85,7 +93,9 @@ class MutualInformation:
         planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
         nats = gain(planar, np.arange(len(fresh))[:, None])[:, -1]
         k = int(np.argmax(nats - c.turn_price * np.abs(wrap_angle(fresh - heading))))
-        if nats[k] < max(c.least_look, c.look_share * self._left):
+        # On the way only what is worth a stop; where it came to look, all there is to see.
+        on_the_way = 0.0 if self._is_visited(belief.planar[:2]) else c.look_share * self._left
+        if nats[k] < max(c.least_look, on_the_way):
             return None
         self._looks.append((x, y, float(fresh[k])))
         return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
@@ -105,7 +115,7 @@ class MutualInformation:
         # One trajectory through all of them: what a place adds to those before it.
         along = gain(planar, np.arange(len(planar))[None])[0, AROUND - 1 :: AROUND]
         worth = np.diff(along, prepend=0.0) * share - c.least_gain
-        worth[np.array([self._visited(place) for place in xy])] = 0.0
+        worth[np.array([self._is_visited(place) for place in xy])] = 0.0
         kept = np.flatnonzero(worth > 0.0)
         if len(kept) == 0:
             return None
@@ -113,6 +123,7 @@ class MutualInformation:
         self._left = float(worth.sum())
         first = self._first(roadmap, xy, away, worth)
         status = f"to {worth[first]:.0f} of {self._left:.0f} nats in {len(xy)} places, {away[first]:.1f} m away"
+        self._goal = xy[first]
         return Choice(xy[first], (), None, status)
 
     def _first(self, roadmap: Roadmap, xy: np.ndarray, away: np.ndarray, worth: np.ndarray) -> int:
@@ -126,19 +137,9 @@ class MutualInformation:
         order, _ = best_order(away, np.where(np.isfinite(between), between, longest), worth)
         return int(order[0])
 
-    def _visited(self, xy: np.ndarray) -> bool:
-        """Whether looks were made from this very place: what it still promises is not there."""
-        return any(math.hypot(a - xy[0], b - xy[1]) < 0.5 * self._config.repeat[0] for a, b, _ in self._looks)
-
-
-def _unseen(m: VoxelMap) -> VoxelMap:
-    """The map as one in which every cell that was ever observed is known for certain.
-
-    A first look at a cell gains 2.3 nats and later ones less and less, but known cells are many: together they would
-    outweigh a small place that nobody has seen. After one real observation a cell is known to 3 cm.
-    """
-    precision = jnp.where(m.occupancy_precision > OBSERVED_PRECISION, 1e9, m.occupancy_precision)
-    return eqx.tree_at(lambda held: held.occupancy_precision, m, precision)
+    def _is_visited(self, xy: np.ndarray) -> bool:
+        """Whether this place was a goal that was reached: what it still promises is not there."""
+        return any(math.hypot(*(place - xy)) < NEAR for place in self._visited)
 
 
 def _strip(camera: Camera, share: float) -> Camera:
