@@ -17,7 +17,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 LAYERS = [
     ["axes", "errors", "files"],
     ["geometry"],
-    ["camera", "car"],
+    ["camera", "car", "scan"],
     ["compaction", "block_table"],
     ["empty_space"],
     ["map_file"],
@@ -34,7 +34,7 @@ LAYERS = [
     ["cli"],
 ]
 
-BASE = {"axes", "errors", "files", "geometry", "camera", "car"}
+BASE = {"axes", "errors", "files", "geometry", "camera", "car", "scan"}
 
 # Beside the layers: what else may be imported, by whom. The longest name that fits a module decides.
 ALLOWED: dict[str, set[str]] = {
@@ -56,7 +56,7 @@ ALLOWED["eval"] |= {"__init__", "envs", "data.trajectories", "data.sequences", "
 ALLOWED["cli"] |= ALLOWED["eval"]
 
 ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray", "open3d", "rerun"}
-ONE_PLACE = ("envs.mjcf",)  # folders that exist for one such library and count as one importer
+ONE_PLACE = ("envs.mjcf", "agents.sb3")  # folders that exist for one such library and count as one importer
 TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package
 FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout, not packages of their own
 

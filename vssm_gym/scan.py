@@ -1,0 +1,23 @@
+"""Depth images as scans: 64 depths of the camera's horizontal plane, as ``vssm_gym/WorldModelNav-v0`` observes them.
+
+    scan_k = min over rows v in {floor(cy), ceil(cy)} of depth(v, round(u_k)),   u_k = (k + 1/2) W / 64 - 1/2
+
+``k = 0`` is the left edge; depths are z-depths, m, 0 = no reading. Of the two rows beside the horizon (one, where the
+height is odd) the nearer reading counts; what is farther than ``max_depth`` gives none. With a camera of 64 x 1 pixels
+the rays are those of the imagined scan exactly, with others they are off by half a pixel.
+"""
+
+import numpy as np
+
+BEAMS = 64
+MAX_DEPTH = 8.0  # m, as far as the emission looks
+
+
+def scan_of(depth: np.ndarray, max_depth: float = MAX_DEPTH) -> np.ndarray:
+    """``(*batch, 64)`` float32 of depth images ``(*batch, height, width)``, m."""
+    height, width = depth.shape[-2:]
+    middle = 0.5 * (height - 1)
+    rows = depth[..., sorted({int(np.floor(middle)), int(np.ceil(middle))}), :]
+    columns = np.round((np.arange(BEAMS) + 0.5) * width / BEAMS - 0.5).astype(int)
+    near = np.where(rows > 0.0, rows, np.inf)[..., columns].min(axis=-2)
+    return np.where(near <= max_depth, near, 0.0).astype(np.float32)
