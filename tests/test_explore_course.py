@@ -218,7 +218,7 @@ def test_explorers_from_start_to_report(tmp_path):
     (tmp_path / "cut" / MANIFEST).write_bytes((tmp_path / "whole" / MANIFEST).read_bytes())
     resumed = run_sweep(config, tmp_path / "cut", resume=True, workers=1)
     first, second = (
-        {episode_key(row): {k: v for k, v in row.items() if k != "latency"} for row in read_rows(path)}
+        {episode_key(row): {k: v for k, v in row.items() if k not in ("latency", "version")} for row in read_rows(path)}
         for path in (log, resumed)
     )
     assert first == second
