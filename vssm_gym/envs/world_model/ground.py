@@ -51,7 +51,8 @@ class Ground(eqx.Module):
             blocked = ~known & (top <= 0.0)
             # An unobserved column has no surface to interpolate: half a cell is the unbiased place of its border.
             depth = np.where(blocked, 0.5 * RESOLUTION if unknown == "blocked" else -RESOLUTION, top)[window]
-            depth[[0, -1]] = depth[:, [0, -1]] = RESOLUTION
+            rim = np.pad(np.zeros(np.subtract(depth.shape, 2), bool), 1, constant_values=True)
+            depth = np.where(rim & (depth <= 0.0), RESOLUTION, depth)
             clearance.append(level_distance(depth, RESOLUTION))
         nx, ny = clearance[0].shape
         origin = maps[0].bounds[0, :2] + low * RESOLUTION

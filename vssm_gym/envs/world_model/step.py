@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from vssm_gym.car import Car
 from vssm_gym.envs.world_model.motion import Moved, believed, drive_car, drive_holonomic
 from vssm_gym.envs.world_model.ways import BEYOND
-from vssm_gym.envs.world_model.world import Rules, World
+from vssm_gym.envs.world_model.world import Robot, World
 
 _NORMALS = 5  # a step: two of the motion, three of the estimate
 
@@ -65,12 +65,12 @@ def empty_state(world: World, n: int) -> State:
 
 
 @partial(jax.jit, static_argnums=0, donate_argnums=2)
-def step(rules: Rules, world: World, state: State, action: Float[Array, "n action"]) -> tuple[State, Outcome]:
+def step(robot: Robot, world: World, state: State, action: Float[Array, "n action"]) -> tuple[State, Outcome]:
     """Carry out ``action``; robots whose episode had ended begin their next one instead, with reward 0."""
-    begun = state.ended
+    begun, rules = state.ended, world.rules
     keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
     normal = jax.vmap(lambda key: jax.random.normal(key, (_NORMALS,)))(keys)
-    moved, stopped, command = _act(rules, world, state, action, normal)
+    moved, stopped, command = _act(robot, world, state, action, normal)
     rho, spread = world.pose_memory, 1.0 - world.pose_memory**2
     after = State(
         state.key, state.draws + 1, moved.planar,
@@ -80,17 +80,17 @@ def step(rules: Rules, world: World, state: State, action: Float[Array, "n actio
     )  # fmt: skip
     goal = world.ways.goals[world.pool.goal[state.task]]
     arrived = jnp.hypot(*(moved.planar[:, :2] - goal).T) <= rules.success_radius
-    terminated = (stopped if rules.stops else arrived) & ~begun
+    terminated = jnp.where(rules.stops, stopped, arrived) & ~begun
     truncated = (world.max_steps > 0) & (after.steps >= world.max_steps) & ~begun
     success = terminated & arrived
-    reward, potential = _reward(rules, world, after, success, moved.collision)
+    reward, potential = _reward(world, after, success, moved.collision)
     after = eqx.tree_at(lambda s: (s.potential, s.ended), after, (potential, terminated | truncated))
     # A branch, because most steps begin nothing
     after = jax.lax.cond(
-        jnp.any(begun), lambda s: _where(begun, begin(rules, world, state, None), s), lambda s: s, after
+        jnp.any(begun), lambda s: _where(begun, begin(robot, world, state, None), s), lambda s: s, after
     )
     return after, Outcome(
-        observe(rules, world, after),
+        observe(world, after),
         jnp.where(begun, 0.0, reward),
         terminated,
         truncated,
@@ -101,11 +101,11 @@ def step(rules: Rules, world: World, state: State, action: Float[Array, "n actio
     )
 
 
-def begin(rules: Rules, world: World, state: State, task: Int[Array, "n"] | None) -> State:
+def begin(robot: Robot, world: World, state: State, task: Int[Array, "n"] | None) -> State:
     """New episodes of all robots: task, map, noise and start drawn from their streams; ``task`` >= 0 sets the first."""
     keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
     share, normal = jax.vmap(lambda key: (jax.random.uniform(key, (3,)), jax.random.normal(key, (8,))[3:]))(keys)
-    drawn = jnp.minimum((share[:, 0] * len(world.pool.goal)).astype(jnp.int32), len(world.pool.goal) - 1)
+    drawn = jnp.minimum((share[:, 0] * world.pool.count).astype(jnp.int32), world.pool.count - 1)
     task = drawn if task is None else jnp.where(task >= 0, task, drawn)
     which = jnp.minimum((share[:, 1] * world.maps).astype(jnp.int32), world.maps - 1)
     noise = world.noise[0] + share[:, 2:] * (world.noise[1] - world.noise[0])
@@ -117,7 +117,7 @@ def begin(rules: Rules, world: World, state: State, task: Int[Array, "n"] | None
     x, y = start[:, 0] - c * error[:, 0] + s * error[:, 1], start[:, 1] - s * error[:, 0] - c * error[:, 1]
     planar = believed(jnp.stack([x, y, heading], axis=-1), jnp.zeros_like(error))
     servos = jnp.zeros((*which.shape, 4))
-    if isinstance(rules.robot, Car):
+    if isinstance(robot, Car):
         trim = noise[:, 3] * normal[:, 4]
         servos = jnp.stack([jnp.zeros_like(trim), trim, 1.0 + noise[:, 2] * normal[:, 3], trim], axis=-1)
     zero, variance = jnp.zeros_like(which), jnp.broadcast_to(world.start_std**2, error.shape)
@@ -130,7 +130,7 @@ def begin(rules: Rules, world: World, state: State, task: Int[Array, "n"] | None
 
 @partial(jax.jit, static_argnums=0)
 def restart(
-    rules: Rules,
+    robot: Robot,
     world: World,
     state: State,
     shown: dict[str, Array],
@@ -139,56 +139,53 @@ def restart(
 ) -> tuple[State, dict[str, Array]]:
     """New episodes of the robots ``index``; the others stay as they are, numbers beyond the last do nothing."""
     some = jax.tree.map(lambda a: a.at[index].get(mode="clip"), state)
-    some = begin(rules, world, some, task)
+    some = begin(robot, world, some, task)
     put = lambda a, b: a.at[index].set(b, mode="drop")
-    return jax.tree.map(put, state, some), jax.tree.map(put, shown, observe(rules, world, some))
+    return jax.tree.map(put, state, some), jax.tree.map(put, shown, observe(world, some))
 
 
-def observe(rules: Rules, world: World, state: State) -> dict[str, Array]:
-    """Image or scan at the true pose; ``goal``, ``pose`` and perhaps ``pose_std`` of the estimated one."""
+def observe(world: World, state: State) -> dict[str, Array]:
+    """Image or scan at the true pose; ``goal``, ``pose`` and ``pose_std`` of the estimated one."""
     shown = world.view(state.which, state.planar)
     pose = believed(state.planar, state.error)
     away = world.ways.goals[world.pool.goal[state.task]] - pose[:, :2]
     bearing = jnp.arctan2(away[:, 1], away[:, 0]) - pose[:, 2]
     shown["goal"] = jnp.stack([jnp.hypot(away[:, 0], away[:, 1]), jnp.cos(bearing), jnp.sin(bearing)], axis=-1)
     shown["pose"] = pose
-    if rules.show_uncertainty:
-        shown["pose_std"] = jnp.sqrt(state.variance)
+    shown["pose_std"] = jnp.sqrt(state.variance)
     return shown
 
 
 def _act(
-    rules: Rules, world: World, state: State, action: Array, normal: Array
+    robot: Robot, world: World, state: State, action: Array, normal: Array
 ) -> tuple[Moved, Bool[Array, "n"], Float[Array, "n command"]]:
     """The motion, which robots stopped, and the commands as clipped."""
     command = jnp.clip(action[:, : len(world.low)], world.low, world.high)
-    if isinstance(rules.robot, Car):
+    if isinstance(robot, Car):
         moved = drive_car(
-            world.ground, state.which, state.planar, command, state.servos, state.noise, normal[:, :2], rules.robot
+            world.ground, state.which, state.planar, command, state.servos, state.noise, normal[:, :2], robot
         )
         return moved, jnp.zeros_like(moved.collision), command
-    stopped = (action[:, 3] > 0.5) & rules.stops
+    stopped = (action[:, 3] > 0.5) & world.rules.stops
     command = jnp.where(stopped[:, None], 0.0, command)  # a stop carries out nothing else
-    moved = drive_holonomic(
-        world.ground, state.which, state.planar, command, state.noise, normal[:, :2], rules.robot.radius
-    )
+    moved = drive_holonomic(world.ground, state.which, state.planar, command, state.noise, normal[:, :2], robot.radius)
     return moved, stopped, command
 
 
 def _reward(
-    rules: Rules, world: World, state: State, success: Array, collision: Array
+    world: World, state: State, success: Array, collision: Array
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """Of the step that led to ``state``, and the new potential."""
+    rules = world.rules
     prize = rules.success_reward * success
     lost = rules.unknown_cost * ~world.ground.known_at(state.planar[:, 0], state.planar[:, 1])
-    if not rules.dense:
-        return prize - lost, state.potential
     now = world.ways.at(world.pool.goal[state.task], state.planar[:, 0], state.planar[:, 1])
     # Squeezed between obstacles a robot may be off the grid of free positions: it gains nothing until it is back.
     held = (now > BEYOND) | (state.potential > BEYOND)
     gained = jnp.where(held, 0.0, state.potential - now)
     potential = jnp.where(now > BEYOND, state.potential, now)
-    return gained - rules.step_cost - rules.touch_cost * collision + prize - lost, potential
+    dense = gained - rules.step_cost - rules.touch_cost * collision
+    return jnp.where(rules.dense, dense, 0.0) + prize - lost, potential
 
 
 def _where(mask: Bool[Array, "n"], a: State, b: State) -> State:

@@ -27,6 +27,7 @@ class Pool(eqx.Module):
     start: Float[Array, "tasks 3"]  # x, y (m, world), heading (rad)
     goal: Int[Array, "tasks"]  # number of the goal
     geodesic: Float[Array, "tasks"]  # m from start to goal
+    count: Int[Array, ""]  # tasks; rows beyond are padding, up to a power of two
 
 
 class Fit(NamedTuple):
@@ -112,4 +113,12 @@ def _lengths(ways: Ways, number: np.ndarray, xy: np.ndarray) -> np.ndarray:
 
 
 def _pool(start: np.ndarray, number: np.ndarray, length: np.ndarray) -> Pool:
-    return Pool(jnp.asarray(start, jnp.float32), jnp.asarray(number, jnp.int32), jnp.asarray(length, jnp.float32))
+    count = len(start)
+    row = np.minimum(np.arange(1 << (count - 1).bit_length()), count - 1)
+    start, number, length = start[row], number[row], length[row]
+    return Pool(
+        jnp.asarray(start, jnp.float32),
+        jnp.asarray(number, jnp.int32),
+        jnp.asarray(length, jnp.float32),
+        jnp.asarray(count, jnp.int32),
+    )

@@ -23,7 +23,7 @@ from vssm_gym.envs.validation import choose
 from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.step import empty_state, restart, step
-from vssm_gym.envs.world_model.world import build_world, rules_of
+from vssm_gym.envs.world_model.world import build_world, robot_of
 from vssm_gym.envs.wrappers import FAR
 from vssm_gym.errors import InputError
 
@@ -60,10 +60,10 @@ class WorldModelVectorEnv(VectorEnv):
         for name, value, least in (("num_envs", num_envs, 1), ("max_episode_steps", max_episode_steps, -1)):
             if isinstance(value, bool) or not (isinstance(value, int) and value >= least and value != 0):
                 raise InputError("make_vec", name, f"a whole number, at least 1; found {value!r:.80}")
-        self.imagination, self.rules = wanted, rules_of(wanted)
-        self.world = build_world(map, wanted, self.rules, max_episode_steps)
+        self.imagination, self.robot = wanted, robot_of(wanted)
+        self.world = build_world(map, wanted, self.robot, max_episode_steps)
         self.num_envs, self.render_mode, self.max_episode_steps = num_envs, render_mode, max_episode_steps
-        self.robot, self.success_radius = self.rules.robot, self.rules.success_radius
+        self.success_radius = round(float(self.world.rules.success_radius), 6)
         self.single_action_space, self.single_observation_space = _action_space(self.robot), _observation_space(wanted)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -96,16 +96,17 @@ class WorldModelVectorEnv(VectorEnv):
         if not self._begun:
             space: Any = self.observation_space
             self._shown = {key: jnp.zeros(part.shape, part.dtype) for key, part in space.items()}
+            self._shown["pose_std"] = jnp.zeros((n, 3))
         few = min(n, max(FEW, n // 8))
         if not self._begun and few < n:  # compiled now, not in the middle of an episode
             nobody = np.full(few, n, np.int32)
-            restart(self.rules, self.world, self._state, self._shown, jnp.asarray(nobody), jnp.zeros(few, jnp.int32))
+            restart(self.robot, self.world, self._state, self._shown, jnp.asarray(nobody), jnp.zeros(few, jnp.int32))
         chosen = np.flatnonzero(mask)
         width = few if len(chosen) <= few else n
         index, task = np.full(width, n, np.int32), np.full(width, -1, np.int32)
         index[: len(chosen)], task[: len(chosen)] = chosen, tasks[chosen]
         self._state, self._shown = restart(
-            self.rules, self.world, self._state, self._shown, jnp.asarray(index), jnp.asarray(task)
+            self.robot, self.world, self._state, self._shown, jnp.asarray(index), jnp.asarray(task)
         )
         self._begun = True
         if self._picture is not None:
@@ -125,7 +126,7 @@ class WorldModelVectorEnv(VectorEnv):
         if batch.shape != self.action_space.shape or batch.dtype.kind not in "fiu" or not np.isfinite(batch).all():
             found = f"found {batch.dtype} {batch.shape}, {actions!r:.80}"
             raise InputError("step", "actions", f"finite numbers of shape {self.action_space.shape}; {found}")
-        self._state, outcome = step(self.rules, self.world, self._state, jnp.asarray(batch, jnp.float32))
+        self._state, outcome = step(self.robot, self.world, self._state, jnp.asarray(batch, jnp.float32))
         self._shown = outcome.observation
         terminated, truncated, begun = (np.asarray(a) for a in (outcome.terminated, outcome.truncated, outcome.begun))
         everywhere = np.ones(self.num_envs, bool)
@@ -175,7 +176,8 @@ class WorldModelVectorEnv(VectorEnv):
         raise InputError("set_attr", name, "keywords at construction: the robots share one world")
 
     def _observation(self) -> dict[str, np.ndarray]:
-        return {key: np.asarray(value) for key, value in self._shown.items()}
+        space: Any = self.single_observation_space
+        return {key: np.asarray(self._shown[key]) for key in space}
 
     def _start_infos(self, mask: np.ndarray) -> dict[str, Any]:
         task = np.asarray(self._state.task)
@@ -186,7 +188,7 @@ class WorldModelVectorEnv(VectorEnv):
         """Numbers of tasks, one a robot; -1: drawn."""
         if given is None:
             return np.full(self.num_envs, -1, np.int32)
-        numbers, count = np.asarray(given), len(self.world.pool.goal)
+        numbers, count = np.asarray(given), int(self.world.pool.count)
         fits = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
         if not fits or (numbers < 0).any() or (numbers >= count).any():
             expected = f"a number from 0 to {count - 1}, or {self.num_envs} of them; found {given!r:.80}"

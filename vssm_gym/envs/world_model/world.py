@@ -1,6 +1,5 @@
 """An imagined world: everything a step reads and nothing it changes, built once from a map and keywords."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +31,10 @@ from vssm_gym.voxel_map import VoxelMap
 UNKNOWN_COST = 0.05  # of a step in space that nothing observed, with unknown="penalised"
 
 
-@dataclass(frozen=True)
-class Rules:
-    """What the compiled step branches on."""
+class Rules(eqx.Module):
+    """Rewards and ends of the environment that the imagined one stands for: numbers, so that one compiled step serves
+    all of them."""
 
-    robot: HolonomicRobot | Car
     success_radius: float  # m
     dense: bool
     stops: bool  # whether an episode ends by the stop, or on arrival
@@ -44,12 +42,12 @@ class Rules:
     touch_cost: float
     success_reward: float
     unknown_cost: float
-    show_uncertainty: bool
 
 
 class World(eqx.Module):
     """Arrays of one imagined world."""
 
+    rules: Rules
     ground: Ground
     ways: Ways
     pool: Pool
@@ -64,18 +62,23 @@ class World(eqx.Module):
     max_steps: Int[Array, ""]  # 0: no limit
 
 
-def rules_of(wanted: Imagination) -> Rules:
-    """The rules of the environment that the imagined one stands for."""
-    dense, show = wanted.reward == "dense", wanted.show_uncertainty
-    price = UNKNOWN_COST if wanted.unknown == "penalised" else 0.0
-    if wanted.robot == "car":
-        return Rules(Car(), REACHED, dense, False, CAR_STEP_COST, TOUCH_COST, CAR_SUCCESS_REWARD, price, show)
-    robot = HolonomicRobot()
+Robot = HolonomicRobot | Car
+
+
+def robot_of(wanted: Imagination) -> Robot:
+    """The robot that is imagined."""
+    return Car() if wanted.robot == "car" else HolonomicRobot()
+
+
+def _rules(wanted: Imagination, robot: Robot) -> Rules:
+    dense, price = wanted.reward == "dense", UNKNOWN_COST if wanted.unknown == "penalised" else 0.0
+    if isinstance(robot, Car):
+        return Rules(REACHED, dense, False, CAR_STEP_COST, TOUCH_COST, CAR_SUCCESS_REWARD, price)
     radius, stops = SUCCESS * robot.body_length, wanted.end_on == "stop"
-    return Rules(robot, radius, dense, stops, STEP_COST, 0.0, SUCCESS_REWARD, price, show)
+    return Rules(radius, dense, stops, STEP_COST, 0.0, SUCCESS_REWARD, price)
 
 
-def build_world(source: Any, wanted: Imagination, rules: Rules, max_steps: int) -> World:
+def build_world(source: Any, wanted: Imagination, robot: Robot, max_steps: int) -> World:
     """The world of a map: a file's path, or a :class:`VoxelMap`.
 
     Raises :class:`InputError` for what is no map, or one in which the robot finds no tasks.
@@ -85,7 +88,7 @@ def build_world(source: Any, wanted: Imagination, rules: Rules, max_steps: int) 
     if wanted.map_samples:
         keys = jax.random.split(jax.random.key(wanted.pool_seed), wanted.map_samples)
         maps = [sample_map(key, m) for key in keys]
-    robot, camera = rules.robot, wanted.camera.intrinsics()  # type: ignore[union-attr]
+    camera = wanted.camera.intrinsics()  # type: ignore[union-attr]
     ground = Ground.of([m, *maps] if wanted.map_samples else maps, robot.height, wanted.unknown)
     lattice = Lattice(ground, _fit(robot).radius)
     pool, ways = draw_tasks(lattice, _fit(robot), wanted)
@@ -100,6 +103,7 @@ def build_world(source: Any, wanted: Imagination, rules: Rules, max_steps: int) 
     noise = [noise_parameters(one) for one in wanted.noise_range()]
     device = lambda values: jnp.asarray(values, jnp.float32)
     return World(
+        rules=jax.tree.map(jnp.asarray, _rules(wanted, robot)),
         ground=ground,
         ways=ways,
         pool=pool,
@@ -115,7 +119,7 @@ def build_world(source: Any, wanted: Imagination, rules: Rules, max_steps: int) 
     )
 
 
-def _fit(robot: HolonomicRobot | Car) -> Fit:
+def _fit(robot: Robot) -> Fit:
     if isinstance(robot, Car):
         # The rear axle's way is that of the largest disc around it inside the footprint; where a start or goal lies,
         # the car fits at every heading.
