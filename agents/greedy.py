@@ -18,6 +18,7 @@ STEERINGS = 11
 LENGTHS = (0.06, 0.12, 0.24)  # m, of the arcs
 PARTS = 4  # poses of an arc that are tested for collision
 PACE = 0.5  # of the greatest speed
+MARGIN = 0.01  # m around the footprint: the map's surfaces err
 
 
 class GreedyDescent:
@@ -48,7 +49,7 @@ class GreedyDescent:
         if here <= 0.0:
             return Step(np.zeros(2), "at the target")
         for best in np.argsort(cost):
-            if not any(collides(self._arena, pose, self._car) for pose in poses[best]):
+            if not any(collides(self._arena, pose, self._car, MARGIN) for pose in poses[best]):
                 speed = np.sign(self._length[best]) * min(
                     PACE * self._car.max_speed, abs(self._length[best]) / self._car.dt
                 )

@@ -4,6 +4,7 @@ Plans once a target, and again where the car has left its plan or ended beside t
 """
 
 import itertools
+import math
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from vssm_gym.planning.footprint_levels import FootprintLevels
 from vssm_gym.planning.hybrid_astar import CarPlan, plan
 from vssm_gym.planning.result import PlanStatus
 
+EXPANSIONS = 300_000  # of a search: a count, not a time, so that runs repeat exactly on any machine
 MARGINS = (0.02, 0.0)  # m around the footprint, tried in turn
 ASTRAY = 0.08  # m from the plan
 TURNED = 0.4  # rad off the plan's heading
@@ -53,7 +55,7 @@ class HybridPursuit:
         """The first drive found: to the target with room to spare, without, then to poses around it."""
         for goal in self._goal + OFFSETS[:, : len(self._goal)]:
             for levels in self._levels:
-                result = plan(levels, self._car, planar, goal)
+                result = plan(levels, self._car, planar, goal, time_limit=math.inf, max_expansions=EXPANSIONS)
                 if result.found:
                     self._drive, self._progress = Drive(result.poses, result.gears), 0.0
                     return result

@@ -28,6 +28,7 @@ class ValueMpc:
         self._arena, self._critic, self._solver = arena, Critic(arena, car), solver
         self._value: CostToGo
         self._memory = safety.init()
+        safety.prepare(solver.problem)
 
     def begin(self, planar: np.ndarray, goal: np.ndarray) -> str | None:
         """Value iteration to the target; the reason where the car cannot get there."""

@@ -156,7 +156,7 @@ class MujocoCar:
             data.ctrl[:] = self._controls(speed, steering)
             for _ in range(round(TICK / SUBSTEP)):
                 mujoco.mj_step(model, data)
-                if data.ncon > len(self._tyres):
+                if data.ncon:
                     touched.update(self._box_of_geom[data.contact.geom].max(axis=1).tolist())
         return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(touched - {-1})))
 

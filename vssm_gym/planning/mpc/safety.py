@@ -25,6 +25,7 @@ from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, chec
 
 REMEMBERED = 50  # commands of the way back: 5 s
 STANDING = 1e-3  # m/s
+WAYS = 4  # out of a step without a plan
 
 
 class SafeKind(Enum):
@@ -64,6 +65,12 @@ class SafeMemory:
 def init() -> SafeMemory:
     """A car that stands."""
     return SafeMemory(np.zeros(2), np.zeros((0, 2)), np.zeros((0, 2)))
+
+
+def prepare(problem: MpcProblem) -> None:
+    """Compile what :func:`step` needs where there is no plan: an emergency waits for no compiler."""
+    drives = jnp.zeros((WAYS, problem.config.horizon, 2))
+    jax.block_until_ready(_drive(problem, jnp.zeros(3), jnp.zeros(2), drives))
 
 
 def step(
