@@ -66,8 +66,7 @@ def reached(rows: Sequence[Row]) -> bytes:
 def scenes(rows: Sequence[Row], seed: int) -> bytes:
     """Mean coverage against metres in each scene, as SVG, with intervals over starts."""
     groups = group_rows(rows, ["scene"])
-    columns = min(SCENE_COLUMNS, len(groups))
-    lines = math.ceil(len(groups) / columns)
+    columns, lines = SCENE_COLUMNS, math.ceil(len(groups) / SCENE_COLUMNS)
     figure = Figure(figsize=(2.9 * columns, 2.3 * lines + 0.4), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes, ((scene,), members) in zip(panels, groups.items(), strict=False):
