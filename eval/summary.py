@@ -46,7 +46,7 @@ SUMMARIES: Mapping[str, Mapping[str, Column]] = {
     "vssm_gym/Explore-v0": {
         f"m to {GOAL} %": lambda rows: way(median_way(rows, GOAL)),
         f"covered {GOAL} %": _percent("success"),
-        "touches": lambda rows: str(sum(row["touched"] for row in rows)),
+        "touched": lambda rows: str(sum(row["touched"] for row in rows)),
     },
 }
 """By environment: heading and text of each column, from the rows of one agent in one condition."""
