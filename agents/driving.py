@@ -40,8 +40,11 @@ class Step:
 class Strategy(Protocol):
     """How a car gets to targets in one floor plan."""
 
-    def begin(self, planar: np.ndarray, goal: np.ndarray) -> str | None:
-        """Turn to a new target, ``(x, y)`` or ``(x, y, heading)``; the reason where no way leads there, else None."""
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
+        """Turn to a new target, ``(x, y)`` or ``(x, y, heading)``; the reason where no way leads there, else None.
+
+        ``control`` is what the car executes as the target changes: it may be moving.
+        """
         ...
 
     def step(self, planar: np.ndarray) -> Step:
@@ -104,7 +107,8 @@ class Driver:
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)
-        self._refused = self._strategy.begin(self._estimate.planar, self._goal.astype(np.float64))
+        goal = self._goal.astype(np.float64)
+        self._refused = self._strategy.begin(self._estimate.planar, goal, self._command)
 
 
 def as_planar(control: np.ndarray, car: Car) -> np.ndarray:

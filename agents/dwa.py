@@ -25,7 +25,7 @@ class Window:
         self._window: DynamicWindow
         self._state: DwaState
 
-    def begin(self, planar: np.ndarray, goal: np.ndarray) -> str | None:
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
         """Distances to the target's position; the reason where none leads from here."""
         self._window = DynamicWindow(self._levels, self._car, goal[:2])
         self._state = self._window.init()

@@ -32,7 +32,7 @@ class GreedyDescent:
         self._length, self._steering = (values.ravel() for values in grid)
         self._value: CostToGo
 
-    def begin(self, planar: np.ndarray, goal: np.ndarray) -> str | None:
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
         """Value iteration to the target; the reason where the car cannot get there."""
         result = self._critic.aim(planar, goal)
         if result.cost_to_go is None:

@@ -33,7 +33,7 @@ class HybridPursuit:
         self._car, self._progress = car, 0.0
         self._levels = [FootprintLevels.from_occupied(*grid, car, margin=margin) for margin in MARGINS]
 
-    def begin(self, planar: np.ndarray, goal: np.ndarray) -> str | None:
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
         """Plan; the planner's reason where it finds no drive."""
         self._goal = goal
         result = self._plan(planar)

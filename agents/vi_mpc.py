@@ -27,12 +27,12 @@ class ValueMpc:
     def __init__(self, arena: Arena, car: Car, solver: MpcSolver) -> None:
         self._arena, self._critic, self._solver = arena, Critic(arena, car), solver
         self._value: CostToGo
-        self._memory = safety.init()
+        self._memory = safety.init(np.zeros(2))
         safety.prepare(solver.problem)
 
-    def begin(self, planar: np.ndarray, goal: np.ndarray) -> str | None:
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
         """Value iteration to the target; the reason where the car cannot get there."""
-        self._memory = safety.init()
+        self._memory = safety.init(control)
         result = self._critic.aim(planar, goal)
         if result.cost_to_go is None:
             return result.status.message

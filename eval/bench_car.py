@@ -168,8 +168,8 @@ def control_row(
     task, value = _next(waiting, critic, planar)
     # Once, uncounted: what compiles, with a plan and without one.
     result = solver.plan(planar, value, arena.clearance)
-    safety.step(PROBLEM, safety.init(), result.judged(0.0), planar, arena.clearance)
-    memory, counter = safety.init(), CompileCounter()
+    safety.step(PROBLEM, safety.init(np.zeros(2)), result.judged(0.0), planar, arena.clearance)
+    memory, counter = safety.init(np.zeros(2)), CompileCounter()
     seconds: list[float] = []
     cpu: list[float] = []
     reached, touched, hit, spent = 0, 0, False, 0
@@ -184,7 +184,7 @@ def control_row(
         if task.reached(planar) or spent == PATIENCE:
             reached, touched = reached + task.reached(planar), touched + hit
             task, value = _next(waiting, critic, planar)
-            memory, hit, spent = safety.init(), False, 0
+            memory, hit, spent = safety.init(np.zeros(2)), False, 0
     milliseconds = [1e3 * s for s in seconds]
     facts = {
         "CPU ms": 1e3 * float(np.median(cpu)),

@@ -11,7 +11,6 @@ from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.footprint import (
     Arena,
-    car_discs,
     cells_under,
     dilate,
     heading_grid,
@@ -66,16 +65,6 @@ def test_several_poses_are_their_union():
     occupied = np.random.default_rng(0).random((60, 50)) < 0.01
     each = [dilate(occupied, [cells_under(p[None], 0.035, CAR, 0.0)])[0] for p in planar]
     assert np.array_equal(dilate(occupied, [union])[0], np.any(each, axis=0))
-
-
-@given(st.integers(1, 8))
-def test_discs_cover_the_footprint(n):
-    offsets, radius = car_discs(CAR, n)
-    union = shapely.union_all([shapely.Point(x, 0.0).buffer(radius, quad_segs=256) for x in offsets])
-    body = rectangle(np.zeros(3))
-    assert shapely.area(body - union) < 1e-5  # what a polygon of a disc leaves out
-    smaller = shapely.union_all([shapely.Point(x, 0.0).buffer(0.99 * radius) for x in offsets])
-    assert shapely.area(body - smaller) > 1e-6
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +131,6 @@ def test_arena_of_cells():
         lambda m: plan_of(m, z_min=5.0, z_max=6.0),
         lambda m: Arena.from_occupied(np.zeros((1, 5), bool), np.zeros(2), 0.1),
         lambda m: Arena.from_occupied(np.zeros((5, 5), bool), np.zeros(2), -0.1),
-        lambda m: car_discs(CAR, 0),
     ],
 )
 def test_bad_input_is_named(half_seen_room, call):

@@ -59,7 +59,7 @@ def test_targets_are_reached_without_a_touch(make) -> None:
         if not found.solved:
             continue
         asked += 1
-        memory, hit = safety.init(), False
+        memory, hit = safety.init(np.zeros(2)), False
         for _ in range(STEPS):
             result = solver.plan(state, found.cost_to_go, arena.clearance, memory.resume, memory.control)
             memory, action = safety.step(PROBLEM, memory, result, state, arena.clearance)

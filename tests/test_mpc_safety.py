@@ -34,7 +34,7 @@ def act(memory: SafeMemory, result: MpcResult, clearance, state=(0.0, 0.0, 0.0))
 @pytest.mark.parametrize("status", [MpcStatus.SOLVED, MpcStatus.ACCEPTABLE])
 def test_a_usable_plan_is_driven_and_remembered(status: MpcStatus) -> None:
     result = answer(status)
-    memory, action = act(safety.init(), result, OPEN)
+    memory, action = act(safety.init(np.zeros(2)), result, OPEN)
     assert action.kind is SafeKind.PLANNED
     np.testing.assert_array_equal(action.control, result.controls[0])
     assert memory.resume is result
@@ -43,7 +43,7 @@ def test_a_usable_plan_is_driven_and_remembered(status: MpcStatus) -> None:
 
 def test_while_answers_are_late_the_last_plan_goes_on_to_its_end_and_then_stops() -> None:
     controls = np.stack([np.full(15, 0.5), np.linspace(0.0, 0.14, 15)], axis=-1)
-    memory, _ = act(safety.init(), answer(MpcStatus.SOLVED, controls), OPEN)
+    memory, _ = act(safety.init(np.zeros(2)), answer(MpcStatus.SOLVED, controls), OPEN)
     memory = replace(memory, control=controls[0])
     for k in range(1, 15):
         memory, action = act(memory, answer(MpcStatus.LATE), OPEN)

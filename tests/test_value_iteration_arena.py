@@ -60,13 +60,17 @@ def policy_cost(cost: CostToGo, motions: Motions, planar: np.ndarray, goal: np.n
     """Discounted motions of the greedy policy in the continuous world: the motion with the best value that is free.
 
     Arcs of a circle from where the car is, collisions by polygons; ``1 / (1 - gamma)`` for those that do not arrive.
+    The last motion is never undone: no optimal drive does that, and one that interpolated values send to and fro would.
     """
     planar, total, active = planar.copy(), np.zeros(len(planar)), np.ones(len(planar), bool)
+    last = np.full(len(planar), -1)
     share = np.linspace(0.0, 1.0, 9)[1:]
     curvature = np.tan(motions.controls[:, 1]) / CAR.wheelbase
     ahead = np.sign(motions.controls[:, 0]) * motions.length
     angle = (ahead * curvature)[:, None] * share
     chord = ahead[:, None] * share * np.sinc(0.5 * angle / np.pi)
+    same, opposite = np.isclose(curvature[:, None], curvature), (ahead[:, None] > 0.0) != (ahead > 0.0)
+    undoing = np.argmax(same & opposite, axis=1)
     arrived = lambda z: np.hypot(z[:, 0] - goal[0], z[:, 1] - goal[1]) <= RADIUS
     for t in range(LONGEST):
         active &= ~arrived(planar)
@@ -79,7 +83,10 @@ def policy_cost(cost: CostToGo, motions: Motions, planar: np.ndarray, goal: np.n
             [z[..., 0] + chord * np.cos(direction), z[..., 1] + chord * np.sin(direction), z[..., 2] + angle], axis=-1
         )
         left, best = np.arange(len(now)), np.full(len(now), -1)
-        for choice in np.argsort(cost.at(arcs[:, :, -1]), axis=1).T:
+        value = np.array(cost.at(arcs[:, :, -1]))
+        moving = np.flatnonzero(last[now] >= 0)
+        value[moving, undoing[last[now[moving]]]] = np.inf
+        for choice in np.argsort(value, axis=1).T:
             bodies = shapely.polygons(CAR.corners(arcs[left, choice[left]]))
             hit = shapely.intersects(solid, bodies).any(axis=1)
             best[left[~hit]] = choice[left[~hit]]
@@ -87,6 +94,7 @@ def policy_cost(cost: CostToGo, motions: Motions, planar: np.ndarray, goal: np.n
         active[now[left]] = False  # nowhere to go
         moved = best >= 0
         total[now[moved]] += cost.gamma**t
+        last[now[moved]] = best[moved]
         planar[now[moved]] = arcs[np.flatnonzero(moved), best[moved], -1]
     return np.where(arrived(planar), total, cost.never)
 
@@ -122,7 +130,6 @@ def test_policy_cost_within_3_percent_of_twice_the_resolution(arena, grids, goal
     coarse, fine = (solve(grid, goal[:2]).cost_to_go for grid in grids)
     starts = starts[(coarse.at(starts) < 99.0) & (fine.at(starts) < 99.0)][:300]
     a, b = (policy_cost(c, g.motions, starts, goal, solid) for c, g in zip((coarse, fine), grids, strict=True))
-    both = (a < coarse.never) & (b < fine.never)
-    assert (a < coarse.never).mean() > 0.95  # greedy without looking ahead: the rest turns to and fro in tight places
-    assert a[both].mean() <= 1.03 * b[both].mean()
+    assert (a < coarse.never).mean() > 0.98
+    assert a.mean() <= 1.03 * b.mean()  # over all starts: one that does not arrive costs as much as never
     assert coarse.at(starts).mean() == pytest.approx(fine.at(starts).mean(), rel=0.03)

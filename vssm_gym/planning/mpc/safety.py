@@ -62,9 +62,9 @@ class SafeMemory:
     resume: MpcResult | None = None  # the last result, for the solver's warm start; None after a break
 
 
-def init() -> SafeMemory:
-    """A car that stands."""
-    return SafeMemory(np.zeros(2), np.zeros((0, 2)), np.zeros((0, 2)))
+def init(control: np.ndarray) -> SafeMemory:
+    """A car that executes ``(speed m/s, steering rad)``, zeros for one that stands, and has no plan."""
+    return SafeMemory(control, np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 def prepare(problem: MpcProblem) -> None:
