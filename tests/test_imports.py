@@ -52,7 +52,16 @@ ALLOWED["data.handheld"] = BASE | {"envs"}
 ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "planning"}
 ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
 ALLOWED["viz"] = BASE | {"block_table", "voxel_map", "emission"}
-ALLOWED["eval"] |= {"__init__", "envs", "data.trajectories", "data.sequences", "data.recording", "data.flights", "viz"}
+ALLOWED["eval"] |= {
+    "__init__",
+    "envs",
+    "envs.world_model",
+    "data.trajectories",
+    "data.sequences",
+    "data.recording",
+    "data.flights",
+    "viz",
+}
 ALLOWED["cli"] |= ALLOWED["eval"]
 
 ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray", "open3d", "rerun"}
