@@ -29,6 +29,7 @@ from vssm_gym.voxel_map import VoxelMap
 
 ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
 LEAST_STEP = 0.02  # m, worth its noise
+TRIES = 4  # steps in a row that are refused, after which a goal is given up
 ALIGNED = 0.12  # rad, the same of a look
 
 
@@ -119,13 +120,22 @@ class Explorer:
         return self._own.map
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
-        """Open an episode in a world of which nothing is known."""
+        """Open an episode in a world of which nothing is known.
+
+        A choice is made and dropped, so that compiling is no part of any step's latency.
+        """
         if "pose" not in observation:
             raise InputError("observation", "pose", "the true pose: make the environment with observe_pose=True")
         self._context = context
-        self._own = OwnMap(context, self._own_config)
+        planar = np.asarray(observation["pose"], np.float64)
+        self._begin(float(planar[2]), seed)
+        self._own.take(planar, observation)
+        self._choose(planar, self._own.plan())
+        self._begin(float(planar[2]), seed)
+
+    def _begin(self, heading: float, seed: int) -> None:
+        self._own = OwnMap(self._context, self._own_config)
         self._strategy.reset(seed)
-        heading = float(observation["pose"][2])
         self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
         self._path: np.ndarray | None = None
         self._roadmap: Roadmap | None = None
@@ -144,7 +154,7 @@ class Explorer:
         self._age += 1
         near = floor.clearance(planar[:2], 1.2)
         if self._done(planar):
-            self._dismiss()
+            self._close()
         if self._pointless(floor) or self._stale(planar, near):
             self._choice = None
         finished = None
@@ -212,24 +222,28 @@ class Explorer:
             if choice.goal is None:
                 return None
             # The roadmap's edges are looked at less closely than A*'s: a way may need less room than was asked.
-            for tight in (margin, 0.5 * margin, 0.0, -0.02):
+            for tight in (margin, 0.5 * margin, 0.0):
                 way = plan(roadmap.clearance, planar, choice.goal, self._radius, margin=tight, goal_radius=ARRIVED)
                 if way.found:
                     self._margin, self._path = tight, way.path if len(way.path) > 1 else None
                     return None
-            self._failures += 1
-            self._dismissed.append(np.atleast_2d(choice.goal))
-            self._dismiss()
-            self._failed = way.status.message
+            self._failures, self._failed = self._failures + 1, way.status.message
+            self._give_up()
             return None
         room = reached * floor.resolution**2
         return "finished: nothing left to gain" if room > math.pi * self._radius**2 else "boxed in: no free place to go"
 
-    def _dismiss(self) -> None:
-        """Give up what the choice was about."""
+    def _close(self) -> None:
+        """The choice is carried out; what of its target is unknown still is not to be seen."""
         if self._choice is not None and self._choice.target is not None:
             self._dismissed.append(self._choice.target)
         self._choice, self._arrived = None, True
+
+    def _give_up(self) -> None:
+        """The robot does not get to where it wanted to."""
+        if self._choice is not None and self._choice.goal is not None:
+            self._dismissed.append(self._choice.goal[None])
+        self._close()
 
     def _command(self, planar: np.ndarray, near: ClearanceMap) -> tuple[np.ndarray, str]:
         """One step along the path, or one turn towards the next look."""
@@ -245,8 +259,8 @@ class Explorer:
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
             self._failures += 1
-            if self._failures % 4 == 0:
-                self._dismiss()
+            if self._failures % TRIES == 0:
+                self._give_up()
             self._choice = None
             return np.array([limits[0], 0.0, 0.0]), "held up: choosing anew"
         if not choice.looks:

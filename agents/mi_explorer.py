@@ -40,12 +40,12 @@ class MiExplorerConfig:
     hazard: float = 0.7  # 1/m, of surfaces in unknown space, which an image at the map's mean does not have
     least_area: float = 0.05  # m^2 of unknown space that a candidate sees
     places: int = 10  # candidates that are imagined, at most
-    decay: float = 0.1  # 1/m, by which nearer ones are taken for them
+    decay: float = 0.2  # 1/m, by which nearer ones are taken for them
     least_gain: float = 1000.0  # nats, of a place that is worth going to
     headings: int = 8  # of looks from here
-    least_look: float = 3000.0  # nats, of one of them
-    look_share: float = 0.02  # and of the whole tour's gain
-    turn_price: float = 300.0  # nats a radian
+    least_look: float = 2000.0  # nats, of one of them less the turn's price
+    look_share: float = 0.02  # the same on the way, of the whole tour's gain
+    turn_price: float = 2000.0  # nats a radian, of the time that it takes: about a third of what driving gains in it
     repeat: tuple[float, float] = (0.3, 0.5)  # m and rad: looks so close to one that was made are not made again
     strip: float = 1.0 / 3.0  # of the image's height, around the horizon: see `_strip`
     # A cell that was observed is known to 3 cm: looking again would outweigh, by the number of known cells, a small
@@ -92,10 +92,11 @@ class MutualInformation:
             return None
         planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
         nats = gain(planar, np.arange(len(fresh))[:, None])[:, -1]
-        k = int(np.argmax(nats - c.turn_price * np.abs(wrap_angle(fresh - heading))))
+        value = nats - c.turn_price * np.abs(wrap_angle(fresh - heading))
+        k = int(np.argmax(value))
         # On the way only what is worth a stop; where it came to look, all there is to see.
         on_the_way = 0.0 if self._is_visited(belief.planar[:2]) else c.look_share * self._left
-        if nats[k] < max(c.least_look, on_the_way):
+        if value[k] < max(c.least_look, on_the_way):
             return None
         self._looks.append((x, y, float(fresh[k])))
         return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
