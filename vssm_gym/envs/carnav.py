@@ -138,6 +138,8 @@ class CarNavEnv(StagedEnv):
             raise InputError("reset", "options", expected)
         number = 0 if self.task is None else self.task.id + 1  # of a chain's next task
         task, goal, restart = options.get("task"), options.get("goal"), options.get("restart", False)
+        if not isinstance(restart, bool):
+            raise InputError("reset", "options['restart']", f"True or False; found {restart!r:.80}")
         on = self.chain and self.task is not None and seed is None and task is None and not restart
         on = on and self.body.upright() and self._on_floor()
         if goal is not None and not on:

@@ -102,7 +102,7 @@ class MpcStatus(Enum):
     SOLVED = "solved: every constraint holds, the solver converged"
     ACCEPTABLE = "acceptable: every constraint holds, the solver stopped before it converged"
     INFEASIBLE = "infeasible: no plan was found that keeps the margin"
-    BLOCKED = "infeasible: the car is inside an obstacle of the map"
+    BLOCKED = "infeasible: the car is inside an obstacle of the map, or closer to it than the discs that cover it"
     LATE = "late: the answer came after the deadline"
 
     @property
