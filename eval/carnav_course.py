@@ -121,7 +121,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
 
 
 def shortest_curve(start: np.ndarray, goal: np.ndarray, radius: float) -> float:
-    """Length (m) of the shortest Reeds-Shepp curve from a pose into the region of a target: no car drives less (to 4 mm).
+    """Length (m) of the shortest Reeds-Shepp curve from a pose into a target's region: to 4 mm, no car drives less.
 
     Over a lattice of the region; at least a millimetre, so that ratios stay finite.
     """
