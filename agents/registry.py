@@ -12,6 +12,8 @@ from vssm_gym.agents.hybrid_astar import HybridAStarAgent
 from vssm_gym.agents.mi_explorer import MiExplorerAgent
 from vssm_gym.agents.no_map import NoMapAgent
 from vssm_gym.agents.oracle import OracleAgent
+from vssm_gym.agents.policy import PolicyAgent
+from vssm_gym.agents.policy_file import PREFIX
 from vssm_gym.agents.random import RandomAgent
 from vssm_gym.agents.random_walk import RandomWalkAgent
 from vssm_gym.agents.vi_ipopt import ViIpoptAgent
@@ -41,3 +43,13 @@ AGENTS: dict[str, type[Agent]] = {
         RandomWalkAgent,
     )
 }
+
+
+def agent_type(name: str) -> type[Agent]:
+    """The class of an agent of the table, or of ``policy:FILE``."""
+    return PolicyAgent if name.startswith(PREFIX) else AGENTS[name]
+
+
+def make_agent(name: str) -> Agent:
+    """An agent of the table, or the policy of a file (``policy:FILE``)."""
+    return PolicyAgent(name.removeprefix(PREFIX)) if name.startswith(PREFIX) else AGENTS[name]()

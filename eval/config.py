@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal, TypeVar
 import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from vssm_gym.agents.policy_file import PREFIX as POLICY
+from vssm_gym.agents.policy_file import agent_label, policy_at
 from vssm_gym.envs.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 
@@ -18,19 +20,21 @@ T = TypeVar("T")
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
 
 
-def _as_tuple(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
+    """A list as a tuple, anything else as a tuple of it alone."""
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-def _distinct(values: tuple[T, ...]) -> tuple[T, ...]:
+def distinct(values: tuple[T, ...]) -> tuple[T, ...]:
+    """The values; a repeated one raises ValueError."""
     if len(set(values)) != len(values):
         raise ValueError(f"values that differ from each other, found {list(values)}")
     return values
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_as_tuple), AfterValidator(_distinct), Field(min_length=1)]
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)]
 Seeds = Annotated[
-    tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(_as_tuple), AfterValidator(_distinct), Field(min_length=1)
+    tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)
 ]
 
 
@@ -45,7 +49,7 @@ def _task_ids(value: Any) -> Any:
         if not (dash and first.strip().isdigit() and last.strip().isdigit()):
             raise ValueError(f"a number of tasks, a range like 20-39 or a list of task numbers, found {value!r}")
         return tuple(range(int(first), int(last) + 1))
-    return _as_tuple(value)
+    return as_tuple(value)
 
 
 class ExploreSettings(BaseModel):
@@ -64,7 +68,8 @@ class ExploreSettings(BaseModel):
 class SweepConfig(BaseModel):
     """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
 
-    ``scenes`` are built-in names or paths of scene files; a relative path starts at the folder of the YAML file.
+    ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry or ``policy:FILE``; a
+    relative path starts at the folder of the YAML file.
     ``voxel`` (m) is the cell size of the maps that agents are given; ``map_poses`` says whether their images were taken
     where the recording has them or where PRISM estimates them. ``explore`` is for Explore alone.
     """
@@ -123,7 +128,7 @@ class Episode:
             "physics": c.physics,
             "task": self.task,
             "seed": self.seed,
-            "agent": self.agent,
+            "agent": agent_label(self.agent),
         }
 
 
@@ -172,17 +177,20 @@ def load_config(path: Path) -> SweepConfig:
     try:
         config = SweepConfig.model_validate(data)
     except ValidationError as error:
-        raise _first_problem(path, error) from error
-    config = config.model_copy(update={"scenes": tuple(_resolve(path, scene) for scene in config.scenes)})
+        raise first_problem(path, error, SweepConfig) from error
+    scenes = tuple(_resolve(path, scene) for scene in config.scenes)
+    agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
+    config = config.model_copy(update={"scenes": scenes, "agents": agents})
     check_names(config, path)
     return config
 
 
-def _first_problem(path: Path, error: ValidationError) -> InputError:
+def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:
+    """What is wrong in a file of ``model``, its first problem only."""
     problem = error.errors()[0]
     field = ".".join(str(part) for part in problem["loc"]) or "file"
     if problem["type"] == "extra_forbidden":
-        return InputError(path, field, f"one of the fields {', '.join(SweepConfig.model_fields)}")
+        return InputError(path, field, f"one of the fields {', '.join(model.model_fields)}")
     if problem["type"] == "missing":
         return InputError(path, field, "this field")
     return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))
@@ -199,7 +207,7 @@ def _resolve(config_path: Path, scene: str) -> str:
 def check_names(config: SweepConfig, source: object) -> None:
     """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
     # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
-    from vssm_gym.agents.registry import AGENTS
+    from vssm_gym.agents.registry import AGENTS, agent_type
     from vssm_gym.envs.robots import NOISE_LEVELS
     from vssm_gym.envs.scene import built_in_scenes
     from vssm_gym.envs.sensor_noise import PRESETS
@@ -217,7 +225,11 @@ def check_names(config: SweepConfig, source: object) -> None:
     task = COURSES[config.env[0]].task
     if config.explore is not None and task != "explore":
         raise InputError(source, "explore", f"no such field with {config.env[0]}: only explorers have it")
-    able = sorted(name for name, agent in AGENTS.items() if (agent.robot, agent.task) == (robots[0], task))
+    policies = [name for name in config.agents if name.startswith(POLICY)]
+    types = {name: agent_type(name) for name in (*AGENTS, *policies)}
+    able = sorted(name for name, agent in types.items() if (agent.robot, agent.task) == (robots[0], task))
+    if len({agent_label(name) for name in config.agents}) < len(config.agents):
+        raise InputError(source, "agents", "policies that differ from each other; two of these are the same")
     physics = list(COURSES[config.env[0]].physics)
 
     known: list[tuple[str, Sequence[str], Sequence[str]]] = [

@@ -14,6 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+from vssm_gym.agents.policy_file import agent_label
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
@@ -88,9 +89,10 @@ def check_arguments(out: Path, workers: int, seed: int) -> None:
 
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
-    """16 hex digits of what decides the results: configuration, scenes (by content, not by path), seed."""
+    """16 hex digits of what decides the results: configuration, scenes and policies (by content, not by path), seed."""
     content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
     content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
+    content["agents"] = [agent_label(agent) for agent in config.agents]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -98,7 +100,10 @@ def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, 
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     robot = HolonomicRobot()
     spaces = {s: FreeSpace.from_apartment(a, robot.radius, robot.height) for s, a in apartments.items()}
-    shown = config.model_dump(mode="json") | {"scenes": [scene_name(scene) for scene in config.scenes]}
+    shown = config.model_dump(mode="json") | {
+        "scenes": [scene_name(scene) for scene in config.scenes],
+        "agents": [agent_label(agent) for agent in config.agents],
+    }
     return {
         "config": shown,
         "config_hash": config_hash(config, hashes, seed),
@@ -137,19 +142,19 @@ def _jobs(
     progress: Progress | None,
 ) -> list[worker.Job]:
     """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
-    from vssm_gym.agents.registry import AGENTS
+    from vssm_gym.agents.registry import agent_type
 
     apartment, map_file = load_scene(scene), None
     task_files = {}
     for env in dict.fromkeys(episode.condition.env for episode in episodes):
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"
         course_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
-    if any(AGENTS[episode.agent].needs_map for episode in episodes):
+    if any(agent_type(episode.agent).needs_map for episode in episodes):
         map_file = ensure_map(
             scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, progress=progress
         )
     with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
-    maps = {agent: with_map if AGENTS[agent].needs_map else without for agent in config.agents}
+    maps = {agent: with_map if agent_type(agent).needs_map else without for agent in config.agents}
     signature = apartment.content_hash(), manifest["config_hash"], package_version()
     return [
         worker.Job(

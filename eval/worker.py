@@ -120,9 +120,9 @@ def release_memory() -> None:
 
 @cache
 def _agent(name: str) -> "Agent":
-    from vssm_gym.agents.registry import AGENTS
+    from vssm_gym.agents.registry import make_agent
 
-    return AGENTS[name]()
+    return make_agent(name)
 
 
 @lru_cache(maxsize=1)

@@ -24,6 +24,8 @@ COMMANDS: dict[str, Any] = {
     "scene": {"preview": "scene.preview", "import": "scene.import_", "generate": "scene.generate"},
     "record": "record.record",
     "map": {"build": "map.build", "export": "map.export"},
+    "train": "train.train",
+    "evaluate": "evaluate.evaluate",
     "sweep": "sweep.sweep",
     "report": "report.report",
     "slam": "slam.slam",

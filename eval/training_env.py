@@ -1,0 +1,123 @@
+"""The vector environment that a training steps: observations as feature vectors, actions in [-1, 1], no stop.
+
+Imagined (WorldModelNav) or simulated (PointNav, wrapped to observe the same), chosen by the configuration. Episodes end
+on arrival: a policy that may stop by chance would end nearly all of its first ones at once, and learn nothing. On the
+robot the agent stops by its estimate (:mod:`vssm_gym.agents.policy`).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.agents.policy_input import features, size_of
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scan_wrapper import VectorScanObservation
+from vssm_gym.envs.scene import load_scene
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.tasks import SUCCESS
+from vssm_gym.envs.vector_wrappers import RelativeGoal
+from vssm_gym.errors import InputError
+from vssm_gym.eval.maps import map_hash
+from vssm_gym.eval.training_config import WORLD_MODEL, EnvironmentSettings
+from vssm_gym.scan import BEAMS, MAX_DEPTH
+
+SCAN_CAMERA = CameraConfig(BEAMS, 1)  # of PointNav: the scan's rays exactly, and no others
+
+
+@dataclass(frozen=True)
+class Body:
+    """What a policy file says of robot and scan; SI units."""
+
+    low: np.ndarray  # (3,) turn, direction, step
+    high: np.ndarray
+    success_radius: float
+    hfov: float = CameraConfig().hfov
+    max_depth: float = MAX_DEPTH
+
+    @classmethod
+    def of(cls, robot: HolonomicRobot) -> "Body":
+        """The holonomic robot's."""
+        low = np.array([-robot.max_turn, -robot.max_offset, 0.0])
+        return cls(low, robot.limits, SUCCESS * robot.body_length)
+
+
+BODY = Body.of(HolonomicRobot())
+
+
+class PolicyView(VectorWrapper):
+    """``(n, features)`` instead of observations, ``(n, 3)`` in [-1, 1] instead of commands, ``is_success`` in infos.
+
+    Args:
+        env: observes ``scan``, ``goal`` from the robot, ``pose``; takes (turn, o, s, stop).
+        parts: of the observation that are shown.
+
+    Attributes:
+        shown: the last observations of ``env`` as they are.
+    """
+
+    def __init__(self, env: VectorEnv, parts: tuple[str, ...]) -> None:
+        super().__init__(env)
+        self.parts = parts
+        self.shown: dict[str, np.ndarray] = {}
+        size = size_of(parts)
+        self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin episodes; infos say nothing."""
+        self.shown, _ = self.env.reset(seed=seed, options=options)
+        return features(self.shown, self.parts), {}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, Any, Any, Any, dict[str, Any]]:
+        """Carry out actions in [-1, 1]; infos say of episodes that ended whether they succeeded."""
+        observations, rewards, terminated, truncated, _ = self.env.step(commands(actions))
+        self.shown, ended = observations, terminated | truncated
+        told = {"is_success": terminated.copy(), "_is_success": ended} if ended.any() else {}  # it ends on arrival
+        return features(observations, self.parts), rewards, terminated, truncated, told
+
+
+def commands(actions: np.ndarray) -> np.ndarray:
+    """``(n, 4)`` float32 (turn, o, s, stop = 0) of actions ``(n, 3)`` in [-1, 1]."""
+    driven = BODY.low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (BODY.high - BODY.low)
+    return np.concatenate([driven, np.zeros((len(driven), 1))], axis=-1).astype(np.float32)
+
+
+def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...]) -> PolicyView:
+    """The environment of a configuration.
+
+    Raises :class:`InputError` for a map, a scene or a keyword that it does not take.
+    """
+    return PolicyView(make_observing(settings), parts)
+
+
+def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
+    """The same, observing ``scan, goal, pose`` as they are and taking SI commands; ``more`` keywords of it."""
+    shared = {"num_envs": settings.num_envs, "max_episode_steps": settings.max_episode_steps, "end_on": "reach"}
+    keywords: dict[str, Any] = shared | settings.keywords | more
+    # YAML knows lists only
+    keywords = {name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()}
+    if settings.id == WORLD_MODEL:
+        return gym.make_vec(settings.id, map=settings.map, **keywords)
+    try:
+        env = gym.make_vec(settings.id, scene=settings.scene, camera=SCAN_CAMERA, observe_pose=True, **keywords)
+    except TypeError as error:
+        raise InputError(settings.id, "keywords", f"those of the environment ({error})") from error
+    return VectorScanObservation(RelativeGoal(env))
+
+
+def world_hash(settings: EnvironmentSettings) -> str:
+    """16 hex digits of the map, or of the scene."""
+    if settings.id == WORLD_MODEL:
+        path = Path(settings.map or "")
+        if not path.is_file():
+            raise InputError(path, "file", "an existing map file (.npz); `vssm-gym map build` makes one")
+        return map_hash(path)
+    return load_scene(settings.scene or "").content_hash()[:16]

@@ -1,0 +1,68 @@
+"""``vssm-gym evaluate POLICY --out DIR``: what a trained policy is worth in the simulator, and in its imagination."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def evaluate(
+    policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")],
+    out: Path,
+    scene: str = "oak",
+    tasks: int = 100,
+    noise: str = "low",
+    map: Path | None = None,
+    resume: bool = False,
+    workers: int = 2,
+    seed: int = 0,
+) -> None:
+    """Run a policy file on a scene's test tasks in MuJoCo, as a sweep does, and on the same tasks in the learned map.
+
+    OUT is a sweep's folder, so `vssm-gym report OUT` draws it; evaluation.json has the numbers that are printed.
+
+    Args:
+        policy: policy.npz of `vssm-gym train`.
+        out: new or empty folder for the results.
+        scene: built-in name or path of a scene file.
+        tasks: how many of the scene's test tasks.
+        noise: of execution: none, low, mid or high.
+        map: the map file to imagine in; by default the one that the sweep learns and its agents are given.
+        resume: continue the same evaluation in OUT.
+        workers: processes that run episodes.
+        seed: of the drive that the map is learned from, and of imagination.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from vssm_gym.cli.console import print_notices, progress_bars
+    from vssm_gym.eval.destinations import check_at_least
+    from vssm_gym.eval.policy_evaluation import METRICS, evaluate_policy
+
+    check_at_least("evaluate", "tasks", tasks, 1)
+    print_notices([scene])
+    with progress_bars() as progress:
+        found = evaluate_policy(
+            policy,
+            out,
+            scene=scene,
+            tasks=tasks,
+            noise=noise,
+            map_file=map,
+            resume=resume,
+            workers=workers,
+            seed=seed,
+            progress=progress,
+        )
+    title = f"{found.label} · {scene} · {noise} · {tasks} tasks; in brackets 95 % intervals"
+    table = Table(title=title, title_justify="left", box=None)
+    table.add_column("", no_wrap=True)
+    for metric in METRICS:
+        table.add_column(metric, justify="right", no_wrap=True)
+    for name, means in (("real", found.real), ("imagined", found.imagined), ("imagined - real", found.gap)):
+        if means is not None:
+            table.add_row(name, *(means[metric].text() for metric in METRICS))
+    Console(highlight=False).print(table)
+    if found.notice:
+        print(f"nothing imagined: {found.notice}")
+    print(f"next: vssm-gym report {out}")

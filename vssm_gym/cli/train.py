@@ -1,0 +1,52 @@
+"""``vssm-gym train CONFIG --out DIR``: train a policy in a learned map, or in the simulator (SPEC 10)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def train(
+    config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
+    out: Path,
+    resume: bool = False,
+    map: Path | None = None,
+    seed: int | None = None,
+) -> None:
+    """Train a policy; OUT gets policy.npz, checkpoint.pt, progress.jsonl and logs for TensorBoard.
+
+    Interrupt at any time: what was learned is kept, and --resume goes on with it. To judge the policy, run
+    `vssm-gym evaluate`, or name it in a sweep as "policy:OUT/policy.npz".
+
+    Args:
+        config: YAML with name, environment, policy, algorithm, steps [minutes, seed]; eval/configs/ppo_oak.yaml is one.
+        out: new or empty folder for the results.
+        resume: go on with the training of the same configuration in OUT.
+        map: the map file to train in, in place of the configuration's.
+        seed: of network, exploration and environments, in place of the configuration's.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from vssm_gym.eval.destinations import check_at_least
+    from vssm_gym.eval.training import PROGRESS, run_training
+    from vssm_gym.eval.training_config import load_training
+
+    if seed is not None:
+        check_at_least("train", "seed", seed, 0)
+    checked = load_training(config, map_file=map, seed=seed)
+    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}"))
+    console = Console(stderr=True)
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
+        bar = progress.add_task("compiling", total=1.0)
+
+        def told(row: dict, share: float) -> None:
+            progress.update(bar, completed=share, description=_said(row))
+
+        policy = run_training(checked, out, resume=resume, told=told)
+    print(f"progress: {out / PROGRESS}\npolicy: {policy}\nnext: vssm-gym evaluate {policy} --out DIR")
+
+
+def _said(row: dict) -> str:
+    text = f"{row['steps']:,} steps"
+    return text if row["success"] is None else f"{text}, return {row['return']:.2f}, success {row['success']:.0%}"
