@@ -68,9 +68,8 @@ def test_all_five_are_registered():
         assert (agent.robot, agent.needs_pose, agent.needs_map) == ("holonomic", True, False)
 
 
-@pytest.mark.parametrize(
-    "name", ["frontier_nearest", "frontier_gain", pytest.param("mi_explorer", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["frontier_nearest", "frontier_gain", "mi_explorer"])
 def test_explorers_see_everything_and_stop(name, world):
     agent = AGENTS[name]()
     decisions, infos = explore(agent, world, 500)

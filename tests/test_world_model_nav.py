@@ -23,6 +23,7 @@ STRAIGHT = np.array([0.0, 0.0, 0.16, 0.0], np.float32)
 EXACT: dict[str, Any] = {"noise": "none", "pose_std": (0.0, 0.0, 0.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["holonomic", "car"])
 def test_both_checkers_accept_it(robot):
     theirs = pytest.importorskip("stable_baselines3.common.env_checker", reason="the rl extra is not installed")
