@@ -1,6 +1,7 @@
 """``evaluate POLICY``: a trained policy in the simulator, through the ordinary sweep, and beside it in imagination."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,8 +99,9 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, Interval]:
 
 
 def _plain(evaluation: Evaluation) -> dict[str, Any]:
-    """As JSON has it: [mean, low, high]."""
-    numbers = lambda means: None if means is None else {k: [i.mean, i.low, i.high] for k, i in means.items()}
+    """As JSON has it: [mean, low, high], null for what one task leaves unknown."""
+    known = lambda value: value if math.isfinite(value) else None
+    numbers = lambda means: means and {k: [known(v) for v in (i.mean, i.low, i.high)] for k, i in means.items()}
     return {
         "policy": evaluation.label,
         "real": numbers(evaluation.real),

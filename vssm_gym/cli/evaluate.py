@@ -56,12 +56,14 @@ def evaluate(
         )
     title = f"{found.label} · {scene} · {noise} · {tasks} tasks; in brackets 95 % intervals"
     table = Table(title=title, title_justify="left", box=None)
+    worlds = {"real": found.real, "imagined": found.imagined, "imagined - real": found.gap}
+    shown = {name: means for name, means in worlds.items() if means is not None}
     table.add_column("", no_wrap=True)
+    for name in shown:
+        table.add_column(name, justify="right", no_wrap=True)
     for metric in METRICS:
-        table.add_column(metric, justify="right", no_wrap=True)
-    for name, means in (("real", found.real), ("imagined", found.imagined), ("imagined - real", found.gap)):
-        if means is not None:
-            table.add_row(name, *(means[metric].text() for metric in METRICS))
+        digits = 1 if metric == "collisions" else 2
+        table.add_row(metric, *(means[metric].text(digits) for means in shown.values()))
     Console(highlight=False).print(table)
     if found.notice:
         print(f"nothing imagined: {found.notice}")
