@@ -44,6 +44,7 @@ class EnvironmentSettings(BaseModel):
     scene: str | None = None  # of PointNav
     num_envs: Whole = 256
     max_episode_steps: Whole = 300
+    contact_cost: Annotated[float, Field(ge=0.0)] = 0.0  # of a step in contact, beside the environment's own reward
 
     @property
     def keywords(self) -> dict[str, Any]:

@@ -56,14 +56,15 @@ class PolicyView(VectorWrapper):
     Args:
         env: observes ``scan``, ``goal`` from the robot, ``pose``; takes (turn, o, s, stop).
         parts: of the observation that are shown.
+        contact_cost: that a step in contact takes from the reward: a tracker that bumps into things loses its way.
 
     Attributes:
         shown: the last observations of ``env`` as they are.
     """
 
-    def __init__(self, env: VectorEnv, parts: tuple[str, ...]) -> None:
+    def __init__(self, env: VectorEnv, parts: tuple[str, ...], contact_cost: float = 0.0) -> None:
         super().__init__(env)
-        self.parts = parts
+        self.parts, self.contact_cost = parts, contact_cost
         self.shown: dict[str, np.ndarray] = {}
         size = size_of(parts)
         self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float32)
@@ -78,7 +79,8 @@ class PolicyView(VectorWrapper):
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, Any, Any, Any, dict[str, Any]]:
         """Carry out actions in [-1, 1]; infos say of episodes that ended whether they succeeded."""
-        observations, rewards, terminated, truncated, _ = self.env.step(commands(actions))
+        observations, rewards, terminated, truncated, infos = self.env.step(commands(actions))
+        rewards = rewards - self.contact_cost * np.asarray(infos["collision"])
         self.shown, ended = observations, terminated | truncated
         told = {"is_success": terminated.copy(), "_is_success": ended} if ended.any() else {}  # it ends on arrival
         return features(observations, self.parts), rewards, terminated, truncated, told
@@ -95,7 +97,7 @@ def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...]) -> 
 
     Raises :class:`InputError` for a map, a scene or a keyword that it does not take.
     """
-    return PolicyView(make_observing(settings), parts)
+    return PolicyView(make_observing(settings), parts, settings.contact_cost)
 
 
 def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
