@@ -6,7 +6,7 @@ lies in memory only: a training that is interrupted before the network is fitted
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,14 +15,16 @@ from vssm_gym.agents.localization import TruePose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.errors import InputError
-from vssm_gym.eval.training import Run
 from vssm_gym.eval.training_env import BODY, make_training_env
 from vssm_gym.voxel_map import VoxelMap
+
+if TYPE_CHECKING:
+    from vssm_gym.eval.training import Run
 
 SHARE_COLLECTING = 0.8  # of the minutes; the rest is for fitting
 
 
-def clone(run: Run) -> None:
+def clone(run: "Run") -> None:
     """Collect ``steps`` of the expert's, fit, and write the policy."""
     from vssm_gym.agents.sb3.cloning import fit
 
@@ -49,7 +51,7 @@ def clone(run: Run) -> None:
     run.end(row, lambda: run.write_policy(layers, "clip"))
 
 
-def collect(run: Run) -> tuple[np.ndarray, np.ndarray]:
+def collect(run: "Run") -> tuple[np.ndarray, np.ndarray]:
     """What a policy would have seen ``(n, inputs)``, and what the expert did in [-1, 1] ``(n, 3)``, float32."""
     from vssm_gym.agents.sb3.learner import wrapped
 

@@ -7,6 +7,7 @@ The order matters: libraries read the thread counts when they load, and only wha
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 # Under xdist each worker gets its share of the cores instead of all of them.
@@ -16,9 +17,12 @@ if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
         os.environ.setdefault(variable, share)
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import jax
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from jaxtyping import install_import_hook
+
+FORGET_ABOVE = 4e9  # bytes of a test process
 
 # Annotated shapes and dtypes of these modules are checked at every call (STYLE 2). Simulation and planning are left
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
@@ -56,3 +60,13 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no shared/data beside the checkout")
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """A worker that has compiled gigabytes of functions forgets them between modules; the cache on disk has them."""
+    yield
+    if sys.platform == "linux":
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        if pages * os.sysconf("SC_PAGE_SIZE") > FORGET_ABOVE:
+            jax.clear_caches()
