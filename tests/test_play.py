@@ -191,7 +191,7 @@ class Screen:
     def wait_for(self, expected: str) -> str:
         """Read until ``expected`` was written; what came, without escapes."""
         seen = ""
-        deadline = time.monotonic() + 30.0  # against hanging for ever, no claim about speed
+        deadline = time.monotonic() + 120.0  # against hanging for ever, no claim about speed
         while expected not in re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", seen):
             assert time.monotonic() < deadline, seen[-2000:]
             assert self.process.poll() is None, seen[-2000:]
