@@ -201,7 +201,9 @@ class Screen:
 
     def end(self) -> int:
         """Read until the program has ended; its exit code."""
+        deadline = time.monotonic() + 120.0
         while self.process.poll() is None or select.select([self.master], [], [], 0.1)[0]:
+            assert time.monotonic() < deadline, self.written[-2000:]
             if select.select([self.master], [], [], 0.1)[0]:
                 self._read()
         return self.process.returncode
@@ -230,6 +232,7 @@ def terminal(*arguments: str, before_it: str = "") -> Iterator[Screen]:
         cwd=CHECKOUT,
         env=os.environ | {"PYTHONPATH": str(CHECKOUT)},
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs inherit that it is ignored
     )
     screen = Screen(process, master, slave)
     try:
