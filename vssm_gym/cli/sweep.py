@@ -19,7 +19,8 @@ def sweep(
     --resume runs the rest.
 
     Args:
-        config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, physics, seeds, voxel].
+        config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, physics, seeds, voxel,
+            map_poses, explore].
         out: new or empty folder for the results.
         resume: continue a sweep of the same configuration in OUT.
         workers: processes that run episodes.
