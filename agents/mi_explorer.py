@@ -51,7 +51,7 @@ class MiExplorerConfig:
     # A cell that was observed is known to 3 cm: looking again would outweigh, by the number of known cells, a small
     # place that nobody has seen.
     information: InformationConfig = field(
-        default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION)
+        default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, unknown=4.0, ground=0.0)
     )
 
 

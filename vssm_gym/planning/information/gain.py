@@ -3,7 +3,8 @@
 ``lambda`` is a cell's precision, ``lambda_u`` that of one update and ``n`` the number of a trajectory's images that
 observe the cell: precisions add whatever is read, so given which cells the images observe, the posterior's entropy is
 known exactly, and what several images of one trajectory share is counted once. Which cells they observe is imagined:
-images are rendered from the current belief, all of a trajectory's from the same one.
+images are rendered from the current belief, all of a trajectory's from the same one. At the belief's mean the unknown
+is free; how far into it rays go is :mod:`~vssm_gym.planning.information.ending`'s matter.
 
 Steps at the same pose, of one trajectory or of many, are one view: rendered once, its cells listed once.
 
@@ -21,6 +22,7 @@ from vssm_gym.camera import Camera
 from vssm_gym.errors import InputError
 from vssm_gym.inference.observation import MapUpdateConfig
 from vssm_gym.planning.information.counting import gains
+from vssm_gym.planning.information.ending import end_rays
 from vssm_gym.planning.information.imagined import draw, imagine
 from vssm_gym.planning.information.observed import Grid, observed
 from vssm_gym.voxel_map import VoxelMap
@@ -35,6 +37,8 @@ class InformationConfig:
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
     max_depth: float = 8.0  # m that an imagined ray goes where it meets nothing; up to update.max_depth
     known: float = np.inf  # 1/m^2: cells of more precision than this have nothing left to tell; else see the module
+    unknown: float = np.inf  # m of unknown space that an imagined ray goes through: see `ending`
+    ground: float = -np.inf  # world z of the plane that the robot stands on, m, where imagined rays end
     samples: int = 0  # of the map, in each of which all images are imagined; 0: the mean
     mean_free_path: float = 1.5  # m that a ray goes through unknown space of a sample, on average
     seed: int = 0  # of the samples: the same in every call, so that candidates are compared in the same maps
@@ -49,6 +53,10 @@ class InformationConfig:
             raise InputError("InformationConfig", "max_depth", f"{expected}; found {self.max_depth!r}")
         if self.samples < 0:
             raise InputError("InformationConfig", "samples", f"at least 0; found {self.samples!r}")
+        if not self.unknown > 0.0:
+            raise InputError("InformationConfig", "unknown", f"above 0 m; found {self.unknown!r}")
+        if np.isnan(self.ground):
+            raise InputError("InformationConfig", "ground", "metres, or minus infinity for none; found nan")
         if not self.mean_free_path > 0.0:
             raise InputError("InformationConfig", "mean_free_path", f"above 0 m; found {self.mean_free_path!r}")
 
@@ -123,7 +131,9 @@ def gain_of_paths(
         maps = [draw(config.seed + s, m, config.mean_free_path, config.update.std) for s in range(config.samples)]
     along = np.zeros(paths.shape)
     for drawn in maps:
-        depths = imagine(drawn, views, small, config.max_depth)
+        depths = end_rays(
+            imagine(drawn, views, small, config.max_depth), views, small, m, config.unknown, config.ground
+        )
         seen = observed(depths, views, small, grid, config.update, config.every)
         along += gains(m, seen, paths, config.update.std**-2, config.every, config.known) / len(maps)
     return Gain(along[:, -1].copy(), along)
