@@ -286,7 +286,16 @@ def test_an_imagined_image_shows_the_whole_view_in_at_least_the_pixels_asked_for
 
 @pytest.mark.parametrize(
     "change",
-    [{"pixels": 0}, {"every": 3}, {"max_depth": 9.0}, {"max_depth": 0.01}, {"samples": -1}, {"mean_free_path": 0.0}],
+    [
+        {"pixels": 0},
+        {"every": 3},
+        {"max_depth": 9.0},
+        {"max_depth": 0.01},
+        {"samples": -1},
+        {"mean_free_path": 0.0},
+        {"unknown": 0.0},
+        {"ground": np.nan},
+    ],
 )
 def test_a_bad_configuration_is_refused(change: dict) -> None:
     with pytest.raises(InputError, match=next(iter(change))):
