@@ -55,6 +55,21 @@ class MiExplorerConfig:
     )
 
 
+@dataclass(frozen=True)
+class Tour:
+    """What a choice of place was made from.
+
+    Attributes:
+        xy: ``(n, 2)`` places, m.
+        nats: ``(n,)`` what each would teach beside those before it.
+        first: the one that was chosen.
+    """
+
+    xy: np.ndarray
+    nats: np.ndarray
+    first: int
+
+
 class MutualInformation:
     """:class:`~vssm_gym.agents.exploring.Strategy`: expected information; see the module."""
 
@@ -63,6 +78,7 @@ class MutualInformation:
 
     def reset(self, seed: int) -> None:
         """Nothing here is random."""
+        self.tour: Tour | None = None  # of the last choice of a place
         self._left = 0.0  # nats of the last tour
         self._looks: list[tuple[float, float, float]] = []  # poses (m, rad) of the looks that were made
         self._goal: np.ndarray | None = None
@@ -125,6 +141,7 @@ class MutualInformation:
         first = self._first(roadmap, xy, away, worth)
         status = f"to {worth[first]:.0f} of {self._left:.0f} nats in {len(xy)} places, {away[first]:.1f} m away"
         self._goal = xy[first]
+        self.tour = Tour(xy, worth, first)
         return Choice(xy[first], (), None, status)
 
     def _first(self, roadmap: Roadmap, xy: np.ndarray, away: np.ndarray, worth: np.ndarray) -> int:
@@ -162,8 +179,14 @@ class MiExplorerAgent:
     needs_map = False
 
     def __init__(self, config: MiExplorerConfig | None = None) -> None:
-        self._explorer = Explorer(MutualInformation(config or MiExplorerConfig()))
+        self._strategy = MutualInformation(config or MiExplorerConfig())
+        self._explorer = Explorer(self._strategy)
         self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def tour(self) -> Tour | None:
+        """What the last choice of a place was made from; None before there was one."""
+        return self._strategy.tour
 
     @property
     def map(self) -> VoxelMap:
