@@ -6,16 +6,18 @@ of the fastest explorer short.
 """
 
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 from jaxtyping import Bool, Float
 
 from vssm_gym.agents.astar import AStarAgent
-from vssm_gym.agents.base import Agent, AgentContext, Decision
+from vssm_gym.agents.base import Agent, AgentContext, Decision, Observation
 from vssm_gym.envs.explore import ExploreEnv
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
@@ -36,17 +38,48 @@ JUDGED = 4000  # points of the surface that completeness is sampled by along a r
 TRACE_POINTS = 300  # of a path kept in a row: explorers drive far
 
 
+@dataclass(frozen=True)
+class Step:
+    """One step of a run as a spectator sees it: the agent has taken up the image and decided, nothing has moved yet.
+
+    Attributes:
+        number: steps before it.
+        seconds: since the start.
+        planar: ``(3,)`` true x, y (m), heading (rad).
+        observation: what the agent saw.
+        info: the environment's, of the same moment.
+        decision: the agent's.
+    """
+
+    number: int
+    seconds: float
+    planar: np.ndarray
+    observation: Observation
+    info: dict[str, Any]
+    decision: Decision
+
+
+Spectator: TypeAlias = Callable[[Step], None]
+
+
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     """The first test tasks of a scene, at least ``n``, as a file; one that is there and holds them is kept."""
     pointnav_course.write_tasks(apartment, max(n, LEAST_TASKS), path)
 
 
-def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
+def run(
+    episode: Episode,
+    agent: Agent,
+    task_file: Path,
+    voxel_map: VoxelMap | None,
+    spectator: Spectator | None = None,
+) -> dict[str, Any]:
     """Run one episode and what is driven on its map; returns what it was worth."""
     tasks, settings = _tasks(task_file), episode.explore or ExploreSettings()
     env = _env(episode.condition, agent.needs_pose, settings.steps)
     start = np.array(tasks.tasks[episode.task].start)
-    row = run_episode(env, agent, start, seed=episode_seed(episode.seed, tasks.scene_hash, episode.task))
+    seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
+    row = run_episode(env, agent, start, seed=seed, spectator=spectator)
     explored = map_of(agent)
     if settings.navigation and explored is not None:
         row["navigation"] = navigate(episode, tasks, explored, settings.navigation)
@@ -58,7 +91,9 @@ def map_of(agent: Agent) -> VoxelMap | None:
     return getattr(agent, "map", None)
 
 
-def run_episode(env: gym.Env, agent: Agent, start: Float[np.ndarray, "3"], *, seed: int) -> dict[str, Any]:
+def run_episode(
+    env: gym.Env, agent: Agent, start: Float[np.ndarray, "3"], *, seed: int, spectator: Spectator | None = None
+) -> dict[str, Any]:
     """Let ``agent`` explore from ``start`` until it stops or time is out.
 
     Args:
@@ -66,6 +101,7 @@ def run_episode(env: gym.Env, agent: Agent, start: Float[np.ndarray, "3"], *, se
         agent: any agent; it is reset here and is given no map.
         start: x, y (m), heading (rad).
         seed: of the environment's streams and, mixed, of the agent; the same for every agent.
+        spectator: shown every step, in order; what it does takes none of the agent's time.
 
     Returns:
         ``metres_50, _90, _99`` and ``seconds_...`` (None where the run ended before), ``coverage``, ``entropy`` (nats,
@@ -97,7 +133,10 @@ def run_episode(env: gym.Env, agent: Agent, start: Float[np.ndarray, "3"], *, se
         seconds.append(time.perf_counter() - began)
         decisions.append(decision)
         # The agent's map now holds what coverage counts: the image of this step, not yet that of the next.
-        recorder.see(info["path_length"], len(contacts) * context.dt, info["coverage"])
+        driven = len(contacts) * context.dt
+        recorder.see(info["path_length"], driven, info["coverage"])
+        if spectator is not None:
+            spectator(Step(len(contacts), driven, np.array(world.planar), observation, info, decision))
         observation, _, stopped, truncated, info = env.step(decision.action)
         positions.append(world.planar[:2])
         contacts.append(bool(info["collision"]))

@@ -26,6 +26,7 @@ COMMANDS: dict[str, Any] = {
     "map": {"build": "map.build", "export": "map.export"},
     "train": "train.train",
     "evaluate": "evaluate.evaluate",
+    "explore": "explore.explore",
     "sweep": "sweep.sweep",
     "report": "report.report",
     "slam": "slam.slam",

@@ -1,0 +1,65 @@
+"""``vssm-gym explore --scene S --out DIR``: one explorer in one scene, with pictures and a video of what it did."""
+
+from pathlib import Path
+
+STARTS = 100  # test tasks of a scene, each of which is a start
+FILES = "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json"
+
+
+def explore(
+    scene: str,
+    out: Path,
+    agent: str = "mi_explorer",
+    start: int = 0,
+    noise: str = "low",
+    steps: int = 1500,
+    seed: int = 0,
+) -> None:
+    """Let an explorer map a scene that it does not know, and show how it did.
+
+    OUT gets run.mp4 (what it sees, believes and plans), candidates.png (a choice among places coloured by expected
+    information; of agents that make such choices), run.png (its path by time), mesh.png (its map from above), map.npz
+    (the same for `vssm-gym map export`) and run.json (the row of a sweep). Videos need the extra `viz`.
+
+    Args:
+        scene: built-in name (oak), procedural:SEED or path of a scene file.
+        out: new or empty folder; it appears when all of it is there.
+        agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, candidate_random or random_walk.
+        start: of which of the scene's test tasks, 0 to 99.
+        noise: of execution: none, low, mid or high.
+        steps: of 0.2 s, after which time is out.
+        seed: of the noise and of the agent.
+    """
+    from vssm_gym.cli.console import print_notices, progress_bars
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.config import ExploreSettings, SweepConfig, check_names
+    from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.eval.explore_run import explore as run
+    from vssm_gym.eval.explore_video import check_writer
+
+    for field, value, least in (("start", start, 0), ("steps", steps, 1), ("seed", seed, 0)):
+        check_at_least("explore", field, value, least)
+    if start >= STARTS:
+        raise InputError("explore", "start", f"at most {STARTS - 1}, found {start}")
+    config = SweepConfig(
+        env=("vssm_gym/Explore-v0",),
+        scenes=(scene,),
+        agents=(agent,),
+        noise=(noise,),
+        tasks=(start,),
+        seeds=(seed,),
+        explore=ExploreSettings(steps=steps),
+    )
+    check_names(config, "explore")
+    check_folder(out)
+    if out.exists() and any(out.iterdir()):
+        raise InputError(out, "folder", "an empty or new folder: a run is never overwritten")
+    check_writer("explore")
+    print_notices([scene])
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with progress_bars() as progress:
+        row = run(config, out, progress)
+    covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
+    print(f"{covered}: {row['status']}")
+    print("\n".join(str(out / name) for name in FILES if (out / name).exists()))
+    print(f"next: vssm-gym map export {out / 'map.npz'} --out {out}-map")
