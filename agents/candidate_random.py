@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vssm_gym.agents.exploring import Belief, Choice, Explorer, around
+from vssm_gym.agents.exploring import Explorer
+from vssm_gym.agents.strategy import Belief, Choice, around
 from vssm_gym.planning.exploration import candidates
 from vssm_gym.voxel_map import VoxelMap
 

@@ -1,22 +1,23 @@
 """The driver that all explorers share: update the map -> read its floor plan -> choose where to go -> follow.
 
-Explorers differ in their :class:`Strategy` and in nothing else. The pose is observed (SPEC 8) and the map is the
-agent's own. Every episode begins with a look around. A choice is made anew every ``replan_steps``, when it is carried
-out or has become pointless, and when something unforeseen stands in its way.
+Explorers differ in their :class:`Strategy`, and in their mapper: the pose is observed (SPEC 8) or estimated. The map
+is the agent's own. Every episode begins with a look around. A choice is made anew every ``replan_steps``, when it is
+carried out or has become pointless, and when something unforeseen stands in its way. A robot that lost track turns on
+the spot until an image fits its map again.
 """
 
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
+from vssm_gym.agents.localization import Localization
+from vssm_gym.agents.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.own_map import OwnMap, OwnMapConfig
-from vssm_gym.camera import Camera
-from vssm_gym.errors import InputError
+from vssm_gym.agents.strategy import Belief, Choice, Strategy, around
 from vssm_gym.geometry import wrap_angle
 from vssm_gym.planning.astar import needed, plan
 from vssm_gym.planning.clearance import ClearanceMap
@@ -46,72 +47,21 @@ class ExploringConfig:
     lookahead: float = 0.6  # of the way ahead that is checked for something unforeseen at every step
     known_share: float = 0.8  # of a target's frontier cells, after which it is pointless to go there
     max_failures: int = 25  # steps in a row without a way or a step to take, after which the robot is boxed in
-
-
-@dataclass(frozen=True)
-class Belief:
-    """What a strategy chooses by.
-
-    Attributes:
-        map: the belief over the apartment, world frame; valid until the next step.
-        roadmap: free space and ways in it.
-        planar: ``(3,)`` x, y (m), heading (rad).
-        camera: what will be seen,
-        T_body_cam: and from where on the body, ``(4, 4)``.
-        dismissed: ``(n, 2)`` places, m, that were looked at in vain.
-        arrived: whether the last choice was carried out, or cannot be.
-    """
-
-    map: VoxelMap
-    roadmap: Roadmap
-    planar: np.ndarray
-    camera: Camera
-    T_body_cam: np.ndarray
-    dismissed: np.ndarray
-    arrived: bool
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Where to go and where to look.
-
-    Attributes:
-        goal: ``(2,)`` m; None: stay here.
-        looks: headings (rad) to turn to at the goal, one after the other.
-        target: ``(n, 2)`` m, the frontier cells that this is about: when they are known it is pointless; None: none.
-        status: one readable line.
-    """
-
-    goal: np.ndarray | None
-    looks: tuple[float, ...]
-    target: np.ndarray | None
-    status: str
-
-
-class Strategy(Protocol):
-    """What makes explorers differ."""
-
-    def reset(self, seed: int) -> None:
-        """Open an episode whose random choices follow from ``seed``."""
-        ...
-
-    def choose(self, belief: Belief) -> Choice | None:
-        """What to do next; None where nothing is left to gain."""
-        ...
-
-
-def around(heading: float) -> tuple[float, ...]:
-    """Three looks that make a whole turn, back to ``heading`` (rad); every turn takes the shorter way."""
-    return tuple(float(wrap_angle(heading + turn)) for turn in (2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0, 0.0))
+    max_lost: int = 64  # steps in a row without an image that fits: two whole turns
 
 
 class Explorer:
     """Drives where its strategy chooses until that finds nothing left, then stops."""
 
     def __init__(
-        self, strategy: Strategy, config: ExploringConfig | None = None, own: OwnMapConfig | None = None
+        self,
+        strategy: Strategy,
+        mapper: Mapper | None = None,
+        config: ExploringConfig | None = None,
+        own: OwnMapConfig | None = None,
     ) -> None:
-        self._strategy, self._config, self._own_config = strategy, config or ExploringConfig(), own or OwnMapConfig()
+        self._strategy, self._mapper = strategy, mapper or MapAtObservedPose()
+        self._config, self._own_config = config or ExploringConfig(), own or OwnMapConfig()
         self._own: OwnMap
 
     @property
@@ -122,56 +72,78 @@ class Explorer:
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode in a world of which nothing is known.
 
-        A choice is made and dropped, so that compiling is no part of any step's latency.
+        A step and a choice are made and dropped, so that compiling is no part of any step's latency.
         """
-        if "pose" not in observation:
-            raise InputError("observation", "pose", "the true pose: make the environment with observe_pose=True")
         self._context = context
-        planar = np.asarray(observation["pose"], np.float64)
-        self._begin(float(planar[2]), seed)
-        self._own.take(planar, observation)
-        self._choose(planar, self._own.plan())
-        self._begin(float(planar[2]), seed)
+        self._begin(observation, seed)
+        self._own.take(np.zeros(3), observation)
+        self._choose(self._own.estimate, self._own.plan())
+        self._begin(observation, seed)
 
-    def _begin(self, heading: float, seed: int) -> None:
-        self._own = OwnMap(self._context, self._own_config)
+    def _begin(self, observation: Observation, seed: int) -> None:
+        self._own = OwnMap(self._context, self._mapper, self._own_config, observation)
         self._strategy.reset(seed)
+        heading = float(self._own.estimate.planar[2])
         self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
+        self._sent: np.ndarray | None = None  # the last command; the first observation is in the map already
         self._path: np.ndarray | None = None
         self._roadmap: Roadmap | None = None
         self._margin = self._config.margins[0]
         self._arrived, self._failed = True, ""
-        self._age = self._failures = 0
+        self._age = self._failures = self._lost = 0
         self._dismissed: list[np.ndarray] = []
 
     def act(self, observation: Observation) -> Decision:
         """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
-        planar = np.asarray(observation["pose"], np.float64)
-        self._own.take(planar, observation)
-        floor = self._own.plan()
+        if self._sent is not None:
+            self._own.take(self._sent, observation)
+        estimate = self._own.estimate
         mapped = time.perf_counter()
+        self._lost = self._lost + 1 if estimate.status != "ok" else 0
+        if self._lost:
+            command, activity, stop = self._search(estimate)
+            planned = mapped
+        else:
+            finished = self._plan(estimate)
+            planned = time.perf_counter()
+            command, activity, stop = self._drive(estimate.planar, finished)
+        ended = time.perf_counter()
+        self._sent = command
+        latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
+        action = np.array([*command, float(stop)], np.float32)
+        return Decision(action, estimate.planar.copy(), activity, latency, self._path)
+
+    def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
+        """A turn on the spot, where the last image did not fit: command, activity, whether to stop."""
+        self._choice = self._path = None
+        if self._lost > self._config.max_lost:
+            return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
+        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status, False
+
+    def _plan(self, estimate: Localization) -> str | None:
+        """Keep to the choice or choose anew; the reason where nothing is left to do."""
+        planar, floor = estimate.planar, self._own.plan()
         self._age += 1
-        near = floor.clearance(planar[:2], 1.2)
+        self._near = floor.clearance(planar[:2], 1.2)
         if self._done(planar):
             self._close()
-        if self._pointless(floor) or self._stale(planar, near):
+        if self._pointless(floor) or self._stale(planar, self._near):
             self._choice = None
-        finished = None
         if self._choice is not None and self._path is not None:
             self._path = self._followed(planar)
             if self._path is None:
                 self._choice = None
-        if self._choice is None:
-            finished = self._choose(planar, floor)
-        planned = time.perf_counter()
-        command, activity = (np.array(STOP_COMMAND), finished) if finished else self._command(planar, near)
-        stop = finished is not None or self._failures > self._config.max_failures
-        if stop and finished is None:
-            command, activity = np.array(STOP_COMMAND), "boxed in: no step leads out"
-        ended = time.perf_counter()
-        latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
-        return Decision(np.array([*command, float(stop)], np.float32), planar.copy(), activity, latency, self._path)
+        return self._choose(estimate, floor) if self._choice is None else None
+
+    def _drive(self, planar: np.ndarray, finished: str | None) -> tuple[np.ndarray, str, bool]:
+        """The next command of the choice, the activity and whether to stop."""
+        if finished:
+            return np.array(STOP_COMMAND), finished, True
+        command, activity = self._command(planar, self._near)
+        if self._failures > self._config.max_failures:
+            return np.array(STOP_COMMAND), "boxed in: no step leads out", True
+        return command, activity, False
 
     def _done(self, planar: np.ndarray) -> bool:
         """Whether the choice is carried out: the robot is there and has looked where it wanted to."""
@@ -204,17 +176,17 @@ class Explorer:
         ahead = points_along(self._path, self._config.lookahead)
         return bool(near.at(ahead[1:]).min(initial=math.inf) < min(least, float(near.at(planar[:2])) - 0.01))
 
-    def _choose(self, planar: np.ndarray, floor: FloorPlan) -> str | None:
+    def _choose(self, estimate: Localization, floor: FloorPlan) -> str | None:
         """Choose and plan the way; the reason where nothing is left to do."""
         self._age, self._path = 0, None
+        planar, std = estimate.planar, self._ahead(estimate.std)
         reached = 0
         for margin in self._config.margins:
             roadmap = Roadmap.of(floor, planar[:2], self._radius + margin)
             reached = int(np.isfinite(roadmap.distance).sum())
             dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
-            belief = Belief(
-                self._own.map, roadmap, planar, self._own.camera, self._own.T_body_cam, dismissed, self._arrived
-            )
+            own = self._own
+            belief = Belief(own.map, roadmap, planar, std, own.camera, own.T_body_cam, dismissed, self._arrived)
             choice = self._strategy.choose(belief)
             if choice is None:
                 continue
@@ -232,6 +204,12 @@ class Explorer:
             return None
         room = reached * floor.resolution**2
         return "finished: nothing left to gain" if room > math.pi * self._radius**2 else "boxed in: no free place to go"
+
+    def _ahead(self, std: np.ndarray) -> np.ndarray:
+        """The pose's standard deviations after as many steps as there are between choices; zeros where it is seen."""
+        turn, step = self._context.noise
+        grown = np.sqrt(std**2 + self._config.replan_steps * np.array([step, step, turn]) ** 2)
+        return np.where(std > 0.0, grown, 0.0)
 
     def _close(self) -> None:
         """The choice is carried out; what of its target is unknown still is not to be seen."""

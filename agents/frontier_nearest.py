@@ -5,7 +5,8 @@ goal = argmin_f d(f)          d: length of the way to the reachable place neares
 
 import math
 
-from vssm_gym.agents.exploring import Belief, Choice, Explorer, around
+from vssm_gym.agents.exploring import Explorer
+from vssm_gym.agents.strategy import Belief, Choice, around
 from vssm_gym.planning.frontier import frontiers
 from vssm_gym.voxel_map import VoxelMap
 

@@ -16,16 +16,17 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from vssm_gym.agents.exploring import Belief, Choice, Explorer
+from vssm_gym.agents.exploring import Explorer
+from vssm_gym.agents.strategy import Belief, Choice
 from vssm_gym.camera import Camera
 from vssm_gym.geometry import planar_to_matrix, wrap_angle
 from vssm_gym.planning.exploration import Roadmap, candidates, representatives
 from vssm_gym.planning.frontier import REACH
-from vssm_gym.planning.information import InformationConfig, gain_of_paths
+from vssm_gym.planning.information import Gain, InformationConfig, gain_of_paths
 from vssm_gym.planning.repairman import best_order
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
-Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (poses, paths through them) -> nats along each
+Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
 NEAR = 0.2  # m: as good as the same place
 AROUND = 4  # looks of a quarter turn make a look around
 
@@ -46,6 +47,7 @@ class MiExplorerConfig:
     least_look: float = 2000.0  # nats, of one of them less the turn's price
     look_share: float = 0.02  # the same on the way, of the whole tour's gain
     turn_price: float = 2000.0  # nats a radian, of the time that it takes: about a third of what driving gains in it
+    pose_weight: float = 1000.0  # nats of the map that a nat about the own pose is worth: without it the map is spoilt
     repeat: tuple[float, float] = (0.3, 0.5)  # m and rad: looks so close to one that was made are not made again
     strip: float = 1.0 / 3.0  # of the image's height, around the horizon: see `_strip`
     # A cell that was observed is known to 3 cm: looking again would outweigh, by the number of known cells, a small
@@ -91,9 +93,9 @@ class MutualInformation:
             self._goal = None
         strip = _strip(belief.camera, self._config.strip)
 
-        def gain(planar: np.ndarray, paths: np.ndarray) -> np.ndarray:
+        def gain(planar: np.ndarray, paths: np.ndarray) -> Gain:
             views = planar_to_matrix(planar) @ belief.T_body_cam
-            return gain_of_paths(belief.map, views, paths, strip, self._config.information).along
+            return gain_of_paths(belief.map, views, paths, strip, self._config.information, belief.std)
 
         return self._look(belief, gain) or self._tour(belief, gain)
 
@@ -107,7 +109,8 @@ class MutualInformation:
         if len(fresh) == 0:
             return None
         planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
-        nats = gain(planar, np.arange(len(fresh))[:, None])[:, -1]
+        found = gain(np.concatenate([planar, belief.planar[None]]), np.arange(len(fresh))[:, None])
+        nats = found.total + c.pose_weight * (found.pose[:-1] - found.pose[-1])  # beside what is seen from here anyway
         value = nats - c.turn_price * np.abs(wrap_angle(fresh - heading))
         k = int(np.argmax(value))
         # On the way only what is worth a stop; where it came to look, all there is to see.
@@ -130,8 +133,10 @@ class MutualInformation:
         turns = np.arange(AROUND) * 2.0 * math.pi / AROUND
         planar = np.column_stack([np.repeat(xy, AROUND, axis=0), np.tile(turns, len(xy))])
         # One trajectory through all of them: what a place adds to those before it.
-        along = gain(planar, np.arange(len(planar))[None])[0, AROUND - 1 :: AROUND]
-        worth = np.diff(along, prepend=0.0) * share - c.least_gain
+        looked = gain(planar, np.arange(len(planar))[None])
+        held = looked.pose.reshape(-1, AROUND).mean(axis=1)
+        worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) * share - c.least_gain
+        worth += c.pose_weight * (held - held.max())  # where the robot would see nothing to tell its place by
         worth[np.array([self._is_visited(place) for place in xy])] = 0.0
         kept = np.flatnonzero(worth > 0.0)
         if len(kept) == 0:

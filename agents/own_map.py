@@ -1,20 +1,18 @@
 """What an explorer knows of its surroundings: the map that it builds, where its body has been, what it saw close by.
 
-The map is a :class:`VoxelMap` updated in closed form at the observed poses. Two masks over its columns stand beside
-it: a body disproves whatever is believed to stand where it is; and a thin leg, which averages away in cells wider than
-it, is remembered as it was seen from nearby.
+The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.mapping.Mapper` builds. Two masks over its columns stand
+beside it: a body disproves whatever is believed to stand where it is; and a thin leg, which averages away in cells
+wider than it, is remembered as it was seen from nearby.
 """
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.agents.mapping import Mapper
 from vssm_gym.camera import Camera
 from vssm_gym.geometry import planar_to_matrix
-from vssm_gym.inference.map_update import update
-from vssm_gym.inference.observation import MapUpdateConfig
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.voxel_map import VoxelMap
 
@@ -36,31 +34,41 @@ class OwnMapConfig:
 class OwnMap:
     """The belief of one episode; see the module."""
 
-    def __init__(self, context: AgentContext, config: OwnMapConfig) -> None:
-        self.config = config
+    def __init__(self, context: AgentContext, mapper: Mapper, config: OwnMapConfig, observation: Observation) -> None:
+        """From the first observation, seen from ``context.start_pose``."""
+        self.config, self._mapper = config, mapper
         self.camera = Camera.from_matrix(context.K, *context.camera)
         self.T_body_cam = np.asarray(context.T_body_cam, np.float64)
         self.radius = 0.5 * context.body_length
-        self._update = MapUpdateConfig()
         low, high = config.levels
         n, nz = round(config.extent / config.voxel), round((high - low) / config.voxel)
         corner = np.asarray(context.start_pose, np.float64)[:2] - 0.5 * config.voxel * (n - 1)
-        self.map = VoxelMap.prior(np.array([*corner, low]), config.voxel, (n, n, nz), slots=config.slots)
-        shape = self.map.shape[:2]
-        self._corner = np.asarray(self.map.origin, np.float64)[:2]
+        prior = VoxelMap.prior(np.array([*corner, low]), config.voxel, (n, n, nz), slots=config.slots)
+        shape = prior.shape[:2]
+        self._corner = np.asarray(prior.origin, np.float64)[:2]
         self._body, self._near = np.zeros(shape, bool), np.zeros(shape, bool)
         self._seen = np.zeros(shape, np.int16)
         self._rays = np.asarray(self.camera.rays(), np.float64)[::2, ::2]
+        self.estimate = mapper.reset(prior, context, observation)
+        self._mark(observation)
 
-    def take(self, planar: np.ndarray, observation: Observation) -> None:
-        """Take up one observation from the pose ``(x, y, heading)``: m, rad."""
-        T_world_cam = planar_to_matrix(planar) @ self.T_body_cam
+    @property
+    def map(self) -> VoxelMap:
+        """The belief, world frame; valid until the next observation."""
+        return self._mapper.map
+
+    def take(self, command: np.ndarray, observation: Observation) -> None:
+        """Take up what was seen after ``command`` ``(turn, o, s)``; ``estimate`` says from where."""
+        self.estimate = self._mapper.update(command, observation)
+        if self.estimate.status == "ok":
+            self._mark(observation)
+
+    def _mark(self, observation: Observation) -> None:
+        """What the body and a look from close by say."""
+        planar = self.estimate.planar
         depth = np.asarray(observation["depth"], np.float32)
-        rgb = jnp.asarray(observation["rgb"], jnp.float32) / 255.0
-        pose = jnp.asarray(T_world_cam, jnp.float32)
-        self.map = update(self.map, jnp.asarray(depth), rgb, pose, self.camera, self._update)
         self._stand(planar[:2])
-        self._notice(depth[::2, ::2], T_world_cam)
+        self._notice(depth[::2, ::2], planar_to_matrix(planar) @ self.T_body_cam)
 
     def plan(self) -> FloorPlan:
         """The floor plan of the present belief."""

@@ -6,10 +6,12 @@ from vssm_gym.agents.candidate_random import CandidateRandomAgent
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.dwa import DwaAgent
 from vssm_gym.agents.frontier_gain import FrontierGainAgent
+from vssm_gym.agents.frontier_gain_tracked import FrontierGainTrackedAgent
 from vssm_gym.agents.frontier_nearest import FrontierNearestAgent
 from vssm_gym.agents.greedy import GreedyAgent
 from vssm_gym.agents.hybrid_astar import HybridAStarAgent
 from vssm_gym.agents.mi_explorer import MiExplorerAgent
+from vssm_gym.agents.mi_explorer_tracked import MiExplorerTrackedAgent
 from vssm_gym.agents.no_map import NoMapAgent
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.policy import PolicyAgent
@@ -41,6 +43,8 @@ AGENTS: dict[str, type[Agent]] = {
         FrontierGainAgent,
         CandidateRandomAgent,
         RandomWalkAgent,
+        MiExplorerTrackedAgent,
+        FrontierGainTrackedAgent,
     )
 }
 

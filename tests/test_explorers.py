@@ -12,9 +12,10 @@ import pytest
 from box_rooms import furniture, two_rooms
 
 from vssm_gym.agents.base import Agent, AgentContext, Decision
-from vssm_gym.agents.exploring import Choice, Explorer, around, points_along
+from vssm_gym.agents.exploring import Explorer, points_along
 from vssm_gym.agents.own_map import OwnMapConfig
 from vssm_gym.agents.registry import AGENTS
+from vssm_gym.agents.strategy import Choice, around
 from vssm_gym.envs.explore import ExploreEnv
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
@@ -22,6 +23,7 @@ from vssm_gym.planning.information import entropy
 from vssm_gym.planning.occupancy_grid import FREE
 
 EXPLORERS = [name for name, agent in AGENTS.items() if agent.task == "explore"]
+TRACKED = {"mi_explorer_tracked", "frontier_gain_tracked"}  # PRISM estimates their pose
 SCENE = two_rooms(pieces=(furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6)),))
 START = np.array([1.0, 1.0, 0.0])
 
@@ -61,11 +63,12 @@ def explore(agent: Agent, world: gym.Env, steps: int, seed: int = 0) -> tuple[li
     return decisions, infos
 
 
-def test_all_five_are_registered():
-    assert set(EXPLORERS) == {"mi_explorer", "frontier_nearest", "frontier_gain", "candidate_random", "random_walk"}
+def test_all_are_registered():
+    observed = {"mi_explorer", "frontier_nearest", "frontier_gain", "candidate_random", "random_walk"}
+    assert set(EXPLORERS) == observed | TRACKED
     for name in EXPLORERS:
         agent = AGENTS[name]
-        assert (agent.robot, agent.needs_pose, agent.needs_map) == ("holonomic", True, False)
+        assert (agent.robot, agent.needs_pose, agent.needs_map) == ("holonomic", name in observed, False)
 
 
 @pytest.mark.slow
@@ -87,7 +90,8 @@ def test_explorers_see_everything_and_stop(name, world):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "mi_explorer" else name for name in EXPLORERS]
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n == "mi_explorer" or n in TRACKED else n for n in EXPLORERS],
 )
 def test_same_seed_same_actions(name, world):
     """Twice the same, from two objects and from one that has run another episode before."""
@@ -145,11 +149,36 @@ def test_the_map_is_as_large_as_configured(world):
     assert int(agent.map.table.refused) == 0
 
 
+@pytest.mark.slow
+def test_a_tracked_explorer_knows_where_it_is_and_says_when_it_does_not(world):
+    """Without the pose it stays within centimetres of it; in the dark it turns, changes nothing and gives up."""
+    agent = AGENTS["mi_explorer_tracked"]()
+    observation, info = world.reset(seed=0, options={"start": START})
+    agent.reset(context(world, info), _without_pose(observation), 0)
+    off = []
+    for _ in range(60):
+        decision = agent.act(_without_pose(observation))
+        off.append(np.linalg.norm(decision.pose[:2] - world.planar[:2]))
+        observation = world.step(decision.action)[0]
+    assert "lost" not in decision.status
+    assert max(off) < 0.08
+    agent.act(_without_pose(observation))
+    before = entropy(agent.map)
+    dark = {**_without_pose(observation), "depth": np.zeros_like(observation["depth"])}
+    ends = [agent.act(dark) for _ in range(65)]
+    assert all("lost" in decision.status for decision in ends)
+    assert [decision.action[3] > 0.5 for decision in ends] == [False] * 64 + [True]
+    assert entropy(agent.map) == before
+
+
+def _without_pose(observation):
+    return {key: value for key, value in observation.items() if key != "pose"}
+
+
 def test_without_the_pose_it_says_what_is_missing(world):
     observation, info = world.reset(seed=0)
-    observation = {key: value for key, value in observation.items() if key != "pose"}
     with pytest.raises(InputError, match="observe_pose"):
-        AGENTS["random_walk"]().reset(context(world, info), observation, 0)
+        AGENTS["random_walk"]().reset(context(world, info), _without_pose(observation), 0)
 
 
 def test_a_look_around_is_a_whole_turn():

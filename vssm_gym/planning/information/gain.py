@@ -25,6 +25,7 @@ from vssm_gym.planning.information.counting import gains
 from vssm_gym.planning.information.ending import end_rays
 from vssm_gym.planning.information.imagined import draw, imagine
 from vssm_gym.planning.information.observed import Grid, observed
+from vssm_gym.planning.information.pose import pose_gain
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -62,13 +63,15 @@ class InformationConfig:
 
 
 DEFAULT = InformationConfig()
+KNOWN_POSE = np.zeros(3)
 
 
 class Gain(NamedTuple):
-    """Expected information of trajectories, nats of occupancy."""
+    """Expected information of trajectories, nats of occupancy, and of views about the pose that they are seen from."""
 
     total: np.ndarray  # (candidates,) of the whole trajectory
     along: np.ndarray  # (candidates, steps) of steps 0 to k together
+    pose: np.ndarray  # (views,) of each view alone about the robot's own pose: see `pose`
 
 
 def expected_gain(
@@ -104,7 +107,12 @@ def expected_gain(
 
 
 def gain_of_paths(
-    m: VoxelMap, views: np.ndarray, paths: np.ndarray, camera: Camera, config: InformationConfig = DEFAULT
+    m: VoxelMap,
+    views: np.ndarray,
+    paths: np.ndarray,
+    camera: Camera,
+    config: InformationConfig = DEFAULT,
+    std: np.ndarray = KNOWN_POSE,
 ) -> Gain:
     """:func:`expected_gain` of trajectories through a given set of views, as a search tree's nodes are.
 
@@ -114,6 +122,7 @@ def gain_of_paths(
         paths: ``(candidates, steps)`` indices of views; -1 where a trajectory has no step.
         camera: the robot's.
         config: pixels and cells used, and the map update.
+        std: ``(3,)`` of x, y (m) and heading (rad) with which the robot will know each pose before it looks.
 
     Raises:
         InputError: poses that are not finite, a path through views that do not exist, or samples of a sparse map.
@@ -124,19 +133,20 @@ def gain_of_paths(
     if paths.ndim != 2 or (paths.size and not (paths.min() >= -1 and paths.max() < len(views))):
         raise InputError("information", "paths", f"(candidates, steps), each -1 or one of {len(views)} views")
     if paths.size == 0 or len(views) == 0:
-        return Gain(np.zeros(paths.shape[0]), np.zeros(paths.shape))
+        return Gain(np.zeros(paths.shape[0]), np.zeros(paths.shape), np.zeros(len(views)))
     small, grid = imagined_camera(camera, config.pixels), Grid.of(m)
     maps = [m]
     if config.samples:
         maps = [draw(config.seed + s, m, config.mean_free_path, config.update.std) for s in range(config.samples)]
-    along = np.zeros(paths.shape)
+    along, pose = np.zeros(paths.shape), np.zeros(len(views))
     for drawn in maps:
-        depths = end_rays(
-            imagine(drawn, views, small, config.max_depth), views, small, m, config.unknown, config.ground
-        )
+        imagined = imagine(drawn, views, small, config.max_depth)
+        depths = end_rays(imagined, views, small, m, config.unknown, config.ground)
+        surface = (depths == imagined) & (depths < config.max_depth)
+        pose += pose_gain(depths, surface, views, small, std) / len(maps)
         seen = observed(depths, views, small, grid, config.update, config.every)
         along += gains(m, seen, paths, config.update.std**-2, config.every, config.known) / len(maps)
-    return Gain(along[:, -1].copy(), along)
+    return Gain(along[:, -1].copy(), along, pose)
 
 
 def imagined_camera(camera: Camera, pixels: int | None) -> Camera:
