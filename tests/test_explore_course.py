@@ -183,7 +183,7 @@ def test_settings_of_explorers_reach_episodes_and_decide_the_hash(tmp_path):
     assert config_hash(config, hashes, 0) != config_hash(without, hashes, 0)
 
 
-@pytest.mark.parametrize("name", ["exploration", "exploration_short"])
+@pytest.mark.parametrize("name", ["exploration", "exploration_short", "exploration_tracked"])
 def test_the_configurations_are_of_explorers_in_scenes_of_the_test_split(name):
     config = load_config(CONFIGS / f"{name}.yaml")
     assert {AGENTS[agent].task for agent in config.agents} == {"explore"}
