@@ -131,6 +131,77 @@ def test_the_same_seed_gives_the_same_row_and_the_seed_reaches_the_agent(env):
     assert a.seed == b.seed != c.seed
 
 
+class _AsAgent:
+    """A policy ``observation -> action`` as sweeps run it: it keeps no map and no pose."""
+
+    name, robot, task, needs_pose, needs_map = "policy", "holonomic", "explore", True, False
+
+    def __init__(self, policy):
+        self.policy = policy
+
+    def reset(self, context, observation, seed):
+        self.policy.reset(context, observation, seed)
+
+    def act(self, observation):
+        return Decision(np.asarray(self.policy(observation), np.float32), None, "drives")
+
+
+class _Random:
+    """Whatever the action space holds, without stopping."""
+
+    def reset(self, context, observation, seed):
+        self.rng, self.limits = np.random.default_rng(seed), np.array(context.limits)
+
+    def __call__(self, observation):
+        return [*self.rng.uniform([-1.0, -1.0, 0.0], 1.0) * self.limits, 0.0]
+
+
+class _Learned:
+    """One layer over the depth image with fixed weights, as a network's ``predict`` is."""
+
+    def reset(self, context, observation, seed):
+        self.limits = np.array(context.limits)
+        self.weights = np.random.default_rng(5).normal(size=(3, observation["depth"][::20, ::20].size))
+
+    def __call__(self, observation):
+        out = np.tanh(self.weights @ observation["depth"][::20, ::20].ravel())
+        return [*(out * (1.0, 1.0, 0.5) + (0.0, 0.0, 0.5)) * self.limits, 0.0]
+
+
+class _Frontier:
+    """``frontier_nearest`` without its ``map``."""
+
+    def reset(self, context, observation, seed):
+        self.agent = AGENTS["frontier_nearest"]()
+        self.agent.reset(context, observation, seed)
+
+    def __call__(self, observation):
+        return self.agent.act(observation).action
+
+
+@pytest.mark.parametrize("policy", [_Random, _Learned, _Frontier])
+def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy):
+    """Coverage, way and time of the same seed, by a plain Gymnasium loop and by the course."""
+    agent = _AsAgent(policy())
+    row = run(env, agent, seed=7)
+    observation, info = env.reset(seed=7, options={"start": START})
+    context = explore_course._context(env.unwrapped, info)
+    agent.reset(context, observation, int(np.random.SeedSequence([7, 1]).generate_state(1)[0]))
+    seen, steps = [(0.0, info["coverage"])], 0
+    ended = False
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(agent.act(observation).action)
+        steps, ended = steps + 1, terminated or truncated
+        seen.append((info["path_length"], info["coverage"]))
+    assert row["coverage"] == info["coverage"]
+    assert row["path_length"] == pytest.approx(info["path_length"])
+    assert row["steps"] == steps
+    for share in (50, 90, 99):
+        way = next((way for way, coverage in seen if 100.0 * coverage >= share), None)
+        assert row[f"metres_{share}"] == (None if way is None else pytest.approx(way, abs=1e-3))
+    assert (row["entropy"], row["completeness"]) == (None, None)
+
+
 def test_where_a_share_was_reached_lies_on_the_path():
     path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
     assert explore_course._place(path, 1.0) == [1.0, 0.0]
