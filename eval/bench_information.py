@@ -47,6 +47,7 @@ ESTIMATES = {
     "default, every cell": InformationConfig(every=1),
     "all pixels and cells": ALL,
     "default, rays end at 4 m": InformationConfig(max_depth=4.0),
+    "default, ground and 4 m of unknown": InformationConfig(ground=0.0, unknown=4.0),
     "default, 4 samples of the map": InformationConfig(samples=4),
 }
 
