@@ -126,9 +126,9 @@ def plan_handles(with_gain: bool) -> list:
     """The key to a plan with a robot on it."""
     chosen = {**CHOSEN, "markersize": 10, "markeredgewidth": 1.6}
     handles: list = [
-        Patch(facecolor=to_hex(FREE_COLOUR), edgecolor="0.6", label="free"),
-        Patch(facecolor=to_hex(pictures.CUT_COLOUR), label="occupied"),
-        Patch(facecolor=to_hex(pictures.UNKNOWN_COLOUR), label="unknown"),
+        Patch(facecolor=_hex(FREE_COLOUR), edgecolor="0.6", label="free"),
+        Patch(facecolor=_hex(pictures.CUT_COLOUR), label="occupied"),
+        Patch(facecolor=_hex(pictures.UNKNOWN_COLOUR), label="unknown"),
         Line2D([], [], color=DRIVEN_COLOUR, linewidth=1.6, label="driven"),
         Line2D([], [], color=WAY_COLOUR, linewidth=2.0, label="planned"),
     ]
@@ -160,6 +160,11 @@ def draw_scale(axes: Axes, bounds: Float[np.ndarray, "2 2"]) -> list:
     bar = axes.plot([x, x + 2.0], [y, y], color="black", linewidth=2.4, solid_capstyle="butt", zorder=8)
     text = axes.annotate("2 m", (x + 2.0, y), (4, 0), textcoords="offset points", va="center", fontsize=9, zorder=8)
     return [*bar, text]
+
+
+def _hex(colour: np.ndarray) -> str:
+    r, g, b = colour.tolist()
+    return to_hex((r, g, b))
 
 
 def _sheet(bounds: Float[np.ndarray, "2 2"]) -> tuple[Figure, Axes]:
