@@ -87,7 +87,7 @@ class Recording:
     """Collects the moments of one run; given to the run as its spectator.
 
     Attributes:
-        moments: every ``EVERY`` steps, and the last.
+        moments: every ``EVERY`` steps, and where the agent stops.
         path: ``(3,)`` x, y (m), heading of every step.
         seconds: of every step.
     """

@@ -149,8 +149,7 @@ class Sheet:
     def _plan(self, figure: Figure) -> None:
         """What the robot believes of the floor, and where it wants to go."""
         norm, bounds = pictures.gain_norm(self._recording), self._bounds
-        place = (0.345, 0.1, 0.57 if norm else 0.64, 0.82)
-        axes = figure.add_axes(place, xlim=bounds[:, 0], ylim=bounds[:, 1])
+        axes = figure.add_axes((0.345, 0.1, 0.57, 0.82), xlim=bounds[:, 0], ylim=bounds[:, 1])
         pictures.bare(axes)
         shape = pictures.plan_image(self._recording.moments[0].plan, bounds).shape
         self._cells = Window(axes, shape, self._size, upwards=True)
