@@ -60,7 +60,7 @@ def write_video(path: Path, recording: Recording, title: str, progress: Progress
 
 
 class Window:
-    """A picture's place in a frame. Enlarging it by hand takes a tenth of what matplotlib takes."""
+    """A picture's place in a frame. It is enlarged by hand: matplotlib takes longer for that than for all else."""
 
     def __init__(self, axes: Axes, shape: tuple[int, ...], frame: tuple[int, int], upwards: bool) -> None:
         """``shape`` is that of the pictures, ``frame`` (height, width); with ``upwards`` row 0 is the lowest."""
