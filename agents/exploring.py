@@ -194,7 +194,7 @@ class Explorer:
             if choice.goal is None:
                 return None
             # The roadmap's edges are looked at less closely than A*'s: a way may need less room than was asked.
-            for tight in (margin, 0.5 * margin, 0.0):
+            for tight in (margin, 0.5 * margin):
                 way = plan(roadmap.clearance, planar, choice.goal, self._radius, margin=tight, goal_radius=ARRIVED)
                 if way.found:
                     self._margin, self._path = tight, way.path if len(way.path) > 1 else None

@@ -8,7 +8,7 @@ counted, and where a number is asked for it takes the one that speaks against th
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -18,8 +18,10 @@ from vssm_gym.eval.aggregate import CONDITION, RESAMPLES, Interval, Row, bootstr
 SHARES = (50, 90, 99)  # % of the coverage that way and time are taken to
 GOAL = 90  # % of coverage that a run has succeeded at
 EVERY_METRES, EVERY_SECONDS = 2.0, 10.0  # between samples of a curve, whichever comes first
-LEAST_WAY = 0.16  # m, one step: a ratio of ways is finite where the first look shows it all
+LEAST = {"metres": 0.16, "seconds": 0.2}  # one step: a ratio is finite where the first look shows it all
+ENDS = {"metres": "path_length", "seconds": "seconds"}  # of a row: what the whole run took
 KNOWN = 0.95  # share of the runs that a point of a mean curve needs: who drops out would bend it
+Axis: TypeAlias = Literal["metres", "seconds"]
 CURVES = ("coverage", "entropy", "completeness")
 
 
@@ -62,23 +64,24 @@ class Recorder:
         return {**ways, **times, "curve": self.curve}
 
 
-def way_ratio(first: Row, second: Row, share: int = GOAL) -> float | None:
-    """``T_first / T_second`` of the metres to ``share`` % coverage, or the largest that a censored pair allows.
+def way_ratio(first: Row, second: Row, share: int = GOAL, axis: Axis = "metres") -> float | None:
+    """``T_first / T_second`` of the metres (or seconds) to ``share`` % coverage, or the largest that is still possible.
 
     - Both got there: their ratio.
     - Only the first did. If time was out for the second after p metres: ``T_first / p``, since ``T_second > p``. If it
       stopped by itself it would never have got there, and the ratio is no more than 1: ``min(1, T_first / p)``.
-    - Only the second did: the metres that a robot can drive at all within the time limit stand for ``T_first``.
+    - Only the second did: the metres that a robot can drive at all within the time limit stand for ``T_first`` (or the
+      time limit itself).
     - Neither did: None; such a pair says nothing, and is counted apart.
 
     So a ratio below 1 is never owed to a run that was cut short.
     """
-    a, b = first[f"metres_{share}"], second[f"metres_{share}"]
+    a, b = first[f"{axis}_{share}"], second[f"{axis}_{share}"]
     if a is None and b is None:
         return None
-    numerator = first["budget"]["metres"] if a is None else a
-    denominator = second["path_length"] if b is None else b
-    ratio = max(numerator, LEAST_WAY) / max(denominator, LEAST_WAY)
+    numerator = first["budget"][axis] if a is None else a
+    denominator = second[ENDS[axis]] if b is None else b
+    ratio = max(numerator, LEAST[axis]) / max(denominator, LEAST[axis])
     return min(1.0, ratio) if b is None and second["stopped"] else ratio
 
 
@@ -98,13 +101,15 @@ class Ratio:
         return self.interval.text(2)
 
 
-def ratio(rows: Iterable[Row], first: str, second: str, share: int = GOAL, seed: int = 0) -> Ratio:
+def ratio(
+    rows: Iterable[Row], first: str, second: str, share: int = GOAL, seed: int = 0, axis: Axis = "metres"
+) -> Ratio:
     """``exp(mean(log(T_first / T_second)))`` over starts that both agents ran, resampled by :func:`clusters`.
 
     Ratios are those of :func:`way_ratio`; pairs in which neither got there are in ``pairs`` only.
     """
     paired = pairs(rows, first, second)
-    found = [(a, b, value) for a, b in paired if (value := way_ratio(a, b, share)) is not None]
+    found = [(a, b, value) for a, b in paired if (value := way_ratio(a, b, share, axis)) is not None]
     logs = bootstrap_mean([math.log(v) for _, _, v in found], clusters([a for a, _, _ in found]), seed)
     mean, low, high = (float(np.exp(v)) for v in (logs.mean, logs.low, logs.high))
     return Ratio(

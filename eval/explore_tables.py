@@ -104,10 +104,11 @@ def way(interval: Interval) -> str:
 
 
 def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
-    """The reference's way to a share of coverage over each other agent's, over all scenes."""
+    """The reference's way to a share of coverage over each other agent's, over all scenes; and its time to ``GOAL``."""
     by = pooled(rows)
     header = [*(name.replace("_", " ") for name in by), "ratio of ways", "pairs", "scenes"]
     header += [f"{column} {share} %" for share in (GOAL, 99) for column in ("to", "shorter to", "missed")]
+    header.append(f"seconds to {GOAL} %")
     lines = []
     for group, members in group_rows(rows, by).items():
         for other in others(members, reference):
@@ -116,7 +117,7 @@ def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
             line = [*group, f"{reference} / {other}", str(found[0].pairs), scenes]
             for r in found:
                 line += [r.text, f"{r.shorter} of {r.interval.episodes}", f"{r.first_missed} / {r.second_missed}"]
-            lines.append(line)
+            lines.append([*line, metrics.ratio(members, reference, other, GOAL, seed, "seconds").text])
     return html_table(header, lines, len(by) + 1)
 
 

@@ -55,9 +55,10 @@ def _verdict(rows: Sequence[Row], reference: str, seed: int) -> str:
     if found:
         best = max(found, key=lambda name: found[name].interval.mean)
         kind = "good" if found[best].interval.high < 1.0 else "bad"
+        time = ratio(rows, reference, best, GOAL, seed, "seconds").text
         said = (
             f"<p class={kind}>To {GOAL} % coverage {escape(reference)} drives {found[best].text} of the way of the "
-            f"best frontier baseline, {escape(best)}.</p>"
+            f"best frontier baseline, {escape(best)}, and takes {time} of its time.</p>"
         )
     behind = [rival for rival in tables.rivals(rows, reference, seed) if rival.ratio.interval.mean >= 1.0]
     where = ", ".join(f"{rival.scene} ({rival.agent}, {rival.ratio.text})" for rival in behind)

@@ -63,6 +63,13 @@ def test_a_censored_way_counts_against_the_agent_whose_lead_is_claimed(first, se
     assert way_ratio(first, second) == (expected if expected is None else pytest.approx(expected))
 
 
+def test_times_are_compared_by_the_same_rules():
+    """Runs at 0.4 m/s within a limit of 100 s."""
+    assert way_ratio(run("a", 10.0), run("b", 20.0), axis="seconds") == pytest.approx(0.5)
+    assert way_ratio(run("a", 10.0), run("b", 60.0, ends=40.0, stopped=False), axis="seconds") == pytest.approx(0.25)
+    assert way_ratio(run("a", 60.0, ends=5.0, stopped=True), run("b", 20.0), axis="seconds") == pytest.approx(2.0)
+
+
 def test_ratios_stay_finite_where_the_first_look_shows_it_all():
     at_once = run("a", 10.0) | {"metres_90": 0.0}
     assert way_ratio(at_once, run("b", 1.6)) == pytest.approx(0.1)  # one step counts
