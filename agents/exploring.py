@@ -127,7 +127,7 @@ class Explorer:
         self._age += 1
         self._near = floor.clearance(planar[:2], 1.2)
         if self._done(planar):
-            self._close()
+            self._close(self._left(floor))
         if self._pointless(floor) or self._stale(planar, self._near):
             self._choice = None
         if self._choice is not None and self._path is not None:
@@ -157,14 +157,20 @@ class Explorer:
         self._choice = replace(self._choice, looks=tuple(looks))
         return self._path is None and not looks
 
+    def _left(self, floor: FloorPlan) -> np.ndarray:
+        """Which cells of the choice's target are frontiers still, ``(n, 2)`` m."""
+        target = None if self._choice is None else self._choice.target
+        if target is None:
+            return np.empty((0, 2))
+        cell = np.clip(floor.index(target), 0, np.array(floor.cells.shape) - 1)
+        return target[frontier_cells(floor.cells)[cell[:, 0], cell[:, 1]]]
+
     def _pointless(self, floor: FloorPlan) -> bool:
         """Whether what the choice is about has been seen meanwhile."""
         choice = self._choice
         if choice is None or choice.target is None:
             return False
-        cell = np.clip(floor.index(choice.target), 0, np.array(floor.cells.shape) - 1)
-        left = frontier_cells(floor.cells)[cell[:, 0], cell[:, 1]]
-        return bool(left.mean() <= 1.0 - self._config.known_share)
+        return len(self._left(floor)) <= (1.0 - self._config.known_share) * len(choice.target)
 
     def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
         """Whether the way is to be chosen anew: by the clock, or because it is not free any more."""
@@ -211,17 +217,17 @@ class Explorer:
         grown = np.sqrt(std**2 + self._config.replan_steps * np.array([step, step, turn]) ** 2)
         return np.where(std > 0.0, grown, 0.0)
 
-    def _close(self) -> None:
-        """The choice is carried out; what of its target is unknown still is not to be seen."""
-        if self._choice is not None and self._choice.target is not None:
-            self._dismissed.append(self._choice.target)
+    def _close(self, vain: np.ndarray) -> None:
+        """The choice is done with; ``vain`` ``(n, 2)``, m, is what is unknown still: not to be seen from there."""
+        if len(vain):
+            self._dismissed.append(vain)
         self._choice, self._arrived = None, True
 
     def _give_up(self) -> None:
         """The robot does not get to where it wanted to."""
-        if self._choice is not None and self._choice.goal is not None:
-            self._dismissed.append(self._choice.goal[None])
-        self._close()
+        choice = self._choice
+        parts = [] if choice is None else [a.reshape(-1, 2) for a in (choice.goal, choice.target) if a is not None]
+        self._close(np.concatenate(parts) if parts else np.empty((0, 2)))
 
     def _command(self, planar: np.ndarray, near: ClearanceMap) -> tuple[np.ndarray, str]:
         """One step along the path, or one turn towards the next look."""

@@ -11,7 +11,7 @@ and goes to the first of the best order.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -19,11 +19,12 @@ import numpy as np
 from vssm_gym.agents.exploring import Explorer
 from vssm_gym.agents.strategy import Belief, Choice
 from vssm_gym.camera import Camera
+from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix, wrap_angle
 from vssm_gym.planning.exploration import Roadmap, candidates, representatives
 from vssm_gym.planning.frontier import REACH
 from vssm_gym.planning.information import Gain, InformationConfig, gain_of_paths
-from vssm_gym.planning.repairman import best_order
+from vssm_gym.planning.repairman import MOST, best_order
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
@@ -55,6 +56,12 @@ class MiExplorerConfig:
     information: InformationConfig = field(
         default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, unknown=4.0, ground=0.0)
     )
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("coverage", "rate", "difference"):
+            raise InputError("MiExplorerConfig", "mode", f"coverage, rate or difference; found {self.mode!r}")
+        if not 1 <= self.places <= MOST:
+            raise InputError("MiExplorerConfig", "places", f"1 to {MOST}; found {self.places!r}")
 
 
 @dataclass(frozen=True)
@@ -126,6 +133,8 @@ class MutualInformation:
         found = candidates(
             roadmap, spacing=c.spacing, hazard=c.hazard, least_area=c.least_area, dismissed=belief.dismissed
         )
+        fresh = np.array([not self._is_visited(place) for place in found.xy], bool)
+        found = replace(found, xy=found.xy[fresh], distance=found.distance[fresh], seen=found.seen[fresh])
         chosen, share = representatives(found, c.places, c.decay, c.least_area)
         if len(chosen) == 0:
             return None
@@ -137,7 +146,6 @@ class MutualInformation:
         held = looked.pose.reshape(-1, AROUND).mean(axis=1)
         worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) * share - c.least_gain
         worth += c.pose_weight * (held - held.max())  # where the robot would see nothing to tell its place by
-        worth[np.array([self._is_visited(place) for place in xy])] = 0.0
         kept = np.flatnonzero(worth > 0.0)
         if len(kept) == 0:
             return None

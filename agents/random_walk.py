@@ -34,13 +34,15 @@ class RandomLegs:
         self._goal: np.ndarray | None = None
 
     def choose(self, belief: Belief) -> Choice | None:
-        """The end of the leg that is being driven, or of a new one."""
+        """The end of the leg that is being driven, or of a new one; None where no leg leads anywhere."""
         if self._goal is None or belief.arrived or not belief.roadmap.reaches(self._goal):
             self._goal = self._drawn(belief)
+        if self._goal is None:
+            return None
         return Choice(self._goal, (), None, "walks at random")
 
-    def _drawn(self, belief: Belief) -> np.ndarray:
-        c, xy, longest, best = self._config, belief.planar[:2], -1.0, belief.planar[:2]
+    def _drawn(self, belief: Belief) -> np.ndarray | None:
+        c, xy, longest, best = self._config, belief.planar[:2], -1.0, None
         for _ in range(c.tries):
             angle, length = self._rng.uniform(-math.pi, math.pi), self._rng.uniform(c.least, c.most)
             s = np.arange(0.1, length + 1e-9, 0.05)

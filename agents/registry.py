@@ -7,6 +7,7 @@ from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.dwa import DwaAgent
 from vssm_gym.agents.frontier_gain import FrontierGainAgent
 from vssm_gym.agents.frontier_gain_tracked import FrontierGainTrackedAgent
+from vssm_gym.agents.frontier_looking import FrontierLookingAgent
 from vssm_gym.agents.frontier_nearest import FrontierNearestAgent
 from vssm_gym.agents.greedy import GreedyAgent
 from vssm_gym.agents.hybrid_astar import HybridAStarAgent
@@ -41,6 +42,7 @@ AGENTS: dict[str, type[Agent]] = {
         MiExplorerAgent,
         FrontierNearestAgent,
         FrontierGainAgent,
+        FrontierLookingAgent,
         CandidateRandomAgent,
         RandomWalkAgent,
         MiExplorerTrackedAgent,

@@ -115,9 +115,9 @@ def ratio(
     return Ratio(
         Interval(mean, low, high, logs.tasks, logs.episodes),
         len(paired),
-        sum(value < 1.0 for _, _, value in found),
-        sum(a[f"metres_{share}"] is None for a, _ in paired),
-        sum(b[f"metres_{share}"] is None for _, b in paired),
+        sum(b[f"{axis}_{share}"] is None or value < 1.0 for a, b, value in found if a[f"{axis}_{share}"] is not None),
+        sum(a[f"{axis}_{share}"] is None for a, _ in paired),
+        sum(b[f"{axis}_{share}"] is None for _, b in paired),
     )
 
 

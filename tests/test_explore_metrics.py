@@ -63,6 +63,11 @@ def test_a_censored_way_counts_against_the_agent_whose_lead_is_claimed(first, se
     assert way_ratio(first, second) == (expected if expected is None else pytest.approx(expected))
 
 
+def test_who_alone_got_there_got_there_first():
+    rows = [run("a", 50.0), run("b", 60.0, ends=40.0, stopped=True)]
+    assert (ratio(rows, "a", "b").shorter, ratio(rows, "b", "a").shorter) == (1, 0)
+
+
 def test_times_are_compared_by_the_same_rules():
     """Runs at 0.4 m/s within a limit of 100 s."""
     assert way_ratio(run("a", 10.0), run("b", 20.0), axis="seconds") == pytest.approx(0.5)

@@ -64,7 +64,8 @@ def explore(agent: Agent, world: gym.Env, steps: int, seed: int = 0) -> tuple[li
 
 
 def test_all_are_registered():
-    observed = {"mi_explorer", "frontier_nearest", "frontier_gain", "candidate_random", "random_walk"}
+    frontiers = {"frontier_nearest", "frontier_gain", "frontier_looking"}
+    observed = {"mi_explorer", "candidate_random", "random_walk"} | frontiers
     assert set(EXPLORERS) == observed | TRACKED
     for name in EXPLORERS:
         agent = AGENTS[name]

@@ -63,8 +63,17 @@ def test_small_groups_and_dismissed_ones_are_left_out():
     plan = drawn(CORRIDOR)
     roadmap = Roadmap.of(plan, np.array([0.3, 0.3]), 0.15)
     assert [len(f.cells) for f in frontiers(plan, roadmap.distance, least=3, near=0.35)] == [5]
-    gone = frontiers(plan, roadmap.distance, least=1, near=0.35, dismissed=np.array([[1.4, 0.3]]))
-    assert all(f.xy[:, 0].max() < 1.4 for f in gone)
+    (group,) = frontiers(plan, roadmap.distance, least=3, near=0.35)
+    assert not frontiers(plan, roadmap.distance, least=3, near=0.35, dismissed=group.xy)
+
+
+def test_what_is_left_of_a_door_is_not_given_up_with_what_was_looked_at():
+    plan = drawn("\n".join(["." * 20] * 4 + ["?" * 20]))
+    roadmap = Roadmap.of(plan, np.array([0.3, 0.3]), 0.05)
+    (door,) = frontiers(plan, roadmap.distance, length=10.0)
+    half = door.xy[door.xy[:, 0] < door.xy[:, 0].mean()]
+    (left,) = frontiers(plan, roadmap.distance, length=10.0, dismissed=half)
+    assert len(half) - 3 <= len(left.cells) < len(door.cells)
 
 
 def test_a_wide_frontier_is_cut_in_pieces():

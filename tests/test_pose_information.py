@@ -47,6 +47,14 @@ def test_a_corner_tells_more_than_a_wall_and_all_at_once() -> None:
     assert gain(CORNER, T, (0.0, 0.05, 0.0)) > 1.0
 
 
+def test_more_pixels_tell_the_same_again() -> None:
+    T, fine = camera_pose((0.5, 0.0, 0.4), 0.6), Camera.from_hfov(120, 90, np.radians(75))
+    depth = np.asarray(CORNER.image(T, fine).depth, np.float64)[None]
+    std = np.array([0.05, 0.05, 0.1])
+    many = pose_gain(depth, np.ones(depth.shape, bool), T[None], fine, std)[0]
+    assert many == pytest.approx(gain(CORNER, T, tuple(std)), rel=0.03)
+
+
 def test_what_is_not_known_tells_nothing() -> None:
     T = camera_pose((0.5, 0.0, 0.4), 0.6)
     depth = np.asarray(CORNER.image(T, CAMERA).depth, np.float64)[None]

@@ -143,20 +143,20 @@ def candidates(
 def representatives(found: Candidates, most: int, decay: float, least_area: float) -> tuple[np.ndarray, np.ndarray]:
     """Few places that see different parts of the unknown: at each turn the best by ``area exp(-decay distance)``.
 
-    A cell that a chosen place may see counts for no other. Returns the places' numbers, in the order of choice, and
-    for each the expected share of the cells it may see that it will: what an image at the map's mean overstates.
+    A cell that a chosen place sees with probability p counts 1 - p for the others. Returns the places' numbers, in the
+    order of choice, and for each the expected share of the cells it may see that it will: what an image at the map's
+    mean overstates.
     """
-    left = np.ones(found.seen.shape[1], bool)
+    left = np.ones(found.seen.shape[1], np.float32)
     chosen: list[int] = []
     share: list[float] = []
     near = np.exp(-decay * found.distance)
     while len(chosen) < most and len(found.xy):
-        area = found.seen @ left.astype(np.float32) * found.cell
+        area = found.seen @ left * found.cell
         k = int(np.argmax(area * near))
         if area[k] < least_area:
             break
-        mine = left & (found.seen[k] > 0.0)
         chosen.append(k)
-        share.append(float(found.seen[k][mine].mean()))
-        left &= ~mine
+        share.append(float(found.seen[k] @ left / left[found.seen[k] > 0.0].sum()))
+        left *= 1.0 - found.seen[k]
     return np.array(chosen, int), np.array(share)

@@ -17,6 +17,7 @@ from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 REACH = 5.0  # m: depth cameras are sharp so far
+DISMISSED = 0.12  # m: a cell and its neighbours; a door of which half was seen is not given up with that half
 RAYS = 240  # of a whole turn: two cells of 7 cm apart at the end of the reach
 
 
@@ -65,7 +66,7 @@ def frontiers(
         least: cells of a group; smaller ones are corners that rays just missed.
         near: a cell counts where the robot can come so near to it, m.
         length: groups wider than this (m) are cut in pieces, so that a goal stands for what is around it.
-        dismissed: ``(n, 2)`` points, m, near which (within ``near``) frontiers were looked at in vain.
+        dismissed: ``(n, 2)`` points, m: what is within :data:`DISMISSED` of one was looked at in vain.
     """
     mask = frontier_cells(plan.cells)
     reached = np.isfinite(distance)
@@ -76,7 +77,7 @@ def frontiers(
     if dismissed is not None and len(dismissed):
         cell = np.argwhere(mask)
         gap = np.linalg.norm(plan.centres(cell)[:, None] - dismissed[None], axis=-1).min(axis=1)
-        mask[tuple(cell[gap < near].T)] = False
+        mask[tuple(cell[gap < DISMISSED].T)] = False
     labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
     found = []
     for group in _groups(labels, count):

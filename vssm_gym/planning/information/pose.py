@@ -1,16 +1,17 @@
 """``I(z; x) = 1/2 log det(I + Sigma F)``: what an imagined image would tell of the robot's own pose (x, y, heading).
 
-``Sigma`` is the covariance with which the robot will get there and ``F = sum_pixels J J^T / sigma^2`` the Fisher
-information of readings of known surfaces, point to plane: a robot that slides by ``d`` and turns by ``a`` about its
-axis at ``c`` sees the point ``p`` with normal ``n`` nearer by ``n . (d + a e_z x (p - c))``. Unknown space tells
-nothing, a bare wall nothing of the way along it.
+``Sigma = diag(std^2)`` is how well the robot will know its pose when it gets there, and ``F = sum_pixels J J^T / sigma^2``
+the Fisher information of readings of known surfaces, point to plane: a robot that slides by ``d`` and turns by ``a``
+about its axis at ``c`` sees the point ``p`` with normal ``n`` nearer by ``n . (d + a e_z x (p - c))``. Unknown space
+tells nothing, a bare wall nothing of the way along it.
 """
 
 import numpy as np
 
 from vssm_gym.camera import Camera
 
-READING_STD = 0.1  # m: wide, since neighbouring readings err together
+READING_STD = 0.1  # m, of READINGS readings an image: wide, since neighbouring ones err together
+READINGS = 1200  # however many pixels the image has: more of them tell the same again
 EDGE = 0.15  # of the depth: neighbours further apart lie on different surfaces
 
 
@@ -44,6 +45,6 @@ def pose_gain(
     n = np.where(whole[..., None], n / np.maximum(length, 1e-12)[..., None], 0.0)
     turn = n[..., 1] * here[..., 0] - n[..., 0] * here[..., 1]
     J = np.stack([n[..., 0], n[..., 1], turn], axis=-1).reshape(len(depth), -1, 3)
-    F = np.einsum("vni,vnj->vij", J, J) / READING_STD**2
+    F = np.einsum("vni,vnj->vij", J, J) * (READINGS / (camera.width * camera.height)) / READING_STD**2
     scaled = np.eye(3) + std[:, None] * F * std
     return 0.5 * np.linalg.slogdet(scaled)[1]
