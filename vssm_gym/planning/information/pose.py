@@ -1,6 +1,6 @@
 """``I(z; x) = 1/2 log det(I + Sigma F)``: what an imagined image would tell of the robot's own pose (x, y, heading).
 
-``Sigma = diag(std^2)`` is how well the robot will know its pose when it gets there, and ``F = sum_pixels J J^T / sigma^2``
+``Sigma = diag(std^2)`` is how well the robot will know its pose there, and ``F = sum_pixels J J^T / sigma^2``
 the Fisher information of readings of known surfaces, point to plane: a robot that slides by ``d`` and turns by ``a``
 about its axis at ``c`` sees the point ``p`` with normal ``n`` nearer by ``n . (d + a e_z x (p - c))``. Unknown space
 tells nothing, a bare wall nothing of the way along it.
