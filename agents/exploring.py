@@ -186,7 +186,7 @@ class Explorer:
         """Choose and plan the way; the reason where nothing is left to do."""
         self._age, self._path = 0, None
         planar, std = estimate.planar, self._ahead(estimate.std)
-        reached = 0
+        reached, failed, least = 0, "", 0.5 * self._config.margins[-1]
         for margin in self._config.margins:
             roadmap = Roadmap.of(floor, planar[:2], self._radius + margin)
             reached = int(np.isfinite(roadmap.distance).sum())
@@ -200,12 +200,14 @@ class Explorer:
             if choice.goal is None:
                 return None
             # The roadmap's edges are looked at less closely than A*'s: a way may need less room than was asked.
-            for tight in (margin, 0.5 * margin):
+            for tight in (margin, max(0.5 * margin, least), least):
                 way = plan(roadmap.clearance, planar, choice.goal, self._radius, margin=tight, goal_radius=ARRIVED)
                 if way.found:
                     self._margin, self._path = tight, way.path if len(way.path) > 1 else None
                     return None
-            self._failures, self._failed = self._failures + 1, way.status.message
+            failed = way.status.message
+        if failed:
+            self._failures, self._failed = self._failures + 1, failed
             self._give_up()
             return None
         room = reached * floor.resolution**2

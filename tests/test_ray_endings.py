@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from analytic_room import camera_pose, ray_directions
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_maps import ORIGIN, SHAPE, VOXEL, seeds
 
@@ -72,6 +72,7 @@ def test_where_nothing_is_known_rays_are_as_long_as_was_said(seed: int, unknown:
 
 
 @pytest.mark.parametrize("sparse", [False, True])
+@settings(max_examples=12)
 @given(seed=seeds, unknown=st.floats(0.2, 2.0))
 def test_the_way_through_unknown_cells_is_used_up(sparse: bool, seed: int, unknown: float) -> None:
     """Against the same integral by steps of a fiftieth: to within a cell's diagonal on average, never far off."""
