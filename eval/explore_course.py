@@ -104,7 +104,7 @@ def run_episode(
         spectator: shown every step, in order; what it does takes none of the agent's time.
 
     Returns:
-        ``metres_50, _90, _99`` and ``seconds_...`` (None where the run ended before), ``coverage``, ``entropy`` (nats,
+        ``metres_50, _90, _95, _99`` and ``seconds_...`` (None: the run ended before), ``coverage``, ``entropy`` (nats,
         relative to the prior) and ``completeness`` at its end (None without a map), ``curve`` of these, the mesh's
         ``accuracy, accurate_5cm, completion, complete_5cm`` (m and shares), ``success`` (90 %), ``stopped`` (by the
         agent), ``path_length``, ``seconds``, ``steps``, ``collisions`` (steps in contact), ``touched``, location

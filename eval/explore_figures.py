@@ -25,7 +25,7 @@ CURVES = {"entropy": ("entropy of the map, Mnat", 1e-6), "coverage": ("coverage,
 CURVES |= {"completeness": ("surface complete, %", 100.0)}
 SCENE_COLUMNS = 4
 PATH_COLOURS = "viridis"
-MARKS = {"50": "v", "90": "D", "99": "*"}  # where a run had covered a share
+MARKS = {"50": "v", "90": "D", "95": "s", "99": "*"}  # where a run had covered a share
 
 
 def curves(rows: Sequence[Row], seed: int) -> bytes:
@@ -46,7 +46,7 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
 
 
 def reached(rows: Sequence[Row]) -> bytes:
-    """The share of runs that had covered 50, 90 and 99 % by a path length, as SVG; runs that never did count."""
+    """The share of runs that had covered 50, 90, 95 and 99 % by a path length, as SVG; runs that never did count."""
     figure = Figure(figsize=(11.5, 3.2), layout="constrained")
     panels = figure.subplots(1, len(metrics.SHARES), sharey=True)
     for axes, share in zip(panels, metrics.SHARES, strict=True):

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from vssm_gym.eval.aggregate import CONDITION, RESAMPLES, Interval, Row, bootstrap_mean, task_key
 
-SHARES = (50, 90, 99)  # % of the coverage that way and time are taken to
+SHARES = (50, 90, 95, 99)  # % of the coverage that way and time are taken to
 GOAL = 90  # % of coverage that a run has succeeded at
 EVERY_METRES, EVERY_SECONDS = 2.0, 10.0  # between samples of a curve, whichever comes first
 LEAST = {"metres": 0.16, "seconds": 0.2}  # one step: a ratio is finite where the first look shows it all

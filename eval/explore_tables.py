@@ -21,6 +21,7 @@ EXPLORE = Measures(
         "reached_99": "covered 99 %",
         "metres_50": "m to 50 %",
         "metres_90": f"m to {GOAL} %",
+        "metres_95": "m to 95 %",
         "metres_99": "m to 99 %",
         "seconds_90": f"s to {GOAL} %",
         "coverage_percent": "coverage %",
@@ -37,7 +38,7 @@ EXPLORE = Measures(
     compared=("coverage_percent", "known", "complete_percent", "completion_cm", "touched", "navigation_success"),
     digits={
         **dict.fromkeys(("success", "reached_99", "touched", "coverage_percent", "complete_percent"), 1),
-        **dict.fromkeys(("metres_50", "metres_90", "metres_99", "seconds_90", "known"), 1),
+        **dict.fromkeys(("metres_50", "metres_90", "metres_95", "metres_99", "seconds_90", "known"), 1),
         **dict.fromkeys(("accuracy_cm", "completion_cm"), 2),
         **dict.fromkeys(("navigation_success", "decision_p95"), 0),
     },
@@ -107,12 +108,12 @@ def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
     """The reference's way to a share of coverage over each other agent's, over all scenes; and its time to ``GOAL``."""
     by = pooled(rows)
     header = [*(name.replace("_", " ") for name in by), "ratio of ways", "pairs", "scenes"]
-    header += [f"{column} {share} %" for share in (GOAL, 99) for column in ("to", "shorter to", "missed")]
+    header += [f"{column} {share} %" for share in (GOAL, 95, 99) for column in ("to", "shorter to", "missed")]
     header.append(f"seconds to {GOAL} %")
     lines = []
     for group, members in group_rows(rows, by).items():
         for other in others(members, reference):
-            found = [metrics.ratio(members, reference, other, share, seed) for share in (GOAL, 99)]
+            found = [metrics.ratio(members, reference, other, share, seed) for share in (GOAL, 95, 99)]
             scenes = str(len({a["scene_hash"] for a, _ in metrics.pairs(members, reference, other)}))
             line = [*group, f"{reference} / {other}", str(found[0].pairs), scenes]
             for r in found:

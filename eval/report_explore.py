@@ -28,7 +28,7 @@ NOTE = (
     "percentile bootstrap over starts."
 )
 CENSORED = (
-    f"A run that ended below {GOAL} % (or 99 %) is censored, and counts: in medians as longer than any that got "
+    f"A run that ended below {GOAL} % (or 95 or 99 %) is censored, and counts: in medians as longer than any that got "
     "there, in ratios with the value that speaks against the first agent. If time was out for the other agent the "
     "metres that it had driven stand for its way, which would have been longer; if it stopped by itself the ratio "
     "counts as 1 at most; if the first agent did not get there, all the metres that a robot can drive in the time "
