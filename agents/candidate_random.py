@@ -10,6 +10,7 @@ import numpy as np
 from vssm_gym.agents.exploring import Explorer
 from vssm_gym.agents.strategy import Belief, Choice, around
 from vssm_gym.planning.exploration import candidates
+from vssm_gym.planning.structure import expected_surfaces
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -18,7 +19,7 @@ class CandidateRandomConfig:
     """Settings of ``candidate_random``: the candidates are those of ``mi_explorer``."""
 
     spacing: float = 0.5  # m between candidates
-    hazard: float = 0.7  # 1/m, of surfaces in unknown space
+    hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
     least_area: float = 0.05  # m^2 of unknown space in sight
 
 
@@ -36,8 +37,9 @@ class RandomCandidate:
     def choose(self, belief: Belief) -> Choice | None:
         """The goal of before until it is reached, then another."""
         c = self._config
+        hazard = expected_surfaces(belief.roadmap.plan, *c.hazard)
         found = candidates(
-            belief.roadmap, spacing=c.spacing, hazard=c.hazard, least_area=c.least_area, dismissed=belief.dismissed
+            belief.roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=belief.dismissed
         )
         if not len(found.xy):
             return None

@@ -30,8 +30,12 @@ from vssm_gym.voxel_map import VoxelMap
 
 ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
 LEAST_STEP = 0.02  # m, worth its noise
-TRIES = 4  # steps in a row that are refused, after which a goal is given up
+TRIES = 4  # steps that are refused, within ``HELD``, after which a goal is given up
+HELD = 0.5  # m
+HELD_STEP = 0.15  # m: where nothing else is possible, so far to where there is more room
+HELD_STEPS = 8  # that this may take beyond the usual, half a turn included
 ALIGNED = 0.12  # rad, the same of a look
+FULL = "finished: the map has no room for more"
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,8 @@ class Explorer:
         self._roadmap: Roadmap | None = None
         self._margin = self._config.margins[0]
         self._arrived, self._failed = True, ""
-        self._age = self._failures = self._lost = 0
+        self._age = self._failures = self._lost = self._refused = 0
+        self._held = np.full(2, np.inf)  # where steps were refused last
         self._dismissed: list[np.ndarray] = []
 
     def act(self, observation: Observation) -> Decision:
@@ -105,7 +110,7 @@ class Explorer:
             command, activity, stop = self._search(estimate)
             planned = mapped
         else:
-            finished = self._plan(estimate)
+            finished = FULL if self._own.is_full else self._plan(estimate)
             planned = time.perf_counter()
             command, activity, stop = self._drive(estimate.planar, finished)
         ended = time.perf_counter()
@@ -244,22 +249,40 @@ class Explorer:
             if np.any(command != 0.0):
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
-            self._failures += 1
-            if self._failures % TRIES == 0:
-                self._give_up()
-            self._choice = None
-            return np.array([limits[0], 0.0, 0.0]), "held up: choosing anew"
+            self._held_up(planar, near)
+            return np.array([limits[0], 0.0, 0.0]), "held up"
         if not choice.looks:
             return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
+
+    def _held_up(self, planar: np.ndarray, near: ClearanceMap) -> None:
+        """No step may be taken along the path: make room for another way, or choose anew from here."""
+        self._failures += 1
+        if math.hypot(*(planar[:2] - self._held)) > HELD:
+            self._held, self._refused = planar[:2].copy(), 0
+        self._refused += 1
+        if self._refused % TRIES == 0:
+            self._give_up()
+        turns = np.arange(16) * math.pi / 8.0
+        away = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        have = np.stack([near.at(planar[:2] + step * away) for step in (0.05, 0.1, HELD_STEP)])
+        have[:, have.min(axis=0) < float(near.at(planar[:2]))] = -math.inf
+        best = int(np.argmax(have[-1]))
+        self._choice = self._path = None
+        if math.isfinite(have[-1, best]):
+            spot = planar[:2] + HELD_STEP * away[best]
+            self._choice, self._path = Choice(spot, (), None, "makes room"), np.stack([planar[:2], spot])
+            self._age = -HELD_STEPS
 
     def _followed(self, planar: np.ndarray) -> np.ndarray | None:
         """The path from where the robot is now; None where no part of it is in sight."""
         assert self._path is not None and self._roadmap is not None
         end = self._path[-1]
         points = np.concatenate([planar[None, :2], self._path[1:]])
-        need = needed(self._roadmap.clearance, planar[:2], self._radius + self._margin - 0.015)
+        # Never less than a step keeps, or the path would be pulled to where no step may go.
+        margin = max(self._margin - 0.015, self._config.guard)
+        need = needed(self._roadmap.clearance, planar[:2], self._radius + margin)
         return tighten(self._roadmap.clearance, points, end, 0.0, need)
 
     def _careful(self, planar: np.ndarray, command: np.ndarray, near: ClearanceMap) -> np.ndarray:

@@ -25,6 +25,7 @@ from vssm_gym.planning.exploration import Roadmap, candidates, representatives
 from vssm_gym.planning.frontier import REACH
 from vssm_gym.planning.information import Gain, InformationConfig, gain_of_paths
 from vssm_gym.planning.repairman import MOST, best_order
+from vssm_gym.planning.structure import expected_surfaces, over_map
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
@@ -39,27 +40,30 @@ class MiExplorerConfig:
     mode: Literal["coverage", "rate", "difference"] = "coverage"
     price: float = 5000.0  # nats a metre, of the mode "difference"
     spacing: float = 0.5  # m between candidates
-    hazard: float = 0.7  # 1/m, of surfaces in unknown space, which an image at the map's mean does not have
+    hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
+    least_share: float = 0.1  # of the greatest gain, below which a place waits
     least_area: float = 0.05  # m^2 of unknown space that a candidate sees
     places: int = 10  # candidates that are imagined, at most
     decay: float = 0.2  # 1/m, by which nearer ones are taken for them
     least_gain: float = 1000.0  # nats, of a place that is worth going to
     headings: int = 8  # of looks from here
-    least_look: float = 2000.0  # nats, of one of them less the turn's price
-    look_share: float = 0.02  # the same on the way, of the whole tour's gain
-    turn_price: float = 2000.0  # nats a radian, of the time that it takes: about a third of what driving gains in it
+    least_look: float = 600.0  # nats, of one of them less the turn's price
+    look_share: float = 0.003  # the same on the way, of the whole tour's gain
+    turn_price: float = 600.0  # nats a radian, of the time that it takes: a small part of what driving gains in it
     pose_weight: float = 1000.0  # nats of the map that a nat about the own pose is worth: without it the map is spoilt
     repeat: tuple[float, float] = (0.3, 0.5)  # m and rad: looks so close to one that was made are not made again
     strip: float = 1.0 / 3.0  # of the image's height, around the horizon: see `_strip`
     # A cell that was observed is known to 3 cm: looking again would outweigh, by the number of known cells, a small
     # place that nobody has seen.
     information: InformationConfig = field(
-        default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, unknown=4.0, ground=0.0)
+        default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, ground=0.0)
     )
 
     def __post_init__(self) -> None:
         if self.mode not in ("coverage", "rate", "difference"):
             raise InputError("MiExplorerConfig", "mode", f"coverage, rate or difference; found {self.mode!r}")
+        if not (len(self.hazard) == 2 and min(self.hazard) >= 0.0):
+            raise InputError("MiExplorerConfig", "hazard", f"two rates, at least 0 1/m; found {self.hazard!r}")
         if not 1 <= self.places <= MOST:
             raise InputError("MiExplorerConfig", "places", f"1 to {MOST}; found {self.places!r}")
 
@@ -98,13 +102,15 @@ class MutualInformation:
         if belief.arrived and self._goal is not None and math.hypot(*(self._goal - belief.planar[:2])) < NEAR:
             self._visited.append(self._goal)
             self._goal = None
-        strip = _strip(belief.camera, self._config.strip)
+        c, plan = self._config, belief.roadmap.plan
+        strip, hazard = _strip(belief.camera, c.strip), expected_surfaces(plan, *c.hazard)
+        columns = over_map(plan, hazard, c.hazard[1], belief.map)
 
         def gain(planar: np.ndarray, paths: np.ndarray) -> Gain:
             views = planar_to_matrix(planar) @ belief.T_body_cam
-            return gain_of_paths(belief.map, views, paths, strip, self._config.information, belief.std)
+            return gain_of_paths(belief.map, views, paths, strip, c.information, belief.std, columns)
 
-        return self._look(belief, gain) or self._tour(belief, gain)
+        return self._look(belief, gain) or self._tour(belief, hazard, gain)
 
     def _look(self, belief: Belief, gain: Gains) -> Choice | None:
         """The look from here that teaches most for the turn, where that is enough."""
@@ -127,15 +133,15 @@ class MutualInformation:
         self._looks.append((x, y, float(fresh[k])))
         return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
 
-    def _tour(self, belief: Belief, gain: Gains) -> Choice | None:
+    def _tour(self, belief: Belief, hazard: np.ndarray, gain: Gains) -> Choice | None:
         """Where to go first; None where no place is worth it."""
         c, roadmap = self._config, belief.roadmap
         found = candidates(
-            roadmap, spacing=c.spacing, hazard=c.hazard, least_area=c.least_area, dismissed=belief.dismissed
+            roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=belief.dismissed
         )
         fresh = np.array([not self._is_visited(place) for place in found.xy], bool)
         found = replace(found, xy=found.xy[fresh], distance=found.distance[fresh], seen=found.seen[fresh])
-        chosen, share = representatives(found, c.places, c.decay, c.least_area)
+        chosen = representatives(found, c.places, c.decay, c.least_area)
         if len(chosen) == 0:
             return None
         xy, away = found.xy[chosen], found.distance[chosen]
@@ -144,9 +150,9 @@ class MutualInformation:
         # One trajectory through all of them: what a place adds to those before it.
         looked = gain(planar, np.arange(len(planar))[None])
         held = looked.pose.reshape(-1, AROUND).mean(axis=1)
-        worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) * share - c.least_gain
+        worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) - c.least_gain
         worth += c.pose_weight * (held - held.max())  # where the robot would see nothing to tell its place by
-        kept = np.flatnonzero(worth > 0.0)
+        kept = np.flatnonzero(worth > max(0.0, c.least_share * float(worth.max(initial=0.0))))
         if len(kept) == 0:
             return None
         xy, away, worth = xy[kept], away[kept], worth[kept]

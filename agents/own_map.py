@@ -57,6 +57,12 @@ class OwnMap:
         """The belief, world frame; valid until the next observation."""
         return self._mapper.map
 
+    @property
+    def is_full(self) -> bool:
+        """Whether something was seen that found no room in the map any more."""
+        table = self.map.table
+        return table is not None and int(table.refused) > 0
+
     def take(self, command: np.ndarray, observation: Observation) -> None:
         """Take up what was seen after ``command`` ``(turn, o, s)``; ``estimate`` says from where."""
         self.estimate = self._mapper.update(command, observation)

@@ -102,10 +102,14 @@ def test_candidates_see_the_unknown_and_representatives_share_it(west):
     assert (found.area >= 0.1).all()
     blind = np.array([1.0, 0.5])  # behind the wall
     assert np.linalg.norm(found.xy - blind, axis=1).min() > 0.1
-    chosen, share = representatives(found, 3, 0.1, 0.1)
+    chosen = representatives(found, 3, 0.1, 0.1)
     assert chosen[0] == np.argmax(found.area * np.exp(-0.1 * found.distance))
     assert len(set(chosen.tolist())) == len(chosen)
-    assert ((share > 0.0) & (share <= 1.0)).all()
+    best = np.zeros(found.seen.shape[1])
+    for k in chosen:  # greedy: none adds more than the one that was chosen
+        more = np.maximum(found.seen - best, 0.0).sum(axis=1) * np.exp(-0.1 * found.distance)
+        assert more[k] == pytest.approx(more.max(), rel=1e-5)
+        best = np.maximum(best, found.seen[k])
     fewer = candidates(roadmap, spacing=0.5, hazard=0.5, least_area=0.1, dismissed=found.xy[chosen[:1]])
     assert np.linalg.norm(fewer.xy - found.xy[chosen[0]], axis=1).min() > 0.2
 
@@ -116,7 +120,7 @@ def test_a_map_without_unknown_space_has_no_candidates():
     roadmap = Roadmap.of(FloorPlan(cells, plan.depth, plan.origin, plan.resolution), START, 0.15)
     found = candidates(roadmap, spacing=0.5, hazard=0.5, least_area=0.1, dismissed=NONE)
     assert len(found.xy) == 0
-    assert len(representatives(found, 3, 0.1, 0.1)[0]) == 0
+    assert len(representatives(found, 3, 0.1, 0.1)) == 0
 
 
 @pytest.mark.parametrize("n", [1, 2, 4, 6])

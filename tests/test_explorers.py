@@ -150,6 +150,12 @@ def test_the_map_is_as_large_as_configured(world):
     assert int(agent.map.table.refused) == 0
 
 
+def test_a_full_map_ends_the_run(world):
+    decisions, _ = explore(Explorer(_Nothing(), own=OwnMapConfig(extent=8.0, slots=20)), world, 1)
+    assert decisions[-1].action[3] > 0.5
+    assert "no room" in decisions[-1].status
+
+
 @pytest.mark.slow
 def test_a_tracked_explorer_knows_where_it_is_and_says_when_it_does_not(world):
     """Without the pose it stays within centimetres of it; in the dark it turns, changes nothing and gives up."""

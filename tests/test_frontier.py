@@ -97,7 +97,7 @@ def test_frontier_cells_by_definition(seed):
 def test_what_a_doorway_shows():
     """Through an opening of one cell, straight ahead: nothing beside the beam is seen; walls end rays."""
     plan = drawn("\n".join(["??????????", "#####.####", "#........#", "#........#", "##########"][::-1]))
-    seen = visible_unknown(plan.cells, 5.0, 2.0, 20.0, 0.0, RAYS)
+    seen = visible_unknown(plan.cells, 5.0, 2.0, 20.0, np.zeros(plan.cells.shape, np.float32), RAYS)
     assert set(np.unique(seen)) <= {0.0, 1.0}
     assert seen[5, 4] == 1.0
     assert seen[0, 4] == 0.0
@@ -108,7 +108,7 @@ def test_hazard_discounts_by_the_way_through_the_unknown():
     """In the open, p = exp(-hazard * way): checked along an axis, and 0 hazard counts every cell in reach once."""
     cells = np.full((41, 41), UNKNOWN, np.int8)
     plan = FloorPlan(cells, np.zeros(cells.shape, np.float32), np.zeros(2), CELL)
-    p = visible_unknown(cells, 20.0, 20.0, 10.0, 0.2, RAYS)
+    p = visible_unknown(cells, 20.0, 20.0, 10.0, np.full(cells.shape, 0.2, np.float32), RAYS)
     for k in (1, 4, 9):
         assert p[20 + k, 20] == pytest.approx(math.exp(-0.2 * (k - 1)), rel=0.12)  # the robot's own cell is no way
     area = seen_unknown(plan, np.array([[2.0, 2.0]]), 0.0, 1.0).sum() * CELL**2

@@ -293,7 +293,6 @@ def test_an_imagined_image_shows_the_whole_view_in_at_least_the_pixels_asked_for
         {"max_depth": 0.01},
         {"samples": -1},
         {"mean_free_path": 0.0},
-        {"unknown": 0.0},
         {"ground": np.nan},
     ],
 )
@@ -306,6 +305,9 @@ def test_bad_input_is_refused() -> None:
     m, T = VoxelMap.prior(ORIGIN, VOXEL, SHAPE), random_poses(np.random.default_rng(0), 2)
     with pytest.raises(InputError, match="T_world_cam"):
         expected_gain(m, T, CAMERA)
+    for hazard in (-1.0, np.nan, np.ones((2, 2))):
+        with pytest.raises(InputError, match="hazard"):
+            expected_gain(m, T[None], CAMERA, hazard=hazard)
     with pytest.raises(InputError, match="valid"):
         expected_gain(m, T[None], CAMERA, valid=np.ones((2, 1), bool))
     with pytest.raises(InputError, match="finite"):

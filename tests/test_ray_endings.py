@@ -46,14 +46,14 @@ def speckled(seed: int, sparse: bool) -> VoxelMap:
 
 
 def test_without_either_nothing_changes() -> None:
-    np.testing.assert_array_equal(end_rays(FAR, poses(0), CAMERA, speckled(0, False), np.inf, -np.inf), FAR)
+    np.testing.assert_array_equal(end_rays(FAR, poses(0), CAMERA, speckled(0, False), 0.0, -np.inf), FAR)
 
 
 @given(seed=seeds, ground=st.floats(-0.5, 0.3))
 def test_rays_end_at_the_ground(seed: int, ground: float) -> None:
     """``p_z = ground`` where a ray was cut, ``p_z >= ground`` everywhere."""
     T = poses(seed)
-    ended = end_rays(FAR, T, CAMERA, VoxelMap.prior(ORIGIN, VOXEL, SHAPE), np.inf, ground)
+    ended = end_rays(FAR, T, CAMERA, VoxelMap.prior(ORIGIN, VOXEL, SHAPE), 0.0, ground)
     for pose, image in zip(T, ended, strict=True):
         z = pose[2, 3] + image.reshape(-1).astype(float) * ray_directions(pose, CAMERA)[:, 2]
         cut = image.reshape(-1) < FAR[0, 0, 0]
@@ -65,7 +65,7 @@ def test_rays_end_at_the_ground(seed: int, ground: float) -> None:
 def test_where_nothing_is_known_rays_are_as_long_as_was_said(seed: int, unknown: float) -> None:
     """Inside the map and beside it."""
     T = poses(seed)
-    ended = end_rays(FAR, T, CAMERA, VoxelMap.prior(ORIGIN, VOXEL, SHAPE), unknown, -np.inf)
+    ended = end_rays(FAR, T, CAMERA, VoxelMap.prior(ORIGIN, VOXEL, SHAPE), 1.0 / unknown, -np.inf)
     for pose, image in zip(T, ended, strict=True):
         length = image.reshape(-1) * np.linalg.norm(ray_directions(pose, CAMERA), axis=1)
         np.testing.assert_allclose(length, np.minimum(unknown, 3.0 * length / image.reshape(-1)), rtol=1e-5)
@@ -78,7 +78,7 @@ def test_the_way_through_unknown_cells_is_used_up(sparse: bool, seed: int, unkno
     """Against the same integral by steps of a fiftieth: to within a cell's diagonal on average, never far off."""
     m, T = speckled(seed, sparse), poses(seed)
     precision = np.asarray(m.dense(m.occupancy_precision)).reshape(m.shape)
-    ended = end_rays(FAR, T, CAMERA, m, unknown, -np.inf)
+    ended = end_rays(FAR, T, CAMERA, m, 1.0 / unknown, -np.inf)
     off = []
     for pose, image in zip(T, ended, strict=True):
         for ray, end in zip(ray_directions(pose, CAMERA), image.reshape(-1).astype(float), strict=True):
@@ -94,18 +94,33 @@ def test_the_way_through_unknown_cells_is_used_up(sparse: bool, seed: int, unkno
     assert np.abs(off).max() < 0.5 * unknown + 5.0 * VOXEL
 
 
+def test_surfaces_are_met_where_they_are_expected() -> None:
+    """A field over the columns: the same everywhere is a number; a dense stripe ends what looks across it, there."""
+    m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
+    np.testing.assert_array_equal(
+        end_rays(FAR, poses(1), CAMERA, m, np.full(SHAPE[:2], 0.8), -np.inf),
+        end_rays(FAR, poses(1), CAMERA, m, 0.8, -np.inf),
+    )
+    start = np.array(ORIGIN) + VOXEL * np.array([2.0, SHAPE[1] / 2.0, SHAPE[2] / 2.0])
+    T = np.stack([camera_pose(tuple(start), yaw, 0.0) for yaw in (0.0, np.pi)])  # along x and away from it
+    stripe = np.full(SHAPE[:2], 0.01)
+    stripe[10:13] = 20.0
+    ahead, behind = end_rays(FAR, T, CAMERA, m, stripe, -np.inf)
+    # One surface is expected after 5 cm of the stripe; it begins at the edge of its first column.
+    first = (10.0 - 0.5 - 2.0) * VOXEL
+    middle = ahead[CAMERA.height // 2, CAMERA.width // 2]
+    assert first < middle < first + 0.05 + 2.0 * VOXEL
+    np.testing.assert_array_equal(behind, FAR[0])
+
+
 def test_less_is_expected_of_the_unknown() -> None:
     """Gains fall with what rays may go through; below the ground there is nothing to learn."""
     m, T = VoxelMap.prior(ORIGIN, VOXEL, SHAPE), poses(3)[:, None]
     clear = MapUpdateConfig(max_depth=3.0)
 
-    def gain(**change: float) -> np.ndarray:
-        config = InformationConfig(pixels=None, every=1, update=clear, max_depth=3.0, **change)
-        return expected_gain(m, T, CAMERA, config).total
-
-    every, some, few = gain(), gain(unknown=1.0), gain(unknown=0.5)
+    config = InformationConfig(pixels=None, every=1, update=clear, max_depth=3.0)
+    every, some, few = (expected_gain(m, T, CAMERA, config, hazard=hazard).total for hazard in (0.0, 1.0, 2.0))
     assert (few < some).all() and (some < every).all()
     down = np.stack([camera_pose((0.0, 0.0, 1.2), yaw, 0.5) for yaw in (0.0, 1.0)])[:, None]
-    config = InformationConfig(pixels=None, every=1, update=clear, max_depth=3.0)
     on_ground = replace(config, ground=0.6)
     assert (expected_gain(m, down, CAMERA, on_ground).total < expected_gain(m, down, CAMERA, config).total).all()

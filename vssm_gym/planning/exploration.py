@@ -119,7 +119,7 @@ class Candidates:
 
 
 def candidates(
-    roadmap: Roadmap, *, spacing: float, hazard: float, least_area: float, dismissed: np.ndarray
+    roadmap: Roadmap, *, spacing: float, hazard: float | np.ndarray, least_area: float, dismissed: np.ndarray
 ) -> Candidates:
     """Places spread over reachable free space and beside each frontier, with at least ``least_area`` m^2 to see.
 
@@ -140,23 +140,22 @@ def candidates(
     return Candidates(xy[worth], roadmap.at(roadmap.distance, xy[worth]), seen[worth], cell)
 
 
-def representatives(found: Candidates, most: int, decay: float, least_area: float) -> tuple[np.ndarray, np.ndarray]:
+def representatives(found: Candidates, most: int, decay: float, least_area: float) -> np.ndarray:
     """Few places that see different parts of the unknown: at each turn the best by ``area exp(-decay distance)``.
 
-    A cell that a chosen place sees with probability p counts 1 - p for the others. Returns the places' numbers, in the
-    order of choice, and for each the expected share of the cells it may see that it will: what an image at the map's
-    mean overstates.
+        area(k | chosen) = sum_cells max(0, p_k - max_chosen p)
+
+    What hides a cell from one place mostly hides it from its neighbour: a wall is there for both. So the places see a
+    cell in the same worlds, the better one in more of them. Returns the places' numbers in the order of choice.
     """
-    left = np.ones(found.seen.shape[1], np.float32)
+    best = np.zeros(found.seen.shape[1], np.float32)
     chosen: list[int] = []
-    share: list[float] = []
     near = np.exp(-decay * found.distance)
     while len(chosen) < most and len(found.xy):
-        area = found.seen @ left * found.cell
+        area = np.maximum(found.seen - best, 0.0).sum(axis=1) * found.cell
         k = int(np.argmax(area * near))
         if area[k] < least_area:
             break
         chosen.append(k)
-        share.append(float(found.seen[k] @ left / left[found.seen[k] > 0.0].sum()))
-        left *= 1.0 - found.seen[k]
-    return np.array(chosen, int), np.array(share)
+        best = np.maximum(best, found.seen[k])
+    return np.array(chosen, int)

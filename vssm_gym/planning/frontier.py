@@ -110,10 +110,10 @@ def _pieces(group: np.ndarray, length: float) -> list[np.ndarray]:
 
 
 @njit(cache=True, nogil=True)
-def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard: float, rays: int) -> np.ndarray:
+def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard: np.ndarray, rays: int) -> np.ndarray:
     """Probability that each unknown cell is seen from ``(x, y)`` by a whole turn; float32 ``(nx, ny)``, 0 where known.
 
-        p(c) = exp(-hazard * way of the ray through unknown cells before c)
+        p(c) = exp(-integral of hazard over the way of the ray through unknown cells before c)
 
     Rays end after ``reach`` or at an occupied cell. What is unknown may hide surfaces: they are met at the rate
     ``hazard``; with 0 unknown space hides none, which is what a map at its mean says.
@@ -123,12 +123,11 @@ def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard:
         x: of the place,
         y: both in cells.
         reach: in cells.
-        hazard: per cell.
+        hazard: per cell, ``(nx, ny)``.
         rays: of the turn.
     """
     nx, ny = cells.shape
     seen = np.zeros((nx, ny), np.float32)
-    fall = math.exp(-0.5 * hazard)
     for r in range(rays):
         angle = 2.0 * math.pi * r / rays
         dx, dy = math.cos(angle), math.sin(angle)
@@ -139,17 +138,19 @@ def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard:
                 break
             if cells[i, j] == UNKNOWN:
                 seen[i, j] = max(seen[i, j], p)
-                p *= fall
+                p *= math.exp(-0.5 * hazard[i, j])
     return seen
 
 
-def seen_unknown(plan: FloorPlan, xy: np.ndarray, hazard: float = 0.0, reach: float = REACH) -> np.ndarray:
+def seen_unknown(plan: FloorPlan, xy: np.ndarray, hazard: float | np.ndarray = 0.0, reach: float = REACH) -> np.ndarray:
     """:func:`visible_unknown` of places ``(n, 2)`` (m): ``(n, cells)`` of those cells that any of them may see.
 
-    ``hazard`` is per metre, ``reach`` in metres; a row's sum times the area of a cell is ``A(q)``.
+    ``hazard`` is per metre, the same everywhere or ``(nx, ny)``, and ``reach`` in metres; a row's sum times the area of
+    a cell is ``A(q)``.
     """
     r = plan.resolution
     cells = (np.asarray(xy, np.float64) - plan.origin) / r
-    seen = [visible_unknown(plan.cells, x, y, reach / r, hazard * r, RAYS).reshape(-1) for x, y in cells]
+    met = np.ascontiguousarray(np.broadcast_to(np.float32(r) * np.asarray(hazard, np.float32), plan.cells.shape))
+    seen = [visible_unknown(plan.cells, x, y, reach / r, met, RAYS).reshape(-1) for x, y in cells]
     every = np.stack(seen) if seen else np.zeros((0, plan.cells.size), np.float32)
     return every[:, every.any(axis=0)]

@@ -38,7 +38,6 @@ class InformationConfig:
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
     max_depth: float = 8.0  # m that an imagined ray goes where it meets nothing; up to update.max_depth
     known: float = np.inf  # 1/m^2: cells of more precision than this have nothing left to tell; else see the module
-    unknown: float = np.inf  # m of unknown space that an imagined ray goes through: see `ending`
     ground: float = -np.inf  # world z of the plane that the robot stands on, m, where imagined rays end
     samples: int = 0  # of the map, in each of which all images are imagined; 0: the mean
     mean_free_path: float = 1.5  # m that a ray goes through unknown space of a sample, on average
@@ -54,8 +53,6 @@ class InformationConfig:
             raise InputError("InformationConfig", "max_depth", f"{expected}; found {self.max_depth!r}")
         if self.samples < 0:
             raise InputError("InformationConfig", "samples", f"at least 0; found {self.samples!r}")
-        if not self.unknown > 0.0:
-            raise InputError("InformationConfig", "unknown", f"above 0 m; found {self.unknown!r}")
         if np.isnan(self.ground):
             raise InputError("InformationConfig", "ground", "metres, or minus infinity for none; found nan")
         if not self.mean_free_path > 0.0:
@@ -80,6 +77,7 @@ def expected_gain(
     camera: Camera,
     config: InformationConfig = DEFAULT,
     valid: np.ndarray | None = None,
+    hazard: float | np.ndarray = 0.0,
 ) -> Gain:
     """``I(M; x_1:k | z_1:k)`` of candidate trajectories, for every k (see the module).
 
@@ -89,6 +87,8 @@ def expected_gain(
         camera: the robot's.
         config: pixels and cells used, and the map update.
         valid: ``(candidates, steps)`` bool: steps that exist, where trajectories are of different length.
+        hazard: surfaces expected in a metre of unknown space, 1/m, of all or ``(nx, ny)`` of each column of the map:
+            how far imagined rays go there, see :mod:`~vssm_gym.planning.information.ending`.
 
     Raises:
         InputError: arrays that do not fit, or poses that are not finite.
@@ -103,7 +103,7 @@ def expected_gain(
     views, which = np.unique(T_world_cam[valid].reshape(-1, 16), axis=0, return_inverse=True)
     paths = np.full(shape, -1)
     paths[valid] = which.reshape(-1)
-    return gain_of_paths(m, views.reshape(-1, 4, 4), paths, camera, config)
+    return gain_of_paths(m, views.reshape(-1, 4, 4), paths, camera, config, hazard=hazard)
 
 
 def gain_of_paths(
@@ -113,6 +113,7 @@ def gain_of_paths(
     camera: Camera,
     config: InformationConfig = DEFAULT,
     std: np.ndarray = KNOWN_POSE,
+    hazard: float | np.ndarray = 0.0,
 ) -> Gain:
     """:func:`expected_gain` of trajectories through a given set of views, as a search tree's nodes are.
 
@@ -123,6 +124,7 @@ def gain_of_paths(
         camera: the robot's.
         config: pixels and cells used, and the map update.
         std: ``(3,)`` of x, y (m) and heading (rad) with which the robot will know each pose before it looks.
+        hazard: as of :func:`expected_gain`.
 
     Raises:
         InputError: poses that are not finite, a path through views that do not exist, or samples of a sparse map.
@@ -132,6 +134,9 @@ def gain_of_paths(
         raise InputError("information", "T_world_cam", "finite 4x4 poses")
     if paths.ndim != 2 or (paths.size and not (paths.min() >= -1 and paths.max() < len(views))):
         raise InputError("information", "paths", f"(candidates, steps), each -1 or one of {len(views)} views")
+    hazard = np.asarray(hazard, np.float32)
+    if hazard.shape not in ((), m.shape[:2]) or not (np.isfinite(hazard) & (hazard >= 0.0)).all():
+        raise InputError("information", "hazard", f"at least 0 1/m, one number or {m.shape[:2]}; found {hazard.shape}")
     if paths.size == 0 or len(views) == 0:
         return Gain(np.zeros(paths.shape[0]), np.zeros(paths.shape), np.zeros(len(views)))
     small, grid = imagined_camera(camera, config.pixels), Grid.of(m)
@@ -141,7 +146,7 @@ def gain_of_paths(
     along, pose = np.zeros(paths.shape), np.zeros(len(views))
     for drawn in maps:
         imagined = imagine(drawn, views, small, config.max_depth)
-        depths = end_rays(imagined, views, small, m, config.unknown, config.ground)
+        depths = end_rays(imagined, views, small, m, hazard, config.ground)
         surface = (depths == imagined) & (depths < config.max_depth)
         pose += pose_gain(depths, surface, views, small, std) / len(maps)
         seen = observed(depths, views, small, grid, config.update, config.every)
