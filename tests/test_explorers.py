@@ -12,7 +12,7 @@ import pytest
 from box_rooms import furniture, two_rooms
 
 from vssm_gym.agents.base import Agent, AgentContext, Decision
-from vssm_gym.agents.exploring import Explorer, points_along
+from vssm_gym.agents.exploring import TRIES, Explorer, points_along
 from vssm_gym.agents.own_map import OwnMapConfig
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.agents.strategy import Choice, around
@@ -140,6 +140,25 @@ def test_an_explorer_ends_with_a_reason(strategy, reason, world):
     assert decisions[-1].action[3] > 0.5
     assert reason in decisions[-1].status
     assert not any(info["collision"] for info in infos)
+
+
+def test_a_robot_that_is_held_up_makes_room_and_gives_the_goal_up_in_the_end(world):
+    explorer = Explorer(_Into())
+    explore(explorer, world, 40)
+    near = explorer._own.plan().clearance(START[:2], 1.2)
+    # Beside the wall: where the body just fits.
+    x = START[0] - np.arange(0.0, 0.9, 0.005)
+    planar = np.array([x[near.at(np.column_stack([x, np.full(len(x), START[1])])) > 0.11][-1], START[1], 0.0])
+    here = float(near.at(planar[:2]))
+    assert here < 0.14
+    dismissed = len(explorer._dismissed)
+    for _ in range(TRIES):
+        explorer._choice = Choice(np.array([1.0, 2.0]), (), None, "somewhere")
+        explorer._held_up(planar, near)
+    assert len(explorer._dismissed) == dismissed + 1
+    way = points_along(explorer._path, 1.0)
+    assert (near.at(way) >= here - 1e-3).all()
+    assert near.at(way[-1]) > here + 0.1
 
 
 def test_the_map_is_as_large_as_configured(world):
