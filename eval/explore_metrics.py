@@ -160,9 +160,9 @@ def _weighted_median(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return x[np.argmax(2 * total >= total[:, -1:], axis=1)]
 
 
-def median_way(rows: Sequence[Row], share: int, seed: int = 0) -> Interval:
-    """The median metres to ``share`` %, a run that did not get there counting as longer than any that did."""
-    ways = [math.inf if row[f"metres_{share}"] is None else float(row[f"metres_{share}"]) for row in rows]
+def median_way(rows: Sequence[Row], share: int, seed: int = 0, axis: Axis = "metres") -> Interval:
+    """The median metres (or seconds) to ``share`` %; a run that did not get there is longer than any that did."""
+    ways = [math.inf if row[f"{axis}_{share}"] is None else float(row[f"{axis}_{share}"]) for row in rows]
     return median(ways, clusters(rows), seed)
 
 
@@ -204,10 +204,12 @@ def mean_curve(
     return curve
 
 
-def paired_at(rows: Iterable[Row], name: str, first: str, second: str, metres: float, seed: int = 0) -> Interval:
-    """``mean(first - second)`` of a curve at an equal path length, over pairs in which both are known there."""
+def paired_at(
+    rows: Iterable[Row], name: str, first: str, second: str, where: float, seed: int = 0, axis: Axis = "metres"
+) -> Interval:
+    """``mean(first - second)`` of a curve at an equal path length or time, over pairs in which both are known there."""
     paired = pairs(rows, first, second)
-    grid = np.array([metres])
-    values = [float((at(a, name, "metres", grid) - at(b, name, "metres", grid))[0]) for a, b in paired]
+    grid = np.array([where])
+    values = [float((at(a, name, axis, grid) - at(b, name, axis, grid))[0]) for a, b in paired]
     kept = [i for i, value in enumerate(values) if math.isfinite(value)]
     return bootstrap_mean([values[i] for i in kept], clusters([paired[i][0] for i in kept]), seed)

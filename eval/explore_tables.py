@@ -13,7 +13,11 @@ from vssm_gym.eval.explore_metrics import GOAL, SHARES, Ratio
 from vssm_gym.eval.report_tables import Measures, grouping, html_table
 
 TIED = 50.0  # nats: tables show tenths of a knat
-EQUAL_WAYS = (5.0, 10.0, 20.0, 40.0)  # m at which maps are compared
+# Where maps are compared.
+EQUAL: dict[metrics.Axis, tuple[float, ...]] = {
+    "metres": (5.0, 10.0, 20.0, 40.0),
+    "seconds": (30.0, 60.0, 120.0, 240.0),
+}
 
 EXPLORE = Measures(
     names={
@@ -78,11 +82,18 @@ def headline(rows: Sequence[Row], seed: int) -> str:
     by = (*pooled(rows), "agent")
     shown = [name for name in POOLED if any(row.get(name) is not None for row in rows)]
     header = [*(name.replace("_", " ") for name in by), "runs", "scenes", *(f"m to {share} %" for share in SHARES)]
-    header += [f"covered {GOAL} %", "covered 99 %", "touched %", *(EXPLORE.names[name] for name in shown)]
+    header += [
+        f"s to {GOAL} %",
+        f"covered {GOAL} %",
+        "covered 99 %",
+        "touched %",
+        *(EXPLORE.names[name] for name in shown),
+    ]
     lines = []
     for group, members in group_rows(rows, by).items():
         line = [*group, str(len(members)), str(len({row["scene_hash"] for row in members}))]
         line += [way(metrics.median_way(members, share, seed)) for share in SHARES]
+        line += [way(metrics.median_way(members, GOAL, seed, "seconds"))]
         line += [shares.percent(members, name).text(1) for name in ("success", "reached_99", "touched")]
         line += [EXPLORE.text(name, over_scenes(members, name, seed)) for name in shown]
         lines.append(line)
@@ -178,23 +189,24 @@ def not_lowest(rows: Sequence[Row], reference: str) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for (scene,), members in group_rows(rows, ["scene"]).items():
         for other in others(members, reference):
-            means = {m: metrics.paired_at(members, "entropy", other, reference, m).mean for m in EQUAL_WAYS}
+            means = {m: metrics.paired_at(members, "entropy", other, reference, m).mean for m in EQUAL["metres"]}
             ahead = ", ".join(f"{m:g}" for m, mean in means.items() if mean < -TIED)
             if ahead:
                 found.setdefault(scene, []).append(f"{other} at {ahead} m")
     return found
 
 
-def at_equal_ways(rows: Sequence[Row], reference: str, seed: int) -> str:
-    """``other - reference`` of map entropy and of coverage at the same path length: above 0 and below 0 lead."""
-    header = ["difference", *(f"entropy at {m:g} m, knat" for m in EQUAL_WAYS)]
-    header += [f"coverage at {m:g} m, %" for m in EQUAL_WAYS]
+def at_equal(rows: Sequence[Row], reference: str, seed: int, axis: metrics.Axis) -> str:
+    """``other - reference`` of map entropy and of coverage at the same path length or time: above and below 0 lead."""
+    unit = {"metres": "m", "seconds": "s"}[axis]
+    header = ["difference", *(f"entropy at {x:g} {unit}, knat" for x in EQUAL[axis])]
+    header += [f"coverage at {x:g} {unit}, %" for x in EQUAL[axis]]
     lines = []
     for other in others(rows, reference):
         line = [f"{other} - {reference}"]
         for name, factor in (("entropy", 1e-3), ("coverage", 100.0)):
-            for m in EQUAL_WAYS:
-                d = metrics.paired_at(rows, name, other, reference, m, seed)
+            for x in EQUAL[axis]:
+                d = metrics.paired_at(rows, name, other, reference, x, seed, axis)
                 line.append(Interval(factor * d.mean, factor * d.low, factor * d.high, d.tasks, d.episodes).text(1))
         lines.append(line)
     return html_table(header, lines, 1)

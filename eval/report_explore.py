@@ -7,7 +7,7 @@ from pathlib import Path
 from vssm_gym.eval import explore_figures as figures
 from vssm_gym.eval import explore_tables as tables
 from vssm_gym.eval.aggregate import Row, group_rows
-from vssm_gym.eval.explore_metrics import GOAL, KNOWN, ratio
+from vssm_gym.eval.explore_metrics import GOAL, KNOWN, Ratio, ratio
 from vssm_gym.eval.report_tables import reference_agent
 from vssm_gym.eval.report_view import View
 from vssm_gym.viz import pictures
@@ -53,19 +53,23 @@ def _verdict(rows: Sequence[Row], reference: str, seed: int) -> str:
     found = {name: r for name, r in found.items() if r.interval.episodes}
     said = ""
     if found:
-        best = max(found, key=lambda name: found[name].interval.mean)
-        kind = "good" if found[best].interval.high < 1.0 else "bad"
-        time = ratio(rows, reference, best, GOAL, seed, "seconds").text
-        said = (
-            f"<p class={kind}>To {GOAL} % coverage {escape(reference)} drives {found[best].text} of the way of the "
-            f"best frontier baseline, {escape(best)}, and takes {time} of its time.</p>"
-        )
+        said = _leads(f"To {GOAL} % coverage {reference} drives", "the way", found)
+        times = {name: ratio(rows, reference, name, GOAL, seed, "seconds") for name in found}
+        said += _leads("It takes", "the time", times)
     behind = [rival for rival in tables.rivals(rows, reference, seed) if rival.ratio.interval.mean >= 1.0]
     where = ", ".join(f"{rival.scene} ({rival.agent}, {rival.ratio.text})" for rival in behind)
     said += f"<p class=bad>{escape(reference)} is not the best in: {escape(where)}.</p>" if behind else ""
     lower = [f"{scene} ({', '.join(ahead)})" for scene, ahead in tables.not_lowest(rows, reference).items()]
     entropy = f"Its map's entropy at equal path length is not the lowest in: {escape('; '.join(lower))}."
     return said + (f"<p class=bad>{entropy}</p>" if lower else "")
+
+
+def _leads(claim: str, what: str, found: Mapping[str, Ratio]) -> str:
+    """One line of the ratio to the baseline that is hardest to beat; red where it is not below 1 for certain."""
+    best = max(found, key=lambda name: found[name].interval.mean)
+    kind = "good" if found[best].interval.high < 1.0 else "bad"
+    said = f"{claim} {found[best].text} of {what} of the frontier baseline that is best in it, {best}."
+    return f"<p class={kind}>{escape(said)}</p>"
 
 
 def _comparison(rows: Sequence[Row], seed: int) -> str:
@@ -76,9 +80,10 @@ def _comparison(rows: Sequence[Row], seed: int) -> str:
             f"<h2>Scene by scene</h2><p class=note>The other agent whose way to {GOAL} % is the shortest against "
             f"{escape(reference)}'s; intervals over starts.</p>"
             f"<div class=wide>{tables.by_scene(tables.rivals(rows, reference, seed), reference)}</div>"
-            "<h2>At equal path length</h2><p class=note>Paired differences; entropy above 0 and coverage below 0 speak "
-            f"for {escape(reference)}. Pairs in which time was out for one before that length are left out.</p>"
-            f"<div class=wide>{tables.at_equal_ways(rows, reference, seed)}</div>"
+            "<h2>At equal path length and time</h2><p class=note>Paired differences; entropy above 0 and coverage "
+            f"below 0 speak for {escape(reference)}. Pairs in which time was out for one before that are left out.</p>"
+            f"<div class=wide>{tables.at_equal(rows, reference, seed, 'metres')}</div>"
+            f"<div class=wide>{tables.at_equal(rows, reference, seed, 'seconds')}</div>"
         )
     return (
         f"{page}<h2>Runs that got there</h2>{_image(figures.reached(rows), 'share of runs that had covered a share')}"

@@ -203,3 +203,6 @@ def test_maps_are_compared_at_equal_length_over_pairs_that_both_drove_so_far():
     assert d.mean == pytest.approx(-(0.45 + 0.45 + 0.0) / 3, abs=1e-3)
     cut = [run("a", 9.0, task=0), run("b", 18.0, ends=5.0, stopped=False, task=0)]
     assert metrics.paired_at(cut, "coverage", "b", "a", 9.0).episodes == 0
+    soon = metrics.paired_at(cut, "coverage", "b", "a", cut[1]["seconds"], axis="seconds")
+    assert soon.episodes == 1
+    assert metrics.paired_at(cut, "coverage", "b", "a", cut[1]["seconds"] + 1.0, axis="seconds").episodes == 0
