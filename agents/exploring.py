@@ -3,55 +3,46 @@
 Explorers differ in their :class:`Strategy`, and in their mapper: the pose is observed (SPEC 8) or estimated. The map
 is the agent's own. Every episode begins with a look around. A choice is made anew every ``replan_steps``, when it is
 carried out or has become pointless, and when something unforeseen stands in its way. A robot that lost track turns on
-the spot until an image fits its map again.
+the spot until an image fits its map again. How ways are driven, and what a robot does that cannot take a step, is in
+:mod:`vssm_gym.agents.following`.
 """
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
+from vssm_gym.agents.following import Follower, FollowingConfig, Refusals, Way, to_more_room
 from vssm_gym.agents.localization import Localization
 from vssm_gym.agents.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.own_map import OwnMap, OwnMapConfig
 from vssm_gym.agents.strategy import Belief, Choice, Strategy, around
 from vssm_gym.geometry import wrap_angle
-from vssm_gym.planning.astar import needed, plan
+from vssm_gym.planning.astar import plan
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.exploration import Roadmap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.frontier import frontier_cells
-from vssm_gym.planning.pursuit import steer
-from vssm_gym.planning.taut import tighten
 from vssm_gym.voxel_map import VoxelMap
 
 ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
-LEAST_STEP = 0.02  # m, worth its noise
-TRIES = 4  # steps that are refused, within ``HELD``, after which a goal is given up
-HELD = 0.5  # m
-HELD_STEP = 0.15  # m: where nothing else is possible, so far to where there is more room
-HELD_STEPS = 8  # that this may take beyond the usual, half a turn included
 ALIGNED = 0.12  # rad, the same of a look
+HELD_STEPS = 8  # that making room may take beyond the usual, half a turn included
 FULL = "finished: the map has no room for more"
 
 
 @dataclass(frozen=True)
 class ExploringConfig:
-    """How carefully to drive and how often to choose; lengths in metres."""
+    """How ways are planned, how often to choose, and when to stop; lengths in metres."""
 
     margins: tuple[float, ...] = (0.08, 0.03)  # clearance of a way beyond the robot's radius: the first that leads on
     replan_steps: int = 5
-    guard: float = 0.015  # of clearance beyond the radius that a step keeps, whatever the noise does
-    sigmas: float = 3.5  # of the execution noise that a step is prepared for
-    daring: float = 0.8  # by which that shrinks with every step that was refused since the last one
-    held_share: float = 0.6  # of the way's margin: more is not asked of a step, or it could not be driven
-    lookahead: float = 0.6  # of the way ahead that is checked for something unforeseen at every step
     known_share: float = 0.8  # of a target's frontier cells, after which it is pointless to go there
     max_failures: int = 25  # steps in a row without a way or a step to take, after which the robot is boxed in
     max_lost: int = 64  # steps in a row without an image that fits: two whole turns
+    following: FollowingConfig = field(default_factory=FollowingConfig)
 
 
 class Explorer:
@@ -78,7 +69,7 @@ class Explorer:
 
         A step and a choice are made and dropped, so that compiling is no part of any step's latency.
         """
-        self._context = context
+        self._context, self._follower = context, Follower.of(context, self._config.following)
         self._begin(observation, seed)
         self._own.take(np.zeros(3), observation)
         self._choose(self._own.estimate, self._own.plan())
@@ -90,12 +81,10 @@ class Explorer:
         heading = float(self._own.estimate.planar[2])
         self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
         self._sent: np.ndarray | None = None  # the last command; the first observation is in the map already
-        self._path: np.ndarray | None = None
-        self._roadmap: Roadmap | None = None
-        self._margin = self._config.margins[0]
+        self._way: Way | None = None  # to the choice's goal; None at it
         self._arrived, self._failed = True, ""
-        self._age = self._failures = self._lost = self._refused = 0
-        self._held = np.full(2, np.inf)  # where steps were refused last
+        self._age = self._failures = self._lost = 0
+        self._refusals = Refusals()
         self._dismissed: list[np.ndarray] = []
 
     def act(self, observation: Observation) -> Decision:
@@ -117,11 +106,12 @@ class Explorer:
         self._sent = command
         latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
         action = np.array([*command, float(stop)], np.float32)
-        return Decision(action, estimate.planar.copy(), activity, latency, self._path)
+        path = None if self._way is None else self._way.path
+        return Decision(action, estimate.planar.copy(), activity, latency, path)
 
     def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
         """A turn on the spot, where the last image did not fit: command, activity, whether to stop."""
-        self._choice = self._path = None
+        self._choice = self._way = None
         if self._lost > self._config.max_lost:
             return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
         return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status, False
@@ -135,9 +125,9 @@ class Explorer:
             self._close(self._left(floor))
         if self._pointless(floor) or self._stale(planar, self._near):
             self._choice = None
-        if self._choice is not None and self._path is not None:
-            self._path = self._followed(planar)
-            if self._path is None:
+        if self._choice is not None and self._way is not None:
+            self._way = self._follower.pulled(self._way, planar)
+            if self._way is None:
                 self._choice = None
         return self._choose(estimate, floor) if self._choice is None else None
 
@@ -154,13 +144,13 @@ class Explorer:
         """Whether the choice is carried out: the robot is there and has looked where it wanted to."""
         if self._choice is None:
             return False
-        if self._path is not None and math.hypot(*(self._path[-1] - planar[:2])) <= ARRIVED:
-            self._path = None
+        if self._way is not None and math.hypot(*(self._way.path[-1] - planar[:2])) <= ARRIVED:
+            self._way = None
         looks = list(self._choice.looks)
-        while looks and self._path is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
+        while looks and self._way is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
             looks.pop(0)
         self._choice = replace(self._choice, looks=tuple(looks))
-        return self._path is None and not looks
+        return self._way is None and not looks
 
     def _left(self, floor: FloorPlan) -> np.ndarray:
         """Which cells of the choice's target are frontiers still, ``(n, 2)`` m."""
@@ -179,21 +169,17 @@ class Explorer:
 
     def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
         """Whether the way is to be chosen anew: by the clock, or because it is not free any more."""
-        if self._choice is None or self._path is None:
+        if self._choice is None or self._way is None:
             return False  # looks are carried out to their end
-        if self._age >= self._config.replan_steps:
-            return True
-        least = self._radius + min(0.0, self._margin - 0.02)
-        ahead = points_along(self._path, self._config.lookahead)
-        return bool(near.at(ahead[1:]).min(initial=math.inf) < min(least, float(near.at(planar[:2])) - 0.01))
+        return self._age >= self._config.replan_steps or self._follower.blocked(self._way, planar, near)
 
     def _choose(self, estimate: Localization, floor: FloorPlan) -> str | None:
         """Choose and plan the way; the reason where nothing is left to do."""
-        self._age, self._path = 0, None
-        planar, std = estimate.planar, self._ahead(estimate.std)
+        self._age, self._way = 0, None
+        radius, planar, std = self._follower.radius, estimate.planar, self._ahead(estimate.std)
         reached, failed, least = 0, "", 0.5 * self._config.margins[-1]
         for margin in self._config.margins:
-            roadmap = Roadmap.of(floor, planar[:2], self._radius + margin)
+            roadmap = Roadmap.of(floor, planar[:2], radius + margin)
             reached = int(np.isfinite(roadmap.distance).sum())
             dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
             own = self._own
@@ -201,22 +187,22 @@ class Explorer:
             choice = self._strategy.choose(belief)
             if choice is None:
                 continue
-            self._choice, self._roadmap, self._margin, self._arrived = choice, roadmap, margin, False
+            self._choice, self._arrived = choice, False
             if choice.goal is None:
                 return None
             # The roadmap's edges are looked at less closely than A*'s: a way may need less room than was asked.
             for tight in (margin, max(0.5 * margin, least), least):
-                way = plan(roadmap.clearance, planar, choice.goal, self._radius, margin=tight, goal_radius=ARRIVED)
-                if way.found:
-                    self._margin, self._path = tight, way.path if len(way.path) > 1 else None
+                result = plan(roadmap.clearance, planar, choice.goal, radius, margin=tight, goal_radius=ARRIVED)
+                if result.found:
+                    self._way = Way(result.path, roadmap.clearance, tight) if len(result.path) > 1 else None
                     return None
-            failed = way.status.message
+            failed = result.status.message
         if failed:
             self._failures, self._failed = self._failures + 1, failed
             self._give_up()
             return None
         room = reached * floor.resolution**2
-        return "finished: nothing left to gain" if room > math.pi * self._radius**2 else "boxed in: no free place to go"
+        return "finished: nothing left to gain" if room > math.pi * radius**2 else "boxed in: no free place to go"
 
     def _ahead(self, std: np.ndarray) -> np.ndarray:
         """The pose's standard deviations after as many steps as there are between choices; zeros where it is seen."""
@@ -242,77 +228,23 @@ class Explorer:
         choice = self._choice
         if choice is None:  # no way after all
             return np.array([limits[0], 0.0, 0.0]), self._failed
-        if self._path is not None:
-            command = steer(planar, self._path, limits)
-            if command[2] > 0.0:
-                command = self._careful(planar, command, near)
+        if self._way is not None:
+            command = self._follower.step(self._way, planar, near, self._failures)
             if np.any(command != 0.0):
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
-            self._held_up(planar, near)
+            self._held_up(self._way, planar, near)
             return np.array([limits[0], 0.0, 0.0]), "held up"
         if not choice.looks:
             return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 
-    def _held_up(self, planar: np.ndarray, near: ClearanceMap) -> None:
-        """No step may be taken along the path: make room for another way, or choose anew from here."""
+    def _held_up(self, way: Way, planar: np.ndarray, near: ClearanceMap) -> None:
+        """No step may be taken along the way: make room for another one, or choose anew from here."""
         self._failures += 1
-        if math.hypot(*(planar[:2] - self._held)) > HELD:
-            self._held, self._refused = planar[:2].copy(), 0
-        self._refused += 1
-        if self._refused % TRIES == 0:
+        if self._refusals.add(planar[:2]):
             self._give_up()
-        turns = np.arange(16) * math.pi / 8.0
-        away = np.stack([np.cos(turns), np.sin(turns)], axis=1)
-        have = np.stack([near.at(planar[:2] + step * away) for step in (0.05, 0.1, HELD_STEP)])
-        have[:, have.min(axis=0) < float(near.at(planar[:2]))] = -math.inf
-        best = int(np.argmax(have[-1]))
-        self._choice = self._path = None
-        if math.isfinite(have[-1, best]):
-            spot = planar[:2] + HELD_STEP * away[best]
-            self._choice, self._path = Choice(spot, (), None, "makes room"), np.stack([planar[:2], spot])
-            self._age = -HELD_STEPS
-
-    def _followed(self, planar: np.ndarray) -> np.ndarray | None:
-        """The path from where the robot is now; None where no part of it is in sight."""
-        assert self._path is not None and self._roadmap is not None
-        end = self._path[-1]
-        points = np.concatenate([planar[None, :2], self._path[1:]])
-        # Never less than a step keeps, or the path would be pulled to where no step may go.
-        margin = max(self._margin - 0.015, self._config.guard)
-        need = needed(self._roadmap.clearance, planar[:2], self._radius + margin)
-        return tighten(self._roadmap.clearance, points, end, 0.0, need)
-
-    def _careful(self, planar: np.ndarray, command: np.ndarray, near: ClearanceMap) -> np.ndarray:
-        """The command with its step shortened so that the noise will not carry the body into anything."""
-        c, (turn_std, step_std) = self._config, self._context.noise
-        # Held up again and again, it dares more: what the noise does with small probability only.
-        sigmas = c.sigmas * c.daring**self._failures
-        direction = planar[2] + command[1]
-        unit = np.array([math.cos(direction), math.sin(direction)])
-        spread = math.sin(min(sigmas * turn_std, 0.5 * math.pi))
-        far = sigmas * step_std
-        t = np.arange(0.01, float(command[2]) + far + 0.005, 0.01)
-        asked = self._radius + np.minimum(c.guard + spread * np.maximum(t - far, 0.0), c.held_share * self._margin)
-        # A robot that is too near already may go along what it is near to.
-        have, here = near.at(planar[:2] + t[:, None] * unit), float(near.at(planar[:2]))
-        bad = np.flatnonzero(have < np.minimum(asked, here - 0.004))
-        if len(bad) == 0:
-            return command
-        step = float(t[bad[0]]) - 0.01 - far
-        return np.array([0.0, command[1], step]) if step >= LEAST_STEP else np.zeros(3)
-
-    @property
-    def _radius(self) -> float:
-        return 0.5 * self._context.body_length
-
-
-def points_along(path: Sequence[np.ndarray] | np.ndarray, length: float, spacing: float = 0.05) -> np.ndarray:
-    """Points every ``spacing`` m of a polyline ``(n, 2)``, from its start to ``length`` m on; ``(k, 2)``."""
-    path = np.asarray(path)
-    edges = np.hypot(*np.diff(path, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(edges)])
-    s = np.arange(0.0, min(length, along[-1]) + 1e-9, spacing)
-    return np.stack([np.interp(s, along, path[:, a]) for a in (0, 1)], axis=1)
+        self._choice, self._way = None, to_more_room(way, planar, near)
+        if self._way is not None:
+            self._choice, self._age = Choice(self._way.path[-1], (), None, "makes room"), -HELD_STEPS

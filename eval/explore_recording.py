@@ -1,6 +1,6 @@
 """What pictures and a video of an explorer's run are made from: moments of it, with what the agent then believed.
 
-It watches a run as :func:`~vssm_gym.eval.explore_course.run_episode` shows it. Pictures are drawn when the run has
+It watches a run as :func:`~vssm_gym.eval.explore_episode.run_episode` shows it. Pictures are drawn when the run has
 ended: only then is it known how large the apartment is and how much a candidate can gain.
 """
 
@@ -12,7 +12,7 @@ from jaxtyping import Float, Int8, UInt8
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.mi_explorer import Tour
 from vssm_gym.agents.own_map import OwnMapConfig
-from vssm_gym.eval.explore_course import Step, map_of
+from vssm_gym.eval.explore_episode import Step, map_of
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import UNKNOWN
 from vssm_gym.voxel_map import VoxelMap

@@ -11,6 +11,7 @@ from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.eval import explore_course, explore_pictures
 from vssm_gym.eval.config import SweepConfig, expand, scene_name
+from vssm_gym.eval.explore_episode import Step, map_of
 from vssm_gym.eval.explore_recording import Recording
 from vssm_gym.eval.explore_video import write_video
 from vssm_gym.eval.maps import Progress
@@ -39,7 +40,7 @@ def explore(config: SweepConfig, out: Path, progress: Progress | None = None) ->
     recording = Recording(agent)
     limit = episode.explore.steps if episode.explore else 0
 
-    def see(step: explore_course.Step) -> None:
+    def see(step: Step) -> None:
         recording(step)
         if progress:
             progress("exploring", step.number, limit)
@@ -54,7 +55,7 @@ def explore(config: SweepConfig, out: Path, progress: Progress | None = None) ->
     hashed = config_hash(config, {episode.condition.scene: content}, 0)
     signature = {"version": version, "config_hash": hashed, "map_hash": None}
     row = episode.identity(content) | signature | result
-    explored = explore_course.map_of(agent)
+    explored = map_of(agent)
     assert explored is not None  # every explorer of the registry keeps one
     with atomic_write(out) as unfinished:
         unfinished.mkdir()

@@ -13,7 +13,7 @@ from vssm_gym.agents.base import Decision
 from vssm_gym.agents.mi_explorer import Tour
 from vssm_gym.cli import main as main_module
 from vssm_gym.eval import explore_pictures
-from vssm_gym.eval.explore_course import Step
+from vssm_gym.eval.explore_episode import Step
 from vssm_gym.eval.explore_recording import EVERY, Plan, Recording
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.voxel_map import VoxelMap

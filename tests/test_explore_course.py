@@ -17,7 +17,7 @@ from vssm_gym.envs.scene import save_scene
 from vssm_gym.envs.splits import split_of
 from vssm_gym.envs.tasks import load, task_set
 from vssm_gym.errors import InputError
-from vssm_gym.eval import explore_course
+from vssm_gym.eval import explore_course, explore_episode
 from vssm_gym.eval.config import expand, load_config
 from vssm_gym.eval.report import write_report
 from vssm_gym.eval.rows import FILE, episode_key, read_rows
@@ -59,7 +59,7 @@ def env():
 
 
 def run(env, agent, start=START, seed=3):
-    row = explore_course.run_episode(env, agent, start, seed=seed)
+    row = explore_episode.run_episode(env, agent, start, seed=seed)
     json.dumps(row, allow_nan=False)  # rows are plain JSON
     return row
 
@@ -185,7 +185,7 @@ def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy)
     agent = _AsAgent(policy())
     row = run(env, agent, seed=7)
     observation, info = env.reset(seed=7, options={"start": START})
-    context = explore_course._context(env.unwrapped, info)
+    context = explore_episode._context(env.unwrapped, info)
     agent.reset(context, observation, int(np.random.SeedSequence([7, 1]).generate_state(1)[0]))
     seen, steps = [(0.0, info["coverage"])], 0
     ended = False
@@ -204,8 +204,8 @@ def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy)
 
 def test_where_a_share_was_reached_lies_on_the_path():
     path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
-    assert explore_course._place(path, 1.0) == [1.0, 0.0]
-    assert explore_course._place(path, 2.9) == [1.0, 2.0]
+    assert explore_episode._place(path, 1.0) == [1.0, 0.0]
+    assert explore_episode._place(path, 2.9) == [1.0, 2.0]
 
 
 def test_starts_are_those_of_the_frozen_navigation_tasks(tmp_path):

@@ -12,7 +12,8 @@ import pytest
 from box_rooms import furniture, two_rooms
 
 from vssm_gym.agents.base import Agent, AgentContext, Decision
-from vssm_gym.agents.exploring import TRIES, Explorer, points_along
+from vssm_gym.agents.exploring import Explorer
+from vssm_gym.agents.following import TRIES, Way, points_along
 from vssm_gym.agents.own_map import OwnMapConfig
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.agents.strategy import Choice, around
@@ -151,12 +152,12 @@ def test_a_robot_that_is_held_up_makes_room_and_gives_the_goal_up_in_the_end(wor
     planar = np.array([x[near.at(np.column_stack([x, np.full(len(x), START[1])])) > 0.11][-1], START[1], 0.0])
     here = float(near.at(planar[:2]))
     assert here < 0.14
-    dismissed = len(explorer._dismissed)
+    dismissed, goal = len(explorer._dismissed), np.array([1.0, 2.0])
     for _ in range(TRIES):
-        explorer._choice = Choice(np.array([1.0, 2.0]), (), None, "somewhere")
-        explorer._held_up(planar, near)
+        explorer._choice = Choice(goal, (), None, "somewhere")
+        explorer._held_up(Way(np.stack([planar[:2], goal]), near, 0.03), planar, near)
     assert len(explorer._dismissed) == dismissed + 1
-    way = points_along(explorer._path, 1.0)
+    way = points_along(explorer._way.path, 1.0)
     assert (near.at(way) >= here - 1e-3).all()
     assert near.at(way[-1]) > here + 0.1
 
