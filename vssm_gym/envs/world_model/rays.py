@@ -8,11 +8,7 @@ finds the first ``k > 1`` whose occupancy is above zero and puts the surface whe
                piece's diagonal
 
 so that no sample within ``reach`` of any point nearest to q can hit. Nodes lie ``fine`` to a cell: a multilinear field
-is largest at the corners of a piece, so pieces without a node above zero are certified. In the plane of the camera,
-where a horizontal ray stays, a table of cones goes further in one look-up:
-
-    sight(q, a) = largest s so that every ray that starts within half a diagonal of q in a direction within half a bin
-                  of a is certified free up to s
+is largest at the corners of a piece, so pieces without a node above zero are certified.
 
 The field is that of a box cut from the map, in two dimensions or in three, and of several maps at once: samples of the
 posterior.
@@ -33,9 +29,8 @@ from vssm_gym.emission import STEP, TAU
 HIT = float(1 << 20)  # added to the sample of a hit; no ray has as many samples, and float32 counts to 2^24
 FIRST = 2.0  # the first sample that can hit
 FLIGHT = 1  # leaps before the first look: rays start in the open
-BINS, COARSE = 128, 2  # directions of the table of cones, and cells between its nodes
 NARROWING = (2, 8, 32)  # rays are gathered when so small a share of them is left: a few that graze hold up no others
-LEAST = 256  # rays: fewer are not worth gathering
+LEAST = 64  # rays: fewer are not worth gathering, and gathered are multiples of it, which fill vector registers
 Coordinates = tuple[Array, ...]  # one array a coordinate: what runs over an axis of two or three does not vectorise
 
 
@@ -46,7 +41,6 @@ class RayField(eqx.Module):
     reach: Float[Array, "nodes"]  # (maps, *nodes) in C order, samples of a ray of unit length
     origin: Float[Array, "dims"]  # world position of the centre of cell 0, m
     voxel_size: Float[Array, ""]  # m
-    sight: Float[Array, "cones"] | None  # (maps, *coarse nodes, BINS) in C order, as reach; planar fields only
     shape: tuple[int, ...] = eqx.field(static=True)  # cells along each axis
     fine: int = eqx.field(static=True)  # nodes a cell
 
@@ -56,19 +50,9 @@ class RayField(eqx.Module):
     ) -> "RayField":
         """From the occupancies at cell centres, m."""
         shape = occupancy.shape[1:]
-        reach = [_reach(one, fine) for one in occupancy]
-        sight = None
-        if len(shape) == 2:
-            sight = jnp.concatenate([_sight(jnp.asarray(one, jnp.float32), shape, fine).reshape(-1) for one in reach])
-        return cls(
-            jnp.asarray(occupancy.reshape(-1), jnp.float32),
-            jnp.asarray(np.stack(reach).reshape(-1), jnp.float32),
-            jnp.asarray(origin, jnp.float32),
-            jnp.asarray(voxel, jnp.float32),
-            sight,
-            shape,
-            fine,
-        )
+        reach = np.stack([_reach(one, fine) for one in occupancy]).reshape(-1)
+        device = partial(jnp.asarray, dtype=jnp.float32)
+        return cls(device(occupancy.reshape(-1)), device(reach), device(origin), device(voxel), shape, fine)
 
     def strides(self, per_cell: int = 1) -> list[int]:
         """How far apart in memory neighbours along each axis lie, of cells or of nodes; the last is that of maps."""
@@ -93,28 +77,14 @@ def _reach(occupancy: np.ndarray, fine: int) -> np.ndarray:
     return (away / (fine * STEP)).astype(np.float32)
 
 
-@partial(jax.jit, static_argnums=(1, 2))
-def _sight(reach: Float[Array, "nx ny"], shape: tuple[int, ...], fine: int) -> Float[Array, "x y bins"]:
-    """The table of cones of one map: marched along its middle while the widening cone is free."""
-    x, y = jnp.meshgrid(*(COARSE * jnp.arange((n - 1) // COARSE + 1.0) for n in shape), indexing="ij")
-    angle = (jnp.arange(BINS) + 0.5) * (2.0 * jnp.pi / BINS)
-    across, widening = 0.5 * np.sqrt(2.0) * COARSE + 1e-3, np.pi / BINS + 1e-5
+class Rays(eqx.Module):
+    """Rays in the units of a field: point ``start + k stride`` is sample ``k``."""
 
-    def march(towards):
-        def free(s):  # certified around the middle at s, cells
-            at = [p + s * t for p, t in zip((x, y), towards, strict=True)]
-            node = [
-                jnp.clip((p * fine + 0.5).astype(jnp.int32), 0, m - 1) for p, m in zip(at, reach.shape, strict=True)
-            ]
-            return STEP * reach[node[0], node[1]]
-
-        def advance(s):
-            return s + jnp.maximum(free(s) - across - s * widening, 0.0) / (1.0 + widening)
-
-        return jax.lax.fori_loop(0, 24, lambda _, s: advance(s), jnp.zeros(x.shape))
-
-    cones = jax.lax.map(march, (jnp.cos(angle), jnp.sin(angle)))
-    return jnp.moveaxis(cones, 0, -1) / STEP
+    which: Int[Array, "rays"]  # the map that a ray runs through
+    start: Coordinates  # cells
+    stride: Coordinates  # cells a sample
+    inverse_length: Float[Array, "rays"]  # of a metre of z-depth, 1/m
+    last: Float[Array, "rays"]  # sample inside box and range
 
 
 @partial(jax.jit, static_argnames="narrowing")
@@ -124,7 +94,6 @@ def depths(
     centre: Coordinates,
     direction: Coordinates,
     max_depth: float | Array,
-    angle: Float[Array, "rays"] | None = None,
     narrowing: tuple[int, ...] = NARROWING,
 ) -> Float[Array, "rays"]:
     """z-depth (m) of the first surface along each ray up to ``max_depth``; 0 where there is none.
@@ -135,48 +104,57 @@ def depths(
         centre: world coordinates of where it starts, m, each ``(rays,)``.
         direction: of one metre of z-depth, at least 1 long, each ``(rays,)``.
         max_depth: m.
-        angle: of the directions, rad, world frame; for a planar field.
         narrowing: see :data:`NARROWING`.
     """
-    e = STEP * field.voxel_size
+    rays, k = rays_of(field, which, centre, direction, max_depth)
+    return STEP * field.voxel_size * surface(field, rays, k, narrowing)
+
+
+def rays_of(
+    field: RayField, which: Int[Array, "rays"], centre: Coordinates, direction: Coordinates, max_depth: float | Array
+) -> tuple[Rays, Float[Array, "rays"]]:
+    """Rays in the field's units, and the first sample of each that may hit; arguments as of :func:`depths`."""
     start = tuple((c - o) / field.voxel_size for c, o in zip(centre, field.origin, strict=True))
     stride = tuple(t * STEP for t in direction)
     inverse_length = jax.lax.rsqrt(sum(t * t for t in direction))
-    first, last = jnp.full(which.shape, FIRST), jnp.broadcast_to(jnp.floor(max_depth / e), which.shape)
+    range_ = jnp.floor(max_depth / (STEP * field.voxel_size))
+    first, last = jnp.full(which.shape, FIRST), jnp.broadcast_to(range_, which.shape)
     for s, t, n in zip(start, stride, field.shape, strict=True):
         inverse = 1.0 / jnp.where(jnp.abs(t) > 1e-9, t, 1e-9)
         near, far = -s * inverse, (n - 1.0 - s) * inverse
         first, last = jnp.maximum(first, jnp.minimum(near, far)), jnp.minimum(last, jnp.maximum(near, far))
-    # The slack keeps a sample on the box's face.
-    k, last = jnp.ceil(first - 1e-3), jnp.floor(last + 1e-3)
-    rays, k = _Rays(which, start, stride, inverse_length, last), jnp.minimum(k, last + 1.0)
-    if angle is not None and field.sight is not None:
-        k = _glide(field, rays, angle, _glide(field, rays, angle, k))
+    # The slack keeps a sample on the box's face. A ray beside the box that runs along it ends at -1e9 or so, a number
+    # that float32 cannot count up from.
+    k, last = jnp.ceil(first - 1e-3), jnp.maximum(jnp.floor(last + 1e-3), -1.0)
+    return Rays(which, start, stride, inverse_length, last), jnp.minimum(k, last + 1.0)
+
+
+def surface(
+    field: RayField, rays: Rays, k: Float[Array, "rays"], narrowing: tuple[int, ...] = NARROWING
+) -> Float[Array, "rays"]:
+    """Where rays that are free before sample ``k`` meet the first surface, in samples; 0 where they meet none."""
     found = _search(field, rays, k, narrowing)
     hit = found >= HIT
     k = jnp.where(hit, found - HIT, FIRST)
-    o_k, o_before = (_value(field, which, start, stride, at) for at in (k, k - 1.0))
+    o_k, o_before = (_value(field, rays.which, rays.start, rays.stride, at) for at in (k, k - 1.0))
     o_before = jnp.where(k > FIRST, o_before, jnp.minimum(o_before, TAU))  # the first sample never counts as a hit
     rise = o_k - o_before
     a = jnp.where(rise > 1e-9, (TAU - o_before) / jnp.where(rise > 1e-9, rise, 1.0), 1.0)
-    return jnp.where(hit, (k - 1.0 + a) * e, 0.0)
+    return jnp.where(hit, k - 1.0 + a, 0.0)
 
 
-class _Rays(eqx.Module):
-    which: Array
-    start: Coordinates  # cells
-    stride: Coordinates  # cells a sample
-    inverse_length: Array  # of a metre of z-depth, 1/m
-    last: Array  # sample inside box and range
+def few(n: int, share: int) -> int:
+    """One in ``share`` of n rays, and somewhat more."""
+    return min(n, -(-n // (share * LEAST)) * LEAST)
 
 
-def _search(field: RayField, rays: _Rays, k: Array, narrowing: tuple[int, ...]) -> Array:
+def _search(field: RayField, rays: Rays, k: Array, narrowing: tuple[int, ...]) -> Array:
     """``k`` (+ HIT) of each ray; beyond ``last`` where there is none."""
     n = k.shape[0]
     for _ in range(FLIGHT):
         k = _leap(field, rays, k)
     index, found = jnp.arange(n), k
-    for narrow in (*(-(-n // share) for share in narrowing if n >= share * LEAST), 0):
+    for narrow in (*(few(n, share) for share in narrowing if n >= share * LEAST), 0):
 
         def advance(k, rays=rays):
             return _look(field, rays, _leap(field, rays, _leap(field, rays, k)))
@@ -194,21 +172,7 @@ def _search(field: RayField, rays: _Rays, k: Array, narrowing: tuple[int, ...]) 
     return found
 
 
-def _glide(field: RayField, rays: _Rays, angle: Array, k: Array) -> Array:
-    """Past all samples that the table of cones certifies."""
-    assert field.sight is not None
-    bins = (jnp.mod(angle * (1.0 / (2.0 * jnp.pi)), 1.0) * BINS).astype(jnp.int32)
-    sizes = [(n - 1) // COARSE + 1 for n in field.shape]
-    node = rays.which
-    for s, t, size in zip(rays.start, rays.stride, sizes, strict=True):
-        at = ((s + t * k) * (1.0 / COARSE) + 0.5).astype(jnp.int32)
-        node = node * size + jnp.clip(at, 0, size - 1)
-    sight = field.sight.at[node * BINS + jnp.minimum(bins, BINS - 1)].get(mode="promise_in_bounds")
-    further = k + jnp.floor(sight * rays.inverse_length) + 1.0
-    return jnp.where((sight > 0.0) & (k <= rays.last), further, k)
-
-
-def _leap(field: RayField, rays: _Rays, k: Array) -> Array:
+def _leap(field: RayField, rays: Rays, k: Array) -> Array:
     """Past all samples that cannot hit; where a sample might, it stays."""
     *strides, per_map = field.strides(field.fine)
     node = rays.which * per_map
@@ -220,7 +184,7 @@ def _leap(field: RayField, rays: _Rays, k: Array) -> Array:
     return jnp.where((reach >= 0.0) & (k <= rays.last), further, k)
 
 
-def _look(field: RayField, rays: _Rays, k: Array) -> Array:
+def _look(field: RayField, rays: Rays, k: Array) -> Array:
     """Test every sample that a ray has in its present cell: the first one above the threshold is the hit."""
     cell, _, corners = _corners(field, rays.which, rays.start, rays.stride, k)
     exits = jnp.full(k.shape, HIT)

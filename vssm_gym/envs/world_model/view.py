@@ -3,8 +3,9 @@
     scan_k = depth at column ``u_k = (k + 1/2) W / 64 - 1/2`` of the camera's horizontal plane, k = 0 (left) ... 63
 
 Depths are z-depths, m; 0 = no reading. The camera stands upright, so a ray of the horizontal plane stays at its height:
-the trilinear field there is bilinear in x and y, and a scan in that slice is exactly what the emission renders. Images
-are traced in the box of the map that was observed at all.
+the trilinear field there is bilinear in x and y, and a scan in that slice is what the emission renders, as far as its
+table of lines tells (:mod:`vssm_gym.envs.world_model.lines`). Images are traced in the box of the map that was observed
+at all, exactly.
 """
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from vssm_gym.camera import Camera
 from vssm_gym.envs.world_model.config import BEAMS
+from vssm_gym.envs.world_model.lines import Lines, scan_depths
 from vssm_gym.envs.world_model.rays import RayField, depths
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
@@ -26,6 +28,7 @@ class View(eqx.Module):
     """A camera on robots in one or several maps; see the module."""
 
     field: RayField
+    lines: Lines | None  # of a scan
     colour: Float[Array, "cells 3"] | None  # of the box's cells, (maps, *shape) in C order
     across: Float[Array, "width"]  # of pixel columns: camera x a metre of z-depth, to the right
     down: Float[Array, "height"]  # of rows; of a scan one zero
@@ -41,7 +44,7 @@ class View(eqx.Module):
         field = _cut(maps, low, high, height)
         columns = (np.arange(BEAMS) + 0.5) * camera.width / BEAMS - 0.5
         across = jnp.asarray((columns - camera.cx) / camera.fx, jnp.float32)
-        return cls(field, None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth)
+        return cls(field, Lines.of(field), None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth)
 
     @classmethod
     def images(
@@ -57,11 +60,11 @@ class View(eqx.Module):
         across = jnp.asarray((np.arange(camera.width) - camera.cx) / camera.fx, jnp.float32)
         down = jnp.asarray((np.arange(camera.height) - camera.cy) / camera.fy, jnp.float32)
         forward, height = float(T_body_cam[0, 3]), float(T_body_cam[2, 3])
-        return cls(field, colours, across, down, forward, height, max_depth)
+        return cls(field, None, colours, across, down, forward, height, max_depth)
 
     def __call__(self, which: Int[Array, "n"], planar: Float[Array, "n 3"]) -> dict[str, Array]:
         """``scan (n, 64)``, or ``depth (n, height, width)`` and perhaps ``rgb`` uint8 of robots at ``planar``."""
-        if len(self.field.shape) == 2:
+        if self.lines is not None:
             return {"scan": self._rays(which, planar)[0].reshape(-1, BEAMS)}
 
         def look(one):
@@ -87,9 +90,10 @@ class View(eqx.Module):
         x, y = planar[:, 0, None] + self.forward * c, planar[:, 1, None] + self.forward * s
         centre, direction = [spread(x), spread(y)], [spread(c + s * right), spread(s - c * right)]
         which = spread(which[:, None])
-        if len(self.field.shape) == 2:
+        if self.lines is not None:
             angle = spread(planar[:, 2, None] - jnp.arctan(right))
-            return depths(self.field, which, tuple(centre), tuple(direction), self.max_depth, angle), None
+            ways = (tuple(centre), tuple(direction), angle)
+            return scan_depths(self.field, self.lines, which, *ways, self.max_depth), None
         down = spread(jnp.repeat(self.down, len(self.across))[None])
         centre, direction = [*centre, jnp.full_like(centre[0], self.height)], [*direction, -down]
         depth = depths(self.field, which, tuple(centre), tuple(direction), self.max_depth)
