@@ -1,13 +1,15 @@
 """``candidate_random``: the candidates of ``mi_explorer``, one of them at random: what choosing by information adds.
 
-goal ~ U({q : A(q) >= least area})          A: expected unknown area in sight of a candidate, m^2
+goal ~ U({q : A(q) >= least area, q not visited})          A: expected unknown area in sight of a candidate, m^2
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from vssm_gym.agents.exploring import Explorer
+from vssm_gym.agents.mi_explorer import NEAR
 from vssm_gym.agents.strategy import Belief, Choice, around
 from vssm_gym.planning.exploration import candidates
 from vssm_gym.planning.structure import expected_surfaces
@@ -33,19 +35,27 @@ class RandomCandidate:
         """Draws follow from ``seed``."""
         self._rng = np.random.default_rng(seed)
         self._goal: np.ndarray | None = None
+        self._visited: list[np.ndarray] = []  # goals that were reached, m
 
     def choose(self, belief: Belief) -> Choice | None:
-        """The goal of before until it is reached, then another."""
+        """The goal of before until it is reached, then another; None where there is none."""
+        if belief.arrived and self._goal is not None:
+            if math.hypot(*(self._goal - belief.planar[:2])) < NEAR:
+                self._visited.append(self._goal)
+            self._goal = None
         c = self._config
         hazard = expected_surfaces(belief.roadmap.plan, *c.hazard)
         found = candidates(
             belief.roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=belief.dismissed
         )
-        if not len(found.xy):
+        visited = np.reshape(self._visited, (-1, 2))
+        gap = np.linalg.norm(found.xy[:, None] - visited[None], axis=-1)
+        xy = found.xy[gap.min(axis=1, initial=np.inf) >= NEAR]  # what those still promise is not to be seen from there
+        if not len(xy):
             return None
-        if self._goal is None or belief.arrived or not belief.roadmap.reaches(self._goal):
-            self._goal = found.xy[self._rng.integers(len(found.xy))]
-        return Choice(self._goal, around(belief.planar[2]), None, f"to one of {len(found.xy)} candidates")
+        if self._goal is None or not belief.roadmap.reaches(self._goal):
+            self._goal = xy[self._rng.integers(len(xy))]
+        return Choice(self._goal, around(belief.planar[2]), None, f"to one of {len(xy)} candidates")
 
 
 class CandidateRandomAgent:

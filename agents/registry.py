@@ -8,6 +8,7 @@ from vssm_gym.agents.dwa import DwaAgent
 from vssm_gym.agents.frontier_gain import FrontierGainAgent
 from vssm_gym.agents.frontier_gain_tracked import FrontierGainTrackedAgent
 from vssm_gym.agents.frontier_looking import FrontierLookingAgent
+from vssm_gym.agents.frontier_looking_tracked import FrontierLookingTrackedAgent
 from vssm_gym.agents.frontier_nearest import FrontierNearestAgent
 from vssm_gym.agents.greedy import GreedyAgent
 from vssm_gym.agents.hybrid_astar import HybridAStarAgent
@@ -47,6 +48,7 @@ AGENTS: dict[str, type[Agent]] = {
         RandomWalkAgent,
         MiExplorerTrackedAgent,
         FrontierGainTrackedAgent,
+        FrontierLookingTrackedAgent,
     )
 }
 
