@@ -1,8 +1,10 @@
 """Follow a way with steps that the noise carries into nothing, and get out of tight spots.
 
 Every step ``s`` is shortened until there is room wherever it may lead: up to ``s + k std`` m ahead, ``k std`` rad off,
-with ``k`` of :class:`FollowingConfig`. As the noise carries the robot off its way, each step pulls what is left of that
-taut from where it is. A robot that may not step at all makes room: it goes a little to where there is most.
+with ``k`` of :class:`FollowingConfig`. To the side no more room is asked for than a share of the way's margin: on
+narrow ways that is less than ``k`` standard deviations (2 of a full step at a margin of 3 cm and 3 degrees). As the
+noise carries the robot off its way, each step pulls what is left of that taut from where it is. A robot that may not
+step at all makes room: it goes a little to where there is most.
 """
 
 import math
@@ -27,8 +29,8 @@ HELD_STEP = 0.15  # m: where nothing else is possible, so far to where there is 
 class FollowingConfig:
     """How carefully to step; lengths in metres."""
 
-    guard: float = 0.015  # of clearance beyond the radius that a step keeps, whatever the noise does
-    sigmas: float = 3.5  # of the execution noise that a step is prepared for
+    guard: float = 0.015  # of clearance beyond the radius that a step keeps besides, as far as ``held_share`` lets it
+    sigmas: float = 3.5  # of the execution noise that a step is prepared for, where ``held_share`` leaves it the room
     daring: float = 0.8  # by which that shrinks with every step that was refused since the last one
     held_share: float = 0.6  # of the way's margin: more is not asked of a step, or it could not be driven
     lookahead: float = 0.6  # of the way ahead that is checked for something unforeseen at every step

@@ -1,6 +1,6 @@
 """``mi_explorer``: goes and looks where imagined images teach its map most, in the order that leaves least undone.
 
-    I(M; x | z) = sum_cells 1/2 log(1 + n lambda_u / lambda)     gain of looks z; what they share is counted once
+    I(M; x | z) = sum_cells 1/2 log(1 + n lambda_u / lambda)     gain of looks z together; what they share is in n
     order = argmin sum_legs |leg| (gain not yet made)            ``mode`` "coverage": a tour that leaves nothing behind
     goal = argmax gain / way,  or  gain - price way              ``mode`` "rate", "difference": greedy, as published
 
@@ -74,7 +74,8 @@ class Tour:
 
     Attributes:
         xy: ``(n, 2)`` places, m.
-        nats: ``(n,)`` what each would teach beside those before it.
+        nats: ``(n,)`` what each would teach beside those before it, less its price: ``least_gain``, and what the robot
+            would know less of its own pose there than at the best of them.
         first: the one that was chosen.
     """
 

@@ -1,8 +1,9 @@
 """What an explorer knows of its surroundings: the map that it builds, where its body has been, what it saw close by.
 
-The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.mapping.Mapper` builds. Two masks over its columns stand
-beside it: a body disproves whatever is believed to stand where it is; and a thin leg, which averages away in cells
-wider than it, is remembered as it was seen from nearby.
+The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.mapping.Mapper` builds. Three masks over its columns
+stand beside it: a body disproves whatever is believed to stand where it is; the ring around it, which the camera looks
+over, is free where nothing was seen; and a thin leg, which averages away in cells wider than it, is remembered as it
+was seen from nearby.
 """
 
 from dataclasses import dataclass

@@ -23,7 +23,7 @@ class RandomWalkConfig:
 
 
 class RandomLegs:
-    """:class:`~vssm_gym.agents.exploring.Strategy`: leg after leg, without an end."""
+    """:class:`~vssm_gym.agents.exploring.Strategy`: leg after leg, as long as one leads anywhere."""
 
     def __init__(self, config: RandomWalkConfig) -> None:
         self._config = config

@@ -1,7 +1,7 @@
 """Pictures of one run of an explorer: a choice among candidates coloured by gain, the whole run over its map.
 
 Gain is what :class:`vssm_gym.agents.mi_explorer.Tour` says of each place: the information, in nats, that a look around
-there is expected to give beside those before it.
+there is expected to give beside those before it, less the price of a place.
 """
 
 import math
@@ -60,7 +60,7 @@ def gain_norm(recording: Recording) -> LogNorm | None:
 
 def label_gain(bar: Colorbar) -> None:
     """Title and round numbers of the colour bar of :func:`gain_norm`."""
-    bar.set_label("expected information, knat")
+    bar.set_label("expected information less a place's price, knat")
     bar.locator, bar.formatter = LogLocator(subs=(1.0, 2.0, 5.0)), FuncFormatter(lambda value, _: f"{value:g}")
     bar.minorticks_off()
     bar.update_ticks()

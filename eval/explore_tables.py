@@ -13,6 +13,8 @@ from vssm_gym.eval.explore_metrics import GOAL, SHARES, Ratio
 from vssm_gym.eval.report_tables import Measures, grouping, html_table
 
 TIED = 50.0  # nats: tables show tenths of a knat
+KNOWN_PAIRS = 0.5  # share of the pairs that a statement at one point needs: who ran out of time before is not there
+UNITS: dict[metrics.Axis, str] = {"metres": "m", "seconds": "s"}
 # Where maps are compared.
 EQUAL: dict[metrics.Axis, tuple[float, ...]] = {
     "metres": (5.0, 10.0, 20.0, 40.0),
@@ -184,29 +186,66 @@ def by_scene(found: Sequence[Rival], reference: str) -> str:
     return html_table([*header, "shorter", "missed"], lines, 3)
 
 
-def not_lowest(rows: Sequence[Row], reference: str) -> dict[str, list[str]]:
-    """By scene, the others whose map's entropy is the lower one in the mean of pairs, and at which path lengths."""
-    found: dict[str, list[str]] = {}
-    for (scene,), members in group_rows(rows, ["scene"]).items():
-        for other in others(members, reference):
-            means = {m: metrics.paired_at(members, "entropy", other, reference, m).mean for m in EQUAL["metres"]}
-            ahead = ", ".join(f"{m:g}" for m, mean in means.items() if mean < -TIED)
-            if ahead:
-                found.setdefault(scene, []).append(f"{other} at {ahead} m")
-    return found
+@dataclass(frozen=True)
+class Compared:
+    """``other - reference`` at one path length or time, over the pairs in which both are known there."""
+
+    other: str
+    where: float
+    unit: str
+    pairs: int  # that there are, known or not
+    entropy: Interval  # nats
+    coverage: Interval
+
+    @property
+    def is_known(self) -> bool:
+        """Whether enough pairs say something of the maps' entropy."""
+        return self.entropy.episodes > 0 and self.entropy.episodes >= KNOWN_PAIRS * self.pairs
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether, in the mean of the pairs known, the other's map has the lower entropy."""
+        return self.entropy.mean < -TIED  # of no pair: NaN, which is not known either
 
 
-def at_equal(rows: Sequence[Row], reference: str, seed: int, axis: metrics.Axis) -> str:
-    """``other - reference`` of map entropy and of coverage at the same path length or time: above and below 0 lead."""
-    unit = {"metres": "m", "seconds": "s"}[axis]
-    header = ["difference", *(f"entropy at {x:g} {unit}, knat" for x in EQUAL[axis])]
-    header += [f"coverage at {x:g} {unit}, %" for x in EQUAL[axis]]
-    lines = []
-    for other in others(rows, reference):
-        line = [f"{other} - {reference}"]
-        for name, factor in (("entropy", 1e-3), ("coverage", 100.0)):
-            for x in EQUAL[axis]:
-                d = metrics.paired_at(rows, name, other, reference, x, seed, axis)
-                line.append(Interval(factor * d.mean, factor * d.low, factor * d.high, d.tasks, d.episodes).text(1))
-        lines.append(line)
-    return html_table(header, lines, 1)
+def compared(rows: Sequence[Row], reference: str, seed: int, axis: metrics.Axis) -> list[Compared]:
+    """The reference and each other agent at each point of an axis."""
+    return [
+        Compared(
+            other,
+            x,
+            UNITS[axis],
+            len(metrics.pairs(rows, other, reference)),
+            metrics.paired_at(rows, "entropy", other, reference, x, seed, axis),
+            metrics.paired_at(rows, "coverage", other, reference, x, seed, axis),
+        )
+        for other in others(rows, reference)
+        for x in EQUAL[axis]
+    ]
+
+
+def named(points: Sequence[Compared]) -> str:
+    """``frontier_gain at 5, 10 m, frontier_nearest at 40 m``."""
+    at: dict[str, list[str]] = {}
+    for point in points:
+        at.setdefault(point.other, []).append(f"{point.where:g}")
+    return ", ".join(f"{other} at {', '.join(where)} {points[0].unit}" for other, where in at.items())
+
+
+def at_equal(points: Sequence[Compared]) -> str:
+    """Differences of map entropy and of coverage at equal path lengths or times: above and below 0 lead."""
+    lines = [
+        [
+            point.other,
+            f"{point.where:g} {point.unit}",
+            f"{point.coverage.episodes} of {point.pairs}",
+            _scaled(point.entropy, 1e-3),
+            _scaled(point.coverage, 100.0),
+        ]
+        for point in points
+    ]
+    return html_table(["other agent", "at", "pairs known", "entropy, knat", "coverage, %"], lines, 1)
+
+
+def _scaled(d: Interval, factor: float) -> str:
+    return Interval(factor * d.mean, factor * d.low, factor * d.high, d.tasks, d.episodes).text(1)

@@ -34,6 +34,7 @@ h1{font-size:26px;margin:0 0 4px}h2{margin:34px 0 8px;font-size:20px;border-bott
 table{border-collapse:collapse;font-size:13px;margin:8px 0}th,td{padding:3px 9px;text-align:left;white-space:nowrap}
 th{border-bottom:2px solid #9aa3ad;font-weight:600}tr:nth-child(even) td{background:#f4f6f8}
 .n{text-align:right;font-variant-numeric:tabular-nums}.wide{overflow-x:auto}
+.beside{display:flex;flex-wrap:wrap;gap:0 32px}
 .runs{display:grid;grid-template-columns:repeat(auto-fill,minmax(280px,1fr));gap:12px}
 figure{margin:0;border:1px solid #d5d9de;border-radius:6px;padding:6px}figure img{width:100%}
 figcaption{font-size:12.5px}.bad{color:#a3203a;font-weight:600}.good{color:#0b6e4f;font-weight:600}

@@ -268,17 +268,17 @@ def test_the_configurations_are_of_explorers_in_scenes_of_the_test_split(name):
 
 @pytest.mark.slow
 def test_explorers_from_start_to_report(tmp_path):
-    """Two explorers, cut in the middle and resumed to the same rows; maps are kept and driven on; a report."""
+    """Three explorers, cut in the middle and resumed to the same rows; maps are kept and driven on; a report."""
     config = load_config(CONFIGS / "exploration_short.yaml")
     log = run_sweep(config, tmp_path / "whole", workers=1)
     rows = read_rows(log)
-    assert len(rows) == 4
+    assert len(rows) == 6
     for row in rows:
         assert row["steps"] <= config.explore.steps
         assert row["entropy"] < 0.0 < row["completeness"] < 1.0
         assert row["navigation"]["tasks"] == 1
         assert row["map_hash"] is None
-    assert len({(row["task"], *row["trace"]["true"][0]) for row in rows}) == 2  # both agents from the same starts
+    assert len({(row["task"], *row["trace"]["true"][0]) for row in rows}) == 2  # all agents from the same starts
     kept = {row["agent"]: row.get("explored") for row in rows if row["task"] == 0}
     assert set(kept.values()) == {f"{rows[0]['scene']}-low-none-raycast-{agent}.npz" for agent in config.agents}
     assert {path.name for path in (tmp_path / "whole" / "explored").iterdir()} == set(kept.values())

@@ -12,7 +12,7 @@ import pytest
 from box_rooms import furniture, two_rooms
 
 from vssm_gym.agents.base import Agent, AgentContext, Decision
-from vssm_gym.agents.exploring import Explorer
+from vssm_gym.agents.exploring import Explorer, ExploringConfig
 from vssm_gym.agents.following import TRIES, Way, points_along
 from vssm_gym.agents.own_map import OwnMapConfig
 from vssm_gym.agents.registry import AGENTS
@@ -24,7 +24,7 @@ from vssm_gym.planning.information import entropy
 from vssm_gym.planning.occupancy_grid import FREE
 
 EXPLORERS = [name for name, agent in AGENTS.items() if agent.task == "explore"]
-TRACKED = {"mi_explorer_tracked", "frontier_gain_tracked"}  # PRISM estimates their pose
+TRACKED = {"mi_explorer_tracked", "frontier_gain_tracked", "frontier_looking_tracked"}  # PRISM estimates their pose
 SCENE = two_rooms(pieces=(furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6)),))
 START = np.array([1.0, 1.0, 0.0])
 
@@ -133,6 +133,24 @@ class _Into:
 
     def choose(self, belief):
         return Choice(np.array([0.0, 2.0]), (), None, "into the wall")
+
+
+class _Ahead:
+    """A strategy that goes to the other corner and counts how often it was asked."""
+
+    def reset(self, seed):
+        self.asked = 0
+
+    def choose(self, belief):
+        self.asked += 1
+        return Choice(np.array([2.4, 3.2]), (), None, f"choice {self.asked}")
+
+
+def test_a_choice_is_made_anew_every_few_steps_on_the_way(world):
+    decisions, _ = explore(Explorer(_Ahead()), world, 60)
+    on_the_way = [decision.status for decision in decisions if decision.status.startswith("choice")]
+    lengths = [len(list(same)) for _, same in itertools.groupby(on_the_way)]
+    assert lengths[:3] == [ExploringConfig().replan_steps] * 3  # then it is there, and is asked at every step
 
 
 @pytest.mark.parametrize(("strategy", "reason"), [(_Nothing(), "finished"), (_Into(), "boxed in")])

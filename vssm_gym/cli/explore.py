@@ -24,7 +24,8 @@ def explore(
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
         out: new or empty folder; it appears when all of it is there.
-        agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, candidate_random or random_walk.
+        agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, frontier_looking, candidate_random or
+            random_walk; mi_explorer_tracked, frontier_gain_tracked or frontier_looking_tracked.
         start: of which of the scene's test tasks, 0 to 99.
         noise: of execution: none, low, mid or high.
         steps: of 0.2 s, after which time is out.
@@ -35,7 +36,7 @@ def explore(
     from vssm_gym.eval.config import ExploreSettings, SweepConfig, check_names
     from vssm_gym.eval.destinations import check_at_least, check_folder
     from vssm_gym.eval.explore_run import explore as run
-    from vssm_gym.eval.explore_video import check_writer
+    from vssm_gym.eval.video import check_writer
 
     for field, value, least in (("start", start, 0), ("steps", steps, 1), ("seed", seed, 0)):
         check_at_least("explore", field, value, least)
