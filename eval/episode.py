@@ -1,14 +1,15 @@
 """One episode of one agent: the loop that hands observations to the agent, and the truth to nobody but the metrics."""
 
 import time
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.agents.base import Agent, AgentContext, Decision
+from vssm_gym.agents.base import Agent, AgentContext, Decision, Observation
 from vssm_gym.envs.tasks import Task, TaskSampler
 from vssm_gym.eval.failure import failure_reason
 from vssm_gym.eval.metrics import episode_metrics
@@ -16,6 +17,30 @@ from vssm_gym.voxel_map import VoxelMap
 
 TRACE_POINTS = 80  # of a path kept in a row, enough for a picture
 TRACE_CONTACTS = 30
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a run as a spectator sees it: the agent has taken up the image and decided, nothing has moved yet.
+
+    Attributes:
+        number: steps before it.
+        seconds: since the start.
+        planar: ``(3,)`` true x, y (m), heading (rad).
+        observation: what the agent saw.
+        info: the environment's, of the same moment.
+        decision: the agent's.
+    """
+
+    number: int
+    seconds: float
+    planar: np.ndarray
+    observation: Observation
+    info: dict[str, Any]
+    decision: Decision
+
+
+Spectator: TypeAlias = Callable[[Step], None]
 
 
 def agent_context(
@@ -54,6 +79,7 @@ def run_episode(
     seed: int,
     voxel_map: VoxelMap | None,
     noise: tuple[float, float],
+    spectator: Spectator | None = None,
 ) -> dict[str, Any]:
     """Run ``agent`` on ``task`` until it stops or time is out.
 
@@ -65,6 +91,7 @@ def run_episode(
         seed: of the environment's streams and, mixed, of the agent; the same for every agent.
         voxel_map: the learned map, None for an agent that needs none.
         noise: standard deviations of the execution noise that the agent is told, rad and m.
+        spectator: shown every step, in order; what it does takes none of the agent's time.
 
     Returns:
         The metrics of :func:`episode_metrics`, ``failure`` (None on success), the agent's last ``status``, latency
@@ -74,14 +101,19 @@ def run_episode(
     context = agent_context(env, info, voxel_map, noise)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
 
-    positions, contacts = [info["T_world_cam"][:2, 3]], []  # the camera sits on the robot's axis
+    positions = [info["T_world_cam"][:2, 3]]  # the camera sits on the robot's axis
+    contacts: list[bool] = []
     decisions: list[Decision] = []
     seconds: list[float] = []
+    world: Any = env.unwrapped
     ended = False
     while not ended:
         began = time.perf_counter()
         decision = agent.act(observation)
         seconds.append(time.perf_counter() - began)
+        if spectator is not None:
+            driven = len(contacts) * context.dt
+            spectator(Step(len(contacts), driven, np.array(world.planar), observation, info, decision))
         observation, _, stopped, truncated, info = env.step(decision.action)
         ended = stopped or truncated
         decisions.append(decision)
@@ -114,8 +146,8 @@ def run_episode(
         "failure": None if success else failure,
         "status": decisions[-1].status,
         "latency": latency_of(decisions, seconds),
-        "end_on": env.unwrapped.end_on,  # type: ignore[attr-defined]
-        "tracer": env.unwrapped.renderer_name,  # type: ignore[attr-defined]
+        "end_on": world.end_on,
+        "tracer": world.renderer_name,
         "success_radius": context.success_radius,
         "goal": [float(v) for v in goal],
         "trace": trace_of(path, estimates, contact),

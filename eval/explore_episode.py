@@ -5,20 +5,18 @@ entropy of the fastest explorer short.
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vssm_gym.agents.base import Agent, AgentContext, Decision, Observation
+from vssm_gym.agents.base import Agent, AgentContext, Decision
 from vssm_gym.envs.explore import ExploreEnv
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.stage import Stage
-from vssm_gym.eval.episode import estimates_of, latency_of, thinned, trace_of
+from vssm_gym.eval.episode import Spectator, Step, estimates_of, latency_of, thinned, trace_of
 from vssm_gym.eval.explore_metrics import GOAL, Recorder
 from vssm_gym.eval.failure import lost_track, stuck_at
 from vssm_gym.eval.metrics import location_errors, path_length
@@ -28,30 +26,6 @@ from vssm_gym.voxel_map import VoxelMap
 
 JUDGED = 4000  # points of the surface that completeness is sampled by along a run
 TRACE_POINTS = 300  # of a path kept in a row: explorers drive far
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of a run as a spectator sees it: the agent has taken up the image and decided, nothing has moved yet.
-
-    Attributes:
-        number: steps before it.
-        seconds: since the start.
-        planar: ``(3,)`` true x, y (m), heading (rad).
-        observation: what the agent saw.
-        info: the environment's, of the same moment.
-        decision: the agent's.
-    """
-
-    number: int
-    seconds: float
-    planar: np.ndarray
-    observation: Observation
-    info: dict[str, Any]
-    decision: Decision
-
-
-Spectator: TypeAlias = Callable[[Step], None]
 
 
 def map_of(agent: Agent) -> VoxelMap | None:

@@ -3,37 +3,20 @@
 All that does not move is drawn once; a frame draws the rest over it.
 """
 
-import importlib
 from pathlib import Path
 from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 from jaxtyping import UInt8
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.errors import InputError
 from vssm_gym.eval import explore_pictures as pictures
 from vssm_gym.eval.explore_recording import EVERY, Recording
 from vssm_gym.eval.maps import Progress
+from vssm_gym.eval.video import RATE, Page, Window, write_frames
 
-RATE = 15  # frames a second
-SIZE, DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
-HOLD = 2.0  # s that the last frame stays
-HOW = "imageio-ffmpeg, which writes videos: pip install 'vssm-gym[viz]'"
 _CHARACTERS = 92  # of a status that fit into a line
-
-
-def check_writer(command: str) -> None:
-    """Raise :class:`InputError` where videos cannot be written; to be asked before a run, not after it."""
-    try:
-        importlib.import_module("imageio_ffmpeg")  # of an extra; what imageio writes MP4 with
-    except ImportError as reason:
-        raise InputError(command, "video", f"{HOW} ({reason})") from reason
 
 
 def write_video(path: Path, recording: Recording, title: str, progress: Progress | None = None) -> None:
@@ -46,34 +29,7 @@ def write_video(path: Path, recording: Recording, title: str, progress: Progress
         progress: told ("video", done, total).
     """
     sheet, n = Sheet(recording, title), len(recording.moments)
-    writer: Any = imageio.get_writer(
-        path, format="FFMPEG", fps=RATE, codec="libx264", quality=6, ffmpeg_log_level="error"
-    )
-    with writer:
-        for i in range(n):
-            frame = sheet.draw(i)
-            writer.append_data(frame)
-            if progress:
-                progress("video", i + 1, n)
-        for _ in range(round(HOLD * RATE)):
-            writer.append_data(frame)
-
-
-class Window:
-    """A picture's place in a frame. It is enlarged by hand: matplotlib takes longer for that than for all else."""
-
-    def __init__(self, axes: Axes, shape: tuple[int, ...], frame: tuple[int, int], upwards: bool) -> None:
-        """``shape`` is that of the pictures, ``frame`` (height, width); with ``upwards`` row 0 is the lowest."""
-        axes.apply_aspect()
-        (left, bottom), (right, top) = np.rint(axes.get_window_extent().get_points()).astype(int)
-        self._place = slice(frame[0] - top, frame[0] - bottom), slice(left, right)
-        rows = np.arange(top - bottom) * shape[0] // (top - bottom)
-        self._rows = (rows[::-1] if upwards else rows)[:, None]
-        self._columns = np.arange(right - left) * shape[1] // (right - left)
-
-    def show(self, image: UInt8[np.ndarray, "rows columns 3"], frame: UInt8[np.ndarray, "height width 4"]) -> None:
-        """Draw the picture into the frame, its pixels repeated."""
-        frame[(*self._place, slice(3))] = image[self._rows, self._columns]
+    write_frames(path, (sheet.draw(i) for i in range(n)), n, progress)
 
 
 class Sheet:
@@ -83,18 +39,14 @@ class Sheet:
         self._recording, self._bounds = recording, recording.bounds()
         self._metres = np.array([moment.metres for moment in recording.moments])
         self._coverage = 100.0 * np.array([moment.coverage for moment in recording.moments])
-        figure = Figure(figsize=SIZE, dpi=DPI)
-        self._canvas = FigureCanvasAgg(figure)
-        self._size = round(DPI * SIZE[1]), round(DPI * SIZE[0])
+        self._page = Page()
+        self._moves, figure = self._page.moves, self._page.figure
         figure.text(0.02, 0.95, title, fontsize=15, weight="bold")
         speed = EVERY * HolonomicRobot().dt * RATE
         figure.text(0.98, 0.95, f"{speed:g} x as fast as driven", fontsize=10, ha="right", color="0.35")
-        self._moving: list[Artist] = []
         self._see(figure)
         self._curve(figure)
         self._plan(figure)
-        self._canvas.draw()
-        self._background = self._canvas.copy_from_bbox(figure.bbox)
 
     def draw(self, i: int) -> UInt8[np.ndarray, "height width 3"]:
         """The frame of moment ``i``."""
@@ -114,25 +66,15 @@ class Sheet:
             f"{self._coverage[i]:.0f} % covered      {moment.metres:.1f} m      {moment.seconds:.0f} s"
         )
         self._status.set_text(moment.status[:_CHARACTERS])
-        self._canvas.restore_region(self._background)
-        frame = np.asarray(self._canvas.buffer_rgba())
-        self._image.show(moment.rgb, frame)
-        self._cells.show(pictures.plan_image(moment.plan, self._bounds), frame)
-        for artist in self._moving:
-            (artist.axes or self._canvas.figure).draw_artist(artist)
-        return frame[..., :3].copy()
-
-    def _moves(self, artist: Any) -> Any:
-        artist.set_animated(True)
-        self._moving.append(artist)
-        return artist
+        plan = pictures.plan_image(moment.plan, self._bounds)
+        return self._page.frame([(self._image, moment.rgb), (self._cells, plan)])
 
     def _see(self, figure: Figure) -> None:
         """What the robot sees, and the numbers."""
         rgb = self._recording.moments[0].rgb
         axes = figure.add_axes((0.02, 0.475, 0.3, 0.445), xlim=(0, rgb.shape[1]), ylim=(0, rgb.shape[0]))
         pictures.bare(axes)
-        self._image = Window(axes, rgb.shape, self._size, upwards=False)
+        self._image = Window(axes, rgb.shape, self._page.size, upwards=False)
         self._numbers = self._moves(figure.text(0.02, 0.425, "", fontsize=13))
 
     def _curve(self, figure: Figure) -> None:
@@ -152,7 +94,7 @@ class Sheet:
         axes = figure.add_axes((0.345, 0.1, 0.57, 0.82), xlim=bounds[:, 0], ylim=bounds[:, 1])
         pictures.bare(axes)
         shape = pictures.plan_image(self._recording.moments[0].plan, bounds).shape
-        self._cells = Window(axes, shape, self._size, upwards=True)
+        self._cells = Window(axes, shape, self._page.size, upwards=True)
         self._driven, self._way = (
             self._moves(axes.plot([], [], color=colour, linewidth=width, path_effects=pictures.HALO)[0])
             for colour, width in ((pictures.DRIVEN_COLOUR, 1.6), (pictures.WAY_COLOUR, 2.0))

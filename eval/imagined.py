@@ -6,7 +6,8 @@ That is PointNav's dense reward but for how it counts the last metres inside the
 have it, so that ``imagined - real`` of a task is how much too well the model thinks of the policy.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,37 @@ POSE_STD = (0.02, 0.02, 0.01)  # m, m, rad: the estimate's error in imagination
 Row = dict[str, Any]
 
 
-def imagine(policy: Policy, map_file: Path, tasks: Sequence[Task], noise: str, seed: int = 0) -> list[Row]:
+@dataclass(frozen=True)
+class Look:
+    """One step of n imagined robots as a spectator sees it: they have seen and decided, nothing has moved yet.
+
+    Attributes:
+        number: steps before it.
+        planar: ``(n, 3)`` where they are in imagination: x, y (m), heading (rad).
+        observation: of n robots: ``scan``, ``goal`` and ``pose``, which is the estimate.
+        collision: ``(n,)`` whether they touched something in the step before.
+        stop: ``(n,)`` whether they stop.
+    """
+
+    number: int
+    planar: np.ndarray
+    observation: dict[str, np.ndarray]
+    collision: np.ndarray
+    stop: np.ndarray
+
+
+def imagine(
+    policy: Policy,
+    map_file: Path,
+    tasks: Sequence[Task],
+    noise: str,
+    seed: int = 0,
+    spectator: Callable[[Look], None] | None = None,
+) -> list[Row]:
     """One imagined episode of each task: ``task, success, spl, steps, collisions, path_length, return``.
+
+    Task number i draws from the stream of ``seed + i``, whatever the others are. The spectator is shown every step
+    until the last episode has ended; those that ended before have begun others.
 
     Raises :class:`InputError` where a task does not fit the map.
     """
@@ -44,6 +74,7 @@ def imagine(policy: Policy, map_file: Path, tasks: Sequence[Task], noise: str, s
     way, gained = np.zeros(n), np.zeros(n)
     steps, collisions = np.zeros(n, int), np.zeros(n, int)
     success, running = np.zeros(n, bool), np.ones(n, bool)
+    touched, number = np.zeros(n, bool), 0
     while running.any():
         goal = observation["goal"].astype(np.float64)
         goal[:, 0] += farther
@@ -51,7 +82,10 @@ def imagine(policy: Policy, map_file: Path, tasks: Sequence[Task], noise: str, s
         seen[:, -1] = features({**observation, "goal": goal}, spec.parts)
         stop = goal[:, 0] <= radius
         action = np.concatenate([policy(seen.reshape(n, -1)), stop[:, None]], axis=1)
+        if spectator is not None:
+            spectator(Look(number, env.planar, observation, touched, stop))
         observation, reward, terminated, truncated, infos = env.step(action.astype(np.float32))
+        touched, number = np.asarray(infos["collision"]), number + 1
         now = env.planar[:, :2]
         way += np.where(running, np.linalg.norm(now - at, axis=1), 0.0)
         gained += np.where(running, reward, 0.0)
@@ -60,7 +94,7 @@ def imagine(policy: Policy, map_file: Path, tasks: Sequence[Task], noise: str, s
         success |= running & terminated & np.asarray(infos.get("success", np.zeros(n)), bool)
         running &= ~(terminated | truncated)
         at = now
-    away = np.asarray(env.world.pool.geodesic, np.float64)  # m to the goal itself
+    away = np.asarray(env.world.pool.geodesic, np.float64)[:n]  # m to the goal itself; beyond is padding
     left = away - (gained + STEP_COST * steps - SUCCESS_REWARD * success)
     geodesic = np.array([task.geodesic for task in tasks])
     remaining = np.where(success, 0.0, np.maximum(0.0, left - radius))

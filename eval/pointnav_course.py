@@ -11,7 +11,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.tasks import TaskSampler, TaskSet, load, save, task_set
 from vssm_gym.eval.config import Condition, Episode, episode_seed
-from vssm_gym.eval.episode import run_episode
+from vssm_gym.eval.episode import Spectator, run_episode
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -23,7 +23,13 @@ def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     save(task_set(apartment, HolonomicRobot(), "test", n), path)
 
 
-def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
+def run(
+    episode: Episode,
+    agent: Agent,
+    task_file: Path,
+    voxel_map: VoxelMap | None,
+    spectator: Spectator | None = None,
+) -> dict[str, Any]:
     """Run one episode; returns what it was worth."""
     tasks, noise = _tasks(task_file), NOISE_LEVELS[episode.condition.noise]
     return run_episode(
@@ -34,6 +40,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | N
         seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
         voxel_map=voxel_map,
         noise=(noise.turn, noise.step),
+        spectator=spectator,
     )
 
 

@@ -77,10 +77,10 @@ def evaluate_policy(
     check_names(config, "evaluate")
     log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, progress=progress)
     rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
-    name = scene_name(scene)
-    set_ = load(out / "tasks" / f"{name}-holonomic.json").tasks[:tasks]
+    task_file, given_map = files_of(out, scene)
+    set_ = load(task_file).tasks[:tasks]
     try:
-        found = imagine(policy_file.load(str(policy)), map_file or out / "maps" / f"{name}.npz", set_, noise, seed)
+        found = imagine(policy_file.load(str(policy)), map_file or given_map, set_, noise, seed)
     except InputError as error:
         evaluation = Evaluation(policy_file.agent_label(agent), _means(rows), None, None, str(error))
     else:
@@ -92,6 +92,12 @@ def evaluate_policy(
     with atomic_write(out / FILE) as temporary:
         temporary.write_text(json.dumps(_plain(evaluation), indent=1) + "\n", encoding="utf-8")
     return evaluation
+
+
+def files_of(out: Path, scene: str) -> tuple[Path, Path]:
+    """Where the sweep of an evaluation keeps its tasks, and the map that it gives to agents."""
+    name = scene_name(scene)
+    return out / "tasks" / f"{name}-holonomic.json", out / "maps" / f"{name}.npz"
 
 
 def _means(rows: list[dict[str, Any]]) -> dict[str, Interval]:

@@ -93,7 +93,7 @@ def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
             raise ImportError("No module named 'imageio_ffmpeg'")
         return known(name, *more)
 
-    monkeypatch.setattr("vssm_gym.eval.explore_video.importlib.import_module", missing)
+    monkeypatch.setattr("vssm_gym.eval.video.importlib.import_module", missing)
     code, _, err = vssm("explore", "--scene", "fern", "--out", tmp_path / "new")
     assert (code, err.count("\n")) == (2, 1)
     assert "pip install 'vssm-gym[viz]'" in err

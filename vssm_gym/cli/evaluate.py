@@ -16,10 +16,12 @@ def evaluate(
     resume: bool = False,
     workers: int = 2,
     seed: int = 0,
+    video: int | None = None,
 ) -> None:
     """Run a policy file on a scene's test tasks in MuJoCo, as a sweep does, and on the same tasks in the learned map.
 
     OUT is a sweep's folder, so `vssm-gym report OUT` draws it; evaluation.json has the numbers that are printed.
+    With --video it also gets a video of one task, driven beside what the policy imagines (the extra `viz`).
 
     Args:
         policy: policy.npz of `vssm-gym train`.
@@ -31,15 +33,23 @@ def evaluate(
         resume: continue the same evaluation in OUT.
         workers: processes that run episodes.
         seed: of the drive that the map is learned from, and of imagination.
+        video: number of a task, from 0, that OUT gets a video of; with --resume of an evaluation that is there already.
     """
     from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.cli.console import print_notices, progress_bars
+    from vssm_gym.errors import InputError
     from vssm_gym.eval.destinations import check_at_least
     from vssm_gym.eval.policy_evaluation import METRICS, evaluate_policy
 
     check_at_least("evaluate", "tasks", tasks, 1)
+    if video is not None:
+        from vssm_gym.eval.video import check_writer
+
+        if not 0 <= video < tasks:
+            raise InputError("evaluate", "video", f"a task from 0 to {tasks - 1}; found {video}")
+        check_writer("evaluate")
     print_notices([scene])
     with progress_bars() as progress:
         found = evaluate_policy(
@@ -67,4 +77,15 @@ def evaluate(
     Console(highlight=False).print(table)
     if found.notice:
         print(f"nothing imagined: {found.notice}")
+    if video is not None:
+        from vssm_gym.eval.policy_recording import record_both
+        from vssm_gym.eval.policy_video import write_video
+
+        path = out / f"task-{video}.mp4"
+        with progress_bars() as progress:
+            both = record_both(
+                policy, out, scene=scene, task=video, noise=noise, map_file=map, seed=seed, progress=progress
+            )
+            write_video(path, both, progress)
+        print(f"video: {path}")
     print(f"next: vssm-gym report {out}")

@@ -25,6 +25,7 @@ COMMANDS: dict[str, Any] = {
     "record": "record.record",
     "map": {"build": "map.build", "export": "map.export"},
     "train": "train.train",
+    "curves": "curves.curves",
     "evaluate": "evaluate.evaluate",
     "explore": "explore.explore",
     "sweep": "sweep.sweep",

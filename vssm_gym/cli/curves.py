@@ -1,0 +1,61 @@
+"""``vssm-gym curves RUN [RUN ...] --out FILE``: learning curves of trainings, with intervals over seeds (SPEC 10)."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from vssm_gym.eval.learning_curves import Speed
+
+
+def curves(
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")],
+    out: Path,
+    minutes: float | None = None,
+    seed: int = 0,
+) -> None:
+    """Draw success and return of trainings against minutes and steps; print how soon they succeeded.
+
+    Trainings of one name are one curve: the mean over their seeds with a 95 % interval, as far as all of them go.
+    The table has medians over seeds.
+
+    Args:
+        runs: folders of `vssm-gym train`, finished or not.
+        out: the picture, .svg or .png.
+        minutes: where the axis of minutes ends, so that a training of hours leaves room for the others.
+        seed: of the bootstrap resampling behind the intervals.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from vssm_gym.eval.learning_curves import SHARES, write_curves
+
+    found = write_curves(runs, out, seed, minutes)
+    table = Table(title="time until success was, medians over seeds", title_justify="left", box=None)
+    table.add_column("training", no_wrap=True)
+    numbers = [column for share in SHARES for column in (f"{share:.0%}: min", "steps")]
+    for name in ("seeds", *numbers, "in the end"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for one in found:
+        times = [text for i in range(len(SHARES)) for text in _times(one, i)]
+        table.add_row(one.name, str(one.seeds), *times, one.last.text())
+    Console(highlight=False).print(table)
+    print(out)
+
+
+def _times(one: "Speed", i: int) -> tuple[str, str]:
+    """Minutes and steps to share number ``i``, and how many seeds there were where not all got there."""
+    some = f" ({one.reached[i]} of {one.seeds})" if 0 < one.reached[i] < one.seeds else ""
+    if not math.isfinite(one.minutes[i]):
+        return f"never{some}", "never"
+    return f"{one.minutes[i]:.1f}{some}", _short(one.steps[i])
+
+
+def _short(steps: float) -> str:
+    """Three digits, so that the table fits into a terminal: 950, 72.9k, 5.5M."""
+    for unit, name in ((1e6, "M"), (1e3, "k")):
+        if steps >= unit:
+            return f"{steps / unit:.{0 if steps >= 100 * unit else 1}f}{name}"
+    return f"{steps:.0f}"
