@@ -253,5 +253,5 @@ def check_names(config: SweepConfig, source: object) -> None:
             raise InputError(
                 source,
                 "scenes",
-                f"a built-in scene ({', '.join(built_in_scenes())}) or an existing file; found {scene!r}",
+                f"a built-in scene ({', '.join(built_in_scenes())}), {PREFIX}SEED or an existing file; found {scene!r}",
             )

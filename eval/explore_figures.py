@@ -160,6 +160,6 @@ def legend() -> bytes:
         ),
         Line2D([], [], marker="x", color="red", linestyle="", markersize=5, label="contact"),
     ]
-    figure = Figure(figsize=(9.5, 0.35))
-    figure.legend(handles=handles, loc="center", ncols=len(handles), frameon=False, fontsize=9)
+    figure = Figure(figsize=(9.5, 0.6))
+    figure.legend(handles=handles, loc="center", ncols=-(-len(handles) // 2), frameon=False, fontsize=9)
     return pictures.svg(figure)

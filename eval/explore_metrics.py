@@ -53,7 +53,8 @@ class Recorder:
             for samples, value, n in zip(self.curve.values(), values, digits, strict=True):
                 samples.append(None if value is None else round(value, n))
             self._due = (
-                EVERY_METRES * (math.floor(metres / EVERY_METRES) + 1),
+                # The first look around costs no metres: a sample as soon as it moves ends it on the curve, too
+                EVERY_METRES * (math.floor(metres / EVERY_METRES) + 1) if metres > 0.0 else LEAST["metres"] / 2.0,
                 EVERY_SECONDS * (math.floor(seconds / EVERY_SECONDS + 1e-9) + 1),
             )
 
@@ -155,9 +156,12 @@ def median(values: Sequence[float], units: Sequence[Hashable], seed: int = 0) ->
 
 
 def _weighted_median(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The lower median of sorted ``x`` (n,) under each row of ``weights`` (m, n)."""
+    """The median of sorted ``x`` (n,) under each row of ``weights`` (m, n): of two in the middle their mean."""
     total = np.cumsum(weights, axis=1)
-    return x[np.argmax(2 * total >= total[:, -1:], axis=1)]
+    lower, upper = (
+        x[np.argmax(reached, axis=1)] for reached in (2 * total >= total[:, -1:], 2 * total > total[:, -1:])
+    )
+    return 0.5 * (lower + upper)
 
 
 def median_way(rows: Sequence[Row], share: int, seed: int = 0, axis: Axis = "metres") -> Interval:

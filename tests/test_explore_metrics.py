@@ -23,10 +23,10 @@ def test_a_recorder_notes_where_shares_were_reached_to_the_step_and_samples_by_m
     assert (row["metres_50"], row["seconds_50"]) == (2.5, 10.0)
     assert (row["metres_90"], row["metres_99"]) == (4.5, 4.95)
     curve = row["curve"]
-    assert curve["metres"] == [0.0, 2.0, 2.5, 4.0, 5.0]  # every 2 m, and after 10 s and 20 s
-    assert curve["seconds"] == [0.0, 8.0, 10.0, 16.0, 20.0]  # the last step was sampled already: not twice
-    assert curve["entropy"] == [-10.0, -20.0, -30.0, -40.0, -50.0]
-    assert len(calls) == 5  # what costs is measured when a sample is due, and only then
+    assert curve["metres"] == [0.0, 0.1, 2.0, 2.5, 4.0, 5.0]  # once it moves, every 2 m, and after 10 s and 20 s
+    assert curve["seconds"] == [0.0, 0.4, 8.0, 10.0, 16.0, 20.0]  # the last step was sampled already: not twice
+    assert curve["entropy"] == [-10.0, -20.0, -30.0, -40.0, -50.0, -60.0]
+    assert len(calls) == 6  # what costs is measured when a sample is due, and only then
 
 
 def test_a_run_that_stands_is_sampled_by_the_clock_and_its_end_is_always_there():
@@ -141,20 +141,34 @@ def test_missed_runs_are_counted_and_pairs_without_any_way_say_nothing():
     assert math.isnan(nothing.interval.mean)
 
 
+def test_a_first_look_around_costs_no_metres_on_the_curve():
+    """All that it shows is known before the first metre, and not by and by on the way to it."""
+    recorder = Recorder(lambda: (None, None))
+    for k in range(30):  # turns for 6 s
+        recorder.see(0.0, 0.2 * k, k / 40)
+    for k in range(30, 60):
+        recorder.see(0.16 * (k - 29), 0.2 * k, 0.75)
+    row = recorder.row() | {"stopped": True}
+    assert at(row, "coverage", "metres", np.array([0.2, 1.0])).tolist() == [0.75, 0.75]
+
+
 def test_medians_count_who_never_got_there_as_longest():
     there = [run("a", way, task=i) for i, way in enumerate([10.0, 12.0, 14.0])]
     never = [run("a", 60.0, ends=3.0, task=3 + i) for i in range(2)]
     assert median_way(there, 90).mean == 12.0
     assert median_way([*there, *never], 90).mean == 14.0  # of five
+    assert median_way(there[:2], 90).mean == 11.0  # of two their mean
+    assert math.isinf(median_way([there[0], never[0]], 90).mean)  # half of them did not get there
     most = median_way([*there, *never, *(run("a", 60.0, ends=3.0, task=9 + i) for i in range(2))], 90)
     assert math.isinf(most.mean)
     assert math.isinf(most.high)
 
 
-def test_a_medians_interval_is_of_values_that_occur_and_never_nan():
+def test_a_medians_interval_is_of_medians_that_occur_and_never_nan():
     values = [1.0, 2.0, 3.0, math.inf, math.inf]
     interval = median(values, list(range(5)))
-    assert interval.low in values and interval.high in values
+    between = [0.5 * (a + b) for a in values for b in values]
+    assert interval.low in between and interval.high in between
     assert interval.low <= interval.mean <= interval.high
     assert math.isnan(median(values, ["one"] * 5).low)
     assert median([], []).episodes == 0

@@ -61,6 +61,6 @@ def explore(
     with progress_bars() as progress:
         row = run(config, out, progress)
     covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
-    print(f"{covered}: {row['status']}")
+    print(f"{covered}: {row['status'] if row['stopped'] else 'time was out'}")
     print("\n".join(str(out / name) for name in FILES if (out / name).exists()))
     print(f"next: vssm-gym map export {out / 'map.npz'} --out {out}-map")

@@ -136,7 +136,8 @@ def gain_of_paths(
         raise InputError("information", "paths", f"(candidates, steps), each -1 or one of {len(views)} views")
     hazard = np.asarray(hazard, np.float32)
     if hazard.shape not in ((), m.shape[:2]) or not (np.isfinite(hazard) & (hazard >= 0.0)).all():
-        raise InputError("information", "hazard", f"at least 0 1/m, one number or {m.shape[:2]}; found {hazard.shape}")
+        found = f"shape {hazard.shape}" if hazard.ndim else f"{hazard}"
+        raise InputError("information", "hazard", f"at least 0 1/m, one number or {m.shape[:2]}; found {found}")
     if paths.size == 0 or len(views) == 0:
         return Gain(np.zeros(paths.shape[0]), np.zeros(paths.shape), np.zeros(len(views)))
     small, grid = imagined_camera(camera, config.pixels), Grid.of(m)
