@@ -117,7 +117,10 @@ def test_tasks_are_a_count_a_range_or_a_list(tmp_path, tasks, ids):
     [
         ("scenes: oak\nagents: astral\ntasks: 1", r"agents: expected one of .*astar.*; found 'astral'"),
         ("scenes: oak\nagents: random\ntasks: 1\nnoise: [low, loud]", r"noise: expected one of none, low.*'loud'"),
-        ("scenes: baobab\nagents: random\ntasks: 1", r"scenes: expected a built-in scene \(.*oak.*\) or an existing"),
+        (
+            "scenes: baobab\nagents: random\ntasks: 1",
+            r"scenes: expected a built-in scene \(.*oak.*\), procedural:SEED or",
+        ),
         ("scenes: oak\nagents: random\ntasks: 1\nrobot: tank", r"robot: expected one of holonomic; found 'tank'"),
         ("scenes: oak\nagents: vi_mpc\ntasks: 1", r"agents: expected one of astar, .*; found 'vi_mpc'"),
         (
