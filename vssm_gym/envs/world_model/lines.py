@@ -9,8 +9,8 @@ Nine rays are traced for each cell and each of ``BINS`` directions: from the cel
 and from its centre along the middle. Their hits give the line (total least squares). Where it explains all nine to
 within ``TOLERANCE``, rays of that cell and bin are taken to meet it: in a learned map of ``oak`` 86 % of all rays, and
 all rays together are off by 0.2 mm (median) and 1.1 cm (99 %). Elsewhere, mostly at the edges of things, rays are
-traced (:mod:`vssm_gym.envs.world_model.rays`) from one cell before the shortest of the nine. What is thinner than the gaps
-between the nine, half a cell or so, may be missed.
+traced (:mod:`vssm_gym.envs.world_model.rays`) from one cell before the shortest of the nine. What is thinner than the
+gaps between the nine, half a cell or so, may be missed.
 """
 
 from typing import Any
