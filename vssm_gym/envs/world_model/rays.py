@@ -2,13 +2,14 @@
 
 Along a ray ``p(d) = c + d t`` (d in metres of z-depth) the emission takes samples at ``d_k = k e``, e = 0.4 voxels,
 finds the first ``k > 1`` whose occupancy is above zero and puts the surface where the linear interpolation of samples
-``k - 1`` and ``k`` crosses zero (:mod:`vssm_gym.emission`). Here the same ``k`` is found by sphere tracing:
+``k - 1`` and ``k`` crosses zero (:mod:`vssm_gym.emission`). Here the same ``k`` is found by sphere tracing. A
+*piece* is the region between neighbouring nodes, of which ``fine`` lie to a cell; a multilinear field is largest at the
+corners of a piece, so that a piece without a corner above zero is certified to be free.
 
-    reach(q) = distance from the node q to the nearest piece between nodes that has a corner above zero, less half a
-               piece's diagonal
+    reach(piece) = distance from the piece to the nearest one that is not free; negative where it is not free itself
 
-so that no sample within ``reach`` of any point nearest to q can hit. Nodes lie ``fine`` to a cell: a multilinear field
-is largest at the corners of a piece, so pieces without a node above zero are certified.
+A ray leaps by the reach of the piece it is in, at the least to where it leaves that piece, and looks at each sample of
+cells that are not free.
 
 The field is that of a box cut from the map, in two dimensions or in three, and of several maps at once: samples of the
 posterior.
@@ -21,14 +22,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from vssm_gym.compaction import first_set
 from vssm_gym.emission import STEP, TAU
 
 HIT = float(1 << 20)  # added to the sample of a hit; no ray has as many samples, and float32 counts to 2^24
 FIRST = 2.0  # the first sample that can hit
-FLIGHT = 1  # leaps before the first look: rays start in the open
+LEAPS = 2  # before each look
 NARROWING = (2, 8, 32)  # rays are gathered when so small a share of them is left: a few that graze hold up no others
 LEAST = 64  # rays: fewer are not worth gathering, and gathered are multiples of it, which fill vector registers
 Coordinates = tuple[Array, ...]  # one array a coordinate: what runs over an axis of two or three does not vectorise
@@ -38,11 +39,11 @@ class RayField(eqx.Module):
     """Boxes of equal shape cut from one or several maps; see the module."""
 
     occupancy: Float[Array, "cells"]  # (maps, *shape) in C order, m
-    reach: Float[Array, "nodes"]  # (maps, *nodes) in C order, samples of a ray of unit length
+    reach: Float[Array, "pieces"]  # (maps, *pieces) in C order, samples of a ray of unit length
     origin: Float[Array, "dims"]  # world position of the centre of cell 0, m
     voxel_size: Float[Array, ""]  # m
     shape: tuple[int, ...] = eqx.field(static=True)  # cells along each axis
-    fine: int = eqx.field(static=True)  # nodes a cell
+    fine: int = eqx.field(static=True)  # pieces a cell along each axis
 
     @classmethod
     def cut(
@@ -54,27 +55,39 @@ class RayField(eqx.Module):
         device = partial(jnp.asarray, dtype=jnp.float32)
         return cls(device(occupancy.reshape(-1)), device(reach), device(origin), device(voxel), shape, fine)
 
-    def strides(self, per_cell: int = 1) -> list[int]:
-        """How far apart in memory neighbours along each axis lie, of cells or of nodes; the last is that of maps."""
-        sizes = [(n - 1) * per_cell + 1 for n in self.shape]
-        return [int(np.prod(sizes[axis + 1 :])) for axis in range(len(sizes))] + [int(np.prod(sizes))]
+    def strides(self) -> list[int]:
+        """How far apart in memory neighbouring cells along each axis lie; the last is that of maps."""
+        return _strides(self.shape)
+
+    @property
+    def pieces(self) -> tuple[int, ...]:
+        """Pieces along each axis."""
+        return tuple((n - 1) * self.fine for n in self.shape)
+
+
+def _strides(sizes: tuple[int, ...]) -> list[int]:
+    return [int(np.prod(sizes[axis + 1 :])) for axis in range(len(sizes))] + [int(np.prod(sizes))]
 
 
 def _reach(occupancy: np.ndarray, fine: int) -> np.ndarray:
-    """Certified free samples around each node; see the module."""
+    """Certified free samples around each piece; see the module."""
     for axis in range(occupancy.ndim):  # at the nodes: the interpolant is linear along each axis
         n = occupancy.shape[axis]
         below, above = np.take(occupancy, range(n - 1), axis), np.take(occupancy, range(1, n), axis)
         between = np.stack([below + (above - below) * (i / fine) for i in range(fine)], axis + 1)
         merged = between.reshape(*below.shape[:axis], -1, *below.shape[axis + 1 :])
         occupancy = np.concatenate([merged, np.take(above, [-1], axis)], axis)
-    covered = occupancy > TAU
-    for axis in range(covered.ndim):  # a piece between nodes is covered by any of its corners, its border with it
-        covered |= np.roll(covered, 1, axis) | np.roll(covered, -1, axis)
-    if not covered.any():
-        return np.full(covered.shape, 1e4, np.float32)
-    away = distance_transform_edt(~covered) - 0.5 * np.sqrt(covered.ndim) - 1e-3  # nodes; the slack is rounding's
-    return (away / (fine * STEP)).astype(np.float32)
+    taken = occupancy > TAU
+    for axis in range(taken.ndim):  # a piece by any of its corners
+        n = taken.shape[axis]
+        taken = np.take(taken, range(n - 1), axis) | np.take(taken, range(1, n), axis)
+    if not taken.any():
+        return np.full(taken.shape, 1e4, np.float32)
+    # Pieces lie as far apart as the one's place from the nearest place beside or on the other.
+    away = distance_transform_edt(~binary_dilation(taken, np.ones((3,) * taken.ndim, bool)))
+    return np.where(taken, -1.0, np.maximum(away - 1e-3, 0.0) / (fine * STEP)).astype(
+        np.float32
+    )  # the slack: rounding's
 
 
 class Rays(eqx.Module):
@@ -151,13 +164,11 @@ def few(n: int, share: int) -> int:
 def _search(field: RayField, rays: Rays, k: Array, narrowing: tuple[int, ...]) -> Array:
     """``k`` (+ HIT) of each ray; beyond ``last`` where there is none."""
     n = k.shape[0]
-    for _ in range(FLIGHT):
-        k = _leap(field, rays, k)
     index, found = jnp.arange(n), k
     for narrow in (*(few(n, share) for share in narrowing if n >= share * LEAST), 0):
 
         def advance(k, rays=rays):
-            return _look(field, rays, _leap(field, rays, _leap(field, rays, k)))
+            return _look(field, rays, leaps(field, rays, k, LEAPS))
 
         def crowded(k, rays=rays, narrow=narrow):
             return jnp.sum(k <= rays.last) > narrow
@@ -172,15 +183,31 @@ def _search(field: RayField, rays: Rays, k: Array, narrowing: tuple[int, ...]) -
     return found
 
 
-def _leap(field: RayField, rays: Rays, k: Array) -> Array:
-    """Past all samples that cannot hit; where a sample might, it stays."""
-    *strides, per_map = field.strides(field.fine)
-    node = rays.which * per_map
-    for s, t, n, stride in zip(rays.start, rays.stride, field.shape, strides, strict=True):
-        at = ((s + t * k) * field.fine + 0.5).astype(jnp.int32)
-        node += jnp.clip(at, 0, (n - 1) * field.fine) * stride
-    reach = field.reach.at[node].get(mode="promise_in_bounds")
-    further = k + jnp.floor(reach * rays.inverse_length) + 1.0
+def leaps(field: RayField, rays: Rays, k: Array, count: int, spread: Float[Array, "rays"] | None = None) -> Array:
+    """``count`` times past all samples that cannot hit; where a sample might, a ray stays.
+
+    With ``spread``, past those of every ray from the same place whose direction is at most so far from the given one.
+    """
+    # A loop, because unrolled leaps are compiled into one kernel that computes each anew for every use of it.
+    return jax.lax.fori_loop(0, count, lambda _, k: _leap(field, rays, k, spread), k)
+
+
+def _leap(field: RayField, rays: Rays, k: Array, spread: Array | None) -> Array:
+    *strides, per_map = _strides(field.pieces)
+    number, exits = rays.which * per_map, jnp.full(k.shape, HIT)
+    for s, t, n, stride in zip(rays.start, rays.stride, field.pieces, strides, strict=True):
+        piece = jnp.clip(jnp.floor((s + t * k) * field.fine), 0.0, n - 1.0)
+        number += piece.astype(jnp.int32) * stride
+        inverse = 1.0 / jnp.where(jnp.abs(t) > 1e-9, t, 1e-9)
+        exits = jnp.minimum(exits, ((piece + (inverse > 0)) / field.fine - s) * inverse)
+    reach = field.reach.at[number].get(mode="promise_in_bounds")
+    if spread is not None:
+        reach -= k * spread
+        further = k + jnp.floor(reach / (1.0 / rays.inverse_length + spread)) + 1.0
+    else:
+        further = k + jnp.floor(reach * rays.inverse_length) + 1.0
+        if field.fine * STEP < 1.0:  # else there is seldom a second sample in a piece
+            further = jnp.maximum(further, jnp.floor(exits) + 1.0)
     return jnp.where((reach >= 0.0) & (k <= rays.last), further, k)
 
 

@@ -15,13 +15,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from vssm_gym.camera import Camera
+from vssm_gym.emission import STEP
+from vssm_gym.envs.world_model.cones import block_starts
 from vssm_gym.envs.world_model.config import BEAMS
 from vssm_gym.envs.world_model.lines import Lines, scan_depths
-from vssm_gym.envs.world_model.rays import RayField, depths
+from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, rays_of, surface
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 SLICE_FINE, BOX_FINE = 4, 1  # nodes a cell
-AT_ONCE = 16  # robots whose images are traced together: their rays fit the cache
+AT_ONCE = 4  # robots whose images are traced together: their rays fit the cache
 
 
 class View(eqx.Module):
@@ -64,43 +66,55 @@ class View(eqx.Module):
 
     def __call__(self, which: Int[Array, "n"], planar: Float[Array, "n 3"]) -> dict[str, Array]:
         """``scan (n, 64)``, or ``depth (n, height, width)`` and perhaps ``rgb`` uint8 of robots at ``planar``."""
+        n, size = planar.shape[0], (len(self.down), len(self.across))
         if self.lines is not None:
-            return {"scan": self._rays(which, planar)[0].reshape(-1, BEAMS)}
-
-        def look(one):
-            depth, rgb = self._rays(one[0][None], one[1][None])
-            return (depth,) if rgb is None else (depth, rgb)
-
-        size = (len(self.down), len(self.across))
-        if planar.shape[0] > AT_ONCE:
-            seen = jax.lax.map(lambda one: look(one), (which, planar), batch_size=AT_ONCE)
+            *ways, angle = self._cast(planar, self.across)
+            each = jnp.repeat(which, BEAMS)
+            return {"scan": scan_depths(self.field, self.lines, each, *ways, angle, self.max_depth).reshape(n, BEAMS)}
+        if n > AT_ONCE:
+            fill = lambda a: jnp.pad(a, [(0, -n % AT_ONCE), *[(0, 0)] * (a.ndim - 1)])
+            parts = (fill(which).reshape(-1, AT_ONCE), fill(planar).reshape(-1, AT_ONCE, 3))
+            depth, rgb = jax.lax.map(lambda part: self._pixels(*part), parts)
         else:
-            seen = tuple(a for a in self._rays(which, planar) if a is not None)
-        images = {"depth": seen[0].reshape(-1, *size)}
-        if len(seen) > 1:
-            images["rgb"] = jnp.round(255.0 * jnp.clip(seen[1], 0.0, 1.0)).astype(jnp.uint8).reshape(-1, *size, 3)
+            depth, rgb = self._pixels(which, planar)
+        images = {"depth": depth.reshape(-1, *size)[:n]}
+        if rgb is not None:
+            images["rgb"] = jnp.round(255.0 * jnp.clip(rgb, 0.0, 1.0)).astype(jnp.uint8).reshape(-1, *size, 3)[:n]
         return images
 
-    def _rays(self, which: Array, planar: Array) -> tuple[Array, Array | None]:
+    def _pixels(self, which: Array, planar: Array) -> tuple[Array, Array | None]:
         """Depths (rays,) of all pixels of all robots, and colours (rays, 3) where there are such."""
-        n, per = planar.shape[0], len(self.down) * len(self.across)
-        right = jnp.tile(self.across, len(self.down))  # per pixel, rows first
+
+        def cast(across: Array, down: Array) -> tuple[Rays, Array]:
+            *ways, _ = self._cast(planar, across, down)
+            return rays_of(self.field, jnp.repeat(which, len(across) * len(down)), *ways, self.max_depth)
+
+        rays, k = cast(self.across, self.down)
+        k = jnp.maximum(k, block_starts(self.field, cast, self.across, self.down, len(which)))
+        depth = STEP * self.field.voxel_size * surface(self.field, rays, k)
+        if self.colour is None:
+            return depth, None
+        centre, direction, _ = self._cast(planar, self.across, self.down)
+        at = [c + d * depth for c, d in zip(centre, direction, strict=True)]
+        each = jnp.repeat(which, len(self.across) * len(self.down))
+        return depth, jnp.where((depth > 0.0)[:, None], self._colour_at(each, at), 0.0)
+
+    def _cast(self, planar: Array, across: Array, down: Array | None = None) -> tuple[Coordinates, Coordinates, Array]:
+        """Where rays start (m), one metre of z-depth along them, and their angles in the world (rad), each (rays,).
+
+        Of all robots' pixels in these columns and rows, rows first; without rows in the horizontal plane alone.
+        """
+        n, per = planar.shape[0], len(across) * (1 if down is None else len(down))
+        right = jnp.tile(across, per // len(across))
         c, s = jnp.cos(planar[:, 2, None]), jnp.sin(planar[:, 2, None])
         spread = lambda a: jnp.broadcast_to(a, (n, per)).reshape(-1)
         x, y = planar[:, 0, None] + self.forward * c, planar[:, 1, None] + self.forward * s
-        centre, direction = [spread(x), spread(y)], [spread(c + s * right), spread(s - c * right)]
-        which = spread(which[:, None])
-        if self.lines is not None:
-            angle = spread(planar[:, 2, None] - jnp.arctan(right))
-            ways = (tuple(centre), tuple(direction), angle)
-            return scan_depths(self.field, self.lines, which, *ways, self.max_depth), None
-        down = spread(jnp.repeat(self.down, len(self.across))[None])
-        centre, direction = [*centre, jnp.full_like(centre[0], self.height)], [*direction, -down]
-        depth = depths(self.field, which, tuple(centre), tuple(direction), self.max_depth)
-        if self.colour is None:
-            return depth, None
-        at = [c + d * depth for c, d in zip(centre, direction, strict=True)]
-        return depth, jnp.where((depth > 0.0)[:, None], self._colour_at(which, at), 0.0)
+        centre, direction = (spread(x), spread(y)), (spread(c + s * right), spread(s - c * right))
+        angle = spread(planar[:, 2, None] - jnp.arctan(right))
+        if down is None:
+            return centre, direction, angle
+        height = jnp.full(n * per, self.height)
+        return (*centre, height), (*direction, -spread(jnp.repeat(down, len(across))[None])), angle
 
     def _colour_at(self, which: Array, p_world: list[Array]) -> Float[Array, "rays 3"]:
         """Trilinear colour, as the map's own."""
