@@ -11,8 +11,9 @@ its policy's name and the first hex digits of its SHA-256.
 import hashlib
 import io
 import json
+import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from itertools import pairwise
@@ -152,11 +153,13 @@ def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
     tuples = {name: tuple(header[name]) for name in ("parts", "hidden", "low", "high") if _is_list(header[name])}
     checks = {
         "name": isinstance(header["name"], str) and bool(header["name"]),
-        "parts": _is_list(header["parts"]) and "goal" in header["parts"] and set(header["parts"]) <= set(SIZES),
+        "parts": _is_list(header["parts"])
+        and "goal" in header["parts"]
+        and all(_one_of(part, SIZES) for part in header["parts"]),
         "frames": _whole(header["frames"], 64),
         "hidden": _is_list(header["hidden"]) and all(_whole(width, 4096) for width in header["hidden"]),
-        "activation": header["activation"] in ACTIVATIONS,
-        "squash": header["squash"] in SQUASHES,
+        "activation": _one_of(header["activation"], ACTIVATIONS),
+        "squash": _one_of(header["squash"], SQUASHES),
         "low": _is_list(header["low"]) and len(header["low"]) == 3 and all(map(_finite, header["low"])),
         "high": _is_list(header["high"]) and len(header["high"]) == 3 and all(map(_finite, header["high"])),
         "max_depth": _finite(header["max_depth"]) and header["max_depth"] > 0.0,
@@ -183,6 +186,10 @@ def _layers(
     return tuple(layers)
 
 
+def _one_of(value: Any, known: Collection[str]) -> bool:
+    return isinstance(value, str) and value in known
+
+
 def _is_list(value: Any) -> bool:
     return isinstance(value, list)
 
@@ -192,4 +199,4 @@ def _whole(value: Any, most: int) -> bool:
 
 
 def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

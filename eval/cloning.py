@@ -2,10 +2,11 @@
 
 The expert is ``astar``'s own navigator in the same map; where it is it reads from the observation, because imagination
 gives the estimate that its tracker would. It sees the whole map, the policy what any policy sees. What was collected
-lies in memory only: a training that is interrupted before the network is fitted begins anew.
+is kept beside the policy until that is written, so that an interrupted training goes on.
 """
 
-from collections.abc import Callable
+import zipfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,28 +14,44 @@ import numpy as np
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.localization import TruePose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
+from vssm_gym.agents.policy_input import size_of
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.errors import InputError
-from vssm_gym.eval.training_env import BODY, make_training_env
+from vssm_gym.eval.training_env import BODY, make_training_env, stream
+from vssm_gym.files import atomic_write
 from vssm_gym.voxel_map import VoxelMap
 
 if TYPE_CHECKING:
     from vssm_gym.eval.training import Run
 
+DEMONSTRATIONS = "demonstrations.npz"
 SHARE_COLLECTING = 0.8  # of the minutes; the rest is for fitting
 
 
 def clone(run: "Run") -> None:
-    """Collect ``steps`` of the expert's, fit, and write the policy."""
+    """Collect ``steps`` of the expert's, fit, and write the policy. Interrupted, it keeps what was collected."""
     from vssm_gym.agents.sb3.cloning import fit
 
     config = run.config
     settings = config.algorithm
     assert settings.name == "bc"
-    vectors, actions = collect(run)
+    kept = run.out / DEMONSTRATIONS
+    if run.policy_file.is_file() and not kept.is_file():
+        return  # at its end already
+    vectors, actions = collect(run, *_restored(kept, run))
+    with atomic_write(kept) as temporary, temporary.open("wb") as file:
+        np.savez(file, vectors=vectors, actions=actions, steps=run.steps, seconds=run.seconds)
+    if run.interrupted():
+        return
     if not len(vectors):
         raise InputError("train", "steps", "enough of them, and minutes, for the expert to act; it never did")
-    row = {"steps": len(vectors), "episodes": 0, "return": None, "length": None, "success": None}
+    epochs_done: list[int] = []
+    row = {"steps": run.steps, "episodes": 0, "return": None, "length": None, "success": None}
+
+    def told(epoch: int, loss: float) -> None:
+        epochs_done.append(epoch)
+        run.tell({**row, "epoch": epoch, "loss": round(loss, 6)}, lambda: None)
+
     layers = fit(
         vectors,
         actions,
@@ -44,40 +61,61 @@ def clone(run: "Run") -> None:
         batch_size=settings.batch_size,
         learning_rate=settings.learning_rate,
         seed=config.seed,
-        told=lambda epoch, loss: run.tell({**row, "epoch": epoch, "loss": round(loss, 6)}, lambda: None),
+        told=told,
         stop=run.over,
     )
-    run.steps = len(vectors)
+    if run.interrupted():
+        return
+    if not epochs_done:
+        raise InputError("train", "minutes", f"enough of them to drive and to fit {len(vectors)} steps once")
     run.end(row, lambda: run.write_policy(layers, "clip"))
+    kept.unlink()
 
 
-def collect(run: "Run") -> tuple[np.ndarray, np.ndarray]:
-    """What a policy would have seen ``(n, inputs)``, and what the expert did in [-1, 1] ``(n, 3)``, float32."""
+def collect(run: "Run", vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a policy would have seen ``(n, inputs)``, and what the expert did in [-1, 1] ``(n, 3)``, float32.
+
+    The given ones, of an earlier session, come first.
+    """
     from vssm_gym.agents.sb3.learner import wrapped
 
     config, minutes = run.config, run.config.minutes
-    view = make_training_env(config.environment, config.policy.inputs)
+    view = make_training_env(config.environment, config.policy.inputs, config.seed)
     env: Any = wrapped(view, config.policy.frames)
     n = config.environment.num_envs
     experts = Experts(VoxelMap.load(config.environment.map or ""), n)
-    env.seed(config.seed)
+    env.seed(stream(config.seed, run.steps))
     seen = env.reset()
     experts.begin(view.shown, np.ones(n, bool))
-    vectors, actions, steps = [], [], 0
+    seen_by, done, steps = [vectors], [actions], run.steps
     while steps < config.steps and not run.over():
         if minutes is not None and run.seconds > 60.0 * minutes * SHARE_COLLECTING:
             break
-        action = experts.act(view.shown)
-        vectors.append(seen.copy())
-        actions.append(action)
+        action, drives = experts.act(view.shown)
+        seen_by.append(seen[drives])
+        done.append(action[drives])
         seen, _, ended, _ = env.step(action)
         if ended.any():
             experts.begin(view.shown, ended)
         steps += n
         run.tell({"steps": steps, "episodes": 0, "return": None, "length": None, "success": None}, lambda: None)
     env.close()
-    empty: Callable[[int], np.ndarray] = lambda width: np.zeros((0, width), np.float32)
-    return np.concatenate([empty(seen.shape[1]), *vectors]), np.concatenate([empty(3), *actions])
+    return np.concatenate(seen_by), np.concatenate(done)
+
+
+def _restored(kept: Path, run: "Run") -> tuple[np.ndarray, np.ndarray]:
+    """What was collected before, and its clock; nothing where there is no such file."""
+    spec = run.config.policy
+    if not kept.is_file():
+        run.begin()
+        return np.zeros((0, spec.frames * size_of(spec.inputs)), np.float32), np.zeros((0, 3), np.float32)
+    try:
+        with np.load(kept, allow_pickle=False) as stored:
+            found = stored["vectors"], stored["actions"]
+            run.go_on(int(stored["steps"]), float(stored["seconds"]))
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(kept, "file", "what the training had collected; remove it to begin anew") from error
+    return found
 
 
 class Experts:
@@ -109,10 +147,11 @@ class Experts:
             context = AgentContext(start_pose=pose[i], **self._context)
             self._navigators[i].reset(context, self._observation(shown, i), 0)
 
-    def act(self, shown: dict[str, np.ndarray]) -> np.ndarray:
-        """Actions ``(n, 3)`` in [-1, 1], float32."""
-        told = [one.act(self._observation(shown, i)).action[:3] for i, one in enumerate(self._navigators)]
-        return (2.0 * (np.array(told) - BODY.low) / (BODY.high - BODY.low) - 1.0).astype(np.float32)
+    def act(self, shown: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Actions ``(n, 3)`` in [-1, 1], float32, and which of them drive: a stop is nothing that policies can do."""
+        told = np.array([one.act(self._observation(shown, i)).action for i, one in enumerate(self._navigators)])
+        actions = 2.0 * (told[:, :3] - BODY.low) / (BODY.high - BODY.low) - 1.0
+        return actions.astype(np.float32), told[:, 3] <= 0.5
 
     def _observation(self, shown: dict[str, np.ndarray], i: int) -> dict[str, np.ndarray]:
         return {"pose": shown["pose"][i], "goal": self._goals[i]}

@@ -22,9 +22,10 @@ import numpy as np
 
 from vssm_gym.agents.policy_file import Policy, PolicySpec, save
 from vssm_gym.errors import InputError
+from vssm_gym.eval.cloning import DEMONSTRATIONS, clone
 from vssm_gym.eval.destinations import check_folder
 from vssm_gym.eval.training_config import TrainingConfig, training_hash
-from vssm_gym.eval.training_env import BODY, make_training_env, world_hash
+from vssm_gym.eval.training_env import BODY, make_training_env, stream, world_hash
 from vssm_gym.eval.version import package_version
 from vssm_gym.files import atomic_write
 
@@ -32,6 +33,7 @@ MANIFEST, PROGRESS, CHECKPOINT, POLICY, LOGS = (
     "training.json", "progress.jsonl", "checkpoint.pt", "policy.npz", "logs",
 )  # fmt: skip
 ROW_SECONDS, CHECKPOINT_SECONDS = 5.0, 60.0
+BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # any of them is worth keeping
 LIBRARIES = ("stable_baselines3", "torch", "numpy", "jax", "gymnasium")
 
 Row = dict[str, Any]  # of progress.jsonl: seconds, steps, episodes, return, length, success
@@ -62,8 +64,6 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, tol
         _claim(out, manifest, resume)
         run = Run(config, out, manifest, log, interrupted, told or (lambda row, share: None))
         if config.algorithm.name == "bc":
-            from vssm_gym.eval.cloning import clone
-
             clone(run)
         else:
             _reinforce(run)
@@ -85,15 +85,25 @@ class Run:
         told: Told,
     ) -> None:
         self.config, self.out = config, out
-        self._manifest, self._log, self._interrupted, self._told = manifest, log, interrupted, told
+        self._manifest, self._log, self._told = manifest, log, told
+        self.interrupted = interrupted
         self.steps = 0  # of all robots together
         self._began = time.monotonic()
         self._row_at = self._kept_at = 0.0
 
     @property
+    def policy_file(self) -> Path:
+        """Where :meth:`write_policy` writes."""
+        return self.out / POLICY
+
+    @property
     def seconds(self) -> float:
         """Trained so far, those of earlier sessions among them."""
         return time.monotonic() - self._began
+
+    def begin(self) -> None:
+        """From nothing: what one that was killed before its first checkpoint has logged is dropped."""
+        self._log.drop_after(-1)
 
     def go_on(self, steps: int, seconds: float) -> None:
         """Count on from a checkpoint; what was logged after it is dropped."""
@@ -110,7 +120,7 @@ class Run:
     def over(self) -> bool:
         """Whether to end now: interrupted, or out of time."""
         minutes = self.config.minutes
-        return self._interrupted() or (minutes is not None and self.seconds >= 60.0 * minutes)
+        return self.interrupted() or (minutes is not None and self.seconds >= 60.0 * minutes)
 
     def tell(self, row: Row, keep: Callable[[], None]) -> None:
         """Note how it goes, and from time to time ``keep()`` what was learned."""
@@ -158,7 +168,7 @@ class Run:
             success_radius=BODY.success_radius,
             trained=trained,
         )
-        save(self.out / POLICY, Policy(spec, layers))
+        save(self.policy_file, Policy(spec, layers))
 
 
 def _reinforce(run: Run) -> None:
@@ -174,7 +184,7 @@ def _reinforce(run: Run) -> None:
     )
 
     config = run.config
-    env = wrapped(make_training_env(config.environment, config.policy.inputs), config.policy.frames)
+    env = wrapped(make_training_env(config.environment, config.policy.inputs, config.seed), config.policy.frames)
     settings = config.algorithm.model_dump(exclude={"name"})
     network = config.policy.hidden, config.policy.activation
     logs = run.out / LOGS / str(len(list((run.out / LOGS).glob("*"))))
@@ -183,7 +193,9 @@ def _reinforce(run: Run) -> None:
     if checkpoint.is_file():
         seconds = restore_checkpoint(checkpoint, model)
         run.go_on(model.num_timesteps, seconds)
-        env.seed(int(np.random.SeedSequence([config.seed, model.num_timesteps]).generate_state(1)[0] // 2))
+    else:
+        run.begin()
+    env.seed(stream(config.seed, model.num_timesteps))
 
     def keep() -> None:
         run.write_policy(layers_of(model), "tanh" if config.algorithm.name == "sac" else "clip")
@@ -284,9 +296,9 @@ def _claim(out: Path, manifest: dict[str, Any], resume: bool) -> None:
     others = [one.name for one in out.iterdir() if not one.name.startswith((PROGRESS, f".{MANIFEST}."))]
     if others and not path.is_file():
         raise InputError(out, "folder", f"a new or empty folder, or that of a training; it holds {others[0]}")
-    if (out / CHECKPOINT).is_file() and not resume:
-        raise InputError(out, "folder", "a folder without a training; --resume goes on with the one it holds")
-    if (out / CHECKPOINT).is_file():
+    if any((out / name).is_file() for name in BEGUN):
+        if not resume:
+            raise InputError(out, "folder", "a folder without a training; --resume goes on with the one it holds")
         try:
             found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
         except (OSError, ValueError, KeyError, TypeError) as error:

@@ -5,6 +5,7 @@ on arrival: a policy that may stop by chance would end nearly all of its first o
 robot the agent stops by its estimate (:mod:`vssm_gym.agents.policy`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks import SUCCESS
 from vssm_gym.envs.vector_wrappers import RelativeGoal
+from vssm_gym.envs.world_model.config import Imagination, checked_stds
+from vssm_gym.envs.world_model.motion import believed
 from vssm_gym.errors import InputError
 from vssm_gym.eval.maps import map_hash
 from vssm_gym.eval.training_config import WORLD_MODEL, EnvironmentSettings
@@ -92,27 +95,67 @@ def commands(actions: np.ndarray) -> np.ndarray:
     return np.concatenate([driven, np.zeros((len(driven), 1))], axis=-1).astype(np.float32)
 
 
-def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...]) -> PolicyView:
-    """The environment of a configuration.
+def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...], seed: int) -> PolicyView:
+    """The environment of a configuration; in a map each training ``seed`` draws a pool of tasks of its own.
 
     Raises :class:`InputError` for a map, a scene or a keyword that it does not take.
     """
-    return PolicyView(make_observing(settings), parts, settings.contact_cost)
+    drawn = {"pool_seed": seed} if settings.id == WORLD_MODEL else {}
+    return PolicyView(make_observing(settings, **drawn), parts, settings.contact_cost)
 
 
 def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
     """The same, observing ``scan, goal, pose`` as they are and taking SI commands; ``more`` keywords of it."""
     shared = {"num_envs": settings.num_envs, "max_episode_steps": settings.max_episode_steps, "end_on": "reach"}
-    keywords: dict[str, Any] = shared | settings.keywords | more
+    keywords: dict[str, Any] = shared | more | settings.keywords
     # YAML knows lists only
     keywords = {name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()}
     if settings.id == WORLD_MODEL:
         return gym.make_vec(settings.id, map=settings.map, **keywords)
+    spread = keywords.pop("pose_std", (0.0, 0.0, 0.0))
     try:
         env = gym.make_vec(settings.id, scene=settings.scene, camera=SCAN_CAMERA, observe_pose=True, **keywords)
     except TypeError as error:
         raise InputError(settings.id, "keywords", f"those of the environment ({error})") from error
-    return VectorScanObservation(RelativeGoal(env))
+    return VectorScanObservation(RelativeGoal(EstimatedPose(env, spread)))
+
+
+class EstimatedPose(VectorWrapper):
+    """Poses as a tracker would tell them, off by what they are off in the world model, from an exact start on.
+
+        e' = rho e + sqrt(1 - rho^2) n,  n ~ N(0, std^2)
+
+    Args:
+        env: observes ``pose``.
+        std: of the error: forward (m), left (m), turn (rad).
+        memory: rho.
+    """
+
+    def __init__(self, env: VectorEnv, std: Sequence[float], memory: float = Imagination.pose_memory) -> None:
+        super().__init__(env)
+        checked_stds("pose_std", std)
+        self._std, self._memory = np.asarray(std), memory
+        self._error, self._rng = np.zeros((self.num_envs, 3)), np.random.default_rng()
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes: of all environments, or of those in ``options["reset_mask"]``."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        seeds = [one for one in np.atleast_1d(np.array(seed, object)) if one is not None]
+        if seeds:
+            self._rng = np.random.default_rng([int(one) for one in seeds])
+        return self._told(observations, infos), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Carry out ``actions``; errors drift."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        noise = self._rng.standard_normal(self._error.shape) * self._std
+        self._error = self._memory * self._error + np.sqrt(1.0 - self._memory**2) * noise
+        return self._told(observations, infos), rewards, terminated, truncated, infos
+
+    def _told(self, observations: dict[str, Any], infos: dict[str, Any]) -> dict[str, Any]:
+        self._error[infos.get("_start_pose", np.zeros(self.num_envs, bool))] = 0.0
+        pose = believed(observations["pose"], self._error)
+        return observations | {"pose": np.asarray(pose, observations["pose"].dtype)}
 
 
 def world_hash(settings: EnvironmentSettings) -> str:
@@ -123,3 +166,8 @@ def world_hash(settings: EnvironmentSettings) -> str:
             raise InputError(path, "file", "an existing map file (.npz); `vssm-gym map build` makes one")
         return map_hash(path)
     return load_scene(settings.scene or "").content_hash()[:16]
+
+
+def stream(seed: int, steps: int) -> int:
+    """The first robot's seed of a training that goes on after ``steps``; others' follow. Far apart for other seeds."""
+    return int(np.random.SeedSequence([seed, steps]).generate_state(1)[0] // 2)

@@ -18,8 +18,9 @@ from vssm_gym.agents import policy_file
 from vssm_gym.agents.policy_input import features
 from vssm_gym.errors import InputError
 from vssm_gym.eval.training import ProgressLog, deferred_interrupt, read_progress, run_training
-from vssm_gym.eval.training_config import TrainingConfig, load_training, training_hash
-from vssm_gym.eval.training_env import BODY, PolicyView, commands
+from vssm_gym.eval.training_config import EnvironmentSettings, TrainingConfig, load_training, training_hash
+from vssm_gym.eval.training_env import BODY, PolicyView, commands, make_observing
+from vssm_gym.geometry import wrap_angle
 from vssm_gym.scan import BEAMS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "eval" / "configs"
@@ -87,7 +88,9 @@ def corridor(monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
     from vssm_gym.eval import training
 
-    monkeypatch.setattr(training, "make_training_env", lambda where, parts: PolicyView(Corridor(where.num_envs), parts))
+    monkeypatch.setattr(
+        training, "make_training_env", lambda where, parts, seed: PolicyView(Corridor(where.num_envs), parts)
+    )
     monkeypatch.setattr(training, "world_hash", lambda where: "0" * 16)
 
 
@@ -104,7 +107,7 @@ def test_the_committed_configurations_are_good(path):
     imagined = "WorldModelNav" in path.read_text()
     found = load_training(path, map_file=Path("oak.npz") if imagined else None, seed=3)
     assert found.seed == 3 and found.policy.hidden == (128, 128)
-    assert found.minutes == (None if "steps" in path.stem else 20.0)
+    assert found.minutes == (None if "steps" in path.stem else 12.0)
 
 
 def test_the_comparison_names_what_the_trainings_make():
@@ -247,11 +250,50 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_ends_it(corridor, tmp_path):
     assert json.loads((tmp_path / "training.json").read_text())["world_hash"] == "0" * 16
 
 
-def test_a_damaged_checkpoint_is_refused(corridor, tmp_path):
-    run_training(config(), tmp_path)
-    (tmp_path / "checkpoint.pt").write_bytes(b"not a checkpoint")
+class Bomb:
+    """Unpickling it would leave a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize("damage", ["text", "code"])
+def test_a_damaged_checkpoint_is_refused_and_runs_no_code(corridor, tmp_path, damage):
+    import torch
+
+    run_training(config(), tmp_path / "run")
+    checkpoint = tmp_path / "run" / "checkpoint.pt"
+    if damage == "text":
+        checkpoint.write_bytes(b"not a checkpoint")
+    else:
+        torch.save({"model": Bomb(tmp_path / "exploded")}, checkpoint)
     with pytest.raises(InputError, match="a checkpoint of this training"):
-        run_training(config(), tmp_path, resume=True)
+        run_training(config(), tmp_path / "run", resume=True)
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_a_training_killed_before_its_first_checkpoint_begins_anew(corridor, tmp_path):
+    """What it has logged is dropped: curves go over lines that do not fall."""
+    run_training(config(), tmp_path)
+    for name in ("checkpoint.pt", "policy.npz"):
+        (tmp_path / name).unlink()
+    run_training(config(), tmp_path, resume=True)
+    steps = [row["steps"] for row in read_progress(tmp_path / "progress.jsonl")]
+    assert steps == sorted(steps) and steps[-1] == 64
+
+
+@pytest.mark.parametrize("changed", [{}, {"steps": 80}])
+def test_a_finished_policy_is_not_overwritten(corridor, tmp_path, changed):
+    """Also where there is no checkpoint beside it, as after cloning."""
+    path = run_training(config(), tmp_path)
+    (tmp_path / "checkpoint.pt").unlink()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="--resume goes on"):
+        run_training(config(**changed), tmp_path)
+    assert path.read_bytes() == before
 
 
 def test_a_foreign_folder_is_left_alone(corridor, tmp_path):
@@ -296,6 +338,52 @@ def test_cloning_fits_what_it_is_shown():
     assert losses[-1] < 0.05 * losses[0]
     hidden = np.tanh(x @ layers[0][0].T + layers[0][1])
     assert np.mean((hidden @ layers[1][0].T + layers[1][1] - a) ** 2) < 0.05 * losses[0]
+
+
+@pytest.mark.slow
+def test_interrupted_cloning_writes_no_policy_and_goes_on(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
+    from imagined_room import room
+
+    room().save(tmp_path / "room.npz")
+    settings = {"environment": {"map": str(tmp_path / "room.npz"), "num_envs": 4, "pool": 64, "goals": 4}, "steps": 400}
+    wanted = config(**settings, algorithm={"name": "bc", "epochs": 2})
+
+    def interrupt(row: dict[str, Any], share: float) -> None:
+        if row["steps"] == 200:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_training(wanted, tmp_path / "run", told=interrupt)
+    assert not (tmp_path / "run" / "policy.npz").exists()
+    with np.load(tmp_path / "run" / "demonstrations.npz") as kept:
+        assert int(kept["steps"]) == 200 and 100 < len(kept["vectors"]) == len(kept["actions"]) <= 200
+    path = run_training(wanted, tmp_path / "run", resume=True)
+    assert policy_file.load(path).spec.trained["steps"] == 400
+    assert not (tmp_path / "run" / "demonstrations.npz").exists()
+    rows = read_progress(tmp_path / "run" / "progress.jsonl")
+    assert [row["steps"] for row in rows] == sorted(row["steps"] for row in rows)
+
+
+def test_trackers_errors_are_added_to_the_simulators_poses():
+    """With the standard deviations asked for, from an exact start on; the goal is shown from there."""
+    where = {"id": "vssm_gym/PointNav-v0", "scene": "oak", "num_envs": 4, "max_episode_steps": 40}
+    exact, tracked = (
+        make_observing(EnvironmentSettings(**where, pose_std=std)) for std in ((0.0, 0.0, 0.0), (0.02, 0.04, 0.01))
+    )
+    true, told = (env.reset(seed=0)[0] for env in (exact, tracked))
+    np.testing.assert_allclose(told["pose"], true["pose"], atol=1e-6)
+    errors, action = [], np.tile(np.array([0.1, 0.0, 0.0, 0.0], np.float32), (4, 1))
+    for _ in range(80):
+        true, told = (env.step(action)[0] for env in (exact, tracked))
+        c, s = np.cos(true["pose"][:, 2]), np.sin(true["pose"][:, 2])
+        dx, dy, turn = (told["pose"] - true["pose"]).T
+        errors.append(np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(turn)], axis=-1))
+    np.testing.assert_allclose(errors[40], 0.0, atol=1e-6)  # all episodes have begun anew
+    assert np.abs(told["goal"] - true["goal"]).max() > 1e-3
+    np.testing.assert_allclose(np.std(np.concatenate(errors), axis=0), [0.02, 0.04, 0.01], rtol=0.3)
+    for env in (exact, tracked):
+        env.close()
 
 
 @pytest.mark.slow

@@ -79,7 +79,7 @@ class Imagination:
             if isinstance(value, bool) or not (isinstance(value, int) and least <= value <= most):
                 raise InputError(SOURCE, name, f"a whole number from {least} to {most}; found {value!r:.80}")
         for name in ("start_std", "pose_std"):
-            _checked_stds(name, getattr(self, name))
+            checked_stds(name, getattr(self, name))
         for name, limit in {"max_depth": 100.0, "pose_memory": 1.0}.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not (isinstance(value, int | float) and 0.0 <= value <= limit):
@@ -117,7 +117,8 @@ def noise_parameters(noise: ExecutionNoise | CarNoise) -> tuple[float, ...]:
     return tuple(float(getattr(noise, name)) for name in names)
 
 
-def _checked_stds(name: str, value: Any) -> None:
+def checked_stds(name: str, value: Any) -> None:
+    """Raise :class:`InputError` unless ``value`` is three standard deviations."""
     numbers = isinstance(value, Sequence) and len(value) == 3
     if not numbers or not all(isinstance(v, int | float) and math.isfinite(v) and v >= 0.0 for v in value):
         raise InputError(SOURCE, name, f"three standard deviations (m, m, rad), none negative; found {value!r:.80}")
