@@ -40,7 +40,7 @@ class PolicyAgent:
     needs_map = True
 
     def __init__(self, policy: policy_file.Policy | str) -> None:
-        self.policy = policy_file.load(policy) if isinstance(policy, str) else policy
+        self.policy = policy_file.loaded(policy) if isinstance(policy, str) else policy
         self.name = self.policy.spec.name
         self._localizer = MapLocalizer()
 
@@ -72,7 +72,12 @@ class PolicyAgent:
 
     def _look(self, observation: Observation, goal: np.ndarray, estimate: Localization) -> None:
         spec = self.policy.spec
-        shown = {"scan": scan_of(observation["depth"], spec.max_depth), "goal": goal, "pose": estimate.planar}
+        shown = {
+            "scan": scan_of(observation["depth"], spec.max_depth),
+            "goal": goal,
+            "pose": estimate.planar,
+            "pose_std": body_std(estimate),
+        }
         self._seen = np.roll(self._seen, -1, axis=0)
         self._seen[-1] = policy_input.features(shown, spec.parts)
 
@@ -89,6 +94,13 @@ class PolicyAgent:
         if not math.isclose(context.success_radius, spec.success_radius, rel_tol=1e-6):
             expected = f"{spec.success_radius:g} m; found {context.success_radius:g}"
             raise InputError(spec.name, "success_radius", expected)
+
+
+def body_std(estimate: Localization) -> np.ndarray:
+    """``(3,)`` standard deviations forward, to the left (m) and of the turn (rad), x and y taken as independent."""
+    c, s = math.cos(estimate.planar[2]), math.sin(estimate.planar[2])
+    x, y, turn = estimate.std
+    return np.array([math.hypot(c * x, s * y), math.hypot(s * x, c * y), turn])
 
 
 def stop_radius(success_radius: float, estimate: Localization) -> float:

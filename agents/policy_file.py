@@ -106,12 +106,17 @@ def load(path: str | Path) -> Policy:
     Raises:
         InputError: no such file, another format or version, a field or an array that does not fit.
     """
+    return _parsed(path)[0]
+
+
+def loaded(path: str) -> Policy:
+    """The same, read once a process: what is driven is what rows are signed with, whatever is written meanwhile."""
     return _read(path)[0]
 
 
 def label(path: str | Path) -> str:
     """``NAME@HASH``: what rows, tables and reports call the policy of a file."""
-    policy, digest = _read(path)
+    policy, digest = _read(str(path))
     return f"{policy.spec.name}@{digest[:HASH_DIGITS]}"
 
 
@@ -127,8 +132,12 @@ def policy_at(agent: str, folder: Path) -> str:
     return PREFIX + str((folder / agent.removeprefix(PREFIX)).resolve())
 
 
-@lru_cache(maxsize=64)  # once a process: what is driven is what the row is signed with, whatever is written meanwhile
-def _read(path: str | Path) -> tuple[Policy, str]:
+@lru_cache(maxsize=64)
+def _read(path: str) -> tuple[Policy, str]:
+    return _parsed(path)
+
+
+def _parsed(path: str | Path) -> tuple[Policy, str]:
     try:
         data = Path(path).read_bytes()
     except OSError as error:

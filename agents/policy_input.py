@@ -5,6 +5,7 @@ in imagination and on the robot.
     goal    4: cos, sin of the bearing; d / 10 m; n(d)
     pose   44: cos, sin of the heading; cos, sin of the goal's direction in the map frame; waves of (x, y), of the goal
                waves(p) = [sin, cos](2 pi p / L) for L = 32, 16, 8, 4, 2 m, along x and along y
+    pose_std 3: of the estimate's error, forward and to the left in decimetres, turn in tenths of a radian
 
 The pose is the estimated one. Waves let a small network draw fine distinctions between places ("random Fourier
 features", Tancik et al., 2020; here with fixed lengths), which from x and y alone takes it far longer to learn.
@@ -20,7 +21,7 @@ from vssm_gym.scan import BEAMS
 NEAR = 0.5  # m, where a distance counts half
 FAR = 10.0  # m, of the order of an apartment
 WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m
-SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES)}
+SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3}
 """Numbers that each part of an observation becomes; their order is that of the vector."""
 
 
@@ -34,11 +35,11 @@ def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Flo
 
     Args:
         observation: ``scan (*batch, 64)`` z-depths in m, 0 = no reading; ``goal (*batch, 3)`` distance in m, cos and
-            sin of the bearing; ``pose (*batch, 3)`` x, y (m), heading (rad), map frame. Those of ``parts`` are read,
-            and with the pose the goal, too.
+            sin of the bearing; ``pose (*batch, 3)`` x, y (m), heading (rad), map frame; ``pose_std (*batch, 3)``
+            forward, left (m), turn (rad). Those of ``parts`` are read, and with the pose the goal, too.
         parts: some of SIZES, in any order.
     """
-    makers = {"scan": _scan, "goal": _goal, "pose": _pose}
+    makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std}
     made = [makers[part](observation) for part in SIZES if part in parts]
     return np.concatenate(made, axis=-1).astype(np.float32)
 
@@ -71,6 +72,10 @@ def _pose(observation: Mapping[str, np.ndarray]) -> np.ndarray:
     direction = np.stack([c * goal[..., 1] - s * goal[..., 2], s * goal[..., 1] + c * goal[..., 2]], axis=-1)
     there = pose[..., :2] + goal[..., :1] * direction
     return np.concatenate([np.stack([c, s], axis=-1), direction, _waves(pose[..., :2]), _waves(there)], axis=-1)
+
+
+def _pose_std(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    return 10.0 * observation["pose_std"]
 
 
 def _waves(xy: np.ndarray) -> np.ndarray:

@@ -65,7 +65,10 @@ def imagine(
     """
     n = len(tasks)
     settings = EnvironmentSettings(map=str(map_file), num_envs=n, max_episode_steps=STEPS)
-    env: Any = make_observing(settings, noise=noise, pose_std=POSE_STD, tasks=list(tasks), end_on="stop")
+    uncertain = "pose_std" in policy.spec.parts
+    env: Any = make_observing(
+        settings, noise=noise, pose_std=POSE_STD, tasks=list(tasks), end_on="stop", show_uncertainty=uncertain
+    )
     observation, _ = env.reset(seed=seed, options={"task": np.arange(n)})
     spec, radius = policy.spec, env.success_radius
     farther = radius - stop_radius(radius, Localization(np.zeros(3), np.array(POSE_STD), "ok"))

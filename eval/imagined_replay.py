@@ -1,6 +1,7 @@
 """Imagined against real: the same starts and the same commands, without noise, in WorldModelNav and in PointNav.
 
     position error of a rollout = |xy_imagined(T) - xy_real(T)|,   scan error = |scan_imagined - scan_real|  per ray
+    return error = |sum of rewards imagined - sum of rewards real|
 
 Commands wander: a turn that remembers, steps from slow to full speed, so that robots run into things as learners do.
 Rollouts that touched something in either world are counted, and their errors given apart.
@@ -37,8 +38,9 @@ def replay(
     """Errors of imagination in a map of ``scene``.
 
     Returns:
-        Medians and 90th percentiles of the position error at the end (m) and of the scans (m, rays and steps of all
-        rollouts, where both worlds have a reading); the same for rollouts without contact; how many had one.
+        Medians and 90th percentiles of the position error at the end (m), of the scans (m, rays and steps of all
+        rollouts, where both worlds have a reading) and of the return; the same for rollouts without contact and for
+        those with; how many had one.
     """
     real = gym.make(
         "vssm_gym/PointNav-v0",
@@ -58,11 +60,13 @@ def replay(
         np.zeros((steps, rollouts, 64)),
         np.zeros(rollouts, bool),
     )
+    gained = np.zeros(rollouts)  # imagined less real
     for i in range(rollouts):
         _, info = real.reset(seed=seed + i)
         tasks.append(info["task"])
         for t in range(steps):
-            observation, _, _, _, info = real.step(acts[t, i])
+            observation, reward, _, _, info = real.step(acts[t, i])
+            gained[i] -= reward
             at[t, i], seen[t, i] = observation["pose"][:2], observation["scan"]
             touched[i] |= info["collision"]
     real.close()
@@ -78,7 +82,8 @@ def replay(
     imagined.reset(seed=seed, options={"task": np.arange(rollouts)})
     off, scans = np.zeros((steps, rollouts)), np.full((steps, rollouts, 64), np.nan)
     for t in range(steps):
-        observation, _, _, _, infos = imagined.step(acts[t])
+        observation, rewards, _, _, infos = imagined.step(acts[t])
+        gained += rewards
         off[t] = np.hypot(*(observation["pose"][:, :2] - at[t]).T)
         both = (observation["scan"] > 0.0) & (seen[t] > 0.0)
         scans[t] = np.where(both, np.abs(observation["scan"] - seen[t]), np.nan)
@@ -90,6 +95,7 @@ def replay(
             result[name] = {
                 "position_m": _quantiles(off[-1, chosen]),
                 "scan_m": _quantiles(scans[:, chosen]),
+                "return": _quantiles(np.abs(gained[chosen])),
                 "rays_compared": float(np.isfinite(scans[:, chosen]).mean()),
             }
     return result

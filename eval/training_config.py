@@ -13,14 +13,24 @@ from vssm_gym.eval.config import as_tuple, distinct, first_problem
 
 WORLD_MODEL, SIMULATOR = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"
 # Keywords that follow from what is trained
-FIXED = ("camera", "end_on", "max_depth", "observation", "observe_pose", "render_mode", "robot", "tasks")
+FIXED = (
+    "camera",
+    "end_on",
+    "max_depth",
+    "observation",
+    "observe_pose",
+    "render_mode",
+    "robot",
+    "show_uncertainty",
+    "tasks",
+)
 
 Whole = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Widths = Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], BeforeValidator(as_tuple), Field(max_length=8)]
 Inputs = Annotated[
-    tuple[Literal["scan", "goal", "pose"], ...],
+    tuple[Literal["scan", "goal", "pose", "pose_std"], ...],
     BeforeValidator(as_tuple),
     AfterValidator(distinct),
     Field(min_length=1),

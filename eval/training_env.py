@@ -100,7 +100,7 @@ def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...], see
 
     Raises :class:`InputError` for a map, a scene or a keyword that it does not take.
     """
-    drawn = {"pool_seed": seed} if settings.id == WORLD_MODEL else {}
+    drawn = {"pool_seed": seed, "show_uncertainty": "pose_std" in parts} if settings.id == WORLD_MODEL else {}
     return PolicyView(make_observing(settings, **drawn), parts, settings.contact_cost)
 
 
@@ -125,6 +125,8 @@ class EstimatedPose(VectorWrapper):
 
         e' = rho e + sqrt(1 - rho^2) n,  n ~ N(0, std^2)
 
+    What it is thought to err by is ``pose_std`` of the observations, as in the world model.
+
     Args:
         env: observes ``pose``.
         std: of the error: forward (m), left (m), turn (rad).
@@ -135,7 +137,8 @@ class EstimatedPose(VectorWrapper):
         super().__init__(env)
         checked_stds("pose_std", std)
         self._std, self._memory = np.asarray(std), memory
-        self._error, self._rng = np.zeros((self.num_envs, 3)), np.random.default_rng()
+        self._error, self._variance = np.zeros((self.num_envs, 3)), np.zeros((self.num_envs, 3))
+        self._rng = np.random.default_rng()
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin episodes: of all environments, or of those in ``options["reset_mask"]``."""
@@ -148,14 +151,16 @@ class EstimatedPose(VectorWrapper):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Carry out ``actions``; errors drift."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        noise = self._rng.standard_normal(self._error.shape) * self._std
-        self._error = self._memory * self._error + np.sqrt(1.0 - self._memory**2) * noise
+        rho, spread = self._memory, 1.0 - self._memory**2
+        self._error = rho * self._error + np.sqrt(spread) * self._std * self._rng.standard_normal(self._error.shape)
+        self._variance = rho**2 * self._variance + spread * self._std**2
         return self._told(observations, infos), rewards, terminated, truncated, infos
 
     def _told(self, observations: dict[str, Any], infos: dict[str, Any]) -> dict[str, Any]:
-        self._error[infos.get("_start_pose", np.zeros(self.num_envs, bool))] = 0.0
-        pose = believed(observations["pose"], self._error)
-        return observations | {"pose": np.asarray(pose, observations["pose"].dtype)}
+        begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
+        self._error[begun] = self._variance[begun] = 0.0
+        pose = np.asarray(believed(observations["pose"], self._error), observations["pose"].dtype)
+        return observations | {"pose": pose, "pose_std": np.sqrt(self._variance)}
 
 
 def world_hash(settings: EnvironmentSettings) -> str:

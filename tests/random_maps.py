@@ -52,7 +52,7 @@ def random_occupancy(kind: str, seed: int, p: np.ndarray) -> np.ndarray:
         return rng.standard_normal(shape) - rng.uniform(0.0, 3.0)
     if kind == "sparse":
         return np.where(rng.uniform(size=shape) < 0.002, 0.3, -0.3)
-    return np.full(shape, -0.001 if kind == "empty" else 0.1)
+    return np.full(shape, {"empty": -0.001, "solid": 0.1}[kind])
 
 
 def random_map(kind: str, seed: int) -> VoxelMap:

@@ -14,7 +14,7 @@ import pytest
 from vssm_gym.agents import policy_file, policy_input
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.localization import Localization
-from vssm_gym.agents.policy import PolicyAgent, stop_radius
+from vssm_gym.agents.policy import PolicyAgent, body_std, stop_radius
 from vssm_gym.agents.policy_file import Policy, PolicySpec
 from vssm_gym.agents.policy_input import SIZES, features, relative, size_of
 from vssm_gym.agents.registry import agent_type, make_agent
@@ -104,13 +104,22 @@ def test_features_by_hand():
     scan[3] = 0.5
     shown = {"scan": scan, "goal": np.array([1.0, 1.0, 0.0]), "pose": np.array([1.0, 2.0, np.pi / 2.0])}
     vector = features(shown, ("pose", "scan", "goal"))  # the order is that of SIZES whatever is asked
-    assert vector.dtype == np.float32 and vector.shape == (size_of(tuple(SIZES)),) == (112,)
+    assert vector.dtype == np.float32 and vector.shape == (size_of(("scan", "goal", "pose")),) == (112,)
     assert vector[3] == 0.5 and (np.delete(vector[:64], 3) == 0.0).all()
     np.testing.assert_allclose(vector[64:68], [1.0, 0.0, 0.1, 1.0 / 3.0], atol=1e-6)
     np.testing.assert_allclose(vector[68:72], [0.0, 1.0, 0.0, 1.0], atol=1e-6)
     phase = 2.0 * np.pi * np.array([[1.0], [2.0]]) / policy_input.WAVES
     np.testing.assert_allclose(vector[72:82], np.sin(phase).ravel(), atol=1e-6)
     np.testing.assert_allclose(vector[102:112], np.cos(phase * [[1.0], [1.5]]).ravel(), atol=1e-6)
+
+
+def test_uncertainty_is_shown_in_the_bodys_frame():
+    """Unsure along the map's x, at 30 degrees to it: cos 30 of it forward, sin 30 to the left."""
+    std = body_std(Localization(np.array([1.0, 2.0, np.pi / 6.0]), np.array([0.04, 0.0, 0.02]), "ok"))
+    np.testing.assert_allclose(std, [0.04 * np.cos(np.pi / 6.0), 0.02, 0.02])
+    shown = {"goal": np.array([1.0, 1.0, 0.0]), "pose_std": std}
+    np.testing.assert_allclose(features(shown, ("goal", "pose_std"))[4:], 10.0 * std, atol=1e-6)
+    assert sum(SIZES.values()) == 115
 
 
 def test_features_of_a_batch_are_those_of_each():
@@ -172,6 +181,9 @@ def rewritten(path: Path, header: dict[str, Any] | None = None, **arrays: np.nda
         ({"header": {"version": 2}}, "version: expected"),
         ({"header": {"extra": 1}}, "header: expected the fields"),
         ({"header": {"activation": "os.system"}}, "activation: expected"),
+        ({"header": {"activation": []}}, "activation: expected"),
+        ({"header": {"parts": ["goal", []]}}, "parts: expected"),
+        ({"header": {"hfov": 10**400}}, "hfov: expected"),
         ({"header": {"parts": ["scan"]}}, "parts: expected"),
         ({"header": {"frames": 1}}, "weight0: expected finite float32 of shape"),
         ({"header": {"hidden": [9, 5]}}, "weight0: expected"),

@@ -11,41 +11,20 @@ import numpy as np
 import pytest
 from box_rooms import furniture, two_rooms
 from imagined_room import room, task
+from straight_policy import straight
 
 from vssm_gym.agents import policy_file
-from vssm_gym.agents.policy_file import Policy, PolicySpec
 from vssm_gym.cli import main as main_module
 from vssm_gym.envs.scene import save_scene
 from vssm_gym.eval.explore_recording import Plan
 from vssm_gym.eval.imagined import Look, imagine
 from vssm_gym.eval.policy_recording import Both, Moment, Run, ray_ends, true_plan
 from vssm_gym.eval.policy_video import Sheet, write_video
-from vssm_gym.eval.training_env import BODY
 from vssm_gym.eval.video import HOLD, RATE
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.scan import BEAMS
 
 TABLE = furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6))
-
-
-def straight() -> Policy:
-    """Turns towards the goal and drives at full speed: its input is the bearing's cosine and sine, and two lengths."""
-    spec = PolicySpec(
-        name="straight",
-        parts=("goal",),
-        frames=1,
-        hidden=(),
-        activation="tanh",
-        squash="clip",
-        low=tuple(BODY.low.tolist()),
-        high=tuple(BODY.high.tolist()),
-        max_depth=BODY.max_depth,
-        hfov=BODY.hfov,
-        success_radius=BODY.success_radius,
-    )
-    weight = np.zeros((3, 4), np.float32)
-    weight[0, 1] = 5.0
-    return Policy(spec, ((weight, np.array([0.0, 0.0, 1.0], np.float32)),))
 
 
 def run(n: int, success: bool, plan: Plan) -> Run:

@@ -107,7 +107,20 @@ def test_the_committed_configurations_are_good(path):
     imagined = "WorldModelNav" in path.read_text()
     found = load_training(path, map_file=Path("oak.npz") if imagined else None, seed=3)
     assert found.seed == 3 and found.policy.hidden == (128, 128)
-    assert found.minutes == (None if "steps" in path.stem else 12.0)
+    assert found.minutes == (None if "few" in path.stem else 12.0)
+
+
+def test_what_is_compared_differs_in_what_it_says_alone():
+    """Cloning and PPO see the same tasks and errors; few steps in the map have the settings of those in MuJoCo."""
+    stored = {name: yaml.safe_load((CONFIGS / f"{name}.yaml").read_text()) for name in
+              ("ppo_oak", "bc_oak", "ppo_oak_simulated", "ppo_oak_few")}  # fmt: skip
+    ppo, cloned, simulated, few = stored.values()
+    for name in ("goals", "pool", "noise", "pose_std", "max_episode_steps"):
+        assert cloned["environment"][name] == ppo["environment"][name]
+    for name in ("noise", "pose_std", "max_episode_steps", "num_envs", "contact_cost"):
+        assert simulated["environment"][name] == few["environment"][name]
+    assert simulated["algorithm"] == few["algorithm"]
+    assert ppo["policy"] == cloned["policy"] == simulated["policy"] == few["policy"]
 
 
 def test_the_comparison_names_what_the_trainings_make():

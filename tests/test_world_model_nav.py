@@ -48,6 +48,28 @@ def test_spaces_are_those_of_the_task_it_stands_for():
     real.close()
 
 
+def test_a_cars_spaces_are_those_of_the_task_it_stands_for():
+    """CarNav's points; the real observation holds images, the imagined one a scan."""
+    real = RelativeGoal(gym.make("vssm_gym/CarNav-v0", targets="points", observe_pose=True))
+    env = make(robot="car")
+    assert env.action_space == real.action_space
+    for key in ("goal", "pose"):
+        assert env.observation_space[key] == real.observation_space[key]
+    real.close()
+
+
+def test_streams_without_a_seed_differ_also_beside_seeded_ones():
+    """And from those of the same call before."""
+    keys = []
+    for _ in range(2):
+        env = make_vec(3)
+        env.reset(seed=[5, None, None])
+        keys.append(np.asarray(env._state.key))
+        env.close()
+    np.testing.assert_array_equal(keys[0][0], keys[1][0])
+    assert len(np.unique(np.concatenate(keys), axis=0)) == 5
+
+
 def test_an_episode_by_hand():
     """1.95 m straight ahead at 16 cm a step, exactly: ten steps to within 0.4 m."""
     env = make(**EXACT, end_on="reach", tasks=[task((1.0, 1.2, 0.0), (2.95, 1.2))])

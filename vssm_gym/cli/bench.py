@@ -212,7 +212,9 @@ def _show_rl(table: Any, result: dict[str, Any], console: Any) -> None:
         if name in replayed:
             position, scan = (replayed[name][key] for key in ("position_m", "scan_m"))
             off = ", ".join(f"{100 * e['p50']:.1f} cm ({100 * e['p90']:.1f})" for e in (position, scan))
-            console.print(f"  {name}: position, scans off by {off}: median (90 %)")
+            rewards = replayed[name]["return"]
+            more = f"return by {rewards['p50']:.2f} ({rewards['p90']:.2f})"
+            console.print(f"  {name}: position, scans off by {off}, {more}: median (90 %)")
     console.print(f"machine: {result['machine']}")
 
 

@@ -75,9 +75,9 @@ def scan_depths(
     angle: Float[Array, "rays"],
     max_depth: float | Array,
 ) -> Float[Array, "rays"]:
-    """As :func:`vssm_gym.envs.world_model.rays.depths`, of a planar field, by the table where it holds.
-
-    ``angle`` is that of the directions, rad, in the world.
+    """z-depth (m) of the first surface along each ray, 0 where there is none up to ``max_depth``; by the table where it
+    holds. Arguments as of :func:`vssm_gym.envs.world_model.rays.rays_of`, of a planar field; ``angle`` is that of the
+    directions, rad, in the world.
     """
     rays, k = rays_of(field, which, centre, direction, max_depth)
     met, free, sure = lines.look_up(field, rays, angle)

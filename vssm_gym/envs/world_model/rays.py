@@ -26,12 +26,14 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from vssm_gym.compaction import first_set
 from vssm_gym.emission import STEP, TAU
+from vssm_gym.voxel_map import PRIOR_OCCUPANCY_MEAN
 
 HIT = float(1 << 20)  # added to the sample of a hit; no ray has as many samples, and float32 counts to 2^24
 FIRST = 2.0  # the first sample that can hit
 LEAPS = 2  # before each look
 NARROWING = (2, 8, 32)  # rays are gathered when so small a share of them is left: a few that graze hold up no others
 LEAST = 64  # rays: fewer are not worth gathering, and gathered are multiples of it, which fill vector registers
+SLACK = 1e-3  # samples and cells: one on the box's face counts as inside
 Coordinates = tuple[Array, ...]  # one array a coordinate: what runs over an axis of two or three does not vectorise
 
 
@@ -100,16 +102,10 @@ class Rays(eqx.Module):
     last: Float[Array, "rays"]  # sample inside box and range
 
 
-@partial(jax.jit, static_argnames="narrowing")
-def depths(
-    field: RayField,
-    which: Int[Array, "rays"],
-    centre: Coordinates,
-    direction: Coordinates,
-    max_depth: float | Array,
-    narrowing: tuple[int, ...] = NARROWING,
-) -> Float[Array, "rays"]:
-    """z-depth (m) of the first surface along each ray up to ``max_depth``; 0 where there is none.
+def rays_of(
+    field: RayField, which: Int[Array, "rays"], centre: Coordinates, direction: Coordinates, max_depth: float | Array
+) -> tuple[Rays, Float[Array, "rays"]]:
+    """Rays in the field's units, and the first sample of each that may hit.
 
     Args:
         field: boxes.
@@ -117,16 +113,7 @@ def depths(
         centre: world coordinates of where it starts, m, each ``(rays,)``.
         direction: of one metre of z-depth, at least 1 long, each ``(rays,)``.
         max_depth: m.
-        narrowing: see :data:`NARROWING`.
     """
-    rays, k = rays_of(field, which, centre, direction, max_depth)
-    return STEP * field.voxel_size * surface(field, rays, k, narrowing)
-
-
-def rays_of(
-    field: RayField, which: Int[Array, "rays"], centre: Coordinates, direction: Coordinates, max_depth: float | Array
-) -> tuple[Rays, Float[Array, "rays"]]:
-    """Rays in the field's units, and the first sample of each that may hit; arguments as of :func:`depths`."""
     start = tuple((c - o) / field.voxel_size for c, o in zip(centre, field.origin, strict=True))
     stride = tuple(t * STEP for t in direction)
     inverse_length = jax.lax.rsqrt(sum(t * t for t in direction))
@@ -136,17 +123,14 @@ def rays_of(
         inverse = 1.0 / jnp.where(jnp.abs(t) > 1e-9, t, 1e-9)
         near, far = -s * inverse, (n - 1.0 - s) * inverse
         first, last = jnp.maximum(first, jnp.minimum(near, far)), jnp.minimum(last, jnp.maximum(near, far))
-    # The slack keeps a sample on the box's face. A ray beside the box that runs along it ends at -1e9 or so, a number
-    # that float32 cannot count up from.
-    k, last = jnp.ceil(first - 1e-3), jnp.maximum(jnp.floor(last + 1e-3), -1.0)
+    # A ray beside the box that runs along it ends at -1e9 or so, a number that float32 cannot count up from.
+    k, last = jnp.ceil(first - SLACK), jnp.maximum(jnp.floor(last + SLACK), -1.0)
     return Rays(which, start, stride, inverse_length, last), jnp.minimum(k, last + 1.0)
 
 
-def surface(
-    field: RayField, rays: Rays, k: Float[Array, "rays"], narrowing: tuple[int, ...] = NARROWING
-) -> Float[Array, "rays"]:
+def surface(field: RayField, rays: Rays, k: Float[Array, "rays"]) -> Float[Array, "rays"]:
     """Where rays that are free before sample ``k`` meet the first surface, in samples; 0 where they meet none."""
-    found = _search(field, rays, k, narrowing)
+    found = _search(field, rays, k)
     hit = found >= HIT
     k = jnp.where(hit, found - HIT, FIRST)
     o_k, o_before = (_value(field, rays.which, rays.start, rays.stride, at) for at in (k, k - 1.0))
@@ -161,11 +145,11 @@ def few(n: int, share: int) -> int:
     return min(n, -(-n // (share * LEAST)) * LEAST)
 
 
-def _search(field: RayField, rays: Rays, k: Array, narrowing: tuple[int, ...]) -> Array:
+def _search(field: RayField, rays: Rays, k: Array) -> Array:
     """``k`` (+ HIT) of each ray; beyond ``last`` where there is none."""
     n = k.shape[0]
     index, found = jnp.arange(n), k
-    for narrow in (*(few(n, share) for share in narrowing if n >= share * LEAST), 0):
+    for narrow in (*(few(n, share) for share in NARROWING if n >= share * LEAST), 0):
 
         def advance(k, rays=rays):
             return _look(field, rays, leaps(field, rays, k, LEAPS))
@@ -229,9 +213,12 @@ def _look(field: RayField, rays: Rays, k: Array) -> Array:
 
 
 def _value(field: RayField, which: Array, start: Coordinates, stride: Coordinates, k: Array) -> Array:
-    """Occupancy at sample ``k``."""
-    _, fractions, corners = _corners(field, which, start, stride, k)
-    return _multilinear(corners, fractions)
+    """Occupancy at sample ``k``; outside the box what it is where nothing was observed."""
+    cell, fractions, corners = _corners(field, which, start, stride, k)
+    inside = jnp.ones(k.shape, bool)
+    for c, f, n in zip(cell, fractions, field.shape, strict=True):
+        inside &= (f >= -SLACK) & (c + f <= n - 1.0 + SLACK)
+    return jnp.where(inside, _multilinear(corners, fractions), PRIOR_OCCUPANCY_MEAN)
 
 
 def _corners(

@@ -207,10 +207,12 @@ class WorldModelVectorEnv(VectorEnv):
             if len(seeds) != self.num_envs:
                 raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
             keys = np.array(self._state.key)
+            if not self._begun:  # those without a seed of their own
+                keys = np.random.SeedSequence().generate_state(keys.size, np.uint32).reshape(keys.shape)
             for i, one in enumerate(seeds):
                 if one is not None:
                     keys[i] = (int(one) >> 32) & 0xFFFFFFFF, int(one) & 0xFFFFFFFF
-            mask = mask & np.array([one is not None for one in seeds])
+            mask = mask & (np.array([one is not None for one in seeds]) | (not self._begun))
         key = jnp.where(mask[:, None], jnp.asarray(keys, jnp.uint32), self._state.key)
         draws = jnp.where(mask, 0, self._state.draws)
         self._state = _replace(self._state, key=key, draws=draws)

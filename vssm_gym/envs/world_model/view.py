@@ -22,8 +22,8 @@ from vssm_gym.envs.world_model.lines import Lines, scan_depths
 from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, rays_of, surface
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
-SLICE_FINE, BOX_FINE = 4, 1  # nodes a cell
-AT_ONCE = 4  # robots whose images are traced together: their rays fit the cache
+SLICE_FINE, BOX_FINE = 4, 1  # pieces a cell
+AT_ONCE = 4  # robots whose images are traced together on a CPU: their rays fit its cache
 
 
 class View(eqx.Module):
@@ -71,7 +71,7 @@ class View(eqx.Module):
             *ways, angle = self._cast(planar, self.across)
             each = jnp.repeat(which, BEAMS)
             return {"scan": scan_depths(self.field, self.lines, each, *ways, angle, self.max_depth).reshape(n, BEAMS)}
-        if n > AT_ONCE:
+        if n > AT_ONCE and jax.default_backend() == "cpu":
             fill = lambda a: jnp.pad(a, [(0, -n % AT_ONCE), *[(0, 0)] * (a.ndim - 1)])
             parts = (fill(which).reshape(-1, AT_ONCE), fill(planar).reshape(-1, AT_ONCE, 3))
             depth, rgb = jax.lax.map(lambda part: self._pixels(*part), parts)
