@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import jax.numpy as jnp
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
@@ -159,7 +160,7 @@ class EstimatedPose(VectorWrapper):
     def _told(self, observations: dict[str, Any], infos: dict[str, Any]) -> dict[str, Any]:
         begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
         self._error[begun] = self._variance[begun] = 0.0
-        pose = np.asarray(believed(observations["pose"], self._error), observations["pose"].dtype)
+        pose = np.asarray(believed(jnp.asarray(observations["pose"]), jnp.asarray(self._error)))
         return observations | {"pose": pose, "pose_std": np.sqrt(self._variance)}
 
 

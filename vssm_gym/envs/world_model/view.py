@@ -86,8 +86,9 @@ class View(eqx.Module):
         """Depths (rays,) of all pixels of all robots, and colours (rays, 3) where there are such."""
 
         def cast(across: Array, down: Array) -> tuple[Rays, Array]:
-            *ways, _ = self._cast(planar, across, down)
-            return rays_of(self.field, jnp.repeat(which, len(across) * len(down)), *ways, self.max_depth)
+            centre, direction, _ = self._cast(planar, across, down)
+            each = jnp.repeat(which, len(across) * len(down))
+            return rays_of(self.field, each, centre, direction, self.max_depth)
 
         rays, k = cast(self.across, self.down)
         k = jnp.maximum(k, block_starts(self.field, cast, self.across, self.down, len(which)))
