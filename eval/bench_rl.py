@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 
 import vssm_gym  # noqa: F401  (registers the environments)
-from vssm_gym.envs.world_model.step import restart, step
+from vssm_gym.envs.world_model.step import programs
 from vssm_gym.eval.bench_envs import ROBOTS, steps_a_second
 from vssm_gym.eval.imagined_replay import replay
 
@@ -146,8 +146,7 @@ def _soak(map_file: Path, steps: int, seed: int) -> dict[str, Any]:
 
 
 def _compiled() -> int:
-    caches: tuple[Any, ...] = (step, restart)
-    return sum(one._cache_size() for one in caches)
+    return sum(program._cache_size() for one_core in (False, True) for program in programs(one_core))
 
 
 def _memory_mb() -> float:

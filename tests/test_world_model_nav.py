@@ -14,7 +14,7 @@ from imagined_room import half_seen, make, make_vec, random_actions, task
 from vssm_gym.car import Car
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.scan_wrapper import ScanObservation
-from vssm_gym.envs.world_model.step import restart, step
+from vssm_gym.envs.world_model import crew
 from vssm_gym.envs.wrappers import DepthOnly, RelativeGoal
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import wrap_angle
@@ -64,7 +64,7 @@ def test_streams_without_a_seed_differ_also_beside_seeded_ones():
     for _ in range(2):
         env = make_vec(3)
         env.reset(seed=[5, None, None])
-        keys.append(np.asarray(env._state.key))
+        keys.append(np.asarray(env._crew.state.key))
         env.close()
     np.testing.assert_array_equal(keys[0][0], keys[1][0])
     assert len(np.unique(np.concatenate(keys), axis=0)) == 5
@@ -193,25 +193,45 @@ def test_robot_i_has_the_stream_of_seed_plus_i_however_many_there_are():
         np.testing.assert_allclose(observations["scan"][i], alone["scan"], atol=1e-4)
 
 
+def test_slices_of_robots_are_stepped_as_one(monkeypatch):
+    """On two cores as on one: the same observations, rewards and tasks, restarts by mask included."""
+    seen = []
+    for fewest in (1, 1000):
+        monkeypatch.setattr(crew, "FEWEST", fewest)
+        monkeypatch.setattr(crew.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+        env = make_vec(6, observation="depth", max_episode_steps=3)
+        assert len(env._crew._states) == (2 if fewest == 1 else 1)
+        rows = [env.reset(seed=3)[0]]
+        for batch in random_actions(env, 3, 5):
+            observation, reward, terminated, truncated, infos = env.step(batch)
+            rows.append({**observation, "reward": reward, "over": terminated | truncated, "task": infos.get("task", 0)})
+            rows.append(env.reset(options={"reset_mask": np.array([0, 0, 0, 0, 1, 0], bool)})[0])
+        seen.append(rows)
+        env.close()
+    for ours, theirs in zip(*seen, strict=True):
+        for key, value in ours.items():
+            np.testing.assert_allclose(value, theirs[key], atol=1e-4, err_msg=key)
+
+
 def test_nothing_recompiles():
     env = make_vec(24, max_episode_steps=5)
     env.reset(seed=0)
     actions = random_actions(env, 3, 12)
     env.step(actions[0])
-    compiled = step._cache_size(), restart._cache_size()
+    compiled = [program._cache_size() for program in env._crew.programs]
     for batch in actions:
         env.step(batch)
         env.reset(options={"reset_mask": np.arange(24) == 3})
-    assert (step._cache_size(), restart._cache_size()) == compiled
+    assert [program._cache_size() for program in env._crew.programs] == compiled
 
 
 def test_maps_and_noise_are_drawn_for_each_episode():
     env = make_vec(16, noise=("none", "high"), map_samples=3)
     env.reset(seed=0)
-    assert set(np.asarray(env._state.which).tolist()) == {0, 1, 2}
-    noise = np.asarray(env._state.noise)[:, 1]
+    assert set(np.asarray(env._crew.state.which).tolist()) == {0, 1, 2}
+    noise = np.asarray(env._crew.state.noise)[:, 1]
     assert len(set(noise.tolist())) == 16 and noise.min() >= 0.0 and noise.max() <= 0.06
-    ratio = np.asarray(env._state.noise)[:, 0] / noise  # all of a robot's noise by one share
+    ratio = np.asarray(env._crew.state.noise)[:, 0] / noise  # all of a robot's noise by one share
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-4)
 
 

@@ -71,14 +71,19 @@ def _strides(sizes: tuple[int, ...]) -> list[int]:
     return [int(np.prod(sizes[axis + 1 :])) for axis in range(len(sizes))] + [int(np.prod(sizes))]
 
 
+def at_nodes(occupancy: np.ndarray, axis: int, fine: int) -> np.ndarray:
+    """With ``fine`` values a cell along ``axis``, along which the interpolant is linear."""
+    n = occupancy.shape[axis]
+    below, above = np.take(occupancy, range(n - 1), axis), np.take(occupancy, range(1, n), axis)
+    between = np.stack([below + (above - below) * (i / fine) for i in range(fine)], axis + 1)
+    merged = between.reshape(*below.shape[:axis], -1, *below.shape[axis + 1 :])
+    return np.concatenate([merged, np.take(above, [-1], axis)], axis)
+
+
 def _reach(occupancy: np.ndarray, fine: int) -> np.ndarray:
     """Certified free samples around each piece; see the module."""
-    for axis in range(occupancy.ndim):  # at the nodes: the interpolant is linear along each axis
-        n = occupancy.shape[axis]
-        below, above = np.take(occupancy, range(n - 1), axis), np.take(occupancy, range(1, n), axis)
-        between = np.stack([below + (above - below) * (i / fine) for i in range(fine)], axis + 1)
-        merged = between.reshape(*below.shape[:axis], -1, *below.shape[axis + 1 :])
-        occupancy = np.concatenate([merged, np.take(above, [-1], axis)], axis)
+    for axis in range(occupancy.ndim):
+        occupancy = at_nodes(occupancy, axis, fine)
     taken = occupancy > TAU
     for axis in range(taken.ndim):  # a piece by any of its corners
         n = taken.shape[axis]
@@ -130,7 +135,42 @@ def rays_of(
 
 def surface(field: RayField, rays: Rays, k: Float[Array, "rays"]) -> Float[Array, "rays"]:
     """Where rays that are free before sample ``k`` meet the first surface, in samples; 0 where they meet none."""
-    found = _search(field, rays, k)
+    found, index, some, rest = narrowed(field, rays, k, LEAPS)
+    rest = jax.lax.while_loop(lambda k: jnp.any(k <= some.last), lambda k: _advance(field, some, k, LEAPS), rest)
+    return crossing(field, rays, found.at[index].set(rest, mode="drop"))
+
+
+def narrowed(
+    field: RayField, rays: Rays, k: Float[Array, "rays"], count: int
+) -> tuple[Array, Array, Rays, Float[Array, "some"]]:
+    """A search begun: until all rays but a few that graze have ended; ``count`` leaps before the first looks.
+
+    Returns:
+        ``k`` (+ HIT) of the rays that have ended, beyond ``last`` without a hit; the numbers of those that have not,
+        then the number of rays; these rays; and before which samples they are free.
+    """
+    n = k.shape[0]
+    index, found = jnp.arange(n), k
+    for narrow in (few(n, share) for share in NARROWING if n >= share * LEAST):
+
+        def crowded(k, rays=rays, narrow=narrow):
+            return jnp.sum(k <= rays.last) > narrow
+
+        def advance(k, rays=rays, count=count):
+            return _advance(field, rays, k, count)
+
+        k = jax.lax.while_loop(crowded, advance, k)
+        found = k if k.shape[0] == n else found.at[index].set(k, mode="drop")
+        keep = first_set(k <= rays.last, narrow)
+        index = index.at[keep].get(mode="fill", fill_value=n)
+        rays, k = jax.tree.map(lambda a, keep=keep: a.at[keep].get(mode="clip"), (rays, k))
+        rays = eqx.tree_at(lambda r: r.last, rays, jnp.where(index < n, rays.last, -1.0))
+        count = LEAPS
+    return found, index, rays, k
+
+
+def crossing(field: RayField, rays: Rays, found: Float[Array, "rays"]) -> Float[Array, "rays"]:
+    """Where occupancy meets the threshold before the sample that hit, in samples; 0 without a hit."""
     hit = found >= HIT
     k = jnp.where(hit, found - HIT, FIRST)
     o_k, o_before = (_value(field, rays.which, rays.start, rays.stride, at) for at in (k, k - 1.0))
@@ -145,38 +185,15 @@ def few(n: int, share: int) -> int:
     return min(n, -(-n // (share * LEAST)) * LEAST)
 
 
-def _search(field: RayField, rays: Rays, k: Array) -> Array:
-    """``k`` (+ HIT) of each ray; beyond ``last`` where there is none."""
-    n = k.shape[0]
-    index, found = jnp.arange(n), k
-    for narrow in (*(few(n, share) for share in NARROWING if n >= share * LEAST), 0):
-
-        def advance(k, rays=rays):
-            return _look(field, rays, leaps(field, rays, k, LEAPS))
-
-        def crowded(k, rays=rays, narrow=narrow):
-            return jnp.sum(k <= rays.last) > narrow
-
-        k = jax.lax.while_loop(crowded, advance, k)
-        found = k if k.shape[0] == n else found.at[index].set(k, mode="drop")
-        if narrow:
-            keep = first_set(k <= rays.last, narrow)
-            index = index.at[keep].get(mode="fill", fill_value=n)
-            rays, k = jax.tree.map(lambda a, keep=keep: a.at[keep].get(mode="clip"), (rays, k))
-            rays = eqx.tree_at(lambda r: r.last, rays, jnp.where(index < n, rays.last, -1.0))
-    return found
+def _advance(field: RayField, rays: Rays, k: Array, count: int) -> Array:
+    if count:
+        # A loop, because unrolled leaps are compiled into one kernel that computes each anew for every use of it.
+        k = jax.lax.fori_loop(0, count, lambda _, k: _leap(field, rays, k), k)
+    return _look(field, rays, k)
 
 
-def leaps(field: RayField, rays: Rays, k: Array, count: int, spread: Float[Array, "rays"] | None = None) -> Array:
-    """``count`` times past all samples that cannot hit; where a sample might, a ray stays.
-
-    With ``spread``, past those of every ray from the same place whose direction is at most so far from the given one.
-    """
-    # A loop, because unrolled leaps are compiled into one kernel that computes each anew for every use of it.
-    return jax.lax.fori_loop(0, count, lambda _, k: _leap(field, rays, k, spread), k)
-
-
-def _leap(field: RayField, rays: Rays, k: Array, spread: Array | None) -> Array:
+def _leap(field: RayField, rays: Rays, k: Array) -> Array:
+    """Past all samples that cannot hit; where the next might, a ray stays."""
     *strides, per_map = _strides(field.pieces)
     number, exits = rays.which * per_map, jnp.full(k.shape, HIT)
     for s, t, n, stride in zip(rays.start, rays.stride, field.pieces, strides, strict=True):
@@ -185,13 +202,9 @@ def _leap(field: RayField, rays: Rays, k: Array, spread: Array | None) -> Array:
         inverse = 1.0 / jnp.where(jnp.abs(t) > 1e-9, t, 1e-9)
         exits = jnp.minimum(exits, ((piece + (inverse > 0)) / field.fine - s) * inverse)
     reach = field.reach.at[number].get(mode="promise_in_bounds")
-    if spread is not None:
-        reach -= k * spread
-        further = k + jnp.floor(reach / (1.0 / rays.inverse_length + spread)) + 1.0
-    else:
-        further = k + jnp.floor(reach * rays.inverse_length) + 1.0
-        if field.fine * STEP < 1.0:  # else there is seldom a second sample in a piece
-            further = jnp.maximum(further, jnp.floor(exits) + 1.0)
+    further = k + jnp.floor(reach * rays.inverse_length) + 1.0
+    if field.fine * STEP < 1.0:  # else there is seldom a second sample in a piece
+        further = jnp.maximum(further, jnp.floor(exits) + 1.0)
     return jnp.where((reach >= 0.0) & (k <= rays.last), further, k)
 
 

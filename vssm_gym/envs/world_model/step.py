@@ -9,7 +9,8 @@ Every robot has a stream of its own: draw number i is ``threefry(key, i)``, one 
 commanded and however many robots there are.
 """
 
-from functools import partial
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -64,7 +65,6 @@ def empty_state(world: World, n: int) -> State:
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnums=0, donate_argnums=2)
 def step(robot: Robot, world: World, state: State, action: Float[Array, "n action"]) -> tuple[State, Outcome]:
     """Carry out ``action``; robots whose episode had ended begin their next one instead, with reward 0."""
     begun, rules = state.ended, world.rules
@@ -128,7 +128,6 @@ def begin(robot: Robot, world: World, state: State, task: Int[Array, "n"] | None
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnums=0)
 def restart(
     robot: Robot,
     world: World,
@@ -142,6 +141,22 @@ def restart(
     some = begin(robot, world, some, task)
     put = lambda a, b: a.at[index].set(b, mode="drop")
     return jax.tree.map(put, state, some), jax.tree.map(put, shown, observe(world, some))
+
+
+class Programs(NamedTuple):
+    """Compiled."""
+
+    step: Any
+    restart: Any
+
+
+@cache
+def programs(one_core: bool) -> Programs:
+    """:func:`step`, which takes over the memory of the state, and :func:`restart`; perhaps for one core of a CPU."""
+    # Wider vectors are a quarter faster, but for one robot XLA of jaxlib 0.10 then computes wrong scans.
+    options = {"xla_cpu_multi_thread_eigen": False} if one_core else None
+    compiled = partial(jax.jit, static_argnums=0, compiler_options=options)
+    return Programs(compiled(step, donate_argnums=2), compiled(restart))
 
 
 def observe(world: World, state: State) -> dict[str, Array]:

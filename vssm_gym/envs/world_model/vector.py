@@ -10,9 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import gymnasium as gym
-import jax.numpy as jnp
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -21,13 +19,11 @@ from vssm_gym.car import Car
 from vssm_gym.envs.eye import EXTENT
 from vssm_gym.envs.validation import choose
 from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
+from vssm_gym.envs.world_model.crew import Crew
 from vssm_gym.envs.world_model.picture import PlanPicture
-from vssm_gym.envs.world_model.step import empty_state, restart, step
 from vssm_gym.envs.world_model.world import build_world, robot_of
 from vssm_gym.envs.wrappers import FAR
 from vssm_gym.errors import InputError
-
-FEW = 8  # an eighth of the robots, and at least as many, are restarted by a small call, more by one for all
 
 
 class WorldModelVectorEnv(VectorEnv):
@@ -67,8 +63,7 @@ class WorldModelVectorEnv(VectorEnv):
         self.single_action_space, self.single_observation_space = _action_space(self.robot), _observation_space(wanted)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._state = empty_state(self.world, num_envs)
-        self._shown: dict[str, Any] = {}  # observation of last
+        self._crew = Crew(self.robot, self.world, num_envs)
         self._begun = False
         self._picture: PlanPicture | None = None
 
@@ -92,26 +87,11 @@ class WorldModelVectorEnv(VectorEnv):
         if not (self._begun or mask.all()):
             raise gym.error.ResetNeeded("the first reset is one of all environments: reset_mask comes later")
         self._seed(seed, mask)
-        n = self.num_envs
-        if not self._begun:
-            space: Any = self.observation_space
-            self._shown = {key: jnp.zeros(part.shape, part.dtype) for key, part in space.items()}
-            self._shown["pose_std"] = jnp.zeros((n, 3))
-        few = min(n, max(FEW, n // 8))
-        if not self._begun and few < n:  # compiled now, not in the middle of an episode
-            nobody = np.full(few, n, np.int32)
-            restart(self.robot, self.world, self._state, self._shown, jnp.asarray(nobody), jnp.zeros(few, jnp.int32))
-        chosen = np.flatnonzero(mask)
-        width = few if len(chosen) <= few else n
-        index, task = np.full(width, n, np.int32), np.full(width, -1, np.int32)
-        index[: len(chosen)], task[: len(chosen)] = chosen, tasks[chosen]
-        self._state, self._shown = restart(
-            self.robot, self.world, self._state, self._shown, jnp.asarray(index), jnp.asarray(task)
-        )
+        shown = self._crew.restart(mask, tasks)
         self._begun = True
         if self._picture is not None:
-            self._picture.forget(chosen)
-        return self._observation(), self._start_infos(mask)
+            self._picture.forget(np.flatnonzero(mask))
+        return self._observation(shown), self._start_infos(mask)
 
     def step(
         self, actions: np.ndarray
@@ -126,33 +106,33 @@ class WorldModelVectorEnv(VectorEnv):
         if batch.shape != self.action_space.shape or batch.dtype.kind not in "fiu" or not np.isfinite(batch).all():
             found = f"found {batch.dtype} {batch.shape}, {actions!r:.80}"
             raise InputError("step", "actions", f"finite numbers of shape {self.action_space.shape}; {found}")
-        self._state, outcome = step(self.robot, self.world, self._state, jnp.asarray(batch, jnp.float32))
-        self._shown = outcome.observation
-        terminated, truncated, begun = (np.asarray(a) for a in (outcome.terminated, outcome.truncated, outcome.begun))
+        outcome = self._crew.step(batch)
+        terminated, begun = outcome.terminated, outcome.begun
         everywhere = np.ones(self.num_envs, bool)
         infos: dict[str, Any] = {
-            "collision": np.asarray(outcome.collision),
+            "collision": outcome.collision,
             "_collision": everywhere,
-            "control": np.asarray(outcome.command),
+            "control": outcome.command,
             "_control": everywhere,
         }
         if terminated.any():
-            infos |= {"success": np.asarray(outcome.success), "_success": terminated}
+            infos |= {"success": outcome.success, "_success": terminated}
         if begun.any():
             infos |= self._start_infos(begun)
             if self._picture is not None:
                 self._picture.forget(np.flatnonzero(begun))
-        return self._observation(), np.asarray(outcome.reward, np.float64), terminated, truncated, infos
+        reward = outcome.reward.astype(np.float64)
+        return self._observation(outcome.observation), reward, terminated, outcome.truncated, infos
 
     @property
     def planar(self) -> np.ndarray:
         """The imagined truth, ``(num_envs, 3)`` x, y, heading; not for agents."""
-        return np.array(self._state.planar)
+        return np.array(self._crew.state.planar)
 
     @property
     def goals(self) -> np.ndarray:
         """The goals of the present episodes, ``(num_envs, 2)``, m."""
-        return np.asarray(self.world.ways.goals)[np.asarray(self.world.pool.goal)[np.asarray(self._state.task)]]
+        return np.asarray(self.world.ways.goals)[np.asarray(self.world.pool.goal)[self._crew.state.task]]
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Each robot on the belief's floor plan: uint8 ``(360, width, 3)``; None if not asked for."""
@@ -175,12 +155,12 @@ class WorldModelVectorEnv(VectorEnv):
         """Refused: the robots of one world have nothing of their own to set."""
         raise InputError("set_attr", name, "keywords at construction: the robots share one world")
 
-    def _observation(self) -> dict[str, np.ndarray]:
+    def _observation(self, shown: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         space: Any = self.single_observation_space
-        return {key: np.asarray(self._shown[key]) for key in space}
+        return {key: shown[key] for key in space}
 
     def _start_infos(self, mask: np.ndarray) -> dict[str, Any]:
-        task = np.asarray(self._state.task)
+        task = self._crew.state.task
         start = np.asarray(self.world.pool.start)[task]
         return {"task": task, "_task": mask, "start_pose": start, "_start_pose": mask}
 
@@ -206,20 +186,14 @@ class WorldModelVectorEnv(VectorEnv):
             seeds = [int(seed) + i for i in range(self.num_envs)] if single else list(seed)
             if len(seeds) != self.num_envs:
                 raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
-            keys = np.array(self._state.key)
+            keys = np.array(self._crew.state.key)
             if not self._begun:  # those without a seed of their own
                 keys = np.random.SeedSequence().generate_state(keys.size, np.uint32).reshape(keys.shape)
             for i, one in enumerate(seeds):
                 if one is not None:
                     keys[i] = (int(one) >> 32) & 0xFFFFFFFF, int(one) & 0xFFFFFFFF
             mask = mask & (np.array([one is not None for one in seeds]) | (not self._begun))
-        key = jnp.where(mask[:, None], jnp.asarray(keys, jnp.uint32), self._state.key)
-        draws = jnp.where(mask, 0, self._state.draws)
-        self._state = _replace(self._state, key=key, draws=draws)
-
-
-def _replace(state: Any, **fields: Any) -> Any:
-    return eqx.tree_at(lambda s: tuple(getattr(s, name) for name in fields), state, tuple(fields.values()))
+        self._crew.seed(keys, mask)
 
 
 def _radius(robot: Any) -> float:

@@ -16,10 +16,10 @@ from jaxtyping import Array, Float, Int
 
 from vssm_gym.camera import Camera
 from vssm_gym.emission import STEP
-from vssm_gym.envs.world_model.cones import block_starts
+from vssm_gym.envs.world_model.columns import Columns
 from vssm_gym.envs.world_model.config import BEAMS
 from vssm_gym.envs.world_model.lines import Lines, scan_depths
-from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, rays_of, surface
+from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, crossing, narrowed, rays_of, surface
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 SLICE_FINE, BOX_FINE = 4, 1  # pieces a cell
@@ -31,6 +31,7 @@ class View(eqx.Module):
 
     field: RayField
     lines: Lines | None  # of a scan
+    columns: Columns | None  # of images
     colour: Float[Array, "cells 3"] | None  # of the box's cells, (maps, *shape) in C order
     across: Float[Array, "width"]  # of pixel columns: camera x a metre of z-depth, to the right
     down: Float[Array, "height"]  # of rows; of a scan one zero
@@ -46,7 +47,7 @@ class View(eqx.Module):
         field = _cut(maps, low, high, height)
         columns = (np.arange(BEAMS) + 0.5) * camera.width / BEAMS - 0.5
         across = jnp.asarray((columns - camera.cx) / camera.fx, jnp.float32)
-        return cls(field, Lines.of(field), None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth)
+        return cls(field, Lines.of(field), None, None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth)
 
     @classmethod
     def images(
@@ -62,60 +63,85 @@ class View(eqx.Module):
         across = jnp.asarray((np.arange(camera.width) - camera.cx) / camera.fx, jnp.float32)
         down = jnp.asarray((np.arange(camera.height) - camera.cy) / camera.fy, jnp.float32)
         forward, height = float(T_body_cam[0, 3]), float(T_body_cam[2, 3])
-        return cls(field, None, colours, across, down, forward, height, max_depth)
+        return cls(field, None, Columns.of(field, height), colours, across, down, forward, height, max_depth)
 
     def __call__(self, which: Int[Array, "n"], planar: Float[Array, "n 3"]) -> dict[str, Array]:
         """``scan (n, 64)``, or ``depth (n, height, width)`` and perhaps ``rgb`` uint8 of robots at ``planar``."""
-        n, size = planar.shape[0], (len(self.down), len(self.across))
-        if self.lines is not None:
-            *ways, angle = self._cast(planar, self.across)
-            each = jnp.repeat(which, BEAMS)
-            return {"scan": scan_depths(self.field, self.lines, each, *ways, angle, self.max_depth).reshape(n, BEAMS)}
-        if n > AT_ONCE and jax.default_backend() == "cpu":
-            fill = lambda a: jnp.pad(a, [(0, -n % AT_ONCE), *[(0, 0)] * (a.ndim - 1)])
-            parts = (fill(which).reshape(-1, AT_ONCE), fill(planar).reshape(-1, AT_ONCE, 3))
-            depth, rgb = jax.lax.map(lambda part: self._pixels(*part), parts)
-        else:
-            depth, rgb = self._pixels(which, planar)
-        images = {"depth": depth.reshape(-1, *size)[:n]}
-        if rgb is not None:
-            images["rgb"] = jnp.round(255.0 * jnp.clip(rgb, 0.0, 1.0)).astype(jnp.uint8).reshape(-1, *size, 3)[:n]
+        if self.lines is None:
+            return self._images(which, planar)
+        (*cameras, heading), right, down = self._pixels([*self._cameras(planar), planar[:, 2]])
+        centre, direction = self._cast(cameras, right, down)
+        angle, each = heading - jnp.arctan(right), self._each(which)
+        scan = scan_depths(self.field, self.lines, each, centre[:2], direction[:2], angle, self.max_depth)
+        return {"scan": scan.reshape(-1, BEAMS)}
+
+    def _images(self, which: Array, planar: Array) -> dict[str, Array]:
+        n, rows, columns = len(which), len(self.down), len(self.across)
+        at_once = min(n, AT_ONCE) if jax.default_backend() == "cpu" else n
+        fill = lambda a: jnp.pad(a, (0, -n % at_once))
+        cameras = self._cameras(planar)  # of few numbers, and here: where rays are made, each would have its own cosine
+        parts = jax.tree.map(lambda a: fill(a).reshape(-1, at_once), (which, cameras))
+        depth, index, free = jax.lax.map(lambda part: self._begin(*part), parts)
+        # The last rays of all parts are searched together: a turn costs about the same for ten as for a thousand.
+        count = depth.shape[1]
+        number = jnp.where(index < count, index + count * jnp.arange(len(index))[:, None], depth.size).reshape(-1)
+        size = (len(index), rows, at_once, columns)
+        part, row, camera, column = jnp.unravel_index(jnp.minimum(number, depth.size - 1), size)
+        robot = jnp.minimum(part * at_once + camera, n - 1)
+        rays, _ = self._rays(which[robot], [a[robot] for a in cameras], self.across[column], self.down[row])
+        rays = eqx.tree_at(lambda r: r.last, rays, jnp.where(number < depth.size, rays.last, -1.0))
+        rest = surface(self.field, rays, free.reshape(-1))
+        depth = STEP * self.field.voxel_size * depth.reshape(-1).at[number].set(rest, mode="drop")
+
+        def arrange(a: Array) -> Array:
+            a = jnp.swapaxes(a.reshape(-1, rows, at_once, columns, *a.shape[2:]), 1, 2)
+            return a.reshape(-1, rows, columns, *a.shape[4:])[:n]
+
+        images = {"depth": arrange(depth.reshape(-1, count))}
+        if self.colour is not None:
+            rgb = jax.lax.map(lambda part: self._colours(*part), (*parts, depth.reshape(-1, count)))
+            images["rgb"] = arrange(jnp.round(255.0 * jnp.clip(rgb, 0.0, 1.0)).astype(jnp.uint8))
         return images
 
-    def _pixels(self, which: Array, planar: Array) -> tuple[Array, Array | None]:
-        """Depths (rays,) of all pixels of all robots, and colours (rays, 3) where there are such."""
+    def _begin(self, which: Array, cameras: list[Array]) -> tuple[Array, Array, Array]:
+        """Surfaces (samples) of all pixels' rays but a few; the numbers of these, and before what they are free."""
+        assert self.columns is not None
+        columns, right = len(self.across), jnp.tile(self.across, len(which))
+        ways = self._rays(jnp.repeat(which, columns), [jnp.repeat(a, columns) for a in cameras], right, 0.0 * right)
+        free = self.columns.starts(self.field, *ways, self.down).reshape(-1)
+        rays, first = self._rays(self._each(which), *self._pixels(cameras))
+        found, index, _, rest = narrowed(self.field, rays, jnp.maximum(first, free), 0)
+        return crossing(self.field, rays, found), index, rest
 
-        def cast(across: Array, down: Array) -> tuple[Rays, Array]:
-            centre, direction, _ = self._cast(planar, across, down)
-            each = jnp.repeat(which, len(across) * len(down))
-            return rays_of(self.field, each, centre, direction, self.max_depth)
-
-        rays, k = cast(self.across, self.down)
-        k = jnp.maximum(k, block_starts(self.field, cast, self.across, self.down, len(which)))
-        depth = STEP * self.field.voxel_size * surface(self.field, rays, k)
-        if self.colour is None:
-            return depth, None
-        centre, direction, _ = self._cast(planar, self.across, self.down)
+    def _colours(self, which: Array, cameras: list[Array], depth: Array) -> Float[Array, "rays 3"]:
+        """Where the pixels' rays end."""
+        centre, direction = self._cast(*self._pixels(cameras))
         at = [c + d * depth for c, d in zip(centre, direction, strict=True)]
-        each = jnp.repeat(which, len(self.across) * len(self.down))
-        return depth, jnp.where((depth > 0.0)[:, None], self._colour_at(each, at), 0.0)
+        return jnp.where((depth > 0.0)[:, None], self._colour_at(self._each(which), at), 0.0)
 
-    def _cast(self, planar: Array, across: Array, down: Array | None = None) -> tuple[Coordinates, Coordinates, Array]:
-        """Where rays start (m), one metre of z-depth along them, and their angles in the world (rad), each (rays,).
+    def _cameras(self, planar: Array) -> list[Array]:
+        """x, y (m), cosine and sine of the heading, ``(n,)`` each."""
+        c, s = jnp.cos(planar[:, 2]), jnp.sin(planar[:, 2])
+        return [planar[:, 0] + self.forward * c, planar[:, 1] + self.forward * s, c, s]
 
-        Of all robots' pixels in these columns and rows, rows first; without rows in the horizontal plane alone.
-        """
-        n, per = planar.shape[0], len(across) * (1 if down is None else len(down))
-        right = jnp.tile(across, per // len(across))
-        c, s = jnp.cos(planar[:, 2, None]), jnp.sin(planar[:, 2, None])
-        spread = lambda a: jnp.broadcast_to(a, (n, per)).reshape(-1)
-        x, y = planar[:, 0, None] + self.forward * c, planar[:, 1, None] + self.forward * s
-        centre, direction = (spread(x), spread(y)), (spread(c + s * right), spread(s - c * right))
-        angle = spread(planar[:, 2, None] - jnp.arctan(right))
-        if down is None:
-            return centre, direction, angle
-        height = jnp.full(n * per, self.height)
-        return (*centre, height), (*direction, -spread(jnp.repeat(down, len(across))[None])), angle
+    def _pixels(self, cameras: list[Array]) -> tuple[list[Array], Array, Array]:
+        """Cameras, columns and rows of all pixels, ``(rays,)`` each: of rows, cameras and columns in C order."""
+        size = (len(self.down), len(cameras[0]), len(self.across))
+        spread = lambda a: jnp.broadcast_to(a, size).reshape(-1)
+        return [self._each(a) for a in cameras], spread(self.across), spread(self.down[:, None, None])
+
+    def _each(self, of_cameras: Array) -> Array:
+        """For all pixels what is said of cameras, in that order."""
+        size = (len(self.down), len(of_cameras), len(self.across))
+        return jnp.broadcast_to(of_cameras[:, None], size).reshape(-1)
+
+    def _cast(self, cameras: list[Array], across: Array, down: Array) -> tuple[Coordinates, Coordinates]:
+        """Where rays start, m, and one metre of z-depth along them."""
+        x, y, c, s = cameras
+        return (x, y, jnp.full_like(x, self.height)), (c + s * across, s - c * across, -down)
+
+    def _rays(self, which: Array, cameras: list[Array], across: Array, down: Array) -> tuple[Rays, Array]:
+        return rays_of(self.field, which, *self._cast(cameras, across, down), self.max_depth)
 
     def _colour_at(self, which: Array, p_world: list[Array]) -> Float[Array, "rays 3"]:
         """Trilinear colour, as the map's own."""
