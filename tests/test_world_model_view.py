@@ -1,5 +1,6 @@
 """What imagined robots see: the emission's own depths, in the plane and in images; and what they collide with."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -126,6 +127,28 @@ def test_no_surface_is_jumped_in_any_image(kind):
             assert (np.abs(depth - expected) < 5e-3).mean() > 0.99, (seed, pose)
             seen_from_afar += int((expected > 0.3).sum())
     assert seen_from_afar > 50 or kind not in SURFACES
+
+
+def test_columns_pass_no_surface_and_nearly_all_of_the_way():
+    """Two maps at once; where a ray hits, what its column certifies ends before, mostly within a cell of it."""
+    camera, one = Camera.from_hfov(64, 48, np.pi / 2), room()
+    thinner = eqx.tree_at(lambda m: m.occupancy, one, one.occupancy - 0.01)
+    view = View.images([one, thinner], camera, T_BODY_CAM, 8.0, colour=False)
+    which = jnp.repeat(jnp.arange(2), len(POSES))
+    cameras = view._cameras(jnp.asarray(np.tile(POSES, (2, 1)), jnp.float32))
+    n, columns = len(which), camera.width
+    ways = view._rays(
+        jnp.repeat(which, columns),
+        [jnp.repeat(a, columns) for a in cameras],
+        jnp.tile(view.across, n),
+        jnp.zeros(n * columns),
+    )
+    free = np.asarray(view.columns.starts(view.field, *ways, view.down)).reshape(-1)
+    met = np.asarray(surface(view.field, *view._rays(view._each(which), *view._pixels(cameras))))
+    hit = met > 0.0
+    assert hit.mean() > 0.5 and np.asarray(view._each(which))[hit].max() == 1
+    assert (free[hit] <= np.floor(met[hit]) + 1.0).all()  # of the sample that hit, or one more
+    assert (free[hit] > met[hit] - 1.5 / emission.STEP).mean() > 0.7
 
 
 @pytest.mark.parametrize("kind", KINDS)
