@@ -4,6 +4,7 @@ Version 1 holds the rows of all blocks of a grid; version 2 those of a block-spa
 """
 
 import json
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,10 @@ def read(path: str | Path) -> StoredMap:
 
 def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
     if not path.is_file():
-        raise InputError(path, "file", "an existing map file (.npz); `vssm-gym map build` makes one")
+        found = "; this is a folder" if path.is_dir() else ""
+        raise InputError(path, "file", f"an existing map file (.npz); `vssm-gym map build` makes one{found}")
+    if not zipfile.is_zipfile(path):  # NumPy would advise to load it as a pickle
+        raise InputError(path, "file", "a whole vssm_gym map; it cannot be read (no .npz file)")
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
