@@ -13,17 +13,16 @@ from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix, se3_exp
 from vssm_gym.transition import (
     Bicycle,
+    GaussianBelief,
     Imu,
     ImuNoise,
     MotionNoise,
     Planar,
-    PlanarBelief,
     Rigid,
     RigidNoise,
     RigidState,
     Transition,
-    planar_mean,
-    planar_predict,
+    planar_belief,
 )
 
 NOISE = ExecutionNoise(turn=np.radians(1.0), step=0.004)  # small against every command below: nothing is rectified
@@ -75,9 +74,9 @@ def assert_covariances_agree(predicted: np.ndarray, errors: np.ndarray, toleranc
 def test_prediction_from_a_known_pose_agrees_with_simulation(command: tuple[float, float, float]) -> None:
     u = np.array(command)
     samples = spec6(np.tile(START, (SAMPLES, 1)), u, NOISE, np.random.default_rng(1))
-    belief = PlanarBelief(f32(START), jnp.zeros((3, 3)))
-    predicted = planar_predict(belief, f32(u), MotionNoise(NOISE.turn, NOISE.step))
-    errors = body_frame_errors(np.asarray(predicted.planar, float), samples)
+    belief = planar_belief(f32(START), jnp.zeros((3, 3)))
+    predicted = EXECUTION.predict(belief, f32(u), DT)
+    errors = body_frame_errors(np.asarray(predicted.mean, float), samples)
     np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=2e-4)
     assert_covariances_agree(np.asarray(predicted.covariance, float), errors)
 
@@ -90,9 +89,9 @@ def test_prediction_of_a_belief_agrees_with_simulation(command: tuple[float, flo
     xi = rng.standard_normal((SAMPLES, 3)) @ root.T
     starts = matrix_to_planar(planar_to_matrix(START) @ planar_to_matrix(xi))
     samples = spec6(starts, u, NOISE, rng)
-    belief = PlanarBelief(f32(START), f32(root @ root.T))
-    predicted = planar_predict(belief, f32(u), MotionNoise(NOISE.turn, NOISE.step))
-    errors = body_frame_errors(np.asarray(predicted.planar, float), samples)
+    belief = planar_belief(f32(START), f32(root @ root.T))
+    predicted = EXECUTION.predict(belief, f32(u), DT)
+    errors = body_frame_errors(np.asarray(predicted.mean, float), samples)
     assert_covariances_agree(np.asarray(predicted.covariance, float), errors)
 
 
@@ -100,9 +99,9 @@ def test_prediction_of_a_belief_agrees_with_simulation(command: tuple[float, flo
 def test_prediction_agrees_with_the_environments_robot(command: tuple[float, float, float]) -> None:
     u, rng = np.array(command), np.random.default_rng(3)
     samples = np.stack([execute(START, u, NOISE, rng) for _ in range(6000)])
-    belief = PlanarBelief(f32(START), jnp.zeros((3, 3)))
-    predicted = planar_predict(belief, f32(u), MotionNoise(NOISE.turn, NOISE.step))
-    errors = body_frame_errors(np.asarray(predicted.planar, float), samples)
+    belief = planar_belief(f32(START), jnp.zeros((3, 3)))
+    predicted = EXECUTION.predict(belief, f32(u), DT)
+    errors = body_frame_errors(np.asarray(predicted.mean, float), samples)
     np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=1e-3)
     assert_covariances_agree(np.asarray(predicted.covariance, float), errors, tolerance=0.08)
 
@@ -124,7 +123,7 @@ def test_the_mean_by_hand() -> None:
 
 def test_a_robot_that_does_not_move_stays_as_certain() -> None:
     covariance = f32(np.diag([0.01, 0.02, 0.03]))
-    stood = planar_predict(PlanarBelief(f32(START), covariance), jnp.zeros(3), MotionNoise(0.5, 0.5))
+    stood = planar_predict(planar_belief(f32(START), covariance), jnp.zeros(3), MotionNoise(0.5, 0.5))
     np.testing.assert_allclose(np.asarray(stood.planar), START, atol=1e-6)
     np.testing.assert_allclose(np.asarray(stood.covariance), np.asarray(covariance), atol=1e-7)
 
@@ -132,7 +131,7 @@ def test_a_robot_that_does_not_move_stays_as_certain() -> None:
 @given(planars, commands, st.integers(0, 2**32 - 1))
 def test_covariances_stay_symmetric_and_positive(planar: np.ndarray, command: np.ndarray, seed: int) -> None:
     root = np.random.default_rng(seed).normal(scale=0.05, size=(3, 3))
-    belief = PlanarBelief(f32(planar), f32(root @ root.T))
+    belief = planar_belief(f32(planar), f32(root @ root.T))
     covariance = np.asarray(planar_predict(belief, f32(command), MotionNoise(0.05, 0.02)).covariance, float)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-7)
     assert np.linalg.eigvalsh(covariance).min() > -1e-7
