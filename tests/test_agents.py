@@ -19,7 +19,7 @@ from vssm_gym import emission
 from vssm_gym.agents import navigation
 from vssm_gym.agents.base import Agent, AgentContext, Decision
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
-from vssm_gym.agents.localization import DeadReckoning, MapLocalizer, TruePose
+from vssm_gym.agents.localization import FilteredPose, TruePose
 from vssm_gym.agents.navigation import NavigationConfig
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.random import RandomAgent, RandomConfig
@@ -272,13 +272,20 @@ def test_an_uncertain_agent_goes_nearer():
     assert ends[1] < 0.25
 
 
+def noise_image(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """What says nothing: dead reckoning looks at no image."""
+    rgb = rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8)
+    return {"rgb": rgb, "depth": rng.uniform(0.3, 5.0, (CAMERA.height, CAMERA.width)).astype(np.float32)}
+
+
 def test_dead_reckoning_is_exact_without_noise():
-    localizer, planar, rng = DeadReckoning(), np.array([1.0, 2.0, 0.5]), np.random.default_rng(0)
-    localizer.reset(context(None, planar), {})
+    planar, rng = np.array([1.0, 2.0, 0.5]), np.random.default_rng(0)
+    localizer = FilteredPose("dead_reckoning")
+    localizer.reset(context(None, planar), noise_image(rng))
     for _ in range(50):
         command = rng.uniform(-ROBOT.limits * [1.0, 1.0, 0.0], ROBOT.limits)
         planar = execute(planar, command, NOISE_LEVELS["none"], rng)
-        estimate = localizer.update(command, {})
+        estimate = localizer.update(command, noise_image(rng))
     assert np.allclose(estimate.planar, planar, atol=1e-4)
 
 
@@ -286,10 +293,10 @@ def test_dead_reckoning_knows_how_lost_it_is():
     """Its standard deviations against those of 2000 noisy drives of the same 30 commands."""
     start = np.array([0.0, 0.0, 0.4])
     commands = [(0.1, 0.0, 0.0) if k % 3 == 0 else (0.0, 0.02, 0.12) for k in range(30)]
-    localizer, rng = DeadReckoning(), np.random.default_rng(0)
-    localizer.reset(context(None, start), {})
+    localizer, rng = FilteredPose("dead_reckoning"), np.random.default_rng(0)
+    localizer.reset(context(None, start), noise_image(rng))
     for command in commands:
-        estimate = localizer.update(np.array(command), {})
+        estimate = localizer.update(np.array(command), noise_image(rng))
     ends = []
     for _ in range(2000):
         planar = start
@@ -305,7 +312,7 @@ def test_missing_map_and_missing_pose(learned):
     with pytest.raises(InputError, match="map"):
         DeadReckoningAgent().reset(context(None, start), blank, 0)
     with pytest.raises(InputError, match="map"):
-        MapLocalizer().reset(context(None, start), blank)
+        FilteredPose("tracker").reset(context(None, start), blank)
     del blank["pose"]
     with pytest.raises(InputError, match="observe_pose"):
         TruePose().reset(context(learned, start), blank)

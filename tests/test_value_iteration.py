@@ -25,7 +25,7 @@ from vssm_gym.planning.value_iteration import (
     solve,
     sweeps,
 )
-from vssm_gym.transition.bicycle import integrate
+from vssm_gym.transition import Bicycle
 
 CAR = Car()
 SMALL = Car(wheelbase=0.05, track=0.04, length=0.09, width=0.05, rear_overhang=0.02, camera_forward=0.05)
@@ -315,7 +315,7 @@ def test_motions_are_arcs_of_the_bicycle(n_headings, turns):
     start = np.zeros(poses.shape)
     start[..., 2] = 2.0 * np.pi / n_headings * np.arange(n_headings)[:, None, None]
     controls = np.broadcast_to(motions.controls[:, None], (*poses.shape[:-1], 2))
-    expected = np.asarray(jax.jit(integrate)(start, controls, seconds, CAR.wheelbase))
+    expected = np.asarray(jax.jit(Bicycle(wheelbase=CAR.wheelbase).mean)(start, controls, seconds))
     assert np.allclose(poses[..., :2], expected[..., :2], atol=1e-5)
     assert np.allclose(np.exp(1j * poses[..., 2]), np.exp(1j * expected[..., 2]), atol=1e-5)
 
