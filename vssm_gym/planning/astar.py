@@ -11,6 +11,7 @@ import time
 import numpy as np
 from numba import njit
 
+from vssm_gym.grid_graph import LENGTHS, MOVES, edge_free
 from vssm_gym.planning.clearance import ClearanceMap, bilinear
 from vssm_gym.planning.heap import pop, sift_up
 from vssm_gym.planning.result import PlanResult, PlanStatus
@@ -18,15 +19,6 @@ from vssm_gym.planning.taut import Need, need_at, pull_taut, segment_free
 
 ESCAPE_SLOPE = 0.3  # clearance gained a metre when leaving a tight place: off a wall at 17 degrees
 ESCAPE_DEPTH = 0.15  # m inside an obstacle from which the planner still tries to leave; deeper means a lost estimate
-
-# The 16 moves: 4 straight, 4 diagonal, 8 knight's. Each row: di, dj.
-_MOVES = np.array(
-    [
-        *([1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]),
-        *([2, 1], [1, 2], [-1, 2], [-2, 1], [-2, -1], [-1, -2], [1, -2], [2, -1]),
-    ]
-)
-_LENGTHS = np.hypot(_MOVES[:, 0], _MOVES[:, 1])
 
 _FOUND, _NO_PATH, _TIME_OUT = 0, 1, 2
 
@@ -39,27 +31,6 @@ def _free_cells(clearance, need):
         for j in range(clearance.shape[1]):
             free[i, j] = clearance[i, j] >= need_at(need, i, j)
     return free
-
-
-@njit(cache=True, nogil=True)
-def edge_free(free: np.ndarray, i: int, j: int, di: int, dj: int) -> bool:
-    """Whether every cell whose value the clearance along the move is interpolated from is free.
-
-    The interpolated clearance is a convex combination of those cells, so the whole segment is free then.
-    """
-    nx, ny = free.shape
-    if not (0 <= i + di < nx and 0 <= j + dj < ny) or not free[i + di, j + dj]:
-        return False
-    if di == 0 or dj == 0:
-        return True
-    si, sj = (1 if di > 0 else -1), (1 if dj > 0 else -1)
-    if not (free[i + si, j] and free[i, j + sj]):
-        return False
-    if abs(di) == 2:
-        return free[i + si, j + sj] == 1 and free[i + di, j] == 1
-    if abs(dj) == 2:
-        return free[i + si, j + sj] == 1 and free[i, j + dj] == 1
-    return True
 
 
 @njit(cache=True, nogil=True)
@@ -103,12 +74,12 @@ def search(
         if closed >= max_expansions:
             code = _TIME_OUT
             break
-        for m in range(_MOVES.shape[0]):
-            di, dj = _MOVES[m, 0], _MOVES[m, 1]
+        for m in range(MOVES.shape[0]):
+            di, dj = MOVES[m, 0], MOVES[m, 1]
             if not (0 <= i + di < nx and 0 <= j + dj < ny):
                 continue
             other = (i + di) * ny + j + dj
-            through = cost[node] + _LENGTHS[m]
+            through = cost[node] + LENGTHS[m]
             # Cheap tests first: most neighbours are reached already. Rounding may make a closed node look cheaper.
             if through >= cost[other] or place[other] == -2:
                 continue
