@@ -11,18 +11,22 @@ import numpy as np
 from numba import njit
 
 
-def turn_of(length: np.ndarray, steering: np.ndarray, wheelbase: float) -> np.ndarray:
+def turn_of(length: float | np.ndarray, steering: float | np.ndarray, wheelbase: float) -> np.ndarray:
     """``s tan(steering) / wheelbase``: turns (rad, left positive) of arcs of signed ``length`` (m), broadcast."""
-    return length * np.tan(steering) / wheelbase
+    return np.asarray(length * np.tan(steering) / wheelbase)
 
 
-def chord_of(length: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def chord_of(length: float | np.ndarray, turn: float | np.ndarray) -> np.ndarray:
     """``s sinc(turn / 2)``: signed chords (m) of arcs of signed ``length`` (m) that turn by ``turn`` (rad)."""
-    return length * np.sinc(0.5 * turn / np.pi)
+    return np.asarray(length * np.sinc(0.5 * turn / np.pi))
 
 
 def poses_after(
-    heading: np.ndarray, length: np.ndarray, turn: np.ndarray, x: float | np.ndarray = 0.0, y: float | np.ndarray = 0.0
+    heading: float | np.ndarray,
+    length: float | np.ndarray,
+    turn: float | np.ndarray,
+    x: float | np.ndarray = 0.0,
+    y: float | np.ndarray = 0.0,
 ) -> np.ndarray:
     """Drive arcs of signed ``length`` (m) that turn by ``turn`` (rad) from poses ``(x, y, heading)``; all broadcast.
 

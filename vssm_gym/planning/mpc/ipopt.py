@@ -163,7 +163,7 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
     before = ca.horzcat(pose, z[:, :-1])
     change = u - ca.horzcat(last, u[:, :-1])
 
-    gaps = z - bicycle_step(ca, before, u, car.dt, _bicycle(problem).wheelbase)
+    gaps = z - bicycle_step(ca, before, u, car.dt, float(_bicycle(problem).wheelbase))
 
     centres, radius = problem.discs
     heading_x, heading_y = ca.cos(z[2, :]), ca.sin(z[2, :])
