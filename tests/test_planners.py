@@ -18,9 +18,13 @@ from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.envs.geodesic import Geodesics
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import OUTSIDE, ClearanceField, ClearanceMap, Space, on_grid
+from vssm_gym.planning.dwa import DwaStatus
 from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.mpc.problem import MpcStatus
+from vssm_gym.planning.mpc.safety import SafeKind
 from vssm_gym.planning.planners import PLANNERS, Planner, find_planner
-from vssm_gym.planning.result import PlanResult, PlanStatus
+from vssm_gym.planning.result import Outcome, PlanResult, PlanStatus
+from vssm_gym.planning.value_iteration import ValueStatus
 
 RADIUS = 0.1  # m
 BOXES = [shapely.box(1.0, 0.9, 1.6, 2.4), shapely.box(2.4, 0.0, 2.7, 2.6), shapely.box(3.4, 1.8, 4.2, 2.4)]
@@ -241,3 +245,12 @@ def test_agents_take_their_planner_by_configuration(name):
     explorer = Explorer(NearestFrontier(), config=ExploringConfig(planner=name))
     assert explorer._plan_path is PLANNERS[name]
     assert OracleAgent(NavigationConfig(planner=PLANNERS[name])).name == "oracle"
+
+
+@pytest.mark.parametrize("outcome", [PlanStatus, ValueStatus, MpcStatus, SafeKind, DwaStatus])
+def test_every_outcome_has_a_message_of_its_own(outcome):
+    """Planners, value iteration, controllers and what is safe say how they ended in one manner."""
+    assert issubclass(outcome, Outcome)
+    messages = [member.message for member in outcome]
+    assert len(outcome.__members__) == len(set(messages)) >= 4  # a message told twice would make two outcomes one
+    assert all(" " in message and message == message.strip() for message in messages)

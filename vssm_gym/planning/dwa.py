@@ -17,7 +17,6 @@ ever before; that leaves many such places and not all.
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numba import njit
@@ -27,6 +26,7 @@ from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.footprint_levels import TIGHT, TOUCHING, FootprintLevels, level_at
 from vssm_gym.planning.goal_distance import goal_distance
+from vssm_gym.planning.result import Outcome
 
 REACH = 1.2  # m of an arc that is looked at
 ACROSS = 0.3  # m, what standing square to the way counts
@@ -43,7 +43,7 @@ NEARER = 0.1  # m that count as coming nearer than ever
 _PART = 0.02  # m of an arc between two looks
 
 
-class DwaStatus(Enum):
+class DwaStatus(Outcome):
     """What the controller is doing; the value is the message that reports print."""
 
     DRIVING = "driving towards the goal"

@@ -11,7 +11,6 @@ small terms: see :mod:`vssm_gym.planning.mpc.objective`. The transition is the c
 
 import math
 from dataclasses import dataclass, field, fields, replace
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +19,7 @@ from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.cover import cover
+from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import CostToGo
 from vssm_gym.transition import Bicycle, Transition
 from vssm_gym.transition.manifold import PLANAR
@@ -116,7 +116,7 @@ class MpcProblem:
         return self.car.dt * np.array([self.config.speed_rate, self.config.steering_rate])
 
 
-class MpcStatus(Enum):
+class MpcStatus(Outcome):
     """How a solution ended; the value is the message that reports print."""
 
     SOLVED = "solved: every constraint holds, the solver converged"
@@ -124,11 +124,6 @@ class MpcStatus(Enum):
     INFEASIBLE = "infeasible: no plan was found that keeps the margin"
     BLOCKED = "infeasible: the car is inside an obstacle of the map, or closer to it than the discs that cover it"
     LATE = "late: the answer came after the deadline"
-
-    @property
-    def message(self) -> str:
-        """The sentence that a person reads."""
-        return self.value
 
     @property
     def usable(self) -> bool:
