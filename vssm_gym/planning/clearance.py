@@ -1,7 +1,7 @@
 """Clearance: ``c(xy) = `` signed Euclidean distance (m) from a point of the floor plan to the nearest place not free.
 
-The map's field is a projective, truncated distance, so it says where surfaces are and not how far they are (SPEC 3,
-step 5): the clearance is a distance transform of its zero level on a fine 2D grid. It is positive in free space and
+The map's field is a projective, truncated distance, so it says where surfaces are and not how far they are:
+the clearance is a distance transform of its zero level on a fine 2D grid. It is positive in free space and
 negative inside obstacles, so that a robot whose estimate touches a wall still sees which way leads out.
 """
 

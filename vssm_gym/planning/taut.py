@@ -1,8 +1,8 @@
 """Any-angle paths: a grid path pulled taut, ``min sum |p_i+1 - p_i|`` with every segment and every bend clear enough.
 
-A path is feasible when all of every segment has the clearance that :class:`Need` asks for (SPEC 6: the whole segment
-free, a minimum clearance at its end). Every move below keeps a path feasible and shortens it, so the result is never
-longer than what it started from. Coordinates are grid cells; clearances are metres.
+A path is feasible when all of every segment has the clearance that :class:`Need` asks for. Every move below keeps a
+path feasible and shortens it, so the result is never longer than what it started from. Coordinates are grid cells;
+clearances are metres.
 """
 
 import math

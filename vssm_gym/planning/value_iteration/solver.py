@@ -1,4 +1,4 @@
-"""Value iteration by aggregation over (x, y, heading): ``V(s) = min_a 1 + gamma sum_c w_c(s, a) V(c)`` (SPEC 7).
+"""Value iteration by aggregation over (x, y, heading): ``V(s) = min_a 1 + gamma sum_c w_c(s, a) V(c)``.
 
 ``c`` runs over the four poses of the grid around the end of arc ``a``, ``w_c`` are bilinear weights. Step cost 1 a
 motion, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint meets an occupied cell
