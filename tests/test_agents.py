@@ -16,7 +16,6 @@ from box_rooms import free_space
 from planning_worlds import voxel_map
 
 from vssm_gym import emission
-from vssm_gym.agents import navigation
 from vssm_gym.agents.base import Agent, AgentContext, Decision
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.localization import FilteredPose, TruePose
@@ -30,6 +29,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 from vssm_gym.planning.astar import plan
+from vssm_gym.planning.planners import PLANNERS
 from vssm_gym.voxel_map import VoxelMap
 
 FLOOR = shapely.box(0.0, 0.0, 5.0, 3.0)
@@ -211,7 +211,7 @@ def test_a_new_goal_is_a_new_task(learned):
 
 
 @pytest.mark.parametrize("name", ["oracle", "dead_reckoning"])
-def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
+def test_the_first_step_plans_and_is_timed(name, learned):
     """Planning in ``reset`` warms up only: the search that leads the robot is part of the first step's latency."""
     searched = []
 
@@ -219,8 +219,7 @@ def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
         searched.append(plan(*arguments, **keywords))
         return searched[-1]
 
-    monkeypatch.setattr(navigation, "plan", counted)
-    agent, start = AGENTS[name](), np.array([0.6, 0.6, 0.3])
+    agent, start = AGENTS[name](NavigationConfig(planner=counted)), np.array([0.6, 0.6, 0.3])
     observation = observe(start, np.array([4.4, 0.5]), None)
     agent.reset(context(learned, start), observation, 0)
     counts = [len(searched)]
@@ -230,6 +229,26 @@ def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
         if len(counts) == 2:
             assert decision.latency["planning"] >= sum(result.seconds for result in searched[counts[0] :])
     assert counts[0] < counts[1] == counts[2] == counts[3]
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_any_planner_leads_to_the_goal(name, learned):
+    """The planner of the configuration is asked, and its paths are followed to the goal by a short path."""
+    asked = []
+
+    def counted(*arguments, **keywords):
+        asked.append(PLANNERS[name](*arguments, **keywords))
+        return asked[-1]
+
+    start, goal = np.array([0.6, 0.6, 0.3]), np.array([4.4, 0.5])
+    by_name = drive(OracleAgent(NavigationConfig(planner=name)), learned, start, goal)
+    by_object = drive(OracleAgent(NavigationConfig(planner=counted)), learned, start, goal)
+    assert np.array_equal(by_name.poses, by_object.poses)
+    assert asked
+    assert by_name.stopped
+    assert by_name.away(goal) <= 0.4
+    shortest = Geodesics(free_space([WALL, TABLE], ROBOT.radius, FLOOR)).length(start[:2], goal, 0.4)
+    assert by_name.driven <= 1.1 * shortest
 
 
 def test_an_obstacle_that_nobody_mapped(learned):
