@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.axes import Matrix4
+from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.tracing import Tracer
 from vssm_gym.errors import InputError
 
@@ -84,13 +85,7 @@ PRESETS = {
 }
 
 
-def lidar_noise(spec: str | LidarNoise) -> LidarNoise:
-    """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
-    if isinstance(spec, LidarNoise):
-        return spec
-    if not isinstance(spec, str) or spec not in PRESETS:
-        raise InputError("lidar_noise", "name", f"one of {', '.join(PRESETS)}, or a LidarNoise; found {spec!r}")
-    return PRESETS[spec]
+lidar_noise = Presets("lidar", "noise", LidarNoise, PRESETS)
 
 
 def lidar_config(spec: bool | LidarConfig | Mapping[str, Any] | None) -> LidarConfig | None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.envs.presets import Presets
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import R_BODY_CAM, wrap_angle
 
@@ -72,15 +73,7 @@ NOISE_LEVELS: dict[str, ExecutionNoise] = {
 }
 
 
-def execution_noise(level: str | ExecutionNoise) -> ExecutionNoise:
-    """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
-    if isinstance(level, ExecutionNoise):
-        return level
-    if not isinstance(level, str) or level not in NOISE_LEVELS:
-        raise InputError(
-            "environment", "noise", f"one of {', '.join(NOISE_LEVELS)} or an ExecutionNoise, not {level!r}"
-        )
-    return NOISE_LEVELS[level]
+execution_noise = Presets("environment", "noise", ExecutionNoise, NOISE_LEVELS)
 
 
 def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng: np.random.Generator) -> PlanarPose:
