@@ -37,6 +37,12 @@ class CarBody(Protocol):
             Names of the obstacles touched, each once, in the order of the apartment's boxes; tyres touch floor only.
         """
 
+    def contact_points(self) -> Float[np.ndarray, "n 2"]:
+        """Where obstacles touched the chassis during the last :meth:`drive`, in the body frame: x forward, y left, m.
+
+        The origin is below the rear axle. One point a contact and substep; empty where nothing was touched.
+        """
+
     def pose(self) -> PlanarPose:
         """The rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
 

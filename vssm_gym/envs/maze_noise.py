@@ -1,14 +1,15 @@
 """How a maze's robot strays from its commands and how its scanner errs: levels of two laws that stand elsewhere.
 
-Motion errs as :func:`vssm_gym.envs.robots.execute` says, ranges as :mod:`vssm_gym.envs.lidar` does, here with a width
-that does not grow with the range: that Gaussian is the emission which the thesis' spatial model assumes (SPEC 11).
+Motion errs as :func:`vssm_gym.envs.robots.execute` says, ranges as :mod:`vssm_gym.envs.sensors.lidar` does, here
+with a width that does not grow with the range: that Gaussian is the emission which the thesis' spatial
+model assumes (SPEC 11).
 """
 
 import math
 
-from vssm_gym.envs.lidar import LidarNoise
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.robots import ExecutionNoise
+from vssm_gym.envs.sensors.lidar import LidarNoise
 
 # low: dead reckoning errs by 0.14 after 3000 steps, as the thesis' path integration does (0.14 +- 0.1); high: SPEC 6's
 # low, 3 degrees and 10 % of a body length a step, with which it is lost after 500.
