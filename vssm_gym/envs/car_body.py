@@ -37,10 +37,11 @@ class CarBody(Protocol):
             Names of the obstacles touched, each once, in the order of the apartment's boxes; tyres touch floor only.
         """
 
-    def contact_points(self) -> Float[np.ndarray, "n 2"]:
-        """Where obstacles touched the chassis during the last :meth:`drive`, in the body frame: x forward, y left, m.
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the chassis during the last :meth:`drive`, rad.
 
-        The origin is below the rear axle. One point a contact and substep; empty where nothing was touched.
+        Against the contact's normal, from the car to the obstacle, counter-clockwise from body x; one a contact and
+        substep, none where nothing was touched.
         """
 
     def pose(self) -> PlanarPose:

@@ -25,7 +25,7 @@ from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
-from vssm_gym.envs.sensors.base import EXTENT, GroundBody, Outline, Sensor, SensorConfig
+from vssm_gym.envs.sensors.base import EXTENT, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
@@ -121,7 +121,6 @@ class CarNavEnv(StagedEnv):
         self._actuators: CarActuators | None = None
         self._speed = 0.0  # m/s, as commanded
         self._planar: PlanarPose = np.zeros(3)
-        self._outline = Outline(self.car.center_forward, 0.5 * self.car.length, 0.5 * self.car.width)
         self._body: GroundBody | None = None  # the car as it is, for the sensors
         self._path: list[np.ndarray] = []
         self._potential = 0.0  # m, dense reward only
@@ -142,8 +141,8 @@ class CarNavEnv(StagedEnv):
     def _carrier(self) -> GroundBody:
         """The true state of the car, for its sensors; not for agents."""
         if self._body is None:
-            contacts = self.body.contact_points()
-            self._body = GroundBody(self.planar, self.car.T_body_cam, self.car.dt, self._outline, contacts)
+            contacts = self.body.contact_bearings()
+            self._body = GroundBody(self.planar, self.car.T_body_cam, self.car.dt, contacts)
         return self._body
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:

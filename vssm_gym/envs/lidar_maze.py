@@ -20,7 +20,7 @@ from vssm_gym.envs.mazes import ROBOT, load_maze
 from vssm_gym.envs.planar import clearance, slide
 from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.envs.scene import Apartment
-from vssm_gym.envs.sensors.base import GroundBody, Outline, Sensor
+from vssm_gym.envs.sensors.base import GroundBody, Sensor
 from vssm_gym.envs.sensors.lidar import LidarConfig, LidarNoise
 from vssm_gym.envs.sensors.maze_scan import MazeScan
 from vssm_gym.envs.sensors.pose import PoseSensor
@@ -182,9 +182,8 @@ class LidarMazeEnv(StagedEnv):
         return np.asarray(image)
 
     def _body(self) -> GroundBody:
-        """The true state of the robot, for its sensors; the maze has no points of contact."""
-        outline = Outline(0.0, self.robot.radius, self.robot.radius)
-        return GroundBody(self.planar, self.robot.T_body_cam, self.robot.dt, outline, np.zeros((0, 2)))
+        """The true state of the robot, for its sensors; the maze does not say where it was touched."""
+        return GroundBody(self.planar, self.robot.T_body_cam, self.robot.dt, contacts=np.zeros(0))
 
     def _goal(self) -> np.ndarray:
         """What the robot is told."""

@@ -20,7 +20,7 @@ from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
-from vssm_gym.envs.sensors.base import GroundBody, Outline, Sensor, SensorConfig
+from vssm_gym.envs.sensors.base import GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
@@ -86,7 +86,6 @@ class Simulation:
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
         self._K, self._T_body_cam = self.camera.K, self.robot.T_body_cam
-        self._outline = Outline(0.0, self.robot.radius, self.robot.radius)
         self._body: GroundBody | None = None  # the robot as it is, for the sensors
         self._plan: TopDown | None = None
 
@@ -114,8 +113,8 @@ class Simulation:
     def body(self) -> GroundBody:
         """The true state of the robot, for its sensors; not for agents."""
         if self._body is None:
-            contacts = self.world.contact_points()
-            self._body = GroundBody(self.planar, self._T_body_cam, self.robot.dt, self._outline, contacts)
+            contacts = self.world.contact_bearings()
+            self._body = GroundBody(self.planar, self._T_body_cam, self.robot.dt, contacts)
         return self._body
 
     @property

@@ -17,7 +17,7 @@ from vssm_gym.car import Car
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.car_body import BUMPER, CHASSIS_MASS, CLEARANCE, PUSH, WHEEL_MASS, ackermann
 from vssm_gym.envs.car_noise import TICK
-from vssm_gym.envs.mjcf.boxes import boxes_of_geoms, fixed_box
+from vssm_gym.envs.mjcf.boxes import bearings, boxes_of_geoms, fixed_box
 from vssm_gym.envs.mjcf.physics import obstacles
 
 SUBSTEP = 0.005  # s
@@ -135,18 +135,18 @@ class MujocoCar:
     def __getstate__(self) -> dict[str, Any]:
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return {"apartment": self.apartment, "car": self.car, "state": state, "points": self._points}
+        return {"apartment": self.apartment, "car": self.car, "state": state, "bearings": self._bearings}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.apartment, self.car = state["apartment"], state["car"]
         self._build()
         mujoco.mj_setState(self.model, self.data, state["state"], _STATE)
-        self._points = state["points"]
+        self._bearings = state["bearings"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
-        self._points: list[np.ndarray] = []
+        self._bearings: list[np.ndarray] = []
         half = 0.5 * float(planar[2])
         self.data.qpos[:7] = planar[0], planar[1], 0.0, math.cos(half), 0.0, 0.0, math.sin(half)
 
@@ -155,27 +155,23 @@ class MujocoCar:
         model, data = self.model, self.data
         model.geom_friction[self._tyres, 0] = friction
         touched: set[int] = set()
-        self._points = []
+        self._bearings = []
         for speed, steering in points.tolist():
             data.ctrl[:] = self._controls(speed, steering)
             for _ in range(round(TICK / SUBSTEP)):
                 mujoco.mj_step(model, data)
                 if data.ncon:
-                    boxes = self._box_of_geom[data.contact.geom].max(axis=1).tolist()
-                    touched.update(boxes)
-                    if max(boxes) >= 0:  # not the floor alone
-                        self._remember(np.array(boxes) >= 0)
+                    boxes = self._box_of_geom[data.contact.geom]
+                    met = boxes.max(axis=1).tolist()
+                    touched.update(met)
+                    if max(met) >= 0:  # not the floor alone; the contacts' body is that of the substep's begin
+                        which, R_world_body = np.array(met) >= 0, data.xmat[self._body]
+                        self._bearings.append(bearings(boxes[which], data.contact.frame[which, :3], R_world_body))
         return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(touched - {-1})))
 
-    def _remember(self, which: np.ndarray) -> None:
-        """Keep these contacts of the substep: they are those of its begin, and so is the body's pose."""
-        data = self.data
-        away = data.contact.pos[which] - data.xpos[self._body]
-        self._points.append((away @ data.xmat[self._body].reshape(3, 3))[:, :2])
-
-    def contact_points(self) -> Float[np.ndarray, "n 2"]:
-        """Where obstacles touched the chassis in the last :meth:`drive`, in the body frame: x forward, y left, m."""
-        return np.concatenate(self._points) if self._points else np.zeros((0, 2))
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""
+        return np.concatenate(self._bearings) if self._bearings else np.zeros(0)
 
     def _controls(self, speed: float, steering: float) -> tuple[float, float, float]:
         """Set points of the two steering servos and the motor, as they stand in the model."""

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.free_space import STEP_HEIGHT
-from vssm_gym.envs.mjcf.boxes import CONTACTS, LOOKS, ROBOT, boxes_of_geoms, cast_rays, empty_spec, fixed_box
+from vssm_gym.envs.mjcf.boxes import CONTACTS, LOOKS, ROBOT, bearings, boxes_of_geoms, cast_rays, empty_spec, fixed_box
 from vssm_gym.envs.planar import clearance, rectangles
 from vssm_gym.envs.robots.base import Robot
 from vssm_gym.envs.solids import SolidBox
@@ -98,7 +98,7 @@ class World:
         self._body = self.model.body("robot").id
         self._rectangles = rectangles([self.boxes[i] for i in obstacles(self.boxes, self.robot.height)])
         self._touched: set[int] = set()
-        self._meetings: list[tuple[np.ndarray, np.ndarray]] = []
+        self._meetings: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # a substep's geoms, normals, heading
         mujoco.mj_forward(self.model, self.data)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -152,9 +152,10 @@ class World:
             qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
             step(model, data)
             if data.ncon:
-                pairs.add(data.contact.geom.tobytes())
+                geoms_met = data.contact.geom
+                pairs.add(geoms_met.tobytes())
                 # Contacts are those of the substep's begin, and so is the body's pose; qpos is that of its end.
-                self._meetings.append((data.contact.pos - data.xpos[self._body], data.xmat[self._body].copy()))
+                self._meetings.append((geoms_met, data.contact.frame[:, :3].copy(), data.xmat[self._body].copy()))
         geoms = np.frombuffer(b"".join(pairs), dtype=np.int32)
         self._touched = set(self._box_of_geom[geoms].tolist()) - {-1}
         return bool(self._touched)
@@ -163,14 +164,14 @@ class World:
         """Names of the obstacles that the last :meth:`drive` touched, in the order of the apartment's boxes."""
         return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
 
-    def contact_points(self) -> Float[np.ndarray, "n 2"]:
-        """Where obstacles touched the robot during the last :meth:`drive`, in its body frame: x forward, y left, m.
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the robot during the last :meth:`drive`, rad.
 
-        One point a contact and substep; empty where nothing was touched.
+        Against the contact's normal, from the robot to the obstacle, counter-clockwise from body x; one a contact and
+        substep, none where nothing was touched.
         """
-        if not self._meetings:
-            return np.zeros((0, 2))
-        return np.concatenate([away @ R_world_body.reshape(3, 3) for away, R_world_body in self._meetings])[:, :2]
+        met = [bearings(self._box_of_geom[geoms], normals, R) for geoms, normals, R in self._meetings]
+        return np.concatenate(met) if met else np.zeros(0)
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""

@@ -60,23 +60,13 @@ class SensorConfig(Protocol):
 
 
 @dataclass(frozen=True)
-class Outline:
-    """The rectangle around a robot on the floor, in its body frame, m."""
-
-    center_forward: float  # m from the body's origin to the rectangle's centre
-    half_length: float  # m along body x
-    half_width: float  # m along body y
-
-
-@dataclass(frozen=True)
 class GroundBody:
     """The true state of a robot on the floor at one moment. It is ground truth: sensors read it, agents never do."""
 
     planar: PlanarPose  # (x, y, heading), m and rad, world
     T_body_cam: Matrix4
     dt: float  # s since the measurement before
-    outline: Outline
-    contacts: Float[np.ndarray, "n 2"]  # where obstacles touched it in the last step, m, body frame
+    contacts: Float[np.ndarray, "n"]  # bearings of obstacles that pressed against it in the last step, rad, from body x
 
     @cached_property
     def T_world_body(self) -> Matrix4:

@@ -1,10 +1,9 @@
 """Feel what touched the robot in its last step: a ring of switches around its footprint.
 
-    k = round(n angle / 2 pi) mod n,    angle = atan2(y / half_width, (x - center) / half_length)
+    k = round(n bearing / 2 pi) mod n
 
-The simulator's own contact points, in the body frame (x forward, y left), close the switch of the sector in which they
-lie. The angle is that of the footprint stretched to a square, so that four sectors are the four faces of a car, and of
-a round robot the quarters ahead, left, behind and right.
+The bearing is the direction from the robot to the obstacle, against the normal of the simulator's own contact, in the
+body frame. Of four sectors the first is what the robot ran into ahead, then to the left, behind and to the right.
 """
 
 import math
@@ -52,9 +51,7 @@ class BumperSensor:
 
     def measure(self, body: GroundBody) -> dict[str, np.ndarray]:
         """Read the switches."""
-        outline, n = body.outline, self.config.sectors
-        x, y = body.contacts[:, 0] - outline.center_forward, body.contacts[:, 1]
-        angle = np.arctan2(y / outline.half_width, x / outline.half_length)
+        n = self.config.sectors
         closed = np.zeros(n, dtype=np.int8)
-        closed[np.rint(n * angle / (2.0 * math.pi)).astype(int) % n] = 1
+        closed[np.rint(n * body.contacts / (2.0 * math.pi)).astype(int) % n] = 1
         return {"bumper": closed}
