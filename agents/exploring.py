@@ -94,7 +94,7 @@ class Explorer:
             self._own.take(self._sent, observation)
         estimate = self._own.estimate
         mapped = time.perf_counter()
-        self._lost = self._lost + 1 if estimate.status != "ok" else 0
+        self._lost = self._lost + 1 if not estimate.status.fits else 0
         if self._lost:
             command, activity, stop = self._search(estimate)
             planned = mapped
@@ -114,7 +114,7 @@ class Explorer:
         self._choice = self._way = None
         if self._lost > self._config.max_lost:
             return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
-        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status, False
+        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
 
     def _plan(self, estimate: Localization) -> str | None:
         """Keep to the choice or choose anew; the reason where nothing is left to do."""
