@@ -152,7 +152,7 @@ class World:
             qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
             step(model, data)
             if data.ncon:
-                geoms_met = data.contact.geom
+                geoms_met = data.contact.geom.copy()  # the array is a view of memory that the next substep reuses
                 pairs.add(geoms_met.tobytes())
                 # Contacts are those of the substep's begin, and so is the body's pose; qpos is that of its end.
                 self._meetings.append((geoms_met, data.contact.frame[:, :3].copy(), data.xmat[self._body].copy()))
