@@ -4,7 +4,8 @@
     l' = sign(l) max(0, |l| + e_l),   e_l ~ N(0, (slip l)^2 + play^2)        where l != 0, and r alike
 
 The errors of the wheels are independent. Noise acts only on a wheel that is driven and never reverses it; a wheel at
-rest stays. The law is the NumPy twin of :mod:`vssm_gym.transition.differential`; a test holds them together.
+rest stays. The law is the NumPy twin of
+:meth:`vssm_gym.transition.differential.DifferentialDrive.executed`; a test holds them together.
 """
 
 import math

@@ -100,7 +100,7 @@ def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng:
 
     ``e_a ~ N(0, noise.turn^2)``, ``e_s ~ N(0, noise.step^2)``; the same ``e_a`` serves both lines. Noise acts only
     where the robot tries to move, and never reverses a motion. The law is the NumPy twin of what
-    :class:`vssm_gym.transition.planar.Planar` samples before its slip; a test holds them together.
+    :meth:`vssm_gym.transition.planar.Planar.executed` is in JAX; a test holds them together.
 
     Args:
         planar: ``(x, y, heading)`` before the step, m and rad.
