@@ -35,6 +35,8 @@ class BulletCar:
     A pickled car goes on from the same poses and velocities, to rounding: those caches are not part of its state.
     """
 
+    _bearings: list[float]  # of obstacles touched in the last drive, rad
+
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
         boxes = apartment.boxes()
@@ -78,7 +80,7 @@ class BulletCar:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         p, client = self._bullet, self._client
         p.resetSimulation(physicsClientId=client)
-        self._bearings: list[float] = []
+        self._bearings = []
         p.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         p.setPhysicsEngineParameter(
             fixedTimeStep=SUBSTEP, numSolverIterations=60, deterministicOverlappingPairs=1, physicsClientId=client

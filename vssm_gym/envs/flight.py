@@ -113,8 +113,13 @@ class FlightEnv(StagedEnv):
         self.action_space = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
         reference = Told("reference", gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32), self._wanted)
         oracle: list[Sensor[FlyingBody]] = [FlightPoseSensor()] if observe_pose else []
-        sensors = [RGBDSensor(self.scenery, seen), ImuSensor(felt, self.substeps), reference, *oracle]
-        self.sensors: SensorSuite[FlyingBody] = SensorSuite("Flight", sensors)
+        sensors: list[Sensor[FlyingBody]] = [
+            RGBDSensor(self.scenery, seen),
+            ImuSensor(felt, self.substeps),
+            reference,
+            *oracle,
+        ]
+        self.sensors = SensorSuite("Flight", sensors)
         self.parallel = self.sensors.parallel
         self.observation_space = gym.spaces.Dict(self.sensors.spaces())
 

@@ -118,6 +118,8 @@ def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
 class MujocoCar:
     """A :class:`~vssm_gym.envs.car_body.CarBody` in MuJoCo; one object is one simulation, for one thread."""
 
+    _bearings: list[np.ndarray]  # of obstacles touched in the last drive, rad, one array a substep
+
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
         self._build()
@@ -146,7 +148,7 @@ class MujocoCar:
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
-        self._bearings: list[np.ndarray] = []
+        self._bearings = []
         half = 0.5 * float(planar[2])
         self.data.qpos[:7] = planar[0], planar[1], 0.0, math.cos(half), 0.0, 0.0, math.sin(half)
 

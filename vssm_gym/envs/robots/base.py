@@ -44,6 +44,10 @@ class Robot(Protocol):
         """Names of a command's numbers, in their order."""
 
     @property
+    def limits(self) -> np.ndarray:
+        """Largest command; float64, one number for each name."""
+
+    @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest command; float64, one number for each name."""
 

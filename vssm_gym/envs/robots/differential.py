@@ -69,10 +69,14 @@ class DifferentialRobot:
         return 0.5 * self.body_length
 
     @property
+    def limits(self) -> np.ndarray:
+        """Largest ``(left, right)``, m; float64 ``(2,)``."""
+        return np.full(2, self.max_travel)
+
+    @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest ``(left, right)``, m; float64 ``(2,)``."""
-        high = np.full(2, self.max_travel)
-        return -high, high
+        return -self.limits, self.limits
 
     @property
     def T_body_cam(self) -> Matrix4:
