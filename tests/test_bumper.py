@@ -54,7 +54,9 @@ def test_contacts_point_at_the_wall(heading: float) -> None:
     assert world.drive(np.array([2.90, 0.7, heading + 0.1]))
     bearings = world.contact_bearings()
     assert len(bearings) and np.all(np.abs(wrap_angle(bearings + heading + 0.05)) <= 0.05 + 1e-9)
-    world.drive(np.array([2.5, 0.7, heading]))  # it parts from the wall
+    assert world.drive(np.array([2.5, 0.7, heading]))  # it parts from the wall: contacts first, and then none
+    parting = world.contact_bearings()
+    assert len(parting) and np.all(np.abs(wrap_angle(parting + heading)) < 0.2)
     assert not world.drive(np.array([2.4, 0.7, heading])) and len(world.contact_bearings()) == 0
     assert world.drive(np.array([2.90, 0.7, heading]))
     world.reset(np.array([1.0, 0.7, heading]))

@@ -38,12 +38,12 @@ class Presets(Generic[Config]):
             return self.named[value]
         if value is None and self.default is not None:
             return self.default
-        known = [field.name for field in fields(self.kind)]  # type: ignore[arg-type]
-        if isinstance(value, Mapping) and set(value) <= set(known):
+        if isinstance(value, Mapping):
             try:
                 return self.kind(**value)
-            except TypeError:  # a field is missing, or is no number where one belongs
+            except TypeError:  # a field is unknown or missing, or is no number where one belongs
                 pass
+        known = [field.name for field in fields(self.kind)]  # type: ignore[arg-type]
         names = f"one of {', '.join(self.named)}, or " if self.named else ""
         article = "an" if self.kind.__name__[0] in "AEIOU" else "a"
         expected = f"{names}{article} {self.kind.__name__}, or a mapping of {', '.join(known)}; found {value!r:.80}"
