@@ -9,8 +9,11 @@ from box_rooms import two_rooms
 from car_yard import yard
 
 import vssm_gym  # noqa: F401  (registers the environments)
-from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.envs.mjcf import World, obstacles
+from vssm_gym.envs.planar import clearance, rectangles
 from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.sensors.base import GroundBody
 from vssm_gym.envs.sensors.bumper import BumperConfig, BumperSensor
 from vssm_gym.errors import InputError
@@ -61,6 +64,30 @@ def test_contacts_point_at_the_wall(heading: float) -> None:
     assert world.drive(np.array([2.90, 0.7, heading]))
     world.reset(np.array([1.0, 0.7, heading]))
     assert len(world.contact_bearings()) == 0
+
+
+def test_among_furniture_every_collision_has_a_direction_that_leads_to_an_obstacle() -> None:
+    """Hundreds of collisions in a furnished apartment: a radius along each bearing, somewhere on the path, is a box."""
+    apartment, rng = load_scene("oak"), np.random.default_rng(0)
+    world, space = World(apartment, ROBOT), FreeSpace.from_apartment(apartment, ROBOT.radius, ROBOT.height)
+    boxes = apartment.boxes()
+    walls = rectangles([boxes[i] for i in obstacles(boxes, ROBOT.height)])
+    met = 0
+    for start in space.sample(rng, 60, 0.0):
+        heading = rng.uniform(-math.pi, math.pi)
+        world.reset(np.array([*start, heading]))
+        for step in [*[0.04] * 30, *[0.16] * 15]:
+            before = world.pose()[:2]
+            aim = before + step * np.array([math.cos(heading), math.sin(heading)])
+            collision = world.drive(np.array([*aim, heading]))
+            bearings = world.contact_bearings()
+            assert collision == bool(len(bearings))
+            met += collision
+            path = np.linspace(before, world.pose()[:2], 33)
+            for angle in np.unique(np.round(heading + bearings, 3)):
+                edge = path + ROBOT.radius * np.array([math.cos(angle), math.sin(angle)])
+                assert min(clearance(*point, walls) for point in edge) < 0.5 * step
+    assert met > 500
 
 
 def walk(env: gym.Env, actions: np.ndarray) -> tuple[int, int]:
