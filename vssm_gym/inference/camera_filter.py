@@ -17,7 +17,7 @@ from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse, se3_adjoint, se3_log
-from vssm_gym.inference import belief, gauss_newton, process_noise
+from vssm_gym.inference import gauss_newton, linear_gaussian, process_noise
 from vssm_gym.inference.adam import AdamConfig, align_adam
 from vssm_gym.inference.alignment import (
     AlignConfig,
@@ -31,9 +31,9 @@ from vssm_gym.inference.alignment import (
     stride,
 )
 from vssm_gym.inference.anchor import Anchor
-from vssm_gym.inference.belief import Gaussian
 from vssm_gym.inference.exposure import expose, gain
 from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.linear_gaussian import Gaussian
 from vssm_gym.inference.rotation import RotationConfig, camera_rotation
 from vssm_gym.transition.base import Transition
 from vssm_gym.transition.belief import Belief, GaussianBelief
@@ -212,8 +212,10 @@ def track(
     moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
     both = Gaussian(moved, smoothed)
     if p < predicted.covariance.shape[0]:
-        _, rest_given_pose = belief.split(Gaussian(jnp.zeros_like(predicted.covariance[0]), predicted.covariance), p)
-        both = belief.joint(both, rest_given_pose)
+        _, rest_given_pose = linear_gaussian.split(
+            Gaussian(jnp.zeros_like(predicted.covariance[0]), predicted.covariance), p
+        )
+        both = linear_gaussian.joint(both, rest_given_pose)
     posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
     fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
     fits &= jnp.mean(image.hit) >= config.min_reading

@@ -1,7 +1,7 @@
 """The contract of a filter: ``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``, one image after the other."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -46,6 +46,7 @@ class FilterInfo(NamedTuple):
     left_window: int = 0  # observed blocks that the map forgot, because the camera left its window
 
 
+@runtime_checkable
 class Filter(Protocol):
     """``init``, then ``step`` once an image; static options and the transition are inside.
 
