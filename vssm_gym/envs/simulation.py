@@ -1,4 +1,4 @@
-"""A noisy holonomic robot with an RGB-D camera in an apartment: what PointNav, ImageNav and Explore have in common.
+"""A noisy robot with an RGB-D camera in an apartment: what PointNav, ImageNav and Explore have in common.
 
 An environment owns one :class:`Simulation`, tells it to :meth:`~Simulation.place` and :meth:`~Simulation.drive` the
 robot, and adds goals, rewards and ends of its own. Moving and looking are apart: images are rendered when
