@@ -65,7 +65,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     from vssm_gym.agents.astar import AStarAgent
     from vssm_gym.envs.pointnav import PointNavEnv
     from vssm_gym.envs.tasks import TaskSampler
-    from vssm_gym.eval.episode import agent_context
+    from vssm_gym.eval.agent_context import context_in
     from vssm_gym.inference import map_update, tracking
     from vssm_gym.planning.astar import plan
     from vssm_gym.planning.clearance import ClearanceMap
@@ -160,7 +160,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     agent, loops, alone = AStarAgent(), [], []
     for i in range(3):
         observation, info = env.reset(seed=seed + i, options={"task": ends[i]})
-        agent.reset(agent_context(env, info, learned, noise), observation, seed)
+        agent.reset(context_in(env, info, learned, noise), observation, seed)
         before = counter.count
         for _ in range(60):
             began = time.perf_counter()

@@ -10,20 +10,14 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
 from vssm_gym.eval.aggregate import Row, group_rows
-from vssm_gym.eval.report_car import CAR_VIEW
-from vssm_gym.eval.report_explore import EXPLORE_VIEW
-from vssm_gym.eval.report_view import POINTNAV_VIEW, View
+from vssm_gym.eval.courses import view_of
+from vssm_gym.eval.report_view import View
 from vssm_gym.eval.rows import FILE, read_rows
 from vssm_gym.files import atomic_write
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
 MANIFEST = "sweep.json"
-VIEWS = {
-    "vssm_gym/PointNav-v0": POINTNAV_VIEW,
-    "vssm_gym/CarNav-v0": CAR_VIEW,
-    "vssm_gym/Explore-v0": EXPLORE_VIEW,
-}
 # Fields of a row, and the lists of the configuration that say in which order their values come.
 ORDERED = {name: name for name in ("noise", "sensor_noise", "renderer", "physics")} | {"agent": "agents"}
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
@@ -55,7 +49,7 @@ def write_report(folder: Path, seed: int = 0) -> Path:
         InputError: the folder holds no sweep, or no episode of it has ended.
     """
     manifest = read_manifest(folder / MANIFEST)
-    view = VIEWS[manifest["config"]["env"][0]]
+    view: View = view_of(manifest["config"]["env"][0])
     rows = [view.measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")

@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.agents.policy_file import agent_label
-from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.scene import Apartment
 from vssm_gym.errors import InputError
 from vssm_gym.eval import worker
-from vssm_gym.eval.config import Episode, SweepConfig, expand, scene_name
+from vssm_gym.eval.config import SweepConfig, expand
 from vssm_gym.eval.courses import COURSES, course_of
 from vssm_gym.eval.destinations import check_at_least, check_folder
+from vssm_gym.eval.episodes import Episode, scene_name
 from vssm_gym.eval.maps import Progress, ensure_map, map_hash
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.version import package_version
@@ -57,7 +56,7 @@ def run_sweep(
         InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
     """
     check_arguments(out, workers, seed)
-    apartments = {scene: load_scene(scene) for scene in config.scenes}
+    apartments = {scene: course_of(config.env[0]).load(scene) for scene in config.scenes}
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
     manifest = _manifest(config, apartments, seed, len(episodes))
@@ -98,8 +97,7 @@ def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) ->
 
 def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
-    robot = HolonomicRobot()
-    spaces = {s: FreeSpace.from_apartment(a, robot.radius, robot.height) for s, a in apartments.items()}
+    course = course_of(config.env[0])
     shown = config.model_dump(mode="json") | {
         "scenes": [scene_name(scene) for scene in config.scenes],
         "agents": [agent_label(agent) for agent in config.agents],
@@ -108,7 +106,7 @@ def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, 
         "config": shown,
         "config_hash": config_hash(config, hashes, seed),
         "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
-        "notices": {scene_name(scene): space.notice(apartments[scene].notes) for scene, space in spaces.items()},
+        "notices": {scene_name(scene): course.notice(apartment) for scene, apartment in apartments.items()},
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
@@ -144,7 +142,7 @@ def _jobs(
     """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
     from vssm_gym.agents.registry import agent_type
 
-    apartment, map_file = load_scene(scene), None
+    apartment, map_file = course_of(config.env[0]).load(scene), None
     task_files = {}
     for env in dict.fromkeys(episode.condition.env for episode in episodes):
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"

@@ -7,7 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.config import Episode, episode_seed, expand, load_config
+from vssm_gym.eval.config import expand, load_config
+from vssm_gym.eval.episodes import Episode, episode_seed
 from vssm_gym.eval.rows import FILE, KEY, EpisodeLog, episode_key, read_rows
 
 

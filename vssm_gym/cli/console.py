@@ -59,16 +59,12 @@ def print_results(log: Path) -> None:
         console.print(table)
 
 
-def print_notices(scenes: Sequence[str]) -> None:
+def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
     """What a user should know about scenes before anything runs in them, one line each on stderr."""
-    from vssm_gym.envs.free_space import FreeSpace
-    from vssm_gym.envs.robots import HolonomicRobot
-    from vssm_gym.envs.scene import load_scene
-    from vssm_gym.eval.config import scene_name
+    from vssm_gym.eval.courses import course_of
+    from vssm_gym.eval.episodes import scene_name
 
-    robot = HolonomicRobot()
+    course = course_of(env)
     for scene in scenes:
-        apartment = load_scene(scene)
-        notice = FreeSpace.from_apartment(apartment, robot.radius, robot.height).notice(apartment.notes)
-        if notice:
+        if notice := course.notice(course.load(scene)):
             print(f"warning: {scene_name(scene)}: {notice}", file=sys.stderr)

@@ -31,7 +31,7 @@ def sweep(
     from vssm_gym.eval.sweep import run_sweep
 
     checked = load_config(config)
-    print_notices(checked.scenes)
+    print_notices(checked.scenes, checked.env[0])
     with progress_bars() as progress:
         log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, progress=progress)
     print_results(log)
