@@ -22,12 +22,11 @@ from vssm_gym.eval.config import SweepConfig, expand
 from vssm_gym.eval.courses import COURSES, course_of
 from vssm_gym.eval.destinations import check_at_least, check_folder
 from vssm_gym.eval.episodes import Episode, scene_name
+from vssm_gym.eval.manifest import MANIFEST
 from vssm_gym.eval.maps import Progress, ensure_map, map_hash
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.version import package_version
 from vssm_gym.files import atomic_write
-
-MANIFEST = "sweep.json"
 
 
 def run_sweep(

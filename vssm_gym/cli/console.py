@@ -42,12 +42,14 @@ def print_results(log: Path) -> None:
     from rich.table import Table
 
     from vssm_gym.eval import aggregate
+    from vssm_gym.eval.courses import view_of
+    from vssm_gym.eval.metric_registry import measured
     from vssm_gym.eval.rows import read_rows
-    from vssm_gym.eval.summary import SUMMARIES
 
     console = Console(highlight=False)
-    for (env, *condition), rows in aggregate.group_rows(read_rows(log), ("env", "scene", "noise", "physics")).items():
-        columns = SUMMARIES[env]
+    all_rows = [measured(row) for row in read_rows(log)]
+    for (env, *condition), rows in aggregate.group_rows(all_rows, ("env", "scene", "noise", "physics")).items():
+        columns = view_of(env).summary
         table = Table(title=f"{' · '.join(condition)}; in brackets 95 % intervals", title_justify="left", box=None)
         table.add_column("agent", no_wrap=True)
         for name in ("runs", *columns, "failed"):
