@@ -78,6 +78,11 @@ def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
     return rows
 
 
+def line_of(row: dict[str, Any]) -> bytes:
+    """The line of a log that holds a row."""
+    return json.dumps(row, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
 class EpisodeLog:
     """The one writer of a log. ``rows`` are the episodes that it holds, those of an earlier process included.
 
@@ -106,7 +111,7 @@ class EpisodeLog:
         Raises ValueError for what is no row of the schema; nothing is written then.
         """
         row = written(row)
-        self._file.write(json.dumps(row, allow_nan=False, separators=(",", ":")).encode() + b"\n")
+        self._file.write(line_of(row))
         self._file.flush()
         os.fsync(self._file.fileno())
         self.rows.append(row)

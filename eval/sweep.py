@@ -11,6 +11,7 @@ import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from vssm_gym.eval.episodes import Episode, scene_name
 from vssm_gym.eval.manifest import MANIFEST
 from vssm_gym.eval.maps import Progress, ensure_map, map_hash
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
+from vssm_gym.eval.shards import Shard
 from vssm_gym.eval.version import package_version
 from vssm_gym.files import atomic_write
 
@@ -36,6 +38,7 @@ def run_sweep(
     resume: bool = False,
     workers: int = 2,
     seed: int = 0,
+    shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Run what is not yet in ``out/episodes.jsonl``; returns that file.
@@ -49,6 +52,7 @@ def run_sweep(
         resume: continue; with nothing there yet, begin.
         workers: processes.
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
+        shard: the part of the episodes to run; None: all of them.
         progress: told ("recording" | "map" | "episodes", done, total).
 
     Raises:
@@ -58,7 +62,9 @@ def run_sweep(
     apartments = {scene: course_of(config.env[0]).load(scene) for scene in config.scenes}
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
-    manifest = _manifest(config, apartments, seed, len(episodes))
+    if shard is not None:
+        episodes = shard.part(episodes)
+    manifest = _manifest(config, apartments, seed, len(episodes), shard)
     out.mkdir(parents=True, exist_ok=True)
     with EpisodeLog(out / FILE) as log:
         _claim(out, manifest, len(log.rows), resume)
@@ -94,7 +100,9 @@ def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) ->
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int) -> dict[str, Any]:
+def _manifest(
+    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Shard | None
+) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     course = course_of(config.env[0])
     shown = config.model_dump(mode="json") | {
@@ -109,6 +117,7 @@ def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, 
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
+        **({"shard": asdict(shard)} if shard else {}),
     }
 
 
@@ -119,12 +128,15 @@ def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None
         raise InputError(out, "folder", f"a folder without episodes; it holds {rows} (--resume continues them)")
     if rows:
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
+            before = json.loads(path.read_text(encoding="utf-8"))
+            found, part = before["config_hash"], before.get("shard")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(path, "file", "the JSON that the sweep wrote, which says what its episodes are") from error
         if found != manifest["config_hash"]:
             expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
             raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
+        if part != manifest.get("shard"):
+            raise InputError(path, "shard", f"{manifest.get('shard')}; found {part}: another shard, another folder")
         return
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
