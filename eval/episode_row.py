@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-FORMAT = 1
+FORMAT: Literal[1] = 1
 KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics", "task", "seed", "agent")
 """The fields that identify an episode; each combination appears once in a sweep."""
 
