@@ -61,7 +61,7 @@ def test_every_report_has_metrics_of_its_own_labels():
 
 
 def test_by_hand():
-    row = {"success": True, "geodesic": 2.0, "path_length": 4.0, "touches": 2, "seconds": 6.0, "metres_99": None}
+    row = {"success": True, "geodesic": 2.0, "path_length": 4.0, "touches": 1, "seconds": 6.0, "metres_99": None}
     row |= {"latency": {"total": {"p50": 0.01, "p95": 0.02}}, "navigation": {"success": 0.5, "spl": 0.25}}
     found = measured(row)
     assert (found["spl"], found["path_ratio"], found["seconds_driven"]) == (0.5, 2.0, 6.0)
