@@ -3,7 +3,7 @@
 Reads RGB-D, its own commands and the map; never the true pose.
 """
 
-from vssm_gym.agents.localization import MapLocalizer
+from vssm_gym.agents.localization import FilteredPose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
 
 CONFIG = NavigationConfig()
@@ -19,5 +19,5 @@ class AStarAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(MapLocalizer(), config)
+        navigator = Navigator(FilteredPose("tracker"), config)
         self.reset, self.act = navigator.reset, navigator.act

@@ -10,7 +10,7 @@ import numpy as np
 
 from vssm_gym.agents.exploring import Explorer
 from vssm_gym.agents.mi_explorer import NEAR
-from vssm_gym.agents.strategy import Belief, Choice, around
+from vssm_gym.agents.strategy import Choice, Situation, around
 from vssm_gym.planning.exploration import candidates
 from vssm_gym.planning.structure import expected_surfaces
 from vssm_gym.voxel_map import VoxelMap
@@ -37,25 +37,25 @@ class RandomCandidate:
         self._goal: np.ndarray | None = None
         self._visited: list[np.ndarray] = []  # goals that were reached, m
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """The goal of before until it is reached, then another; None where there is none."""
-        if belief.arrived and self._goal is not None:
-            if math.hypot(*(self._goal - belief.planar[:2])) < NEAR:
+        if situation.arrived and self._goal is not None:
+            if math.hypot(*(self._goal - situation.planar[:2])) < NEAR:
                 self._visited.append(self._goal)
             self._goal = None
         c = self._config
-        hazard = expected_surfaces(belief.roadmap.plan, *c.hazard)
+        hazard = expected_surfaces(situation.roadmap.plan, *c.hazard)
         found = candidates(
-            belief.roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=belief.dismissed
+            situation.roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=situation.dismissed
         )
         visited = np.reshape(self._visited, (-1, 2))
         gap = np.linalg.norm(found.xy[:, None] - visited[None], axis=-1)
         xy = found.xy[gap.min(axis=1, initial=np.inf) >= NEAR]  # what those still promise is not to be seen from there
         if not len(xy):
             return None
-        if self._goal is None or not belief.roadmap.reaches(self._goal):
+        if self._goal is None or not situation.roadmap.reaches(self._goal):
             self._goal = xy[self._rng.integers(len(xy))]
-        return Choice(self._goal, around(belief.planar[2]), None, f"to one of {len(xy)} candidates")
+        return Choice(self._goal, around(situation.planar[2]), None, f"to one of {len(xy)} candidates")
 
 
 class CandidateRandomAgent:

@@ -3,7 +3,7 @@
 It plans in the same map as ``astar`` and looks at no image at all.
 """
 
-from vssm_gym.agents.localization import DeadReckoning
+from vssm_gym.agents.localization import FilteredPose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
 
 CONFIG = NavigationConfig()
@@ -19,5 +19,5 @@ class DeadReckoningAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(DeadReckoning(), config)
+        navigator = Navigator(FilteredPose("dead_reckoning"), config)
         self.reset, self.act = navigator.reset, navigator.act

@@ -4,7 +4,6 @@ Agents differ in how they localise and in their :class:`Strategy`. The map is st
 work on is made once a map; a target that no way leads to is refused before the car moves.
 """
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -87,7 +86,7 @@ class Driver:
         """The next command from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
         if not self._fresh:
-            self._estimate = self._localizer.update(as_planar(self._command, self._car), observation)
+            self._estimate = self._localizer.update(self._command, observation)
         self._fresh = False
         tracked = time.perf_counter()
         if not np.array_equal(observation["goal"], self._goal):
@@ -109,14 +108,3 @@ class Driver:
         self._goal = np.array(goal)
         goal = self._goal.astype(np.float64)
         self._refused = self._strategy.begin(self._estimate.planar, goal, self._command)
-
-
-def as_planar(control: np.ndarray, car: Car) -> np.ndarray:
-    """``(turn, o, s)`` of the arc that ``(speed, steering)`` drives in one step: rad, rad, m; float64.
-
-    The chord of an arc that turns by ``a`` leaves at ``a / 2``, and is ``sinc(a / 2)`` as long as the arc.
-    """
-    way = float(control[0]) * car.dt
-    turn = way * math.tan(float(control[1])) / car.wheelbase
-    backwards = math.pi if way < 0.0 else 0.0
-    return np.array([turn, 0.5 * turn + backwards, abs(way) * float(np.sinc(0.5 * turn / np.pi))])

@@ -18,7 +18,7 @@ from vssm_gym.agents.following import Follower, FollowingConfig, Refusals, Way, 
 from vssm_gym.agents.localization import Localization
 from vssm_gym.agents.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.own_map import OwnMap, OwnMapConfig
-from vssm_gym.agents.strategy import Belief, Choice, Strategy, around
+from vssm_gym.agents.strategy import Choice, Situation, Strategy, around
 from vssm_gym.geometry import wrap_angle
 from vssm_gym.planning.astar import plan
 from vssm_gym.planning.clearance import ClearanceMap
@@ -94,7 +94,7 @@ class Explorer:
             self._own.take(self._sent, observation)
         estimate = self._own.estimate
         mapped = time.perf_counter()
-        self._lost = self._lost + 1 if estimate.status != "ok" else 0
+        self._lost = self._lost + 1 if not estimate.status.fits else 0
         if self._lost:
             command, activity, stop = self._search(estimate)
             planned = mapped
@@ -114,7 +114,7 @@ class Explorer:
         self._choice = self._way = None
         if self._lost > self._config.max_lost:
             return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
-        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status, False
+        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
 
     def _plan(self, estimate: Localization) -> str | None:
         """Keep to the choice or choose anew; the reason where nothing is left to do."""
@@ -183,8 +183,8 @@ class Explorer:
             reached = int(np.isfinite(roadmap.distance).sum())
             dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
             own = self._own
-            belief = Belief(own.map, roadmap, planar, std, own.camera, own.T_body_cam, dismissed, self._arrived)
-            choice = self._strategy.choose(belief)
+            situation = Situation(own.map, roadmap, planar, std, own.camera, own.T_body_cam, dismissed, self._arrived)
+            choice = self._strategy.choose(situation)
             if choice is None:
                 continue
             self._choice, self._arrived = choice, False

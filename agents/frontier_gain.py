@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vssm_gym.agents.exploring import Explorer
-from vssm_gym.agents.strategy import Belief, Choice, around
+from vssm_gym.agents.strategy import Choice, Situation, around
 from vssm_gym.planning.frontier import frontiers, seen_unknown
 from vssm_gym.voxel_map import VoxelMap
 
@@ -31,10 +31,10 @@ class FrontierGain:
     def reset(self, seed: int) -> None:
         """Nothing here is random."""
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """The frontier of the greatest utility."""
-        plan = belief.roadmap.plan
-        found = frontiers(plan, belief.roadmap.distance, dismissed=belief.dismissed)
+        plan = situation.roadmap.plan
+        found = frontiers(plan, situation.roadmap.distance, dismissed=situation.dismissed)
         if not found:
             return None
         seen = seen_unknown(plan, np.array([frontier.goal for frontier in found]), self._config.hazard)

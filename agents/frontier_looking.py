@@ -11,7 +11,7 @@ import numpy as np
 
 from vssm_gym.agents.exploring import Explorer
 from vssm_gym.agents.frontier_gain import FrontierGain, FrontierGainConfig
-from vssm_gym.agents.strategy import Belief, Choice, around
+from vssm_gym.agents.strategy import Choice, Situation, around
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -33,15 +33,15 @@ class LookingFrontier:
         """Nothing here is random."""
         self._turned: np.ndarray | None = None
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """A turn where one is due, else the frontier of the greatest utility."""
-        choice, xy = self._frontiers.choose(belief), belief.planar[:2]
-        if self._turned is None or belief.arrived:  # a look around has just ended
+        choice, xy = self._frontiers.choose(situation), situation.planar[:2]
+        if self._turned is None or situation.arrived:  # a look around has just ended
             self._turned = xy.copy()
         if choice is None or math.hypot(*(xy - self._turned)) < self._config.every:
             return choice
         self._turned = xy.copy()
-        return Choice(None, around(float(belief.planar[2])), None, "turns around on its way")
+        return Choice(None, around(float(situation.planar[2])), None, "turns around on its way")
 
 
 class FrontierLookingAgent:

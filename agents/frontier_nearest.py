@@ -6,7 +6,7 @@ goal = argmin_f d(f)          d: length of the way to the reachable place neares
 import math
 
 from vssm_gym.agents.exploring import Explorer
-from vssm_gym.agents.strategy import Belief, Choice, around
+from vssm_gym.agents.strategy import Choice, Situation, around
 from vssm_gym.planning.frontier import frontiers
 from vssm_gym.voxel_map import VoxelMap
 
@@ -17,9 +17,9 @@ class NearestFrontier:
     def reset(self, seed: int) -> None:
         """Nothing here is random."""
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """The nearest frontier."""
-        found = frontiers(belief.roadmap.plan, belief.roadmap.distance, dismissed=belief.dismissed)
+        found = frontiers(situation.roadmap.plan, situation.roadmap.distance, dismissed=situation.dismissed)
         if not found:
             return None
         best = found[0]

@@ -1,10 +1,9 @@
 """Localizers: what an agent believes about where it is, ``update(command, observation) -> Localization``.
 
-Four ways, one interface: the true pose (oracles only), integrated commands, alignment to the learned map, and alignment
-to the previous camera image (SPEC 4: ours, and the baselines that must exist).
+The true pose (oracles only), or the belief of any filter over the pose: integrated commands, alignment to the learned
+map, alignment to the previous camera image (TNP-SM: its tracker and the baselines it is compared with).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,10 +14,24 @@ import numpy as np
 from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.camera import Camera
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import planar_to_matrix
-from vssm_gym.inference import tracking
-from vssm_gym.inference.tracking import TrackerInfo, TrackerState
-from vssm_gym.transition import MotionNoise, PlanarBelief, planar_predict
+from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.inference.status import Status
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import (
+    Bicycle,
+    BicycleNoise,
+    GaussianBelief,
+    MotionNoise,
+    Planar,
+    Transition,
+    planar_belief,
+    world_covariance,
+)
+
+START_STD = 1e-3  # m, rad: how well a robot that looks at images knows its start
+# How a real car strays from the bicycle in 0.1 s: 2 degrees of steering, a tenth of its speed, tyres that slip.
+CAR_STRAYS = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
 
 
 @dataclass(frozen=True)
@@ -28,12 +41,12 @@ class Localization:
     Attributes:
         planar: ``(3,)`` mean x, y (m), heading (rad), float64, map frame.
         std: ``(3,)`` standard deviations of x, y (m) and heading (rad).
-        status: "ok", or what is wrong.
+        status: of the filter's last step.
     """
 
     planar: np.ndarray
     std: np.ndarray
-    status: str
+    status: Status
 
 
 class Localizer(Protocol):
@@ -62,83 +75,55 @@ class TruePose:
     def _read(self, observation: Observation) -> Localization:
         if "pose" not in observation:
             raise InputError("observation", "pose", "the true pose: make the environment with observe_pose=True")
-        return Localization(np.asarray(observation["pose"], np.float64), np.zeros(3), "ok")
+        return Localization(np.asarray(observation["pose"], np.float64), np.zeros(3), Status.OK)
 
 
-class DeadReckoning:
-    """Integrates the commands without their noise, and its covariance: the prediction of SPEC 6, never corrected."""
+class FilteredPose:
+    """The belief of a filter over the pose, with the filter's own motion model and camera (TNP-SM).
 
-    def reset(self, context: AgentContext, observation: Observation) -> Localization:
-        """The known start, without doubt."""
-        self._noise = MotionNoise(*context.noise)
-        self._state = PlanarBelief(jnp.asarray(context.start_pose, jnp.float32), jnp.zeros((3, 3)))
-        return self._belief()
-
-    def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One step of integration; the observation is not looked at."""
-        self._state = _predict(self._state, jnp.asarray(command, jnp.float32), self._noise)
-        return self._belief()
-
-    def _belief(self) -> Localization:
-        R_world_body = np.asarray(planar_to_matrix(self._state.planar), np.float64)[:3, :3]
-        covariance = R_world_body @ np.asarray(self._state.covariance, np.float64) @ R_world_body.T
-        return Localization(np.asarray(self._state.planar, np.float64), np.sqrt(np.diag(covariance)), "ok")
-
-
-class MapLocalizer:
-    """The tracker in the learned map: ``argmin -log p(x | z, M) - log p(z | z_prev, u)`` (SPEC 4; TNP-SM).
-
-    ``step`` is the tracker's: one with the arguments and results of :func:`vssm_gym.inference.tracking.step_map`.
+    Args:
+        name: of a filter of :data:`vssm_gym.inference.registry.FILTERS`: ``tracker`` in the learned map, ``frames``
+            against the previous image, ``dead_reckoning`` by the commands alone, ``emission`` through the renderer.
     """
 
-    def __init__(self, step: Callable[..., tuple[TrackerState, TrackerInfo]] = tracking.step_map) -> None:
-        self._step = step
+    def __init__(self, name: str) -> None:
+        self._entry = FILTERS[name]
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
-        """Start the tracker; one step is computed and dropped, so that compiling it delays no later one."""
-        if context.map is None:
+        """Start the filter; one step is computed and dropped, so that compiling it delays no later one."""
+        if self._entry.needs_map and context.map is None:
             raise InputError("AgentContext", "map", "a learned map: this localizer tracks in one")
-        self._map, self._rig, self._noise = context.map, _rig(context), MotionNoise(*context.noise)
-        image = tracking.observe(observation["rgb"], observation["depth"])
-        self._state = tracking.first(jnp.asarray(context.start_pose, jnp.float32), image)
-        self._step(self._state, jnp.zeros(3), image, self._map, self._rig, self._noise)
-        return _belief(self._state, "ok")
+        self._dt, motion = context.dt, motion_of(context)
+        self._filter = self._entry.make(rig_of(context), motion)
+        std = 0.0 if self._entry.blind else START_STD
+        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
+        prior = Posterior(start, context.map if self._entry.needs_map else None)
+        image = observe(observation["rgb"], observation["depth"])
+        self._state = self._filter.init(prior, image, jax.random.key(0))
+        self._filter.step(self._state, jnp.zeros(len(context.limits)), image, self._dt)
+        return localization(start, Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One step of the tracker against the map."""
+        """One step of the filter."""
         control = jnp.asarray(command, jnp.float32)
-        image = tracking.observe(observation["rgb"], observation["depth"])
-        self._state, info = self._step(self._state, control, image, self._map, self._rig, self._noise)
-        return _belief(self._state, tracking.STATUS[int(info.status)])
+        image = observe(observation["rgb"], observation["depth"])
+        self._state, info = self._filter.step(self._state, control, image, self._dt)
+        return localization(info.belief, info.status)
 
 
-class FrameLocalizer:
-    """The same solver, aligned to the previous camera image instead of a map (SPEC 4, baseline *no map*)."""
-
-    def reset(self, context: AgentContext, observation: Observation) -> Localization:
-        """Start the tracker; one step is computed and dropped, so that compiling it delays no later one."""
-        self._rig, self._noise = _rig(context), MotionNoise(*context.noise)
-        image = tracking.observe(observation["rgb"], observation["depth"])
-        self._state = tracking.first(jnp.asarray(context.start_pose, jnp.float32), image)
-        tracking.step_frames(self._state, jnp.zeros(3), image, self._rig, self._noise)
-        return _belief(self._state, "ok")
-
-    def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One step of the tracker against the last image."""
-        control = jnp.asarray(command, jnp.float32)
-        image = tracking.observe(observation["rgb"], observation["depth"])
-        self._state, info = tracking.step_frames(self._state, control, image, self._rig, self._noise)
-        return _belief(self._state, tracking.STATUS[int(info.status)])
+def motion_of(context: AgentContext) -> Transition:
+    """Return the motion model that a robot has of itself."""
+    if context.car is not None:
+        return Bicycle(CAR_STRAYS, context.car.wheelbase)
+    return Planar(MotionNoise(*context.noise))
 
 
-def _rig(context: AgentContext) -> tracking.RobotRig:
-    camera = Camera.from_matrix(context.K, *context.camera)
-    return tracking.RobotRig(camera, jnp.asarray(context.T_body_cam, jnp.float32))
+def rig_of(context: AgentContext) -> Rig:
+    """Return the camera on the robot's body."""
+    return Rig.of(Camera.from_matrix(context.K, *context.camera), context.T_body_cam)
 
 
-def _belief(state: tracking.TrackerState, status: str) -> Localization:
-    std = np.sqrt(np.diag(np.asarray(state.covariance, np.float64)))
-    return Localization(np.asarray(state.planar, np.float64), std, status)
-
-
-_predict = jax.jit(planar_predict)
+def localization(belief: GaussianBelief, status: Status) -> Localization:
+    """Return a planar belief as agents use it."""
+    std = np.sqrt(np.diag(np.asarray(world_covariance(belief), np.float64)))
+    return Localization(np.asarray(belief.mean, np.float64), std, status)

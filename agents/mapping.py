@@ -1,21 +1,26 @@
 """Mappers: how an explorer's images get into its own map, and where it believes to be meanwhile.
 
-Two settings, one interface: the pose is observed (SPEC 8), or PRISM estimates it together with the map (SPEC 3).
+Two settings, one interface: the pose is observed (thesis 5.6.2), or PRISM estimates it together with the map.
 """
 
+from dataclasses import replace
 from typing import Protocol
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
-from vssm_gym.agents.localization import Localization, TruePose
+from vssm_gym.agents.localization import START_STD, Localization, TruePose, localization, motion_of, rig_of
 from vssm_gym.camera import Camera
 from vssm_gym.geometry import planar_to_matrix
-from vssm_gym.inference import planar_prism, tracking
+from vssm_gym.inference.filter import observe
 from vssm_gym.inference.map_update import update
 from vssm_gym.inference.observation import MapUpdateConfig
-from vssm_gym.transition import MotionNoise
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.inference.status import Status
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import GaussianBelief, planar_belief
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -62,21 +67,23 @@ class MapAtObservedPose:
 
 
 class MapAndPose:
-    """``q(M, z_t | x_<=t, u_<t)``: :mod:`vssm_gym.inference.planar_prism`; nothing but the start is known.
+    """``q(M, z_t | x_<=t, u_<t)`` by PRISM with the robot's motion model; nothing but the start is known.
 
     An image that does not fit is not put into the map; the status says so until one fits again.
     """
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
         """The first image at the known start; what a lost robot does is compiled here, so that it delays no step."""
-        camera = Camera.from_matrix(context.K, *context.camera)
-        self._rig = tracking.RobotRig(camera, jnp.asarray(context.T_body_cam, jnp.float32))
-        self._noise = MotionNoise(*context.noise)
-        image = tracking.observe(observation["rgb"], observation["depth"])
-        self._state = planar_prism.init(prior, jnp.asarray(context.start_pose, jnp.float32), image, self._rig)
-        effort = planar_prism.DEFAULT.tracker
-        tracking.step_map(self._state.tracked, jnp.zeros(3), image, self.map, self._rig, self._noise, effort)
-        return self._belief("ok")
+        rig, motion = rig_of(context), motion_of(context)
+        image = observe(observation["rgb"], observation["depth"])
+        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), START_STD**2 * jnp.eye(3))
+        self._filter, self._dt = FILTERS["prism"].make(rig, motion), context.dt
+        self._state = self._filter.init(Posterior(start, prior), image, jax.random.key(0))
+        # An image without depth fits nothing, so the map stays as it is.
+        dark = observe(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))
+        lost = replace(self._state, lost=True)
+        self._filter.step(lost, jnp.zeros(len(context.limits)), dark, self._dt)
+        return localization(start, Status.OK)
 
     @property
     def map(self) -> VoxelMap:
@@ -84,13 +91,10 @@ class MapAndPose:
         return self._state.map
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One step of the filter."""
-        image = tracking.observe(observation["rgb"], observation["depth"])
+        """One step of the filter; the pose is against the map, whose own frame may have drifted."""
+        image = observe(observation["rgb"], observation["depth"])
         control = jnp.asarray(command, jnp.float32)
-        self._state, info = planar_prism.step(self._state, control, image, self._rig, self._noise)
-        return self._belief(tracking.STATUS[int(info.status)])
-
-    def _belief(self, status: str) -> Localization:
-        tracked = self._state.tracked
-        std = np.sqrt(np.diag(np.asarray(tracked.covariance, np.float64)))
-        return Localization(np.asarray(tracked.planar, np.float64), std, status)
+        self._state, info = self._filter.step(self._state, control, image, self._dt)
+        belief = self._filter.posterior(self._state).belief
+        assert isinstance(belief, GaussianBelief)
+        return localization(belief, info.status)

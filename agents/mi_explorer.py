@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from vssm_gym.agents.exploring import Explorer
-from vssm_gym.agents.strategy import Belief, Choice
+from vssm_gym.agents.strategy import Choice, Situation
 from vssm_gym.camera import Camera
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix, wrap_angle
@@ -98,24 +98,24 @@ class MutualInformation:
         self._goal: np.ndarray | None = None
         self._visited: list[np.ndarray] = []  # goals that were reached, m
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """A look from here, or the first place of a tour."""
-        if belief.arrived and self._goal is not None and math.hypot(*(self._goal - belief.planar[:2])) < NEAR:
+        if situation.arrived and self._goal is not None and math.hypot(*(self._goal - situation.planar[:2])) < NEAR:
             self._visited.append(self._goal)
             self._goal = None
-        c, plan = self._config, belief.roadmap.plan
-        strip, hazard = _strip(belief.camera, c.strip), expected_surfaces(plan, *c.hazard)
-        columns = over_map(plan, hazard, c.hazard[1], belief.map)
+        c, plan = self._config, situation.roadmap.plan
+        strip, hazard = _strip(situation.camera, c.strip), expected_surfaces(plan, *c.hazard)
+        columns = over_map(plan, hazard, c.hazard[1], situation.map)
 
         def gain(planar: np.ndarray, paths: np.ndarray) -> Gain:
-            views = planar_to_matrix(planar) @ belief.T_body_cam
-            return gain_of_paths(belief.map, views, paths, strip, c.information, belief.std, columns)
+            views = planar_to_matrix(planar) @ situation.T_body_cam
+            return gain_of_paths(situation.map, views, paths, strip, c.information, situation.std, columns)
 
-        return self._look(belief, gain) or self._tour(belief, hazard, gain)
+        return self._look(situation, gain) or self._tour(situation, hazard, gain)
 
-    def _look(self, belief: Belief, gain: Gains) -> Choice | None:
+    def _look(self, situation: Situation, gain: Gains) -> Choice | None:
         """The look from here that teaches most for the turn, where that is enough."""
-        c, (x, y, heading) = self._config, belief.planar
+        c, (x, y, heading) = self._config, situation.planar
         within, apart = c.repeat
         made = [h for a, b, h in self._looks if math.hypot(a - x, b - y) < within]
         turns = np.arange(c.headings) * 2.0 * math.pi / c.headings
@@ -123,22 +123,22 @@ class MutualInformation:
         if len(fresh) == 0:
             return None
         planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
-        found = gain(np.concatenate([planar, belief.planar[None]]), np.arange(len(fresh))[:, None])
+        found = gain(np.concatenate([planar, situation.planar[None]]), np.arange(len(fresh))[:, None])
         nats = found.total + c.pose_weight * (found.pose[:-1] - found.pose[-1])  # beside what is seen from here anyway
         value = nats - c.turn_price * np.abs(wrap_angle(fresh - heading))
         k = int(np.argmax(value))
         # On the way only what is worth a stop; where it came to look, all there is to see.
-        on_the_way = 0.0 if self._is_visited(belief.planar[:2]) else c.look_share * self._left
+        on_the_way = 0.0 if self._is_visited(situation.planar[:2]) else c.look_share * self._left
         if value[k] < max(c.least_look, on_the_way):
             return None
         self._looks.append((x, y, float(fresh[k])))
         return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
 
-    def _tour(self, belief: Belief, hazard: np.ndarray, gain: Gains) -> Choice | None:
+    def _tour(self, situation: Situation, hazard: np.ndarray, gain: Gains) -> Choice | None:
         """Where to go first; None where no place is worth it."""
-        c, roadmap = self._config, belief.roadmap
+        c, roadmap = self._config, situation.roadmap
         found = candidates(
-            roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=belief.dismissed
+            roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=situation.dismissed
         )
         fresh = np.array([not self._is_visited(place) for place in found.xy], bool)
         found = replace(found, xy=found.xy[fresh], distance=found.distance[fresh], seen=found.seen[fresh])

@@ -3,7 +3,7 @@
 It plans in the same map as ``astar`` but never compares an image with it, so its errors add up.
 """
 
-from vssm_gym.agents.localization import FrameLocalizer
+from vssm_gym.agents.localization import FilteredPose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
 
 CONFIG = NavigationConfig()
@@ -19,5 +19,5 @@ class NoMapAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(FrameLocalizer(), config)
+        navigator = Navigator(FilteredPose("frames"), config)
         self.reset, self.act = navigator.reset, navigator.act

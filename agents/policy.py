@@ -13,7 +13,7 @@ import numpy as np
 
 from vssm_gym.agents import policy_file, policy_input
 from vssm_gym.agents.base import AgentContext, Decision, Observation
-from vssm_gym.agents.localization import Localization, MapLocalizer
+from vssm_gym.agents.localization import FilteredPose, Localization
 from vssm_gym.agents.navigation import NavigationConfig
 from vssm_gym.errors import InputError
 from vssm_gym.scan import BEAMS, scan_of
@@ -42,7 +42,7 @@ class PolicyAgent:
     def __init__(self, policy: policy_file.Policy | str) -> None:
         self.policy = policy_file.loaded(policy) if isinstance(policy, str) else policy
         self.name = self.policy.spec.name
-        self._localizer = MapLocalizer()
+        self._localizer = FilteredPose("tracker")
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode; nothing here is random, so ``seed`` changes nothing."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vssm_gym.agents.exploring import Explorer
-from vssm_gym.agents.strategy import Belief, Choice
+from vssm_gym.agents.strategy import Choice, Situation
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -33,21 +33,21 @@ class RandomLegs:
         self._rng = np.random.default_rng(seed)
         self._goal: np.ndarray | None = None
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """The end of the leg that is being driven, or of a new one; None where no leg leads anywhere."""
-        if self._goal is None or belief.arrived or not belief.roadmap.reaches(self._goal):
-            self._goal = self._drawn(belief)
+        if self._goal is None or situation.arrived or not situation.roadmap.reaches(self._goal):
+            self._goal = self._drawn(situation)
         if self._goal is None:
             return None
         return Choice(self._goal, (), None, "walks at random")
 
-    def _drawn(self, belief: Belief) -> np.ndarray | None:
-        c, xy, longest, best = self._config, belief.planar[:2], -1.0, None
+    def _drawn(self, situation: Situation) -> np.ndarray | None:
+        c, xy, longest, best = self._config, situation.planar[:2], -1.0, None
         for _ in range(c.tries):
             angle, length = self._rng.uniform(-math.pi, math.pi), self._rng.uniform(c.least, c.most)
             s = np.arange(0.1, length + 1e-9, 0.05)
             leg = xy + s[:, None] * np.array([math.cos(angle), math.sin(angle)])
-            free = np.isfinite(belief.roadmap.at(belief.roadmap.distance, leg))
+            free = np.isfinite(situation.roadmap.at(situation.roadmap.distance, leg))
             # Near an obstacle the first steps may have less room than a way needs.
             blocked = np.flatnonzero(~free & (s > 0.3))
             n = int(blocked[0]) if len(blocked) else len(s)

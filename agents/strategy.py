@@ -1,4 +1,4 @@
-"""What explorers choose by and what they choose: a :class:`Strategy` maps a :class:`Belief` to a :class:`Choice`."""
+"""What explorers choose by and what they choose: a :class:`Strategy` maps a :class:`Situation` to a :class:`Choice`."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from vssm_gym.voxel_map import VoxelMap
 
 
 @dataclass(frozen=True)
-class Belief:
+class Situation:
     """What a strategy chooses by.
 
     Attributes:
@@ -61,7 +61,7 @@ class Strategy(Protocol):
         """Open an episode whose random choices follow from ``seed``."""
         ...
 
-    def choose(self, belief: Belief) -> Choice | None:
+    def choose(self, situation: Situation) -> Choice | None:
         """What to do next; None where nothing is left to gain."""
         ...
 

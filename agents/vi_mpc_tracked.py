@@ -4,7 +4,7 @@ The pose is tracked against the learned map, with the car's arc as prior.
 """
 
 from vssm_gym.agents.driving import Driver
-from vssm_gym.agents.localization import MapLocalizer
+from vssm_gym.agents.localization import FilteredPose
 from vssm_gym.agents.vi_mpc import PROBLEM, ValueMpc
 from vssm_gym.planning.mpc.random_search import RandomSearch
 
@@ -20,5 +20,5 @@ class ViMpcTrackedAgent:
 
     def __init__(self) -> None:
         solver = RandomSearch(PROBLEM)
-        driver = Driver(MapLocalizer(), lambda arena, car: ValueMpc(arena, car, solver))
+        driver = Driver(FilteredPose("tracker"), lambda arena, car: ValueMpc(arena, car, solver))
         self.reset, self.act = driver.reset, driver.act

@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,13 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     from vssm_gym.envs.pointnav import PointNavEnv
     from vssm_gym.envs.tasks import TaskSampler
     from vssm_gym.eval.agent_context import context_in
-    from vssm_gym.inference import map_update, tracking
+    from vssm_gym.inference import map_update
+    from vssm_gym.inference.filter import Rig, observe
+    from vssm_gym.inference.tracking import FrameTracker, MapTracker
     from vssm_gym.planning.astar import plan
     from vssm_gym.planning.clearance import ClearanceMap
-    from vssm_gym.transition import MotionNoise
+    from vssm_gym.posterior import Posterior
+    from vssm_gym.transition import MotionNoise, Planar, planar_belief
     from vssm_gym.voxel_map import VoxelMap
 
     stages = 7
@@ -82,7 +86,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     m = VoxelMap.cube(centre, EXTENT, VOXEL)
 
     def images(observation: dict, info: dict) -> tuple[Any, Any]:
-        return tracking.observe(observation["rgb"], observation["depth"]), jnp.asarray(info["T_world_cam"], jnp.float32)
+        return observe(observation["rgb"], observation["depth"]), jnp.asarray(info["T_world_cam"], jnp.float32)
 
     # A tour that turns and drives through the open, at random; timed as it goes: this is the environment's own speed.
     rng = np.random.default_rng(seed)
@@ -125,23 +129,22 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     rows.append((f"image 160x120, {shape} cells, fixed march", 1e3 * float(np.median(slow)), "ms", None))
     progress("bench", 3, stages)
 
-    rig = tracking.RobotRig(camera, jnp.asarray(env.robot.T_body_cam, jnp.float32))
-    belief = MotionNoise(jnp.float32(noise[0]), jnp.float32(noise[1]))
+    rig = Rig.of(camera, env.robot.T_body_cam)
+    motion = Planar(MotionNoise(jnp.float32(noise[0]), jnp.float32(noise[1])))
     recompiled = counter.count - before
 
-    def step(i: int) -> Any:
-        start = np.asarray(_planar(frames[i][1]), np.float32)
-        state = tracking.first(jnp.asarray(start), frames[i][0])
-        return tracking.step_map(state, jnp.asarray(controls[i + 1], jnp.float32), frames[i + 1][0], m, rig, belief)
+    def step(i: int, tracker: Any) -> Any:
+        start = jnp.asarray(np.asarray(_planar(frames[i][1]), np.float32))
+        prior = Posterior(planar_belief(start, 1e-6 * jnp.eye(3)), m)
+        state = tracker.init(prior, frames[i][0], jax.random.key(0))
+        control = jnp.asarray(controls[i + 1], jnp.float32)
+        return tracker.step(state, control, frames[i + 1][0], env.robot.dt)[0].past
 
-    def step_alone(i: int) -> Any:
-        state = tracking.first(jnp.asarray(np.asarray(_planar(frames[i][1]), np.float32)), frames[i][0])
-        return tracking.step_frames(state, jnp.asarray(controls[i + 1], jnp.float32), frames[i + 1][0], rig, belief)
-
-    jax.block_until_ready((step(0), step_alone(0)))
+    in_map, by_frames = partial(step, tracker=MapTracker(rig, motion)), partial(step, tracker=FrameTracker(rig, motion))
+    jax.block_until_ready((in_map(0), by_frames(0)))
     before = counter.count
-    rows.append(("tracker step, image at hand", median_ms(step_alone, TIMED), "ms", AIMS["tracker"]))
-    rows.append(("tracker step, image included", median_ms(step, TIMED), "ms", None))
+    rows.append(("tracker step, image at hand", median_ms(by_frames, TIMED), "ms", AIMS["tracker"]))
+    rows.append(("tracker step, image included", median_ms(in_map, TIMED), "ms", None))
     recompiled += counter.count - before
     progress("bench", 4, stages)
 

@@ -3,10 +3,9 @@
 import math
 import multiprocessing
 import time
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,8 @@ from vssm_gym.eval.maps import Progress
 TRIAL_STEPS = 100
 PUBLISHED_TURN, PUBLISHED_STEP = math.radians(3.0), 0.05  # rad; share of the body length (TNP-SM, section 5)
 GOOD_RMSE = 0.1  # m, half a body length
+# The filter of a rider that has not its name
+FILTER_OF = {"astar": "tracker", "no_map": "frames"}
 DRIFT_METRES = 100.0
 COMPARED = 6  # drives on which the slow trackers ride along
 
@@ -131,18 +132,11 @@ def _run(jobs: list[_Trial], workers: int, stage: str, progress: Progress) -> li
 
 
 def _trial(job: _Trial) -> dict[str, Any]:
-    from vssm_gym.agents.localization import DeadReckoning, FrameLocalizer, Localizer, MapLocalizer
+    from vssm_gym.agents.localization import FilteredPose
     from vssm_gym.eval.drive import drive
 
     env, sampler, voxel_map, driver = _world(job.scene, job.noise, job.map_file, job.driver)
-    kinds: dict[str, Callable[[], Localizer]] = {
-        "astar": MapLocalizer,
-        "adam": lambda: MapLocalizer(_step_adam),
-        "emission": lambda: MapLocalizer(_step_emission),
-        "no_map": FrameLocalizer,
-        "dead_reckoning": DeadReckoning,
-    }
-    riders = {name: _Timed(kinds[name]()) for name in job.riders}
+    riders = {name: _Timed(FilteredPose(FILTER_OF.get(name, name))) for name in job.riders}
     done = drive(env, sampler, driver, riders, voxel_map, seed=job.seed, steps=job.steps, metres=job.metres)
     turned = {name: done.estimates[name][:, 2] - done.true[:, 2] for name in riders}
     return {
@@ -174,20 +168,6 @@ class _Timed:
         belief = self.localizer.update(command, observation)
         self.ms.append(1e3 * (time.perf_counter() - began))
         return belief
-
-
-def _step_adam(*arguments: Any) -> Any:
-    """The published solver in the tracker."""
-    from vssm_gym.inference.emission_tracking import TRACKER_ADAM
-    from vssm_gym.inference.tracking import TrackerConfig, step_map
-
-    return partial(step_map, config=TrackerConfig(adam=TRACKER_ADAM))(*arguments)
-
-
-def _step_emission(*arguments: Any) -> Any:
-    from vssm_gym.inference.emission_tracking import step_emission
-
-    return step_emission(*arguments)
 
 
 @lru_cache(maxsize=1)

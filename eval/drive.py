@@ -92,7 +92,7 @@ def drive(
         for name, rider in riders.items():
             belief = rider.update(decision.action[:3], blind)
             poses[name].append(belief.planar)
-            lost[name].append(float(belief.status != "ok"))
+            lost[name].append(float(not belief.status.fits))
     return Drive(
         np.array(true),
         {name: np.array(rows) for name, rows in poses.items()},

@@ -6,6 +6,7 @@ A map made at these poses owes nothing to ground truth: it is what the robot its
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,15 +16,17 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.envs.robots import NOISE_LEVELS
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix
-from vssm_gym.inference import planar_prism
-from vssm_gym.inference.tracking import RobotRig, observe
-from vssm_gym.transition import MotionNoise
+from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import MotionNoise, Planar, planar_belief
 from vssm_gym.voxel_map import DEFAULT_SLOTS, VoxelMap
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
 REACH = 12.0  # m: a drive leads no farther from its start, along x or y, than its map reaches
 LOW, HIGH = -0.5, 3.5  # m, of the map above the floor
+START_STD = 1e-3  # m, rad: the start is known
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class DrivePoses:
 
 
 def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None = None) -> DrivePoses:
-    """``q(z_1:T)`` by the filter of :mod:`vssm_gym.inference.planar_prism`, from the first true pose on.
+    """``q(z_1:T)`` by PRISM with the planar transition, from the first true pose on.
 
     Args:
         sequence: a survey of ``vssm-gym record``: images, commands, ``T_body_cam``, and how noisy the robot was.
@@ -50,20 +53,22 @@ def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None =
         expected = "a survey that `vssm-gym record` drove: commands, T_body_cam and the noise of the drive"
         raise InputError(sequence.root, "controls", expected)
     reader = FrameReader(sequence)
-    rig = RobotRig(reader.camera, jnp.asarray(sequence.T_body_cam, jnp.float32))
+    rig = Rig.of(reader.camera, sequence.T_body_cam)
     start = matrix_to_planar(jnp.asarray(sequence.true_poses()[0], jnp.float32) @ inverse(rig.T_body_cam))
     low = np.array([float(start[0]) - REACH, float(start[1]) - REACH, LOW])
     sides = np.array([2.0 * REACH, 2.0 * REACH, HIGH - LOW])
     nx, ny, nz = (int(n) for n in np.ceil(sides / voxel))
     sparse = VoxelMap.prior(low, voxel, (nx, ny, nz), slots=DEFAULT_SLOTS)
-    state = planar_prism.init(sparse, start, observe(*reader[0]), rig)
-    believed = MotionNoise(noise.turn, noise.step)
+    motion = Planar(MotionNoise(noise.turn, noise.step))
+    prism = FILTERS["prism"].make(rig, motion)
+    known = planar_belief(start, START_STD**2 * jnp.eye(3))
+    state = prism.init(Posterior(known, sparse), observe(*reader[0]), jax.random.key(0))
     planar, fits = [np.asarray(start, float)], [True]
     for i in range(1, len(reader)):
         control = jnp.asarray(sequence.controls[i, 1:], jnp.float32)
-        state, _ = planar_prism.step(state, control, observe(*reader[i]), rig, believed)
-        planar.append(np.asarray(state.tracked.planar, float))
-        fits.append(not int(state.tracked.lost))
+        state, info = prism.step(state, control, observe(*reader[i]), float(sequence.times[i] - sequence.times[i - 1]))
+        planar.append(np.asarray(prism.posterior(state).belief.mean, float))
+        fits.append(info.status.fits)
         if np.abs(planar[-1][:2] - planar[0][:2]).max() > REACH - 1.0:
             raise InputError(sequence.root, "controls", f"a drive that stays within {REACH - 1.0} m of its start")
         if progress:

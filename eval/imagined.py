@@ -22,6 +22,7 @@ from vssm_gym.envs.tasks import Task
 from vssm_gym.eval.metrics import spl
 from vssm_gym.eval.training_config import EnvironmentSettings
 from vssm_gym.eval.training_env import make_observing
+from vssm_gym.inference.status import Status
 
 STEPS = 500  # PointNav's time limit
 POSE_STD = (0.02, 0.02, 0.01)  # m, m, rad: the estimate's error in imagination
@@ -71,7 +72,7 @@ def imagine(
     )
     observation, _ = env.reset(seed=seed, options={"task": np.arange(n)})
     spec, radius = policy.spec, env.success_radius
-    farther = radius - stop_radius(radius, Localization(np.zeros(3), np.array(POSE_STD), "ok"))
+    farther = radius - stop_radius(radius, Localization(np.zeros(3), np.array(POSE_STD), Status.OK))
     seen = np.zeros((n, spec.frames, size_of(spec.parts)), np.float32)
     at = env.planar[:, :2]
     way, gained = np.zeros(n), np.zeros(n)

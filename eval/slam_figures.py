@@ -16,8 +16,8 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.eval.slam_run import SlamRun, TrackedFrame
 from vssm_gym.eval.slam_states import Truth, tidy
 from vssm_gym.geometry import R_BODY_CAM, inverse, transform
-from vssm_gym.inference import prism
-from vssm_gym.inference.prism import PrismConfig
+from vssm_gym.inference.camera_filter import TrackingConfig
+from vssm_gym.inference.status import Status
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 
@@ -240,7 +240,7 @@ def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, f
     return pictures.webp(figure), numbers
 
 
-def fit(run: SlamRun, config: PrismConfig) -> bytes:
+def fit(run: SlamRun, config: TrackingConfig) -> bytes:
     """What the loss test sees, over time, with its limits: score and photometric residual, as SVG."""
     figure = Figure(figsize=(11.5, 2.8), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -248,8 +248,8 @@ def fit(run: SlamRun, config: PrismConfig) -> bytes:
     t = np.array([frame.time for frame in aligned]) - run.times[0]
     status = np.array([frame.status for frame in aligned], int)
     marks = (
-        (np.isin(status, (prism.LOST, prism.NO_READING)), "x", "lost"),
-        (status == prism.RECOVERED, "^", "found again"),
+        (np.isin(status, (Status.LOST, Status.NO_READING)), "x", "lost"),
+        (status == Status.RECOVERED, "^", "found again"),
     )
     score = np.array([_score(frame) for frame in aligned])
     photometric = np.array([np.nan if frame.photometric is None else frame.photometric for frame in aligned])

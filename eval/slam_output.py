@@ -24,7 +24,7 @@ from vssm_gym.eval.slam_run import Progress, SlamOptions, SlamRun, TrackedFrame,
 from vssm_gym.eval.slam_states import Truth, calibration_summary
 from vssm_gym.eval.version import package_version
 from vssm_gym.files import atomic_write
-from vssm_gym.inference.prism import OK, RECOVERED, STATUS
+from vssm_gym.inference.status import Status
 from vssm_gym.viz.mesh import surface_mesh, write_ply
 from vssm_gym.viz.stream import Viewer
 
@@ -87,10 +87,10 @@ def process(
     if viewer:
         viewer.surface(mesh)
     writers = (
-        lambda: run.map.save(out / MAP, sequence=sequence.root.resolve().name, frames=len(run.frames)),
+        lambda: run.posterior.save(out / MAP, sequence=sequence.root.resolve().name, frames=len(run.frames)),
         lambda: write_ply(out / MESH, mesh),
         lambda: _write(out / STATS, json.dumps(stats, indent=1, allow_nan=False) + "\n"),
-        lambda: _write(out / REPORT, page(run, sequence, truth, mesh, stats, options.prism)),
+        lambda: _write(out / REPORT, page(run, sequence, truth, mesh, stats, options.tracking)),
     )
     for done, write in enumerate(writers, start=1):
         write()
@@ -119,7 +119,7 @@ def summarise(
             "jax": f"{jax.__version__} {jax.default_backend()}",
         },
         "sequence": sequence.root.resolve().name,
-        "config": asdict(options) | {"size": "x".join(map(str, options.size))},
+        "config": _config(options),
         "camera": {
             "width": camera.width,
             "height": camera.height,
@@ -132,12 +132,12 @@ def summarise(
         "frames": len(frames),
         "sequence_s": float(run.times[-1] - run.times[0]),
         "run_s": seconds,
-        "lost": [{"index": f.index, "time": f.time, "status": STATUS[f.status]} for f in frames if f.lost],
-        "found_again": [{"index": f.index, "time": f.time} for f in frames if f.status == RECOVERED],
+        "lost": [{"index": f.index, "time": f.time, "status": f.status.message} for f in frames if f.lost],
+        "found_again": [{"index": f.index, "time": f.time} for f in frames if f.status is Status.RECOVERED],
         "fit_median": {name: float(np.median(values)) if values else None for name, values in fits.items()},
         "latency_ms": latency(frames),
         "latency_note": LATENCY_NOTE,
-        "compiling_s": [f.step_s for f in frames if not f.warm and (f.stages or f.status == OK)],
+        "compiling_s": [f.step_s for f in frames if not f.warm and (f.stages or f.status is Status.OK)],
         "map": {
             "cells": int(np.prod(run.map.shape)),
             "shape": list(run.map.shape),
@@ -148,6 +148,12 @@ def summarise(
         "errors": errors(run, sequence),
         "calibration": calibration_summary(run, truth),
     }
+
+
+def _config(options: SlamOptions) -> dict[str, Any]:
+    """The options as JSON, those of another method left out."""
+    shown = asdict(options) | {"size": "x".join(map(str, options.size)), "map": options.map and options.map.name}
+    return {name: value for name, value in shown.items() if value is not None}
 
 
 def notices(run: SlamRun) -> tuple[str, ...]:

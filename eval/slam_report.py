@@ -14,7 +14,9 @@ from vssm_gym.eval.report import STYLE
 from vssm_gym.eval.report_tables import html_table
 from vssm_gym.eval.slam_run import SlamRun
 from vssm_gym.eval.slam_states import Truth
-from vssm_gym.inference.prism import RECOVERED, STATUS, PrismConfig
+from vssm_gym.inference.camera_filter import TrackingConfig
+from vssm_gym.inference.map_update import MapUpdateConfig
+from vssm_gym.inference.status import Status
 from vssm_gym.viz import pictures
 from vssm_gym.viz.mesh import Mesh
 from vssm_gym.voxel_map import OBSERVATION_STD
@@ -33,7 +35,7 @@ NOTICES = 20
 
 
 def page(
-    run: SlamRun, sequence: Sequence, truth: Truth | None, mesh: Mesh, stats: dict[str, Any], config: PrismConfig
+    run: SlamRun, sequence: Sequence, truth: Truth | None, mesh: Mesh, stats: dict[str, Any], config: TrackingConfig
 ) -> str:
     """One HTML page that needs no other file and no network.
 
@@ -76,7 +78,9 @@ def page(
         _view_table(view_numbers),
         "<h2>Map</h2>",
         _map_note(stats["map"], mesh),
-        _image(figures.slices(run, display, config.update.std), "image/webp", "slices of mean and std of occupancy"),
+        _image(
+            figures.slices(run, display, MapUpdateConfig().std), "image/webp", "slices of mean and std of occupancy"
+        ),
         "<h2>Fit</h2>",
         "<p class=note>What the loss test looks at, and its limits (dashed). The score is the share of pixels that "
         "agree with the model's geometry, times min(1, coverage / 0.4).</p>",
@@ -218,15 +222,15 @@ def _header(stats: dict[str, Any]) -> str:
 
 
 def _lost(run: SlamRun) -> str:
-    listed = [frame for frame in run.frames if frame.lost or frame.status == RECOVERED]
-    lost, again = sum(frame.lost for frame in run.frames), sum(frame.status == RECOVERED for frame in run.frames)
+    listed = [frame for frame in run.frames if frame.lost or frame.status is Status.RECOVERED]
+    lost, again = sum(frame.lost for frame in run.frames), sum(frame.status is Status.RECOVERED for frame in run.frames)
     if not listed:
         return "<p class=good>No frame was lost.</p>"
     lines = [
         [
             str(frame.index),
             f"{frame.time:.6f}",
-            STATUS[frame.status],
+            frame.status.message,
             *(_number(value) for value in (frame.inlier_share, frame.coverage, frame.photometric)),
         ]
         for frame in listed[:LISTED]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,14 +16,24 @@ from jaxtyping import Float
 
 from vssm_gym.camera import Camera
 from vssm_gym.data.sequences import FrameReader, Sequence
+from vssm_gym.data.trajectories import from_tum
 from vssm_gym.errors import InputError
-from vssm_gym.inference import prism
+from vssm_gym.inference.alignment import AlignConfig
+from vssm_gym.inference.camera_filter import SOLVERS, TrackingConfig, at_rest
+from vssm_gym.inference.filter import Rig, observe
 from vssm_gym.inference.imu_control import ImuControl
+from vssm_gym.inference.localise import readable
 from vssm_gym.inference.map_update import MapUpdateConfig
-from vssm_gym.inference.prism import PrismConfig
-from vssm_gym.inference.tracking import observe
+from vssm_gym.inference.prism import Prism
+from vssm_gym.inference.prism_config import HAND, PrismConfig
+from vssm_gym.inference.recovery import RecoveryConfig
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import MapTracker
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import RIGID
 from vssm_gym.voxel_map import VoxelMap
 
+START_STD = 0.3  # m, rad: how well the tracker's start in a map is known
 PATIENCE = 3  # frames that may not fit the first one before the map starts anew
 AHEAD = 4  # images that are read while the filter works
 MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
@@ -32,24 +43,29 @@ SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation se
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
 
-def _good(max_depth: float, **config: Any) -> PrismConfig:
-    """Structured light, active stereo near by."""
-    return PrismConfig(update=MapUpdateConfig(max_depth=max_depth), **config)
+@dataclass(frozen=True)
+class DepthKind:
+    """How the depth of one kind of sensor is trusted."""
+
+    align: AlignConfig
+    truncation: float = 2.0  # voxels behind a surface that an image updates
+    anchors: tuple[float, float] = (0.15, 0.15)  # m, rad: how long a reference view serves
 
 
-def _stereo(max_depth: float, **config: Any) -> PrismConfig:
-    """Noisy stereo far away (SPEC 3): a wider band behind surfaces, geometry trusted less, colour more.
-
-    A place far from the camera hides little when it moves half a metre: anchors serve longer, and the fewer there are,
-    the less the images seen at them drift.
-    """
-    plain = PrismConfig()
-    align = replace(plain.align, geo_sigma=0.02, geo_sigma_quadratic=0.005, rgb_weight=2.0, seen_weight=2.0)
-    update = MapUpdateConfig(max_depth=max_depth, truncation=4.0)
-    return PrismConfig(align=align, update=update, anchor_distance=0.5, anchor_angle=0.25, **config)
-
-
-DEPTHS = {"good": _good, "stereo": _stereo}
+_HAND_HELD = TrackingConfig()
+DEPTHS = {
+    # Structured light, active stereo near by
+    "good": DepthKind(_HAND_HELD.align),
+    # Noisy stereo far away (PRISM): a wider band behind surfaces, geometry trusted less, colour more. A place far from
+    # the camera hides little when it moves half a metre: anchors serve longer, and the fewer there are, the less the
+    # images seen at them drift.
+    "stereo": DepthKind(
+        replace(_HAND_HELD.align, geo_sigma=0.02, geo_sigma_quadratic=0.005, rgb_weight=2.0, seen_weight=2.0),
+        4.0,
+        (0.5, 0.25),
+    ),
+}
+METHODS = ("prism", "tracker")
 
 
 @dataclass(frozen=True)
@@ -67,6 +83,11 @@ class SlamOptions:
     max_depth: float = 8.0  # m; farther readings are left out
     depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
     imu: bool = False  # whether the sequence's IMU drives the prior, in place of constant velocity
+    method: str = "prism"  # one of METHODS: map and track, or track in ``map``
+    map: Path | None = None  # of the tracker: the file of a learned map
+    start: tuple[float, ...] | None = (
+        None  # of the tracker: about where the first camera is in the map, x y z and qx qy qz qw
+    )
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
@@ -82,8 +103,18 @@ class SlamOptions:
             raise InputError(
                 "slam", "extent", f"at most {MAX_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels"
             )
-        if self.solver not in prism.SOLVERS:
-            raise InputError("slam", "solver", f"one of {', '.join(prism.SOLVERS)}, not {self.solver!r}")
+        if self.solver not in SOLVERS:
+            raise InputError("slam", "solver", f"one of {', '.join(SOLVERS)}, not {self.solver!r}")
+        if self.method not in METHODS:
+            raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
+        if (self.method == "tracker") != (self.map is not None):
+            raise InputError("slam", "map", "a map file with method tracker, and none with another method")
+        if self.start is not None and self.method != "tracker":
+            raise InputError("slam", "start", "a pose in a map, with method tracker: a new map begins at the camera")
+        if self.start is not None and not (
+            len(self.start) == 7 and np.isfinite(self.start).all() and 0.9 < np.linalg.norm(self.start[3:]) < 1.1
+        ):
+            raise InputError("slam", "start", f"x,y,z,qx,qy,qz,qw with a unit quaternion, not {self.start}")
         if not 1 <= self.samples <= 15 or self.samples % 2 == 0:
             raise InputError("slam", "samples", f"an odd number between 1 and 15, not {self.samples}")
         if not 0.5 <= self.max_depth <= 100.0:
@@ -103,16 +134,37 @@ class SlamOptions:
         return round(self.extent / self.voxel) ** 3
 
     @property
-    def prism(self) -> PrismConfig:
-        """Of the filter."""
-        return DEPTHS[self.depth](
-            solver=self.solver, samples=self.samples, track_width=self.render_width, max_depth=self.max_depth
-        )
+    def tracking(self) -> TrackingConfig:
+        """Of the pose."""
+        return TrackingConfig(align=DEPTHS[self.depth].align, solver=self.solver)
 
-    def prior(self) -> VoxelMap:
-        """The map before the first image, around the first camera."""
+    def filter(self, camera: Camera) -> Prism | MapTracker:
+        """Return the filter of the method for images of a camera that somebody holds."""
+        if self.method == "tracker":
+            return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth)
+        kind = DEPTHS[self.depth]
+        update = MapUpdateConfig(max_depth=self.max_depth, truncation=kind.truncation)
+        config = PrismConfig(
+            tracking=self.tracking,
+            update=update,
+            samples=self.samples,
+            track_width=self.render_width,
+            anchor_distance=kind.anchors[0],
+            anchor_angle=kind.anchors[1],
+        )
+        return Prism(Rig.of(camera), HAND, config)
+
+    def prior(self) -> Posterior:
+        """Return what is known before the first image: its camera is the world, or about where it is in the map."""
+        velocity = self.tracking.start_velocity
+        if self.map is not None:
+            T = np.eye(4) if self.start is None else from_tum(np.array(self.start))
+            return Posterior(
+                at_rest(RIGID, jnp.asarray(T), START_STD**2 * jnp.eye(6), velocity), VoxelMap.load(self.map)
+            )
         cube = VoxelMap.cube if self.cells <= MAX_DENSE_CELLS else VoxelMap.sparse_cube
-        return cube((0.0, 0.0, 0.0), self.extent, self.voxel)
+        known = at_rest(RIGID, jnp.eye(4), 1e-8 * jnp.eye(6), velocity)
+        return Posterior(known, cube((0.0, 0.0, 0.0), self.extent, self.voxel))
 
 
 @dataclass(frozen=True)
@@ -122,7 +174,7 @@ class TrackedFrame:
     index: int  # in the sequence
     time: float  # s, of its colour image
     T_world_cam: Float[np.ndarray, "4 4"]  # float64; the world is the first camera's frame
-    status: int  # a key of prism.STATUS
+    status: Status
     inlier_share: float | None
     coverage: float | None
     photometric: float | None
@@ -139,7 +191,7 @@ class TrackedFrame:
     @property
     def lost(self) -> bool:
         """The frame fits nothing, and the map does not hold it."""
-        return self.status in (prism.LOST, prism.NO_READING)
+        return not self.status.fits
 
 
 @dataclass(frozen=True)
@@ -147,9 +199,15 @@ class SlamRun:
     """The outcome of a run."""
 
     frames: tuple[TrackedFrame, ...]
-    map: VoxelMap
+    posterior: Posterior  # after the last frame
     reader: FrameReader  # of the frames as the filter saw them
     notices: tuple[str, ...]  # what was wrong with the input and what was done about it
+
+    @property
+    def map(self) -> VoxelMap:
+        """Mean and precision of the cells."""
+        assert self.posterior.map is not None
+        return self.posterior.map
 
     @property
     def times(self) -> Float[np.ndarray, "frames"]:
@@ -236,7 +294,7 @@ def run_slam(
             started = tracker.start
             frame = tracker.frame(index, sequence.frames[index].time, rgb, depth, read_s, wait_s)
             if tracker.start != started:  # what came before belongs to a map that is no more
-                frames = [replace(one, status=prism.LOST) if one.index == started else one for one in frames]
+                frames = [replace(one, status=Status.LOST) if one.index == started else one for one in frames]
             frames.append(frame)
             if on_frame:
                 on_frame(frame)
@@ -244,14 +302,14 @@ def run_slam(
                 progress("tracking and mapping", len(frames), len(indices))
             asked = time.perf_counter()
     if tracker.state is None:
-        share = f"{tracker.config.min_reading:.0%}"
+        share = f"{options.tracking.min_reading:.0%}"
         raise InputError(sequence.root, "depth", f"a frame with readings at {share} of its pixels; none has")
     notices = (*sequence.notices, *reader.notices, *tracker.notices)
-    return SlamRun(tuple(frames), tracker.state.map, reader, notices)
+    return SlamRun(tuple(frames), tracker.filter.posterior(tracker.state), reader, notices)
 
 
 class _Stages:
-    """A clock for :func:`prism.step`: how long each stage took, waiting for its outcome."""
+    """A clock for :meth:`Filter.step`: how long each stage took, waiting for its outcome."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -272,16 +330,19 @@ class _Tracker:
     """
 
     def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
-        self.options, self.config, self.camera, self.sequence = options, options.prism, camera, sequence
+        self.options, self.camera, self.sequence = options, camera, sequence
+        self.filter = options.filter(camera)
         if options.imu and (sequence.T_body_cam is None or not len(sequence.imu)):
             expected = "imu.txt, and T_body_cam in camera.json: the IMU was asked for"
             raise InputError(sequence.root, "imu", expected)
         self._imu: ImuControl | None = None
-        self.state: prism.PrismState | None = None
+        self.state: Any = None
         self.notices: list[str] = []
         self.stamp = 0.0  # s, of the last frame
         self.start = 0  # the frame that the map started from
-        self._misses: int | None = 0  # frames that did not fit since then; None: one did
+        self._misses: int | None = (
+            0  # frames that did not fit since then; None: one did, or the map is not ours to restart
+        )
         self._compiled: set[str] = set()  # stages that ran
         v, u = np.mgrid[
             2 : camera.height : 4, 2 : camera.width : 4
@@ -294,28 +355,28 @@ class _Tracker:
         """Localise and map one image."""
         start, stages = time.perf_counter(), _Stages()
         info = None
-        status = prism.OK
+        status = Status.OK
         image = observe(rgb, depth)
         if self.state is not None and (self._misses is None or self._misses < PATIENCE):
             control, dt = self._control(self.state, stamp), stamp - self.stamp
-            self.state, info = prism.step(self.state, image, dt, self.camera, self.config, control, clock=stages)
+            self.state, info = self.filter.step(self.state, control, image, dt, clock=stages)
             status = info.status
-            if status in (prism.OK, prism.RECOVERED):
+            if status.fits:
                 self._misses = None
-            elif status == prism.LOST and self._misses is not None:
+            elif status is Status.LOST and self._misses is not None:
                 self._misses += 1
-        elif prism.readable(image, self.config):
+        elif readable(image, self.options.tracking):
             if self.state is not None:
                 text = f"frames {self.start} to {index - 1}: none fits the first; the map starts anew at frame {index}"
                 self.notices.append(text)
-            key = jax.random.key(self.options.seed)
-            self.state = prism.init(self.options.prior(), image, self.camera, self.config, key)
-            self.start, self._misses = index, 0
+            self.state = self.filter.init(self.options.prior(), image, jax.random.key(self.options.seed))
+            self.start, self._misses = index, 0 if self.options.method == "prism" else None
+            status = Status.LOST if self.state.lost else Status.OK
             if self.options.imu:
                 assert self.sequence.T_body_cam is not None
                 self._imu = ImuControl(self.sequence.imu, self.sequence.T_body_cam, stamp)
         else:
-            status = prism.NO_READING
+            status = Status.NO_READING
         jax.block_until_ready(self.state)
         step_s = time.perf_counter() - start
         self.stamp = stamp
@@ -323,7 +384,10 @@ class _Tracker:
         self._compiled |= stages.seconds.keys()
         belief = info.belief if info else None
         agreement = info.agreement if info else None
-        T_world_cam = np.asarray(belief.state.T_world_body, float) if belief else np.eye(4)
+        T_world_cam = np.eye(4)
+        if self.state is not None:
+            mean = belief.mean if belief else self.filter.posterior(self.state).belief.mean
+            T_world_cam = np.asarray(mean.T_world_body, float)
         return TrackedFrame(
             index=index,
             time=stamp,
@@ -338,16 +402,16 @@ class _Tracker:
             step_s=step_s,
             stages=stages.seconds,
             warm=warm,
-            velocity=np.asarray(belief.state.velocity, float) if belief else None,
+            velocity=np.asarray(belief.mean.velocity, float) if belief else None,
             covariance=np.asarray(belief.covariance, float) if belief else None,
             left_window=info.left_window if info else 0,
         )
 
-    def _control(self, state: prism.PrismState, stamp: float) -> Any:
-        """What the IMU felt since the last image; None without one."""
+    def _control(self, state: Any, stamp: float) -> jax.Array:
+        """Return what the IMU felt since the last image; zeros, constant velocity, without one."""
         if self._imu is None:
-            return None
-        moving = state.past.belief.state
+            return jnp.zeros(6)
+        moving = state.past.belief.mean
         T_world_cam, velocity = np.asarray(moving.T_world_body), np.asarray(moving.velocity)
         return jnp.asarray(self._imu(T_world_cam, velocity[3:], self.stamp, stamp), jnp.float32)
 
@@ -355,7 +419,7 @@ class _Tracker:
         if self.state is None:
             return 1.0
         sampled = depth[2::4, 2::4]
-        read = (sampled > 0.0) & (sampled <= self.config.update.max_depth)
+        read = (sampled > 0.0) & (sampled <= self.options.max_depth)
         p_world = (self._rays[read] * sampled[read][:, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
         low, high = self.state.map.bounds
         inside = ((p_world >= low) & (p_world <= high)).all(axis=-1)

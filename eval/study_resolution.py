@@ -65,7 +65,7 @@ def run(
             label = f"{100 * voxel:g} cm, {width} px, run {seed + 1}"
             done = run_slam(later, replace(chosen, seed=seed), progress=labelled(progress, label))
             runs[voxel, width].append(_measured(done, sequence))
-            tracked[width] = size[0] // tracking_factor(done.reader.camera, chosen.prism)
+            tracked[width] = size[0] // tracking_factor(done.reader.camera, width)
             notices = done.notices
     arms = [
         {"voxel": voxel, "render_width": tracked[width], "cells": options[voxel, width].cells} | _summary(of)

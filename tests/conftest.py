@@ -28,7 +28,7 @@ FORGET_ABOVE = 4e9  # bytes of a test process
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
 CHECKED = [
     *("geometry", "camera", "compaction", "block_table", "empty_space", "map_file", "voxel_map", "emission"),
-    *("emission_uncertainty", "transition", "model", "predictive", "inference"),
+    *("emission_uncertainty", "transition", "posterior", "model", "predictive", "inference"),
 ]
 
 already_imported = [name for name in CHECKED if f"vssm_gym.{name}" in sys.modules]

@@ -12,8 +12,12 @@ from analytic_room import Room, camera_pose
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.geometry import se3_log
-from vssm_gym.inference import prism
-from vssm_gym.inference.prism import PrismConfig, PrismInfo, PrismState
+from vssm_gym.inference.camera_filter import at_rest
+from vssm_gym.inference.filter import FilterInfo, Rig
+from vssm_gym.inference.prism import Prism, PrismState
+from vssm_gym.inference.prism_config import HAND, PrismConfig
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import RIGID
 from vssm_gym.voxel_map import VoxelMap
 
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
@@ -38,7 +42,7 @@ def error(belief, T_room_cam: np.ndarray, T_room_world: np.ndarray | None = None
     """Of an estimated pose, m and degrees; the world is the first camera's frame."""
     start = true_pose(0) if T_room_world is None else T_room_world
     truth = np.linalg.inv(start) @ T_room_cam
-    off = np.linalg.inv(truth) @ np.asarray(belief.state.T_world_body, float)
+    off = np.linalg.inv(truth) @ np.asarray(belief.mean.T_world_body, float)
     xi = np.asarray(se3_log(jnp.asarray(off, jnp.float32)))
     return float(np.linalg.norm(xi[:3])), float(np.degrees(np.linalg.norm(xi[3:])))
 
@@ -48,25 +52,38 @@ def copy(state: PrismState) -> PrismState:
     return jax.tree.map(lambda a: a.copy() if eqx.is_array(a) else a, state)
 
 
+def prism_of(config: PrismConfig = CONFIG) -> Prism:
+    """The filter of a hand-held camera."""
+    return Prism(Rig.of(CAMERA), HAND, config)
+
+
+def step(
+    state: PrismState, taken: RGBD, dt: float = DT, config: PrismConfig = CONFIG, control: jax.Array | None = None
+) -> tuple[PrismState, FilterInfo]:
+    """One image; constant velocity unless an acceleration is given."""
+    return prism_of(config).step(state, jnp.zeros(6) if control is None else control, taken, dt)
+
+
 def start(config: PrismConfig = CONFIG, extent: float = EXTENT, seed: int = 0, first: RGBD | None = None) -> PrismState:
-    prior = VoxelMap.cube((0.0, 0.0, 0.0), extent, VOXEL)
-    return prism.init(prior, image(0) if first is None else first, CAMERA, config, jax.random.key(seed))
+    known = at_rest(RIGID, jnp.eye(4), 1e-8 * jnp.eye(6), config.tracking.start_velocity)
+    prior = Posterior(known, VoxelMap.cube((0.0, 0.0, 0.0), extent, VOXEL))
+    return prism_of(config).init(prior, image(0) if first is None else first, jax.random.key(seed))
 
 
-def walk(state: PrismState, frames, config: PrismConfig = CONFIG) -> Iterator[tuple[PrismState, PrismInfo]]:
+def walk(state: PrismState, frames, config: PrismConfig = CONFIG) -> Iterator[tuple[PrismState, FilterInfo]]:
     """A step for every frame number of the path, 0.1 s apart."""
     for k in frames:
-        state, info = prism.step(state, image(k), DT, CAMERA, config)
+        state, info = step(state, image(k), DT, config)
         yield state, info
 
 
 @cache
-def _walked(config: PrismConfig, frames: int) -> tuple[PrismState, tuple[PrismInfo, ...]]:
+def _walked(config: PrismConfig, frames: int) -> tuple[PrismState, tuple[FilterInfo, ...]]:
     steps = list(walk(start(config), range(1, frames + 1), config))
     return steps[-1][0], tuple(info for _, info in steps)
 
 
-def walked(frames: int = 12, config: PrismConfig = CONFIG) -> tuple[PrismState, tuple[PrismInfo, ...]]:
+def walked(frames: int = 12, config: PrismConfig = CONFIG) -> tuple[PrismState, tuple[FilterInfo, ...]]:
     """The state after so many frames, free to be consumed, and how each went."""
     state, infos = _walked(config, frames)
     return copy(state), infos

@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from prism_room import CAMERA, CONFIG, image, start, walked
+from prism_room import image, start, step, walked
 from scipy.linalg import expm, logm
 
-from vssm_gym.inference import drift, prism
-from vssm_gym.transition.rigid import RigidBelief, RigidState
+from vssm_gym.inference import drift
+from vssm_gym.inference.status import Status
+from vssm_gym.transition import GaussianBelief, RigidState, rigid_belief
 
 
 def twist_matrix(xi: np.ndarray) -> np.ndarray:
@@ -18,10 +19,10 @@ def twist_matrix(xi: np.ndarray) -> np.ndarray:
     return X
 
 
-def belief_of(T: np.ndarray, covariance: np.ndarray) -> RigidBelief:
+def belief_of(T: np.ndarray, covariance: np.ndarray) -> GaussianBelief:
     full = np.zeros((12, 12))
     full[:6, :6] = covariance
-    return RigidBelief(RigidState(jnp.asarray(T, jnp.float32), jnp.zeros(6)), jnp.asarray(full, jnp.float32))
+    return rigid_belief(RigidState(jnp.asarray(T, jnp.float32), jnp.zeros(6)), jnp.asarray(full, jnp.float32))
 
 
 def random_covariance(rng: np.random.Generator, std: float) -> np.ndarray:
@@ -51,7 +52,7 @@ def test_in_world_is_the_spread_of_a_pose_in_a_frame_that_errs(seed: int) -> Non
 def test_the_frame_walks_by_the_share_that_the_image_wrote() -> None:
     """By hand: a quarter of the readings new, a quarter known as well as one image tells, half beyond the map."""
     before = 1e-6 * jnp.eye(6)
-    T = np.asarray(walked()[1][-1].belief.state.T_world_body, float)
+    T = np.asarray(walked()[1][-1].belief.mean.T_world_body, float)
     S = random_covariance(np.random.default_rng(0), 0.002)
     seen = image(12)
     n = seen.hit[2::4, 2::4].size
@@ -71,8 +72,8 @@ def shares(frames, rate: float) -> np.ndarray:
     state, found = start(), []
     for k in frames:
         before = np.asarray(state.drift, float)
-        state, info = prism.step(state, image(k), 1.0 / rate, CAMERA, CONFIG)
-        assert info.status == prism.OK
+        state, info = step(state, image(k), 1.0 / rate)
+        assert info.status == Status.OK
         back = np.asarray(drift.se3_adjoint(drift.inverse(state.past.T_world_cam)), float)
         grown = back @ (np.asarray(state.drift, float) - before) @ back.T
         found.append(np.trace(grown[:3, :3]) / np.trace(np.asarray(state.past.belief.covariance, float)[:3, :3]))

@@ -19,7 +19,7 @@ from vssm_gym.agents.frontier_nearest import NearestFrontier
 from vssm_gym.agents.mi_explorer import NEAR, MiExplorerConfig, MutualInformation
 from vssm_gym.agents.own_map import OwnMapConfig
 from vssm_gym.agents.registry import AGENTS
-from vssm_gym.agents.strategy import Belief, Choice, Strategy
+from vssm_gym.agents.strategy import Choice, Situation, Strategy
 from vssm_gym.camera import Camera
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.planning.exploration import Roadmap
@@ -33,22 +33,22 @@ LEFT, FREE, RIGHT = 5, 100, 20  # cells of 10 cm
 CORRIDOR = drawn("\n".join(["#" * 127, *["#" + "?" * LEFT + "." * FREE + "?" * RIGHT + "#"] * 10, "#" * 127]))
 
 
-def believed(plan: FloorPlan, xy: tuple[float, float], **more: Any) -> Belief:
+def believed(plan: FloorPlan, xy: tuple[float, float], **more: Any) -> Situation:
     """A robot at ``xy`` (m) in a plan, looking along x; ``more`` replaces fields."""
     robot = HolonomicRobot()
     roadmap = Roadmap.of(plan, np.array(xy), ROOM)
     camera = Camera.from_hfov(64, 48, 0.5 * math.pi)
     nothing: Any = None
-    belief = Belief(
+    situation = Situation(
         nothing, roadmap, np.array([*xy, 0.0]), np.zeros(3), camera, robot.T_body_cam, np.empty((0, 2)), False
     )
-    return replace(belief, **more)
+    return replace(situation, **more)
 
 
-def chosen(strategy: Strategy, belief: Belief) -> Choice:
+def chosen(strategy: Strategy, situation: Situation) -> Choice:
     """A strategy's first choice."""
     strategy.reset(0)
-    choice = strategy.choose(belief)
+    choice = strategy.choose(situation)
     assert choice is not None
     return choice
 
@@ -148,9 +148,9 @@ def test_the_explorer_goes_to_the_place_that_its_mode_asks_for(config, niche, mo
     monkeypatch.setattr(mi_explorer, "gain_of_paths", told)
     plan = with_niches()
     nothing_known = VoxelMap.prior(np.array([0.0, 0.0, 0.0]), 0.1, (128, 24, 8))
-    belief = believed(plan, (3.0, 0.55), map=nothing_known)
+    situation = believed(plan, (3.0, 0.55), map=nothing_known)
     strategy = MutualInformation(replace(config, least_look=math.inf))  # no looks from here: a place
-    choice, tour, roadmap = chosen(strategy, belief), strategy.tour, belief.roadmap
+    choice, tour, roadmap = chosen(strategy, situation), strategy.tour, situation.roadmap
     assert tour is not None
     assert choice.goal is not None
     assert np.abs(choice.goal[0] - NICHES[niche]) < 0.8

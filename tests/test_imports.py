@@ -25,6 +25,7 @@ LAYERS = [
     ["columns"],
     ["emission", "transition", "learned_transition"],
     ["emission_uncertainty"],
+    ["posterior"],
     ["model"],
     ["predictive"],
     ["inference"],

@@ -1,5 +1,6 @@
 """PRISM on a floor: it maps an unknown room while it finds its way in it, by images and commands alone."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,37 +16,39 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.drive_poses import estimate_poses
 from vssm_gym.eval.maps import build_map
 from vssm_gym.geometry import planar_to_matrix, wrap_angle
-from vssm_gym.inference import planar_prism, tracking
-from vssm_gym.inference.tracking import LOST, OK, RobotRig
-from vssm_gym.transition import MotionNoise
+from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.prism import Prism, PrismState
+from vssm_gym.inference.prism_config import ROBOT as ROBOT_PRISM
+from vssm_gym.inference.status import Status
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import MotionNoise, Planar, planar_belief
 from vssm_gym.voxel_map import VoxelMap
 
 ROBOT = HolonomicRobot()
-RIG = RobotRig(CAMERA, jnp.asarray(ROBOT.T_body_cam, jnp.float32))
+RIG = Rig.of(CAMERA, ROBOT.T_body_cam)
 EXECUTION = ExecutionNoise(np.radians(3.0), 0.02)
-NOISE = MotionNoise(EXECUTION.turn, EXECUTION.step)
+PRISM = Prism(RIG, Planar(MotionNoise(EXECUTION.turn, EXECUTION.step)), ROBOT_PRISM)
 START = np.array([-0.5, -0.4, 2.9])
-DARK = tracking.observe(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
+DARK = observe(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
 
 
 def see(planar: np.ndarray) -> RGBD:
     image = ROOM.image(planar_to_matrix(planar) @ ROBOT.T_body_cam, CAMERA)
-    return tracking.observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+    return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
-def begin() -> planar_prism.PlanarPrismState:
-    return planar_prism.init(VoxelMap.prior(*GRID), jnp.asarray(START, jnp.float32), see(START), RIG)
+def begin() -> PrismState:
+    known = planar_belief(jnp.asarray(START, jnp.float32), 1e-6 * jnp.eye(3))
+    return PRISM.init(Posterior(known, VoxelMap.prior(*GRID)), see(START), jax.random.key(0))
 
 
-def advance(
-    state: planar_prism.PlanarPrismState, command: np.ndarray, image: RGBD
-) -> tuple[planar_prism.PlanarPrismState, int]:
-    state, info = planar_prism.step(state, jnp.asarray(command, jnp.float32), image, RIG, NOISE)
-    return state, int(info.status)
+def advance(state: PrismState, command: np.ndarray, image: RGBD) -> tuple[PrismState, Status]:
+    state, info = PRISM.step(state, jnp.asarray(command, jnp.float32), image, ROBOT.dt)
+    return state, info.status
 
 
-def error(state: planar_prism.PlanarPrismState, planar: np.ndarray) -> tuple[float, float]:
-    delta = np.asarray(state.tracked.planar, float) - planar
+def error(state: PrismState, planar: np.ndarray) -> tuple[float, float]:
+    delta = np.asarray(PRISM.posterior(state).belief.mean, float) - planar
     return float(np.hypot(*delta[:2])), abs(float(wrap_angle(delta[2:])[0]))
 
 
@@ -58,7 +61,7 @@ def test_a_room_that_nobody_knew_is_mapped_where_it_is() -> None:
         planar = execute(planar, command, EXECUTION, rng)
         reckoned = execute(reckoned, command, exact, rng)
         state, status = advance(state, command, see(planar))
-        assert status == OK
+        assert status is Status.OK
         metres, radians = error(state, planar)
         assert metres < 0.02
         assert radians < 0.02
@@ -79,10 +82,10 @@ def test_images_that_do_not_fit_leave_the_map_alone_and_track_is_found_again() -
         covered = 5 <= i < 8
         before = np.asarray(state.map.occupancy_precision).sum()
         state, status = advance(state, command, DARK if covered else see(planar))
-        assert status == (LOST if covered else OK)
+        assert status is (Status.LOST if covered else Status.OK)
         if covered:
             assert np.asarray(state.map.occupancy_precision).sum() == before
-            assert int(state.tracked.lost) == i - 4
+            assert state.lost
     assert error(state, planar)[0] < 0.03
 
 

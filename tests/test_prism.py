@@ -8,14 +8,36 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 import pytest
-from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, start, true_pose, walk, walked
+from prism_room import (
+    CAMERA,
+    CONFIG,
+    DT,
+    EXPECTED,
+    ROOM,
+    copy,
+    error,
+    image,
+    prism_of,
+    same_map,
+    start,
+    step,
+    true_pose,
+    walk,
+    walked,
+)
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse, se3_log
 from vssm_gym.inference import camera_filter, prism, process_noise
-from vssm_gym.inference.camera_filter import Tracked
-from vssm_gym.inference.prism import OK, PrismConfig, PrismState
-from vssm_gym.transition.rigid import RigidBelief, RigidNoise, integrate, predict
+from vssm_gym.inference.camera_filter import Tracked, TrackingConfig
+from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.prism import PrismState
+from vssm_gym.inference.prism_config import HAND, PrismConfig
+from vssm_gym.inference.status import Status
+from vssm_gym.transition import RIGID, Rigid, RigidNoise, Transition, rigid_belief
+
+OK = Status.OK
+RIG = Rig.of(CAMERA)
 
 FRAMES = 12
 
@@ -43,12 +65,12 @@ def test_covariances_are_symmetric_and_positive() -> None:
 
 
 def track(
-    state: PrismState, k: float, control: jax.Array | None = None, config: PrismConfig = CONFIG, **past
+    state: PrismState, k: float, control: jax.Array | None = None, transition: Transition = HAND, **past
 ) -> Tracked:
     """The image ``k`` with the state's past, parts of it replaced."""
     before = replace(state.past, **past)
-    acceleration = jnp.zeros(6) if control is None else control
-    return camera_filter.track(before, acceleration, jnp.float32(DT), state.anchor, image(k), CAMERA, state.key, config)
+    moved = transition, jnp.zeros(6) if control is None else control, jnp.float32(DT)
+    return camera_filter.track(before, *moved, state.anchor, image(k), RIG, state.key, CONFIG.tracking)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -63,13 +85,16 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
     if seed:  # any correlations between pose and velocity, about as wide as the filter's
         root = np.random.default_rng(seed).standard_normal((12, 16)) / 4.0
         scale = np.repeat([0.01, 0.01, 0.2, 0.3], 3)
-        prior = RigidBelief(prior.state, jnp.asarray((root @ root.T) * np.outer(scale, scale), jnp.float32))
+        prior = rigid_belief(prior.mean, jnp.asarray((root @ root.T) * np.outer(scale, scale), jnp.float32))
     tracked = track(state, FRAMES + 1, belief=prior)
-    predicted = predict(prior, jnp.zeros(6), jnp.float32(DT), process_noise.scaled(CONFIG.noise, state.past.unrest))
+    scale = process_noise.scale(RIGID, state.past.unrest)
+    predicted = HAND.predict(prior, jnp.zeros(6), jnp.float32(DT), scale)
     P = np.asarray(predicted.covariance, float)
     P_pose = np.linalg.inv(P[:6, :6])
     laplace = np.linalg.inv(2.0 * np.asarray(tracked.agreement.information, float) + P_pose)
-    smoothed = CONFIG.smoothing * np.asarray(state.past.laplace, float) + (1 - CONFIG.smoothing) * laplace
+    smoothed = (
+        CONFIG.tracking.smoothing * np.asarray(state.past.laplace, float) + (1 - CONFIG.tracking.smoothing) * laplace
+    )
     # Multiply N(predicted) by a factor of the pose alone that turns its marginal into the smoothed Gaussian.
     precision = np.linalg.inv(P)
     precision[:6, :6] += np.linalg.inv(smoothed) - P_pose
@@ -78,20 +103,20 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
     got = np.asarray(tracked.belief.covariance, float)
     np.testing.assert_allclose(got / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=5e-3)
     # The mean: the regression of the predicted velocity error on the pose's, at the pose that was found.
-    T_prior, T = predicted.state.T_world_body, tracked.belief.state.T_world_body
+    T_prior, T = predicted.mean.T_world_body, tracked.belief.mean.T_world_body
     moved = np.asarray(se3_log(inverse(T_prior) @ T), float)
-    velocity = np.asarray(predicted.state.velocity, float) + P[6:, :6] @ P_pose @ moved
-    np.testing.assert_allclose(np.asarray(tracked.belief.state.velocity, float), velocity, atol=2e-3 * scale[6:].max())
+    velocity = np.asarray(predicted.mean.velocity, float) + P[6:, :6] @ P_pose @ moved
+    np.testing.assert_allclose(np.asarray(tracked.belief.mean.velocity, float), velocity, atol=2e-3 * scale[6:].max())
 
 
 def test_an_overwhelming_prior_holds_the_pose() -> None:
     """Step 2 is MAP: a prior surer than all pixels keeps its mean, a vague one gives way to the images."""
     state, _ = walked(FRAMES)
     sure = np.diag(np.repeat([1e-7, 1e-7, 1e-9, 1e-9], 3)) ** 2
-    noise = PrismConfig(noise=RigidNoise(1e-7, 1e-7, 1e-7, 1e-7))
-    prior = RigidBelief(state.past.belief.state, jnp.asarray(sure + 1e-14 * np.eye(12), jnp.float32))
-    held = track(state, FRAMES, config=noise, belief=prior, unrest=process_noise.full())
-    moved = inverse(held.predicted.state.T_world_body) @ held.belief.state.T_world_body
+    still = Rigid(RigidNoise(1e-7, 1e-7, 1e-7, 1e-7))
+    prior = rigid_belief(state.past.belief.mean, jnp.asarray(sure + 1e-14 * np.eye(12), jnp.float32))
+    held = track(state, FRAMES, transition=still, belief=prior, unrest=process_noise.full())
+    moved = inverse(held.predicted.mean.T_world_body) @ held.belief.mean.T_world_body
     assert np.abs(np.asarray(se3_log(moved))).max() < 1e-4
     assert error(held.predicted, true_pose(FRAMES))[0] > 0.01  # a step further on than the image
 
@@ -112,10 +137,10 @@ def test_velocity_is_in_its_band_on_a_path_of_constant_velocity() -> None:
 
     state = start()
     for k in range(1, 15):
-        state, info = prism.step(state, ROOM.image(pose(k), CAMERA), DT, CAMERA, CONFIG)
+        state, info = step(state, ROOM.image(pose(k), CAMERA))
         assert info.status == OK
         if k >= 6:
-            off = np.asarray(info.belief.state.velocity, float) - np.concatenate([v, w])
+            off = np.asarray(info.belief.mean.velocity, float) - np.concatenate([v, w])
             std = np.sqrt(np.diag(np.asarray(info.belief.covariance, float))[6:])
             assert (np.abs(off) < 4.0 * std).all()
             assert np.linalg.norm(off[:3]) < 0.06
@@ -141,14 +166,14 @@ def test_a_known_acceleration_is_added() -> None:
     state, _ = walked(FRAMES)
     state_before = copy(state)
     control = jnp.asarray([0.1, -0.2, 0.05, 0.0, 0.1, 0.0])
-    _, with_it = prism.step(copy(state), image(FRAMES + 1), DT, CAMERA, CONFIG, control)
-    _, without = prism.step(state, image(FRAMES + 1), DT, CAMERA, CONFIG)
+    _, with_it = step(copy(state), image(FRAMES + 1), control=control)
+    _, without = step(state, image(FRAMES + 1))
     assert with_it.status == without.status == OK
-    change = np.asarray(with_it.belief.state.velocity - without.belief.state.velocity, float)
+    change = np.asarray(with_it.belief.mean.velocity - without.belief.mean.velocity, float)
     along = change @ np.asarray(control, float) / np.linalg.norm(control)
     assert 0.0 < along < np.linalg.norm(control) * DT  # less: the image has its say
-    predicted = track(state_before, FRAMES + 1, control).predicted.state
-    expected = integrate(state_before.past.belief.state, control, jnp.float32(DT))
+    predicted = track(state_before, FRAMES + 1, control).predicted.mean
+    expected = HAND.mean(state_before.past.belief.mean, control, jnp.float32(DT))
     np.testing.assert_allclose(predicted.T_world_body, expected.T_world_body, atol=1e-6)
     np.testing.assert_allclose(predicted.velocity, expected.velocity, atol=1e-6)
 
@@ -188,9 +213,10 @@ def test_an_uncertain_pose_teaches_the_map_less() -> None:
     gained = []
     for config, std in ((CONFIG, 0.0), (EXPECTED, 0.002), (EXPECTED, 0.02), (EXPECTED, 0.06)):
         covariance = state.past.belief.covariance.at[:6, :6].set(std**2 * jnp.eye(6))
-        posterior = RigidBelief(state.past.belief.state, covariance)
+        posterior = rigid_belief(state.past.belief.mean, covariance)
         m = jax.tree.map(jnp.copy, state.map)
-        m = prism._mapped(m, seen, posterior, CAMERA, jax.random.key(3), config)
+        past = replace(state.past, belief=posterior)
+        m = prism_of(config)._mapped(m, seen, past, jax.random.key(3))
         gained.append(
             float(np.sum(np.asarray(m.occupancy_precision, float) - np.asarray(state.map.occupancy_precision)))
         )
@@ -204,11 +230,11 @@ def test_samples_of_the_pose_have_its_mean_and_covariance(samples: int) -> None:
     state, _ = walked(FRAMES)
     std = jnp.asarray([0.02, 0.01, 0.03, 0.02, 0.04, 0.01])
     belief = state.past.belief
-    belief = RigidBelief(belief.state, belief.covariance.at[:6, :6].set(jnp.diag(std**2)))
-    T_inverse = inverse(belief.state.T_world_body)
+    belief = rigid_belief(belief.mean, belief.covariance.at[:6, :6].set(jnp.diag(std**2)))
+    T_inverse = inverse(belief.mean.T_world_body)
     drawn = []
     for key in jax.random.split(jax.random.key(0), 300):
-        poses = prism._draw_poses(belief, key, samples)
+        poses = prism._draw_poses(belief, RIG, key, samples)
         assert poses.shape == (samples, 4, 4)
         drawn.append(np.asarray(jax.vmap(lambda T: se3_log(T_inverse @ T))(poses), float))
     errors = np.array(drawn) / np.asarray(std)
@@ -226,14 +252,14 @@ def test_an_even_number_of_samples_is_refused(samples: int) -> None:
 @pytest.mark.parametrize("dt", [0.0, -0.1, float("nan"), float("inf")])
 def test_time_must_pass(dt: float) -> None:
     with pytest.raises(InputError, match="dt"):
-        prism.step(walked(FRAMES)[0], image(FRAMES + 1), dt, CAMERA, CONFIG)
+        step(walked(FRAMES)[0], image(FRAMES + 1), dt)
 
 
 def test_the_anchor_serves_until_the_camera_has_left_it() -> None:
     """Farther than its distance or its angle it is taken anew, at the pose of that image."""
     taken = 0
     for state, info in walk(start(), range(1, FRAMES + 1)):
-        apart = np.asarray(se3_log(inverse(state.anchor.T_world_cam) @ info.belief.state.T_world_body))
+        apart = np.asarray(se3_log(inverse(state.anchor.T_world_cam) @ info.belief.mean.T_world_body))
         assert np.linalg.norm(apart[:3]) < CONFIG.anchor_distance
         assert np.linalg.norm(apart[3:]) < CONFIG.anchor_angle
         taken += bool((np.abs(apart) < 1e-6).all())
@@ -247,10 +273,10 @@ def test_the_window_follows_a_camera_that_leaves_it() -> None:
     block, moves, forgotten = 8 * 0.08, 0, 0
     for k in range(first - 1, -1, -1):
         edge = np.asarray(state.map.origin)
-        state, info = prism.step(state, image(k), DT, CAMERA, CONFIG)
+        state, info = step(state, image(k))
         assert info.status == OK
         middle = 0.5 * np.asarray(state.map.bounds).sum(axis=0)
-        off = np.asarray(info.belief.state.T_world_body)[:3, 3] - middle
+        off = np.asarray(info.belief.mean.T_world_body)[:3, 3] - middle
         assert np.abs(off).max() <= CONFIG.window_margin * 3 * block + 1e-5
         shift = (np.asarray(state.map.origin) - edge) / block
         np.testing.assert_allclose(shift, np.round(shift), atol=1e-4)
@@ -268,7 +294,7 @@ def test_the_window_follows_a_camera_that_leaves_it() -> None:
 @pytest.mark.parametrize("solver", ["gauss_newton", "adam"])
 def test_the_same_seed_gives_the_same_bytes(solver: str) -> None:
     """And with the published solver, which draws pixels, another seed gives others."""
-    config = PrismConfig(solver=solver)
+    config = PrismConfig(tracking=TrackingConfig(solver=solver))
     ends = []
     for seed in (0, 0, 1):
         *_, (state, info) = walk(start(config, seed=seed), range(1, 3), config)
@@ -288,7 +314,7 @@ def test_nothing_is_compiled_between_steps(caplog: pytest.LogCaptureFixture) -> 
         for k in range(FRAMES + 5, FRAMES + 10):
             frame = image(k)
             caplog.clear()
-            state, info = prism.step(state, frame, DT + 0.001 * k, CAMERA, CONFIG)
+            state, info = step(state, frame, DT + 0.001 * k)
             assert info.status == OK
             compiled = [record.getMessage() for record in caplog.records if "ompiling" in record.getMessage()]
             assert compiled == []

@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from analytic_room import camera_pose
 from prism_room import CAMERA, CONFIG, DT, EXPECTED, ROOM, copy, error, image, same_map, start, true_pose, walked
+from prism_room import step as filtered
 
 from vssm_gym.emission import RGBD, render
 from vssm_gym.errors import InputError
-from vssm_gym.inference import prism
-from vssm_gym.inference.prism import LOST, NO_READING, OK, RECOVERED, STATUS, PrismState
-from vssm_gym.inference.tracking import observe
+from vssm_gym.inference.filter import FilterInfo, observe
+from vssm_gym.inference.prism import PrismState
+from vssm_gym.inference.prism_config import PrismConfig
+from vssm_gym.inference.status import Status
+
+LOST, NO_READING, OK, RECOVERED = Status.LOST, Status.NO_READING, Status.OK, Status.RECOVERED
 
 WALKED = 12  # frames before anything happens
 TRACKED = (OK, RECOVERED)
@@ -29,9 +33,9 @@ def black() -> RGBD:
 
 
 def step(state: PrismState, taken: RGBD, dt: float = DT, config=CONFIG):
-    state, info = prism.step(state, taken, dt, CAMERA, config)
-    assert info.status in STATUS
-    assert all(np.isfinite(np.asarray(a)).all() for a in (info.belief.covariance, info.belief.state.T_world_body))
+    state, info = filtered(state, taken, dt, config)
+    assert info.status.message
+    assert all(np.isfinite(np.asarray(a)).all() for a in (info.belief.covariance, info.belief.mean.T_world_body))
     return state, info
 
 
@@ -52,7 +56,7 @@ def undisturbed() -> np.ndarray:
     return stds(walked(WALKED)[1][-1])
 
 
-def stds(info: prism.PrismInfo) -> np.ndarray:
+def stds(info: FilterInfo) -> np.ndarray:
     return np.sqrt(np.diag(np.asarray(info.belief.covariance, float)))
 
 
@@ -60,7 +64,7 @@ def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
     """From frame ``k`` on the camera is tracked as if nothing had been, as surely, and the map is whole."""
     for j in range(k, k + frames):
         state, info = step(state, image(j))
-        assert info.status in TRACKED, f"frame {j}: {STATUS[info.status]}"
+        assert info.status in TRACKED, f"frame {j}: {info.status.message}"
         metres, degrees = error(info.belief, true_pose(j))
         assert metres < 0.02
         assert degrees < 1.0
@@ -70,7 +74,7 @@ def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
 
 
 @pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
-def test_frames_that_are_dropped(config: prism.PrismConfig) -> None:
+def test_frames_that_are_dropped(config: PrismConfig) -> None:
     """Half a second without an image, while the hand moves 12 cm and 6 degrees."""
     state, _ = walked(WALKED, config)
     state, info = step(state, image(WALKED + 5), 0.5, config)
@@ -83,11 +87,11 @@ def test_frames_that_are_dropped(config: prism.PrismConfig) -> None:
 def test_images_without_a_reading(what: str, frames: int) -> None:
     """Said to have none; the map stays bit for bit, the pose where it was and its spread grows."""
     state, infos = walked(WALKED)
-    before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.state.T_world_body), 0.0
+    before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body), 0.0
     for k in range(WALKED + 1, WALKED + 1 + frames):
         state, info = step(state, black() if what == "black" else without_depth(image(k)))
         assert info.status == NO_READING
-        np.testing.assert_array_equal(np.asarray(info.belief.state.T_world_body), stood)
+        np.testing.assert_array_equal(np.asarray(info.belief.mean.T_world_body), stood)
         assert spread < (spread := float(jnp.trace(info.belief.covariance[:3, :3])))
     assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 1 + frames)
@@ -97,7 +101,7 @@ def test_images_without_a_reading(what: str, frames: int) -> None:
 def test_next_to_no_depth_is_no_reading(pixels: int) -> None:
     """So few readings fit anywhere: they move neither pose nor map."""
     state, infos = walked(WALKED)
-    before, stood = copy(state).map, np.asarray(infos[-1].belief.state.T_world_body)
+    before, stood = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body)
     few = np.zeros(60 * 80, bool)
     few[np.random.default_rng(0).permutation(60 * 80)[:pixels]] = True
     kept = jnp.asarray(few.reshape(60, 80))
@@ -105,7 +109,7 @@ def test_next_to_no_depth_is_no_reading(pixels: int) -> None:
         seen = image(k)
         state, info = step(state, RGBD(seen.depth * kept, seen.rgb, seen.hit & kept, seen.known & kept))
         assert info.status == NO_READING
-        np.testing.assert_array_equal(np.asarray(info.belief.state.T_world_body), stood)
+        np.testing.assert_array_equal(np.asarray(info.belief.mean.T_world_body), stood)
     assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 6)
 
@@ -211,5 +215,5 @@ def test_the_same_image_again() -> None:
         state, info = step(state, image(WALKED))
         assert info.status == OK
         assert error(info.belief, true_pose(WALKED))[0] < 0.01
-    assert np.abs(np.asarray(info.belief.state.velocity)).max() < 0.1
+    assert np.abs(np.asarray(info.belief.mean.velocity)).max() < 0.1
     back_on_the_walk(state, WALKED + 1)

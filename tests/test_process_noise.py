@@ -9,12 +9,17 @@ from hypothesis import strategies as st
 
 from vssm_gym.inference import process_noise
 from vssm_gym.inference.process_noise import CAUTION, FLOOR, TIME
-from vssm_gym.transition.rigid import RigidNoise
+from vssm_gym.transition import PLANAR, RIGID, Rigid, RigidNoise
 
 NOISE = RigidNoise(0.15, 0.01, 0.3, 0.01)
 
 
-step = jax.jit(lambda *arguments: process_noise.adapt(*arguments, NOISE))
+@jax.jit
+def step(level, moved, predicted, posterior, dt):
+    """What a step of the configured noise adds to a pose at rest is what innovations are compared with."""
+    rest = RIGID.resting(jnp.eye(4))
+    noise = Rigid(NOISE).noise_covariance(rest, jnp.zeros(6), dt)[:6, :6]
+    return process_noise.adapt(level, moved, predicted, posterior, dt, noise, RIGID)
 
 
 def adapt(level, moved, dt: float, left: float = 0.0) -> jnp.ndarray:
@@ -58,9 +63,18 @@ def test_the_level_stays_in_its_range(e: list[float], dt: float, before: float) 
 
 
 def test_at_a_level_the_variances_are_scaled_by_it() -> None:
-    scaled = process_noise.scaled(NOISE, jnp.asarray([0.25, 0.09]))
-    for variance, configured in zip(scaled.variances(0.1), NOISE.variances(0.1), strict=True):
-        np.testing.assert_allclose(variance / configured, np.repeat([0.25, 0.09], 3), rtol=1e-5)
+    """Translation and linear velocity by one factor, rotation and angular velocity by the other, in every block."""
+    factors = np.asarray(process_noise.scale(RIGID, jnp.asarray([0.25, 0.09])))
+    np.testing.assert_allclose(factors, np.tile(np.repeat([0.5, 0.3], 3), 2), rtol=1e-6)
+    np.testing.assert_allclose(process_noise.scale(PLANAR, jnp.asarray([0.25, 0.09])), [0.5, 0.5, 0.3], rtol=1e-6)
+    state = RIGID.perturb(RIGID.resting(jnp.eye(4)), jnp.arange(12) * 0.05)
+    known, linear, angular = Rigid(NOISE), 0.5, 0.3
+    scaled = Rigid(
+        RigidNoise(*(s * f for s, f in zip((0.15, 0.01, 0.3, 0.01), (linear, linear, angular, angular), strict=True)))
+    )
+    whole = np.asarray(known.noise_covariance(state, jnp.zeros(6), 0.1))
+    expected = np.asarray(scaled.noise_covariance(state, jnp.zeros(6), 0.1))
+    np.testing.assert_allclose(factors[:, None] * whole * factors, expected, rtol=1e-4, atol=1e-9)
     np.testing.assert_array_equal(process_noise.full(), [1.0, 1.0])
 
 

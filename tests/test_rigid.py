@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.geometry import se3_exp
-from vssm_gym.inference.belief import Gaussian, LinearGaussian, joint, split
+from vssm_gym.inference.linear_gaussian import Gaussian, LinearGaussian, joint, split
 from vssm_gym.transition import rigid
 from vssm_gym.transition.rigid import RigidBelief, RigidNoise, RigidState
 

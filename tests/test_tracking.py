@@ -6,19 +6,23 @@ import numpy as np
 import pytest
 from localisation_room import CAMERA, GRID, ROOM
 
-from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.geometry import planar_to_matrix, wrap_angle
-from vssm_gym.inference import map_update, tracking
-from vssm_gym.inference.tracking import LOST, OK, STATUS, RobotRig, TrackerConfig, TrackerInfo, TrackerState
-from vssm_gym.transition import MotionNoise, PlanarBelief, planar_predict
+from vssm_gym.inference import camera_filter, map_update
+from vssm_gym.inference.filter import Filter, FilterInfo, Rig, observe
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import FrameTracker, MapTracker, TrackerState
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import MotionNoise, Planar, planar_belief, world_covariance
 from vssm_gym.voxel_map import VoxelMap
 
 ROBOT = HolonomicRobot()
-RIG = RobotRig(CAMERA, jnp.asarray(ROBOT.T_body_cam, jnp.float32))
-EXECUTION = ExecutionNoise(np.radians(3.0), 0.02)  # "low" (SPEC 6)
-NOISE = MotionNoise(EXECUTION.turn, EXECUTION.step)
+RIG = Rig.of(CAMERA, ROBOT.T_body_cam)
+EXECUTION = ExecutionNoise(np.radians(3.0), 0.02)  # "low"
+MOTION = Planar(MotionNoise(EXECUTION.turn, EXECUTION.step))
+IN_MAP, BY_FRAMES = MapTracker(RIG, MOTION), FrameTracker(RIG, MOTION)
+OK, LOST = Status.OK, Status.LOST
 MAP = ROOM.to_map(*GRID)
 START = np.array([-0.5, -0.4, 2.9])  # turning left from here wraps the heading
 
@@ -26,7 +30,7 @@ START = np.array([-0.5, -0.4, 2.9])  # turning left from here wraps the heading
 def see(planar: np.ndarray) -> RGBD:
     """The camera image of a robot at a pose, through the bytes that a camera delivers."""
     image = ROOM.image(planar_to_matrix(planar) @ ROBOT.T_body_cam, CAMERA)
-    return tracking.observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+    return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
 def drive(steps: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -41,18 +45,19 @@ def drive(steps: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def error(state: TrackerState, planar: np.ndarray) -> tuple[float, float]:
     """Metres and radians."""
-    delta = np.asarray(state.planar, float) - planar
+    delta = np.asarray(state.past.belief.mean, float) - planar
     return float(np.hypot(delta[0], delta[1])), abs(float(wrap_angle(delta[2:])[0]))
 
 
-def step_map(
-    state: TrackerState, control: np.ndarray, image: RGBD, m: VoxelMap = MAP
-) -> tuple[TrackerState, TrackerInfo]:
-    return tracking.step_map(state, jnp.asarray(control, jnp.float32), image, m, RIG, NOISE)
+def step(
+    state: TrackerState, control: np.ndarray, image: RGBD, tracker: Filter = IN_MAP
+) -> tuple[TrackerState, FilterInfo]:
+    return tracker.step(state, jnp.asarray(control, jnp.float32), image, ROBOT.dt)
 
 
-def start() -> TrackerState:
-    return tracking.first(jnp.asarray(START, jnp.float32), see(START))
+def start(tracker: Filter = IN_MAP, m: VoxelMap = MAP, std: float = 1e-3) -> TrackerState:
+    known = planar_belief(jnp.asarray(START, jnp.float32), std**2 * jnp.eye(3))
+    return tracker.init(Posterior(known, m), see(START), jax.random.key(0))
 
 
 def dead_reckoning_error(drive: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -68,12 +73,12 @@ def test_the_robot_is_tracked_in_its_map(seed: int) -> None:
     """30 steps round the room: within 1 cm and half a degree, never lost, while commands alone are off by far more."""
     state, path = start(), drive(30, seed)
     for command, planar in path:
-        state, info = step_map(state, command, see(planar))
+        state, info = step(state, command, see(planar))
         off, turned = error(state, planar)
-        assert int(info.status) == OK
+        assert info.status is OK
         assert off < 0.01
         assert turned < np.radians(0.5)
-        assert -np.pi - 1e-6 <= float(state.planar[2]) <= np.pi + 1e-6
+        assert -np.pi - 1e-6 <= float(state.past.belief.mean[2]) <= np.pi + 1e-6
     assert dead_reckoning_error(path) > 0.1
 
 
@@ -85,10 +90,10 @@ def test_a_map_made_from_images_serves_as_well() -> None:
             T = planar_to_matrix(np.array([*xy, heading])) @ ROBOT.T_body_cam
             image = ROOM.image(T, CAMERA)
             m = map_update.update(m, image.depth, image.rgb, jnp.asarray(T, jnp.float32), CAMERA)
-    state, path, offs = start(), drive(20, 3), []
+    state, path, offs = start(m=m), drive(20, 3), []
     for command, planar in path:
-        state, info = step_map(state, command, see(planar), m)
-        assert int(info.status) == OK
+        state, info = step(state, command, see(planar))
+        assert info.status is OK
         offs.append(error(state, planar)[0])
     assert max(offs) < 0.04
     assert np.sqrt(np.mean(np.square(offs))) < 0.02
@@ -96,24 +101,24 @@ def test_a_map_made_from_images_serves_as_well() -> None:
 
 def test_frame_to_frame_tracking_drifts_but_holds() -> None:
     """The "no map" baseline: better than commands alone. Its errors add up, and its covariance says so."""
-    state, path, spread = start(), drive(30, 0), []
+    state, path, spread = start(BY_FRAMES), drive(30, 0), []
     for command, planar in path:
-        state, info = tracking.step_frames(state, jnp.asarray(command, jnp.float32), see(planar), RIG, NOISE)
-        assert int(info.status) == OK
-        spread.append(np.linalg.slogdet(np.asarray(state.covariance, float))[1])
+        state, info = step(state, command, see(planar), BY_FRAMES)
+        assert info.status is OK
+        spread.append(np.linalg.slogdet(np.asarray(world_covariance(state.past.belief), float))[1])
     assert error(state, path[-1][1])[0] < 0.3 * dead_reckoning_error(path)
     assert spread == sorted(spread)  # the volume of the belief; its extent in one direction may fall on the way back
-    assert float(state.covariance[2, 2]) > 10 * 1e-6  # of the heading, known to 1 mrad at the start
+    assert float(state.past.belief.covariance[2, 2]) > 10 * 1e-6  # of the heading, known to 1 mrad at the start
 
 
 def test_images_only_add_information() -> None:
-    """``Sigma^-1 = 2 J^T J + P`` (SPEC 3, step 3): never less certain than the prediction, in any direction."""
+    """``Sigma^-1 = 2 J^T J + P`` (PRISM, step 3): never less certain than the prediction, in any direction."""
     state = start()
     for command, planar in drive(5, 4):
-        predicted = planar_predict(state.belief, jnp.asarray(command, jnp.float32), NOISE).covariance
-        spread = np.asarray(predicted, float) + np.diag(np.square(TrackerConfig().process_std))
-        state, info = step_map(state, command, see(planar))
-        posterior = np.asarray(state.belief.covariance, float)
+        predicted = MOTION.predict(state.past.belief, jnp.asarray(command, jnp.float32), ROBOT.dt)
+        spread = np.asarray(predicted.covariance, float)
+        state, info = step(state, command, see(planar))
+        posterior = np.asarray(state.past.belief.covariance, float)
         information = 2.0 * np.asarray(info.agreement.information, float) + np.linalg.inv(spread)
         np.testing.assert_allclose(posterior @ information, np.eye(3), atol=2e-2)
         np.testing.assert_allclose(posterior, posterior.T, rtol=1e-3, atol=1e-9)
@@ -125,8 +130,8 @@ def test_a_robot_at_rest_does_not_creep() -> None:
     """A robot that stands still in front of what it sees stays where it is, to a millimetre."""
     state = start()
     for _ in range(5):
-        state, info = step_map(state, np.zeros(3), see(START))
-        assert int(info.status) == OK
+        state, info = step(state, np.zeros(3), see(START))
+        assert info.status is OK
     off, turned = error(state, START)
     assert off < 3e-3
     assert turned < np.radians(0.2)
@@ -139,26 +144,24 @@ ELSEWHERE = np.array([0.5, 0.0, -0.6])
 def test_images_that_do_not_fit_are_not_believed(kind: str) -> None:
     """The status says so, the belief follows the dynamics and widens, and the next good image brings it back."""
     (first_command, first_pose), (second_command, second_pose), (_, third_pose) = drive(3, 5)
-    state, info = step_map(start(), first_command, see(first_pose))
-    assert int(info.status) == OK
+    state, info = step(start(), first_command, see(first_pose))
+    assert info.status is OK
     bad = {
         "another place": see(ELSEWHERE),
-        "no depth": tracking.observe(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64))),
-        "black": tracking.observe(np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.3)),
+        "no depth": observe(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64))),
+        "black": observe(np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.3)),
     }[kind]
-    predicted = planar_predict(state.belief, jnp.asarray(second_command, jnp.float32), NOISE)
-    lost, info = step_map(state, second_command, bad)
-    assert int(info.status) == LOST
-    assert "lost" in STATUS[int(info.status)]
-    assert int(lost.lost) == 1
-    np.testing.assert_allclose(np.asarray(lost.planar), np.asarray(predicted.planar), atol=1e-6)
-    widened = np.asarray(lost.belief.covariance - predicted.covariance, float)
-    np.testing.assert_allclose(widened, np.diag(np.square(TrackerConfig().process_std)), atol=1e-8)
-    still_lost, _ = step_map(lost, np.zeros(3), bad)
-    assert int(still_lost.lost) == 2
-    found, info = step_map(lost, np.zeros(3), see(second_pose))
-    assert int(info.status) == OK
-    assert int(found.lost) == 0
+    predicted = MOTION.predict(state.past.belief, jnp.asarray(second_command, jnp.float32), ROBOT.dt)
+    lost, info = step(state, second_command, bad)
+    assert info.status is LOST
+    assert "lost" in info.status.message and lost.lost
+    np.testing.assert_allclose(np.asarray(lost.past.belief.mean), np.asarray(predicted.mean), atol=1e-6)
+    np.testing.assert_allclose(np.asarray(info.belief.covariance), np.asarray(predicted.covariance), atol=1e-8)
+    still_lost, _ = step(lost, np.zeros(3), bad)
+    assert still_lost.lost
+    found, info = step(lost, np.zeros(3), see(second_pose))
+    assert info.status is OK
+    assert not found.lost
     assert error(found, second_pose)[0] < 0.02
     assert third_pose.shape == (3,)
 
@@ -170,55 +173,54 @@ def test_readings_that_are_no_numbers_are_none() -> None:
     depth = np.array(image.depth)
     depth[5:9, 10:20] = np.nan
     depth[20:24, 30:40] = np.inf
-    spoiled = tracking.observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), depth)
-    state, info = step_map(start(), command, spoiled)
-    assert int(info.status) == OK
+    spoiled = observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), depth)
+    state, info = step(start(), command, spoiled)
+    assert info.status is OK
     assert error(state, planar)[0] < 0.015
 
 
 def test_covariance_in_world_axes_by_hand() -> None:
     """Facing world y, what the body calls ahead is y: std 0.1 ahead and 0.3 to the left are 0.3 in x and 0.1 in y."""
-    belief = PlanarBelief(jnp.array([1.0, 2.0, np.pi / 2]), jnp.diag(jnp.array([0.01, 0.09, 0.04])))
-    state = TrackerState(belief, see(START), jnp.int32(0))
-    np.testing.assert_allclose(np.asarray(state.covariance), np.diag([0.09, 0.01, 0.04]), atol=1e-7)
+    belief = planar_belief(jnp.array([1.0, 2.0, np.pi / 2]), jnp.diag(jnp.array([0.01, 0.09, 0.04])))
+    np.testing.assert_allclose(np.asarray(world_covariance(belief)), np.diag([0.09, 0.01, 0.04]), atol=1e-7)
 
 
 def test_the_first_state_is_the_known_start() -> None:
-    state = tracking.first(jnp.asarray(START, jnp.float32), see(START), (0.01, 0.02, 0.03))
-    np.testing.assert_allclose(np.asarray(state.planar), START, rtol=1e-6)
-    np.testing.assert_allclose(np.asarray(state.belief.covariance), np.diag([1e-4, 4e-4, 9e-4]), rtol=1e-5)
-    assert int(state.lost) == 0
+    state = start(std=0.02)
+    belief = IN_MAP.posterior(state).belief
+    np.testing.assert_allclose(np.asarray(belief.mean), START, rtol=1e-6)
+    np.testing.assert_allclose(np.asarray(belief.covariance), np.diag([4e-4] * 3), rtol=1e-5)
+    assert not state.lost
 
 
 def test_an_observation_is_what_the_camera_delivered() -> None:
     rgb, depth = np.full((48, 64, 3), 51, np.uint8), np.ones((48, 64), np.float32)
     depth[0, 0] = 0.0
-    image = tracking.observe(rgb, depth)
+    image = observe(rgb, depth)
     np.testing.assert_allclose(np.asarray(image.rgb), 0.2, rtol=1e-6)
     np.testing.assert_array_equal(np.asarray(image.depth), depth)
     np.testing.assert_array_equal(np.asarray(image.hit), depth > 0)
 
 
 def test_every_status_has_words() -> None:
-    assert set(STATUS) == {OK, LOST}
-    assert all(isinstance(text, str) and text for text in STATUS.values())
+    assert len({status.message for status in Status}) == len(Status)
+    assert [status for status in Status if status.fits] == [Status.OK, Status.RECOVERED]
 
 
 def test_tracking_compiles_once() -> None:
     """Whatever the poses, commands, maps and images, lost or not."""
-    before = tracking.correct._cache_size(), tracking.step_frames._cache_size()
-    state = start()
-    for command, planar in drive(3, 8):
-        for m in (MAP, VoxelMap.prior(*GRID)):
-            state, _ = step_map(state, command, see(planar), m)
-        state, _ = tracking.step_frames(state, jnp.asarray(command, jnp.float32), see(planar), RIG, NOISE)
-    assert tracking.correct._cache_size() - before[0] <= 1
-    assert tracking.step_frames._cache_size() - before[1] <= 1
+    before = camera_filter.track._cache_size()
+    for m in (MAP, VoxelMap.prior(*GRID)):
+        state, frames = start(m=m), start(BY_FRAMES)
+        for command, planar in drive(3, 8):
+            state, _ = step(state, command, see(planar))
+            frames, _ = step(frames, command, see(planar), BY_FRAMES)
+    assert camera_filter.track._cache_size() - before <= 1
 
 
 def test_steps_are_deterministic() -> None:
     (command, planar) = drive(1, 9)[0]
-    a, b = (step_map(start(), command, see(planar))[0] for _ in range(2))
+    a, b = (step(start(), command, see(planar))[0].past for _ in range(2))
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
 
@@ -226,15 +228,15 @@ def test_steps_are_deterministic() -> None:
 def test_the_rig_takes_any_camera() -> None:
     """The camera's place on the body is the rig's, not the tracker's: one that looks back tracks as well."""
     T_body_cam = planar_to_matrix(np.array([-0.05, 0.02, np.pi])) @ ROBOT.T_body_cam
-    rig = RobotRig(CAMERA, jnp.asarray(T_body_cam, jnp.float32))
-    assert isinstance(rig.camera, Camera)
+    tracker = MapTracker(Rig.of(CAMERA, T_body_cam), MOTION)
 
     def see_back(planar: np.ndarray) -> RGBD:
         image = ROOM.image(planar_to_matrix(planar) @ T_body_cam, CAMERA)
-        return tracking.observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+        return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
-    state = tracking.first(jnp.asarray(START, jnp.float32), see_back(START))
+    known = planar_belief(jnp.asarray(START, jnp.float32), 1e-6 * jnp.eye(3))
+    state = tracker.init(Posterior(known, MAP), see_back(START), jax.random.key(0))
     for command, planar in drive(10, 2):
-        state, info = tracking.step_map(state, jnp.asarray(command, jnp.float32), see_back(planar), MAP, rig, NOISE)
-        assert int(info.status) == OK
+        state, info = step(state, command, see_back(planar), tracker)
+        assert info.status is OK
         assert error(state, planar)[0] < 0.015

@@ -73,6 +73,19 @@ def read(path: str | Path) -> StoredMap:
 
 
 def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    header, arrays = _unpacked(path)
+    known = header if isinstance(header, dict) else {}
+    if known.get("format") != FORMAT or known.get("version") not in (DENSE, SPARSE):
+        found = f"{known.get('format')} version {known.get('version')}"
+        raise InputError(path, "version", f"{FORMAT} version {DENSE} or {SPARSE}, found {found}")
+    missing = [name for name in (*BELIEF, "origin", "voxel_size") if name not in arrays]
+    if missing:
+        raise InputError(path, missing[0], "this array in the map file")
+    return header, arrays
+
+
+def _unpacked(path: Path) -> tuple[Any, dict[str, np.ndarray]]:
+    """The header and the arrays of a file of this package, unchecked."""
     if not path.is_file():
         found = "; this is a folder" if path.is_dir() else ""
         raise InputError(path, "file", f"an existing map file (.npz); `vssm-gym map build` makes one{found}")
@@ -84,13 +97,6 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
         header = json.loads(arrays.pop("header").tobytes().decode())
     except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them to
         raise InputError(path, "file", f"a whole vssm_gym map; it cannot be read ({error})") from error
-    known = header if isinstance(header, dict) else {}
-    if known.get("format") != FORMAT or known.get("version") not in (DENSE, SPARSE):
-        found = f"{known.get('format')} version {known.get('version')}"
-        raise InputError(path, "version", f"{FORMAT} version {DENSE} or {SPARSE}, found {found}")
-    missing = [name for name in (*BELIEF, "origin", "voxel_size") if name not in arrays]
-    if missing:
-        raise InputError(path, missing[0], "this array in the map file")
     return header, arrays
 
 
@@ -117,3 +123,12 @@ def _stored(path: str | Path, header: dict, arrays: dict[str, np.ndarray], block
 def read_metadata(path: str | Path) -> dict:
     """The header of a map file: format, version and what was passed to ``VoxelMap.save``."""
     return _read(Path(path))[0]
+
+
+def read_header(path: str | Path, formats: set[str]) -> dict[str, Any]:
+    """Read the header of a map file, or of another file of this package whose format is one of ``formats``."""
+    header, _ = _unpacked(Path(path))
+    found = header.get("format") if isinstance(header, dict) else None
+    if found not in formats:
+        raise InputError(path, "format", f"one of {', '.join(sorted(formats))}; found {found!r:.80}")
+    return header

@@ -19,7 +19,8 @@ from vssm_gym import emission
 from vssm_gym.camera import Camera
 from vssm_gym.emission import MAX_DEPTH, RGBD, EmissionScales
 from vssm_gym.emission_uncertainty import Readings, sample_map
-from vssm_gym.transition.base import Belief, Transition, normal_log_prob
+from vssm_gym.transition.base import Transition
+from vssm_gym.transition.belief import Belief
 from vssm_gym.voxel_map import VoxelMap
 
 State = Any  # a pytree: what the transition calls its state
@@ -38,7 +39,7 @@ class SpatialModel(eqx.Module):
 
     def image(self, m: VoxelMap, state: State) -> RGBD:
         """``mu_rgbd(z, M)``: what the camera sees from a single state in a map."""
-        T_world_cam = self.transition.pose(state) @ self.T_body_cam
+        T_world_cam = self.transition.manifold.pose(state) @ self.T_body_cam
         return emission.render(m, T_world_cam, self.camera, self.max_depth)
 
 
@@ -71,6 +72,7 @@ def log_joint(
     controls: Float[Array, "step control"],
     images: RGBD,
     M: VoxelMap,
+    dt: float | Array,
 ) -> LogJoint:
     """``log p(x_1:T, z_1:T, M | u_1:T-1)``; differentiable in states, map values, scales and intrinsics.
 
@@ -81,6 +83,7 @@ def log_joint(
         controls: ``u_1:T-1``.
         images: ``x_1:T``, arrays with leading time axis.
         M: A value of the map: the means of this one; its precisions are not read.
+        dt: Length of a step, s.
 
     Returns:
         The terms. Pose densities are with respect to metres times the angle turned; pixels without depth in the image
@@ -95,8 +98,8 @@ def log_joint(
 
     return LogJoint(
         cells=log_prob_map(M, model.m),
-        start=log_prob_state(model.transition, start, first),
-        transitions=model.transition.log_prob(after, before, controls),
+        start=start.log_prob(first),
+        transitions=model.transition.log_prob(after, before, controls, dt),
         images=jax.lax.map(observed, (states, images)),  # one image at a time: memory does not grow with time
     )
 
@@ -108,25 +111,13 @@ def log_prob_map(M: VoxelMap, prior: VoxelMap) -> Float[Array, ""]:
     return occupancy + colour
 
 
-def log_prob_state(transition: Transition, belief: Belief, state: State) -> Float[Array, ""]:
-    """``log q(z)`` of a Gaussian in the tangent, with respect to the volume of state space."""
-    xi = transition.error(belief.mean, state)
-    return normal_log_prob(xi, belief.covariance) - transition.log_volume(xi)
-
-
-def sample_state(key: PRNGKeyArray, transition: Transition, belief: Belief, samples: int) -> State:
-    """``z ~ q(z)``: a batch of states; the covariance may be singular (a known start)."""
-    variances, axes = jnp.linalg.eigh(belief.covariance)
-    root = axes * jnp.sqrt(jnp.maximum(variances, 0.0))
-    return transition.perturb(belief.mean, jax.random.normal(key, (samples, root.shape[0])) @ root.T)
-
-
 @partial(jax.jit, static_argnames=("samples", "images"))
 def rollout(
     key: PRNGKeyArray,
     model: SpatialModel,
     belief: Belief,
     controls: Float[Array, "time control"],
+    dt: float | Array,
     *,
     samples: int,
     images: Literal["none", "mean map", "sampled maps"] = "none",
@@ -138,6 +129,7 @@ def rollout(
         model: Transition, map belief and camera.
         belief: ``q(z_t)``, now.
         controls: What will be done, one row a step.
+        dt: Length of a step, s.
         samples: How many futures; their states are drawn together.
         images: Whether to render them: not at all, in the map's mean, or each future in its own sample of the map
             (which takes a new empty-space index a sample). Images are rendered one after the other.
@@ -146,11 +138,11 @@ def rollout(
         The futures. Images are the emission's means; :mod:`vssm_gym.predictive` adds its noise.
     """
     by_start, by_step, by_map = jax.random.split(key, 3)
-    started = sample_state(by_start, model.transition, belief, samples)
+    started = belief.sample(by_start, samples)
 
     def step(state, now):
         key, control = now
-        state = model.transition.sample(key, state, jnp.broadcast_to(control, (samples, *control.shape)))
+        state = model.transition.sample(key, state, jnp.broadcast_to(control, (samples, *control.shape)), dt)
         return state, state
 
     _, states = jax.lax.scan(step, started, (jax.random.split(by_step, len(controls)), controls))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from vssm_gym.emission import RGBD, EmissionScales
-from vssm_gym.transition.base import Transition
+from vssm_gym.transition.manifold import Manifold
 
 MEAN_STEPS = 5  # of the mean on the manifold; it converges in two or three unless rotations spread by a radian
 STD_FLOOR = 1e-6  # m, rad: what float32 poses resolve; keeps ellipsoids that have no volume from dividing by zero
@@ -23,7 +23,7 @@ class Envelope(eqx.Module):
     """A region ``(xi^T covariance^-1 xi <= radius2)`` at every step."""
 
     mean: Any  # a state pytree with leading time axis
-    covariance: Float[Array, "time n n"]  # of xi, in the order of the transition's errors: (m, rad[, m/s, rad/s])
+    covariance: Float[Array, "time n n"]  # of xi, in the order of the manifold's errors: (m, rad[, m/s, rad/s])
     radius2: Float[Array, "time"]  # chi-square quantile's place, but from the samples: futures need not be Gaussian
 
 
@@ -38,12 +38,12 @@ class ImageSummary(eqx.Module):
     known_share: Float[Array, "*batch height width"]  # futures that see an observed one, [0, 1]
 
 
-@partial(jax.jit, static_argnames=("level", "coordinates"))
-def envelope(transition: Transition, states: Any, level: float = 0.95, coordinates: int | None = None) -> Envelope:
+@partial(jax.jit, static_argnames=("manifold", "level", "coordinates"))
+def envelope(manifold: Manifold, states: Any, level: float = 0.95, coordinates: int | None = None) -> Envelope:
     """The region that holds a share ``level`` of the futures at each step.
 
     Args:
-        transition: Whose states they are.
+        manifold: Of the states.
         states: Pytree of (samples, time, ...).
         level: Share of the futures inside.
         coordinates: Only the first so many of ``xi``: 6 for the pose of a rigid body; default all. The samples must
@@ -54,8 +54,8 @@ def envelope(transition: Transition, states: Any, level: float = 0.95, coordinat
     """
     mean = jax.tree.map(lambda a: a[0], states)
     for _ in range(MEAN_STEPS):
-        mean = transition.perturb(mean, transition.error(mean, states).mean(axis=0))
-    xi = transition.error(mean, states)[..., :coordinates]
+        mean = manifold.perturb(mean, manifold.error(mean, states).mean(axis=0))
+    xi = manifold.error(mean, states)[..., :coordinates]
     n = xi.shape[0]
     covariance = jnp.einsum("kti,ktj->tij", xi, xi) / (n - 1)
     # Each sample against mean and covariance of the others: its own share in them would make the region too small.
@@ -64,17 +64,17 @@ def envelope(transition: Transition, states: Any, level: float = 0.95, coordinat
     return Envelope(mean, covariance, jnp.quantile(left_out, level, axis=0))
 
 
-@jax.jit
-def distance2(transition: Transition, region: Envelope, states: Any) -> Float[Array, "*batch time"]:
+@partial(jax.jit, static_argnames="manifold")
+def distance2(manifold: Manifold, region: Envelope, states: Any) -> Float[Array, "*batch time"]:
     """``xi^T covariance^-1 xi`` of states (..., time): the squared Mahalanobis distance to the mean."""
-    xi = transition.error(region.mean, states)[..., : region.covariance.shape[-1]]
+    xi = manifold.error(region.mean, states)[..., : region.covariance.shape[-1]]
     return _distance2(xi, region.covariance)
 
 
-@jax.jit
-def inside(transition: Transition, region: Envelope, states: Any) -> Bool[Array, "*batch time"]:
+@partial(jax.jit, static_argnames="manifold")
+def inside(manifold: Manifold, region: Envelope, states: Any) -> Bool[Array, "*batch time"]:
     """Whether states (..., time) lie in the region of their step."""
-    return distance2(transition, region, states) <= region.radius2
+    return distance2(manifold, region, states) <= region.radius2
 
 
 @jax.jit

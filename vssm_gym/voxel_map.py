@@ -6,6 +6,7 @@ field is the trilinear interpolation of the cells and its zero level set is the 
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -205,7 +206,7 @@ class VoxelMap(eqx.Module):
         a = dense.reshape(bx, BLOCK, by, BLOCK, bz, BLOCK, -1).transpose(0, 2, 4, 6, 1, 3, 5)
         return a.reshape((bx * by * bz, *dense.shape[3:], CELLS))
 
-    def save(self, path: str | Path, **metadata: str | float | int | list) -> None:
+    def save(self, path: str | Path, **metadata: Any) -> None:
         """Write an ``.npz`` (no pickle) with a version and ``metadata``; the file appears whole or not at all.
 
         Of a block-sparse map only the blocks that have storage are written.

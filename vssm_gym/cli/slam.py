@@ -14,6 +14,7 @@ import tyro
 if TYPE_CHECKING:
     from vssm_gym.eval.slam_run import TrackedFrame
 
+INTRINSICS = "fx,fy,cx,cy[,k1,k2,p1,p2,k3]"
 WARNINGS = 5  # printed; stats.json has all
 RECENT = 20  # frames that the frame rate is told from
 
@@ -31,6 +32,9 @@ def slam(
     max_depth: float = 8.0,
     depth: Literal["good", "stereo"] = "good",
     imu: bool = False,
+    method: Literal["prism", "tracker"] = "prism",
+    map: Path | None = None,
+    start: str | None = None,
     seed: int = 0,
     viewer: bool = False,
 ) -> None:
@@ -51,6 +55,9 @@ def slam(
         samples: poses drawn for the map update, an odd number; from 3 on, pose and map hear of each other's doubts.
         max_depth: metres; farther readings are left out.
         depth: good (structured light, or stereo near by), or stereo: noisy and far away, as in flight.
+        method: prism maps and tracks; tracker locates the camera in a map that is known and stays as it is.
+        map: of the tracker: a map file, as of another run of slam, or of map build.
+        start: of the tracker: x,y,z,qx,qy,qz,qw, about where the first camera is in the map; the map's origin else.
         imu: let imu.txt drive the prior, in place of constant velocity; the camera is at rest in the first half second.
         seed: of what is drawn: the samples, and the pixels of adam.
         viewer: show the run as it happens in rerun (the extra vssm-gym[viz]).
@@ -61,10 +68,22 @@ def slam(
     from vssm_gym.viz.stream import open_viewer
 
     options = SlamOptions(
-        _size(size), rate, voxel, extent, solver, samples, seed, max_depth=max_depth, depth=depth, imu=imu
+        _size(size),
+        rate,
+        voxel,
+        extent,
+        solver,
+        samples,
+        seed,
+        max_depth=max_depth,
+        depth=depth,
+        imu=imu,
+        method=method,
+        map=map,
+        start=None if start is None else _numbers("start", start, "x,y,z,qx,qy,qz,qw"),
     )
     slam_output.check_free(out)
-    recording = load_sequence(sequence, None if intrinsics is None else _intrinsics(intrinsics))
+    recording = load_sequence(sequence, None if intrinsics is None else _numbers("intrinsics", intrinsics, INTRINSICS))
     print_warnings(recording.notices)
     with contextlib.ExitStack() as stack:
         shown = None
@@ -137,10 +156,10 @@ def _size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _intrinsics(text: str) -> tuple[float, ...]:
+def _numbers(field: str, text: str, form: str) -> tuple[float, ...]:
     from vssm_gym.errors import InputError
 
     try:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
-        raise InputError("slam", "intrinsics", f"numbers fx,fy,cx,cy[,k1,k2,p1,p2,k3], not {text!r}") from None
+        raise InputError("slam", field, f"numbers {form}, not {text!r}") from None

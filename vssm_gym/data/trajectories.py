@@ -59,6 +59,13 @@ def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     return times, T
 
 
+def from_tum(values: np.ndarray) -> np.ndarray:
+    """Return ``T_world_cam`` (4, 4) of a TUM line without its stamp: ``x y z qx qy qz qw``."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_quat(values[3:]).as_matrix(), values[:3]
+    return T
+
+
 def tum_line(time: float, T_world_cam: np.ndarray) -> str:
     """One line of a TUM trajectory."""
     q = Rotation.from_matrix(T_world_cam[:3, :3]).as_quat()

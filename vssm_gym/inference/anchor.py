@@ -23,7 +23,7 @@ class Anchor(eqx.Module):
 
     T_world_cam: Float[Array, "4 4"]
     image: RGBD  # rendered from the map mean, unknown pixels from the camera image
-    seen: Float[Array, "height width"]  # luminance of the camera image, [0, 1]
+    seen: Float[Array, "height width"] | None  # luminance of the camera image taken there, [0, 1]; None: none was
     spread: Float[Array, "height width"] | None  # m, std of the rendered depth under q(M); None: the mean is taken
 
 
@@ -63,6 +63,11 @@ def take(
         std = _depth_std(m, T_world_cam, camera, rendered)
         spread = jnp.where(rendered.known, std, 0.0)  # a camera image's own noise is in the residual's scale
     return Anchor(T_world_cam, image, seen, spread)
+
+
+def rendered(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float) -> Anchor:
+    """Return the anchor at a pose where no camera image was taken: what the map says alone."""
+    return Anchor(T_world_cam, emission.render(m, T_world_cam, camera, max_depth), None, None)
 
 
 @jax.jit

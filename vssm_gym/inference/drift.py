@@ -8,6 +8,7 @@ revisit makes the walk smaller either. ``k`` says how many images in a row err a
 anchor. It stands in for the correlation between pose and map that the two marginal filters leave out.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,7 +16,7 @@ from jaxtyping import Array, Float
 from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.geometry import inverse, se3_adjoint
-from vssm_gym.transition.rigid import RigidBelief
+from vssm_gym.transition.belief import GaussianBelief
 from vssm_gym.voxel_map import VoxelMap
 
 ALIKE = 16.0  # k; simulated walks ask for 4, a real Kinect, whose depth errs alike everywhere, for 100
@@ -33,7 +34,7 @@ def grow(
     drift: Float[Array, "6 6"],
     before: Float[Array, "readings"],
     after: Float[Array, "readings"],
-    relative: RigidBelief,
+    relative: GaussianBelief,
     image: RGBD,
 ) -> Float[Array, "6 6"]:
     """``P + k nu Ad_T Sigma Ad_T^T``, ``nu`` the share of the map in view that the image wrote.
@@ -47,12 +48,17 @@ def grow(
     """
     read = image.hit[2::4, 2::4].reshape(-1)
     share = jnp.sum(read * (1.0 - before / after)) / jnp.maximum(jnp.sum(read), 1)
-    carry = se3_adjoint(relative.state.T_world_body)
-    return drift + ALIKE * share * carry @ relative.covariance[:6, :6] @ carry.T
+    twists = relative.manifold.twists
+    p = twists.shape[1]
+    carry = se3_adjoint(relative.manifold.pose(relative.mean)) @ twists
+    return drift + ALIKE * share * carry @ relative.covariance[:p, :p] @ carry.T
 
 
 @jax.jit
-def in_world(relative: RigidBelief, drift: Float[Array, "6 6"]) -> RigidBelief:
+def in_world(relative: GaussianBelief, drift: Float[Array, "6 6"]) -> GaussianBelief:
     """The belief against the map as one in the world: ``Sigma + Ad_T^-1 P Ad_T^-T``."""
-    carry = se3_adjoint(inverse(relative.state.T_world_body))
-    return RigidBelief(relative.state, relative.covariance.at[:6, :6].add(carry @ drift @ carry.T))
+    twists = relative.manifold.twists
+    p = twists.shape[1]
+    # Of a robot on a floor only the drift within the floor's plane matters: twists are orthonormal.
+    carry = twists.T @ se3_adjoint(inverse(relative.manifold.pose(relative.mean)))
+    return eqx.tree_at(lambda q: q.covariance, relative, relative.covariance.at[:p, :p].add(carry @ drift @ carry.T))

@@ -1,33 +1,31 @@
-"""Localisation through the renderer: ``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` by Adam (SPEC 4; TNP-SM).
+"""Localisation through the renderer: ``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` by Adam (TNP-SM).
 
 The *emission-based* tracker, a comparison. Where :mod:`vssm_gym.inference.tracking` aligns an image to one rendered
 reference, this one renders the drawn pixels anew at every step and follows the gradient of ``log p`` in the pose, which
 comes from the interpolation at the hit alone: a search along 200 rays a step, and no association but the ray's own.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym import emission
 from vssm_gym.emission import RGBD, EmissionScales
-from vssm_gym.geometry import se3_exp
+from vssm_gym.errors import InputError
+from vssm_gym.geometry import inverse, se3_exp, se3_log
 from vssm_gym.inference.adam import AdamConfig, minimise
-from vssm_gym.inference.alignment import agreement, make_observed, make_reference, stride
-from vssm_gym.inference.tracking import (
-    RobotRig,
-    TrackerConfig,
-    TrackerInfo,
-    TrackerState,
-    conclude,
-    planar_basis,
-    predict,
-    prior_precision,
-)
-from vssm_gym.transition import MotionNoise, PlanarBelief
+from vssm_gym.inference.alignment import AlignInfo, agreement, make_observed, make_reference, score, stride
+from vssm_gym.inference.camera_filter import begin, camera_twists
+from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
+from vssm_gym.inference.localise import seconds
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import ROBOT, TrackerState, TrackingConfig
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition.base import Transition
+from vssm_gym.transition.belief import GaussianBelief
 from vssm_gym.voxel_map import VoxelMap
 
 TRACKER_ADAM = AdamConfig(steps=100, translation_step=0.003, rotation_step=0.003)
@@ -40,27 +38,63 @@ class EmissionTrackerConfig:
     adam: AdamConfig = TRACKER_ADAM  # its gates leave out pixels that see another surface
     scales: tuple[float, float] = (0.02, 0.1)  # of the emission: depth (m) and a colour channel; those of the aligners
     max_depth: float = emission.MAX_DEPTH
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    tracker: TrackingConfig = ROBOT
+
+
+@dataclass(frozen=True)
+class EmissionTracker:
+    """The filter; for transitions whose state is a pose."""
+
+    rig: Rig
+    transition: Transition
+    config: EmissionTrackerConfig = EmissionTrackerConfig()
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
+        """Return the prior's belief; its map is shared, not consumed.
+
+        Raises:
+            InputError: a prior without a map, or a transition whose state is more than a pose.
+        """
+        manifold = self.transition.manifold
+        if prior.map is None:
+            raise InputError("EmissionTracker.init", "prior", "a learned map to track in")
+        if manifold.twists.shape[1] != len(manifold.turns):
+            raise InputError(
+                "EmissionTracker", "transition", "one whose state is a pose: planar, bicycle, differential"
+            )
+        return TrackerState(begin(prior.belief, image, self.rig), prior.map, None, False, key)
+
+    def step(
+        self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[TrackerState, FilterInfo]:
+        """Follow the gradient through the renderer; see :class:`Filter`."""
+        assert state.map is not None
+        predicted = _predict(self.transition, state.past.belief, control, seconds(dt))
+        T_world_cam = _descend(predicted, image, state.map, self.rig, state.key, self.config)
+        rendered = emission.render(state.map, T_world_cam, self.rig.camera)
+        belief, fits, fit = clock("track", _judge(predicted, rendered, T_world_cam, image, self.rig, self.config))
+        past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
+        status = Status.OK if fits else Status.LOST
+        return replace(state, past=past, lost=not fits), FilterInfo(status, belief, fit)
+
+    def posterior(self, state: TrackerState) -> Posterior:
+        """Return ``q(z_t)`` with the fixed map."""
+        return Posterior(state.past.belief, state.map)
 
 
 @partial(jax.jit, static_argnums=5)
 def _descend(
-    predicted: PlanarBelief,
-    T_world_pred: Float[Array, "4 4"],
-    image: RGBD,
-    m: VoxelMap,
-    rig: RobotRig,
-    config: EmissionTrackerConfig,
+    predicted: GaussianBelief, image: RGBD, m: VoxelMap, rig: Rig, key: Array, config: EmissionTrackerConfig
 ) -> Float[Array, "4 4"]:
     """T_world_cam at the MAP: ``T_world_pred exp(B xi)``, the pixels drawn anew and rendered at every step."""
-    camera, basis = rig.camera, planar_basis(rig)
-    precision = prior_precision(predicted, config.tracker)
+    camera, basis = rig.camera, camera_twists(predicted.manifold, rig)
+    T_world_pred = predicted.manifold.pose(predicted.mean) @ rig.T_body_cam
+    precision = jnp.linalg.inv(predicted.covariance)
     width = camera.width
     depth, rgb = image.depth.reshape(-1), image.rgb.reshape(-1, 3)
     (usable,) = jnp.nonzero(image.hit.reshape(-1), size=depth.shape[0], fill_value=0)
     count = jnp.sum(image.hit)
-    # The same pixels at every call: a step stays a function of its arguments.
-    draws = jax.random.randint(jax.random.key(0), (config.adam.steps, config.adam.pixels), 0, jnp.maximum(count, 1))
+    draws = jax.random.randint(key, (config.adam.steps, config.adam.pixels), 0, jnp.maximum(count, 1))
     scales = EmissionScales(*config.scales)
 
     def rays(T, pixel):
@@ -84,47 +118,26 @@ def _descend(
     return T_world_pred @ se3_exp(basis @ xi)
 
 
-@partial(jax.jit, static_argnums=6)
+@partial(jax.jit, static_argnums=5)
 def _judge(
-    state: TrackerState,
-    predicted: PlanarBelief,
+    predicted: GaussianBelief,
     rendered: RGBD,
     T_world_cam: Float[Array, "4 4"],
     image: RGBD,
-    rig: RobotRig,
-    config: TrackerConfig,
-) -> tuple[TrackerState, TrackerInfo]:
+    rig: Rig,
+    config: EmissionTrackerConfig,
+) -> tuple[GaussianBelief, Array, AlignInfo]:
     """How well the image agrees with the one rendered at the estimate, and the belief that follows."""
-    reference = make_reference(rendered, rig.camera, config.align)
-    observed = make_observed(image, rig.camera, every=stride(rig.camera, 1, config.align))
-    fit = agreement(jnp.eye(4), planar_basis(rig), reference, observed, rig.camera, config.align, 0)
-    return conclude(state, predicted, T_world_cam, fit, image, rig, config)
+    manifold, tracker, basis = predicted.manifold, config.tracker, camera_twists(predicted.manifold, rig)
+    reference = make_reference(rendered, rig.camera, tracker.align)
+    observed = make_observed(image, rig.camera, every=stride(rig.camera, 1, tracker.align))
+    fit = agreement(jnp.eye(4), basis, reference, observed, rig.camera, tracker.align, 0)
+    fits = (score(fit) >= tracker.min_score) & (fit.photometric <= tracker.max_photometric)
+    T_world_pred = manifold.pose(predicted.mean) @ rig.T_body_cam
+    moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_world_pred) @ T_world_cam)
+    laplace = jnp.linalg.inv(2.0 * fit.information + jnp.linalg.inv(predicted.covariance))
+    corrected = GaussianBelief(manifold.perturb(predicted.mean, moved), laplace, manifold)
+    return jax.tree.map(lambda a, b: jnp.where(fits, a, b), corrected, predicted), fits, fit
 
 
-def step_emission(
-    state: TrackerState,
-    control: Float[Array, "3"],
-    image: RGBD,
-    m: VoxelMap,
-    rig: RobotRig,
-    noise: MotionNoise,
-    config: EmissionTrackerConfig = EmissionTrackerConfig(),
-) -> tuple[TrackerState, TrackerInfo]:
-    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` through the renderer; see the module.
-
-    Args:
-        state: The belief after the last step.
-        control: (turn, offset, step) commanded since.
-        image: The camera image now.
-        m: The map, fixed.
-        rig: Camera and its place on the robot.
-        noise: Execution noise of the motion model.
-        config: Search, emission, loss test.
-
-    Returns:
-        The next state and how the step went, as :func:`vssm_gym.inference.tracking.step_map`.
-    """
-    predicted, T_world_pred = predict(state.belief, control, noise, rig)
-    T_world_cam = _descend(predicted, T_world_pred, image, m, rig, config)
-    rendered = emission.render(m, T_world_cam, rig.camera)
-    return _judge(state, predicted, rendered, T_world_cam, image, rig, config.tracker)
+_predict = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))

@@ -1,7 +1,7 @@
-"""PRISM: two marginal filters, ``q_t(z_t) ~ p(z_t | x_<=t, u_<t)`` and ``q_t(M) ~ p(M | x_<=t, u_<t)`` (SPEC 3).
+"""PRISM: two marginal filters, ``q_t(z_t) ~ p(z_t | x_<=t, u_<t)`` and ``q_t(M) ~ p(M | x_<=t, u_<t)``.
 
-One step, for a camera that moves as a rigid body with constant velocity (or a known acceleration); 1 to 4 are in
-:mod:`camera_filter`:
+One step, for a body that moves by any transition (a hand's constant velocity, an IMU, a robot's commands); 1 to 4 are
+in :mod:`camera_filter`:
 
 1. *Prior.* The belief is pushed through the linearised transition and split, ``q(pose) q(velocity | pose)``.
 2. *Pose by MAP* against the anchor, an image rendered from the map mean with the image seen there beside it.
@@ -11,13 +11,12 @@ One step, for a camera that moves as a rigid body with constant velocity (or a k
 
 Approximations, where they are made: the pose is found against the map's mean and the map is updated at the pose's mean
 (single-sample expectations; ``samples`` widens both), pose and map are not correlated, and cells are independent. An
-image that does not fit updates neither belief; recovery then tries other poses (:mod:`recovery`).
+image that does not fit updates neither belief; recovery then tries other poses (:mod:`recovery`), or the next images
+are compared with the map as rendered where the commands have led.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,228 +27,170 @@ from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import se3_exp
-from vssm_gym.inference import anchor, drift, keyframes, map_update, process_noise, recentre
-from vssm_gym.inference.alignment import AlignInfo, luminance, shrink_camera, shrink_rgbd
+from vssm_gym.inference import anchor, drift, keyframes, map_update, recentre
+from vssm_gym.inference.alignment import luminance, shrink_camera, shrink_rgbd
 from vssm_gym.inference.anchor import Anchor
-from vssm_gym.inference.camera_filter import SOLVERS, Past, Tracked, track
+from vssm_gym.inference.camera_filter import Past, begin, expected_pose
 from vssm_gym.inference.exposure import expose
+from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.keyframes import Keyframes
-from vssm_gym.inference.prism_config import PrismConfig
-from vssm_gym.inference.recovery import recover
-from vssm_gym.transition.rigid import RigidBelief, RigidState
+from vssm_gym.inference.localise import Wayback, localise, readable, seconds
+from vssm_gym.inference.prism_config import HAND, HAND_HELD, PrismConfig
+from vssm_gym.inference.status import Status
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition.base import Transition
+from vssm_gym.transition.belief import GaussianBelief
 from vssm_gym.voxel_map import VoxelMap
-
-__all__ = ["LOST", "NO_READING", "OK", "RECOVERED", "SOLVERS", "STATUS", "PrismConfig", "PrismInfo", "PrismState"]
-__all__ += ["init", "readable", "step", "tracking_factor"]
-
-OK, RECOVERED, LOST, NO_READING = 0, 1, 2, 3
-STATUS = {
-    OK: "ok",
-    RECOVERED: "found again: the image fits the map at a pose other than the expected one",
-    LOST: "lost track: the image fits neither the map nor the last image",
-    NO_READING: "no depth reading, or next to none: nothing to align",
-}
 
 
 class PrismState(eqx.Module):
     """What the next step needs."""
 
     map: VoxelMap  # q_t(M)
-    past: Past  # q_t(z_t), of the camera against the map: T_world_cam and its velocity; and the image behind it
+    past: Past  # q_t(z_t), of the body against the map; and the image behind it
     anchor: Anchor
-    keyframes: Keyframes
-    drift: Float[Array, "6 6"]  # covariance of the map's frame around the camera in the world, tangent of the world
+    keyframes: Keyframes | None  # None: nothing is kept to recover from
+    drift: Float[Array, "6 6"]  # covariance of the map's frame around the body in the world, tangent of the world
     lost: bool  # the last image did not fit
     key: PRNGKeyArray
 
 
-class PrismInfo(eqx.Module):
-    """How a step went."""
+@dataclass(frozen=True)
+class Prism:
+    """The filter (:class:`~vssm_gym.inference.filter.Filter`): what moves the body, the camera on it, the options."""
 
-    status: int  # a key of STATUS
-    belief: RigidBelief  # in the world, the map's drift included; lost: the last pose that fitted, its spread growing
-    agreement: AlignInfo  # against the anchor; of the best start, where track was found again
-    left_window: int = 0  # observed blocks that the map forgot, because the camera left its window
+    rig: Rig
+    transition: Transition = HAND
+    config: PrismConfig = HAND_HELD
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray, clock: Clock = untimed) -> PrismState:
+        """Return the belief after the first image, taken where the prior's belief has the body; its map is consumed.
+
+        Raises:
+            InputError: an image without a reading (see :func:`readable`), or a prior without a map.
+        """
+        config = self.config
+        if prior.map is None:
+            raise InputError("prism.init", "prior", "a map: an empty one to begin with")
+        if not readable(image, config.tracking):
+            expected = f"depth at {config.tracking.min_reading:.0%} of its pixels at least: there is nothing to map"
+            raise InputError("prism.init", "image", expected)
+        small, view = self._shrunk(image)
+        past = begin(prior.belief, small, view)
+        T = past.T_world_cam
+        m = map_update.update(prior.map, image.depth, image.rgb, T, self.rig.camera, config.update)
+        m, kept = clock("map", m), None
+        if config.recovery is not None:
+            kept = keyframes.remember(keyframes.empty(view.camera), T, luminance(small.rgb), view.camera)
+        against = clock("anchor", anchor.take(m, T, small, view.camera, config.update.max_depth, config.samples > 1))
+        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key)
+
+    def step(
+        self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[PrismState, FilterInfo]:
+        """``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``. The state passed in is consumed (the map is updated in place).
+
+        The stages are separate compiled calls: in one, the compiler fuses the renderer into each of the many places
+        that read its image and computes it again there (it ignores optimization barriers on the CPU).
+
+        Args:
+            state: After the last image.
+            control: Of the transition; zeros for a hand's constant velocity.
+            image: The new one, at the camera's size.
+            dt: Seconds since the last one.
+            clock: Given the name and the outcome of each stage, returns the outcome; for timing.
+
+        Raises:
+            InputError: ``dt`` is not above 0.
+        """
+        config = self.config
+        small, view = self._shrunk(image)
+        key, solving, mapping = jax.random.split(state.key, 3)
+        state = eqx.tree_at(lambda s: s.key, state, key)
+        against, wayback = state.anchor, None
+        alone = state.lost and config.recovery is None  # nothing is searched: the image must fit where it is expected
+        max_depth = config.update.max_depth
+        if alone:
+            T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
+            against = anchor.rendered(state.map, T_expected, view.camera, max_depth)
+        if config.recovery is not None and state.keyframes is not None:
+            wayback = Wayback(state.map, state.keyframes, max_depth, config.recovery)
+        located = localise(
+            state.past,
+            self.transition,
+            control,
+            seconds(dt),
+            against,
+            small,
+            view,
+            solving,
+            config.tracking,
+            state.lost,
+            wayback,
+            clock,
+        )
+        past, status = located.past, located.status
+        if not status.fits:
+            lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
+            return lost, FilterInfo(status, drift.in_world(past.belief, state.drift), located.agreement)
+        T, small = past.T_world_cam, past.image
+        if config.tracking.exposure:
+            image = _expose(image, located.gain)
+        m, dropped = state.map, 0
+        if config.window_margin is not None:
+            shift = _shift(m, T[:3, 3], config.window_margin * min(m.shape) * m.voxel_size)
+            if shift.any():
+                m, fell = recentre.recentre(m, shift)
+                dropped = int(fell)
+        before = drift.precision(m, T, small, view.camera)
+        m = clock("map", self._mapped(m, image, past, mapping))
+        drifted = drift.grow(state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small)
+        kept, against = state.keyframes, state.anchor
+        if kept is not None:
+            kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera)
+        moved_on = anchor.left(against, T, config.anchor_distance, config.anchor_angle)
+        if alone or status is Status.RECOVERED or moved_on:
+            against = clock("anchor", anchor.take(m, T, small, view.camera, max_depth, config.samples > 1))
+        info = FilterInfo(status, drift.in_world(past.belief, drifted), located.agreement, dropped)
+        return PrismState(m, past, against, kept, drifted, False, key), info
+
+    def posterior(self, state: PrismState) -> Posterior:
+        """Return ``q_t(z_t) q_t(M)``, the state against the map: without the drift of the map's frame in the world."""
+        return Posterior(state.past.belief, state.map)
+
+    def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
+        """The image and its rig at tracking size."""
+        factor = tracking_factor(self.rig.camera, self.config.track_width)
+        return _shrink(image, factor), Rig(shrink_camera(self.rig.camera, factor), self.rig.T_body_cam)
+
+    def _mapped(self, m: VoxelMap, image: RGBD, past: Past, key: Array) -> VoxelMap:
+        """Step 5, at the pose's mean or in expectation over its samples."""
+        camera, config = self.rig.camera, self.config
+        if config.samples == 1:
+            return map_update.update(m, image.depth, image.rgb, past.T_world_cam, camera, config.update)
+        poses = _draw_poses(past.belief, self.rig, key, config.samples)
+        return map_update.update_expected(m, image.depth, image.rgb, poses, camera, config.update)
 
 
-Clock = Callable[[str, Any], Any]
+def tracking_factor(camera: Camera, track_width: int) -> int:
+    """Return by how much images of ``camera`` are shrunk to about ``track_width`` pixels for tracking."""
+    return max(1, round(camera.width / track_width))
 
 
-def _untimed(stage: str, outcome: Any) -> Any:
-    return outcome
-
-
-def tracking_factor(camera: Camera, config: PrismConfig) -> int:
-    """By how much images of ``camera`` are shrunk for tracking."""
-    return max(1, round(camera.width / config.track_width))
-
-
-def _at_rest(T_world_cam: Array, pose_covariance: Array, config: PrismConfig) -> RigidBelief:
-    """A pose with an unknown velocity around zero."""
-    linear, angular = config.start_velocity
-    velocity = jnp.asarray([linear**2] * 3 + [angular**2] * 3)
-    covariance = jnp.zeros((12, 12)).at[:6, :6].set(pose_covariance).at[6:, 6:].set(jnp.diag(velocity))
-    return RigidBelief(RigidState(T_world_cam, jnp.zeros(6)), covariance)
-
-
-@partial(jax.jit, static_argnums=2)
-def _draw_poses(posterior: RigidBelief, key: Array, samples: int) -> Float[Array, "samples 4 4"]:
-    """Poses from ``q(z_pose)``, the mean among them: an expectation of few samples must not move the map.
+@partial(jax.jit, static_argnums=3)
+def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -> Float[Array, "samples 4 4"]:
+    """Camera poses from ``q(z_pose)``, the mean among them: an expectation of few samples must not move the map.
 
     The others lie in pairs on either side of it, so much farther out that the second moment is the covariance.
     """
-    root = jnp.linalg.cholesky(posterior.covariance[:6, :6] + 1e-12 * jnp.eye(6))
-    half = (samples / (samples - 1)) ** 0.5 * jax.random.normal(key, (samples // 2, 6)) @ root.T
-    errors = jnp.concatenate([jnp.zeros((1, 6)), half, -half])
-    return posterior.state.T_world_body @ se3_exp(errors)
-
-
-def _mapped(
-    m: VoxelMap, image: RGBD, posterior: RigidBelief, camera: Camera, key: Array, config: PrismConfig
-) -> VoxelMap:
-    """Step 5, at the pose's mean or in expectation over its samples."""
-    if config.samples == 1:
-        T = posterior.state.T_world_body
-        return map_update.update(m, image.depth, image.rgb, T, camera, config.update)
-    poses = _draw_poses(posterior, key, config.samples)
-    return map_update.update_expected(m, image.depth, image.rgb, poses, camera, config.update)
-
-
-def init(
-    m: VoxelMap,
-    image: RGBD,
-    camera: Camera,
-    config: PrismConfig,
-    key: PRNGKeyArray,
-    clock: Clock = _untimed,
-) -> PrismState:
-    """The belief after the first image, taken at the identity: the world is its camera's frame.
-
-    Args:
-        m: The map's prior; consumed.
-        image: The first image.
-        camera: Its intrinsics.
-        config: Noise, solver and effort.
-        key: Of everything drawn from here on.
-        clock: As of :func:`step`.
-
-    Raises:
-        InputError: An image without a reading: see :func:`readable`.
-    """
-    if not readable(image, config):
-        expected = f"depth at {config.min_reading:.0%} of its pixels at least: there is nothing to map"
-        raise InputError("prism.init", "image", expected)
-    factor = tracking_factor(camera, config)
-    small, view = _shrink(image, factor), shrink_camera(camera, factor)
-    T = jnp.eye(4, dtype=jnp.float32)
-    m = clock("map", map_update.update(m, image.depth, image.rgb, T, camera, config.update))
-    kept = keyframes.remember(keyframes.empty(view), T, luminance(small.rgb), view)
-    against = clock("anchor", anchor.take(m, T, small, view, config.update.max_depth, config.samples > 1))
-    belief = _at_rest(T, 1e-8 * jnp.eye(6), config)
-    past = Past(belief, jnp.zeros((6, 6)), process_noise.full(), small, T)
-    return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key)
+    twists = posterior.manifold.twists
+    p = twists.shape[1]
+    root = jnp.linalg.cholesky(posterior.covariance[:p, :p] + 1e-12 * jnp.eye(p))
+    half = (samples / (samples - 1)) ** 0.5 * jax.random.normal(key, (samples // 2, p)) @ root.T
+    errors = jnp.concatenate([jnp.zeros((1, p)), half, -half]) @ twists.T
+    return posterior.manifold.pose(posterior.mean) @ se3_exp(errors) @ rig.T_body_cam
 
 
 _shrink = jax.jit(shrink_rgbd, static_argnums=1)
 _expose = jax.jit(expose)
 _shift = jax.jit(recentre.shift_to_centre)
-
-
-def readable(image: RGBD, config: PrismConfig) -> bool:
-    """Whether so much of the image has depth that it can be aligned, or a map be started with it."""
-    return float(jnp.mean(image.hit)) >= config.min_reading
-
-
-def step(
-    state: PrismState,
-    image: RGBD,
-    dt: float,
-    camera: Camera,
-    config: PrismConfig,
-    control: Float[Array, "6"] | None = None,
-    clock: Clock = _untimed,
-) -> tuple[PrismState, PrismInfo]:
-    """``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``. The state passed in is consumed (the map is updated in place).
-
-    The stages are separate compiled calls: in one, the compiler fuses the renderer into each of the many places that
-    read its image and computes it again there (it ignores optimization barriers on the CPU).
-
-    Args:
-        state: After the last image.
-        image: The new one, at the camera's size.
-        dt: Seconds since the last one.
-        camera: Its intrinsics.
-        config: Noise, solver and effort.
-        control: Linear (m/s^2) and angular (rad/s^2) acceleration in the world; none for constant velocity.
-        clock: Given the name and the outcome of each stage, returns the outcome; for timing.
-
-    Returns:
-        The next state and how the step went; ``info.status`` is a key of :data:`STATUS`.
-
-    Raises:
-        InputError: ``dt`` is not above 0.
-    """
-    if not 0.0 < dt < float("inf"):
-        raise InputError("prism.step", "dt", f"seconds since the last image, above 0; found {dt!r}")
-    factor = tracking_factor(camera, config)
-    small, view = _shrink(image, factor), shrink_camera(camera, factor)
-    key, solving, mapping = jax.random.split(state.key, 3)
-    state = eqx.tree_at(lambda s: s.key, state, key)
-    acceleration = jnp.zeros(6) if control is None else control
-    tracked = track(state.past, acceleration, jnp.float32(dt), state.anchor, small, view, solving, config)
-    tracked, status = clock("track", tracked), OK
-    if not tracked.fits:
-        tracked, status = _search(state, tracked, small, view, config)
-        clock("recover", tracked.belief)
-        if status != RECOVERED:
-            past = Past(tracked.belief, tracked.laplace, tracked.unrest, state.past.image, state.past.T_world_cam)
-            lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
-            return lost, PrismInfo(status, drift.in_world(tracked.belief, state.drift), tracked.agreement)
-    posterior, T = tracked.belief, tracked.belief.state.T_world_body
-    image, small = _expose(image, tracked.gain), _expose(small, tracked.gain)
-    m, dropped = state.map, 0
-    shift = _shift(m, T[:3, 3], config.window_margin * min(m.shape) * m.voxel_size)
-    if shift.any():
-        m, fell = recentre.recentre(m, shift)
-        dropped = int(fell)
-    before = drift.precision(m, T, small, view)
-    m = clock("map", _mapped(m, image, posterior, camera, mapping, config))
-    drifted = drift.grow(state.drift, before, drift.precision(m, T, small, view), posterior, small)
-    kept = keyframes.remember(state.keyframes, T, luminance(small.rgb), view)
-    against = state.anchor
-    if status == RECOVERED or anchor.left(against, T, config.anchor_distance, config.anchor_angle):
-        against = anchor.take(m, T, small, view, config.update.max_depth, config.samples > 1)
-        against = clock("anchor", against)
-    past = Past(posterior, tracked.laplace, tracked.unrest, small, T)
-    return PrismState(m, past, against, kept, drifted, False, key), PrismInfo(
-        status, drift.in_world(posterior, drifted), tracked.agreement, dropped
-    )
-
-
-def _search(
-    state: PrismState, tracked: Tracked, image: RGBD, camera: Camera, config: PrismConfig
-) -> tuple[Tracked, int]:
-    """An image that does not fit: the pose where the map explains it, or the last one with a spread that grows."""
-    past, predicted = state.past, tracked.predicted
-    status = LOST if readable(image, config) else NO_READING
-    forgotten = partial(replace, unrest=process_noise.full())
-    if status == LOST:
-        similar = keyframes.similar(
-            state.keyframes, luminance(image.rgb), camera, config.rotation, config.recovery.keyframes + 1
-        )
-        # A camera that was lost before is predicted to be where it was last: that start would be tried twice.
-        *similar, fourth = similar
-        starts = [tracked.T_world_turned, past.T_world_cam, *similar]
-        starts.append(fourth if state.lost else predicted.state.T_world_body)
-        attempt = recover(state.map, jnp.stack(starts), image, camera, config.update.max_depth, config.recovery)
-        if attempt.fits:
-            covariance = jnp.linalg.inv(2.0 * attempt.agreement.information + jnp.eye(6))
-            belief = _at_rest(attempt.T_world_cam, covariance, config)
-            found = {"belief": belief, "laplace": covariance, "gain": attempt.gain, "agreement": attempt.agreement}
-            return forgotten(tracked, **found), RECOVERED
-    # Once lost, the camera is believed to drift off at an unknown velocity: its spread grows with the time alone,
-    # however many images are taken meanwhile.
-    stays = _at_rest(past.T_world_cam, predicted.covariance[:6, :6], config)
-    covariance = predicted.covariance if state.lost else stays.covariance
-    belief = RigidBelief(stays.state, covariance)
-    return forgotten(tracked, belief=belief, laplace=jnp.zeros((6, 6))), status

@@ -1,4 +1,4 @@
-"""Recovery of a lost pose: align the image to the map from several starts, keep the best that fits (MEASURED).
+"""Recovery of a lost pose: align the image to the map from several starts, keep the best that fits (ours).
 
 Without it a test for loss of track is worse than none: a filter that only refuses images refuses good ones for ever.
 """
@@ -17,6 +17,7 @@ from vssm_gym.emission import RGBD
 from vssm_gym.inference import gauss_newton
 from vssm_gym.inference.alignment import AlignConfig, AlignInfo, luminance, score
 from vssm_gym.inference.exposure import expose, gain
+from vssm_gym.inference.rotation import RotationConfig
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -24,6 +25,7 @@ from vssm_gym.voxel_map import VoxelMap
 class RecoveryConfig:
     """Where to look and what to believe."""
 
+    rotation: RotationConfig = field(default_factory=RotationConfig)  # between the image and a keyframe
     align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(4, 2, 1), iterations=(10, 6, 5)))
     translation_std: float = 0.5  # m, of the pose around a start
     rotation_std: float = 0.5  # rad
@@ -42,16 +44,16 @@ class Attempt(eqx.Module):
     fits: Bool[Array, ""]
 
 
-@partial(jax.jit, static_argnums=4)
-def _align(T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, config: RecoveryConfig) -> Attempt:
+@partial(jax.jit, static_argnums=5)
+def _align(
+    T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, basis: Array, config: RecoveryConfig
+) -> Attempt:
     # As bright as the rendering where both show something; the second time, from the right place, that is exact.
     brightness = gain(luminance(rendered.rgb), luminance(image.rgb), rendered.known)
     image = expose(image, brightness)
     std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
-    identity = jnp.eye(4)
-    T, info = gauss_newton.align(
-        identity, jnp.diag(std**-2), identity, jnp.eye(6), rendered, image, camera, config.align
-    )
+    identity, precision = jnp.eye(4), basis.T @ (basis * std[:, None] ** -2)
+    T, info = gauss_newton.align(identity, precision, identity, basis, rendered, image, camera, config.align)
     # A picture of low contrast differs little from any other. Below one sigma there is nothing to tell by.
     grey = luminance(image.rgb)
     contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
@@ -65,6 +67,7 @@ def recover(
     T_world_starts: Float[Array, "starts 4 4"],
     image: RGBD,
     camera: Camera,
+    basis: Float[Array, "6 p"],
     max_depth: float,
     config: RecoveryConfig,
 ) -> Attempt:
@@ -77,14 +80,16 @@ def recover(
         T_world_starts: Poses to start from.
         image: The image, at tracking size.
         camera: Its intrinsics.
+        basis: The twists (camera frame) along which the camera may move from a start.
         max_depth: Of the rendering, m.
         config: Effort and thresholds.
     """
     attempts = []
     for T_world_start in T_world_starts:
-        attempt = _align(T_world_start, emission.render(m, T_world_start, camera, max_depth), image, camera, config)
+        rendered = emission.render(m, T_world_start, camera, max_depth)
+        attempt = _align(T_world_start, rendered, image, camera, basis, config)
         again = emission.render(m, attempt.T_world_cam, camera, max_depth)
-        attempts.append(_align(attempt.T_world_cam, again, image, camera, config))
+        attempts.append(_align(attempt.T_world_cam, again, image, camera, basis, config))
     every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
     best = jnp.argmax(every.fits + jnp.nan_to_num(jax.vmap(score)(every.agreement)))
     return jax.tree.map(lambda leaf: leaf[best], every)

@@ -1,204 +1,185 @@
-"""Real-time localisation of a planar robot: MAP of SPEC 3 step 2 with the dynamics prior of SPEC 6 (TNP-SM, 4.2).
+"""Filters of the state alone: in a map that is fixed, against the previous image, and by the commands (TNP-SM).
 
-Each step predicts the pose from the control, takes a reference image, and aligns the camera image to it:
-:func:`step_map` renders the reference from a fixed map at the predicted pose; :func:`step_frames` takes the previous
-camera image (the published "no map" baseline: its errors add up). Loss of track is detected and said; the belief then
-follows the dynamics until images agree again.
+Each step predicts the state from the control, takes a reference view, and aligns the camera image to it:
+:class:`MapTracker` renders the reference from the map at the predicted pose; :class:`FrameTracker` takes the previous
+camera image (the published "no map" baseline: its errors add up); :class:`DeadReckoning` looks at no image. Loss of
+track is detected and said; the belief then follows the transition until images fit again.
 """
 
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from vssm_gym import emission
-from vssm_gym.camera import Camera
-from vssm_gym.emission import RGBD
-from vssm_gym.geometry import inverse, matrix_to_planar, planar_to_matrix, se3_adjoint
-from vssm_gym.inference.adam import AdamConfig, align_adam
-from vssm_gym.inference.alignment import AlignConfig, AlignInfo, score
-from vssm_gym.inference.gauss_newton import align
-from vssm_gym.transition import MotionNoise, PlanarBelief, planar_predict
+from vssm_gym.emission import MAX_DEPTH, RGBD
+from vssm_gym.errors import InputError
+from vssm_gym.inference import anchor, keyframes
+from vssm_gym.inference.alignment import AlignConfig, luminance
+from vssm_gym.inference.anchor import Anchor
+from vssm_gym.inference.camera_filter import COMMANDED, Past, TrackingConfig, begin, expected_pose
+from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
+from vssm_gym.inference.keyframes import Keyframes
+from vssm_gym.inference.localise import Wayback, localise, search, seconds
+from vssm_gym.inference.recovery import RecoveryConfig
+from vssm_gym.inference.status import Status
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition.base import Transition
+from vssm_gym.transition.belief import GaussianBelief
 from vssm_gym.voxel_map import VoxelMap
 
-OK, LOST = 0, 1
-STATUS = {OK: "ok", LOST: "lost track: the camera image does not fit the reference"}
-_PLANAR_TWISTS = np.eye(6)[:, [0, 1, 5]]  # forward, left, turn among (translation, rotation)
-
-
-@dataclass(frozen=True)
-class TrackerConfig:
-    """Alignment and the test for loss of track."""
-
-    align: AlignConfig = field(default=AlignConfig(geo_sigma=0.012))  # a map of 5 cm cells is that rough
-    min_score: float = 0.5  # inlier share times min(1, coverage / 0.4) below this is lost
-    max_photometric: float = 5.0  # mean |r_rgb| / sigma above this is lost
-    process_std: tuple[float, float, float] = (0.004, 0.004, 0.002)  # what the motion model misses: slip at a contact
-    adam: AdamConfig | None = None  # the published solver, in place of Gauss-Newton
-
-
-class RobotRig(eqx.Module):
-    """The camera on the robot."""
-
-    camera: Camera
-    T_body_cam: Float[Array, "4 4"]
+# A map of 5 cm cells is as rough as this scale of the geometry.
+ROBOT = replace(COMMANDED, align=AlignConfig(geo_sigma=0.012))
 
 
 class TrackerState(eqx.Module):
     """What the next step needs."""
 
-    belief: PlanarBelief
-    image: RGBD  # the last camera image
-    lost: Int[Array, ""]  # steps since the images last agreed; 0 = tracking
-
-    @property
-    def planar(self) -> Float[Array, "3"]:
-        """The estimate ``(x, y, heading)``, m and rad, world."""
-        return self.belief.planar
-
-    @property
-    def covariance(self) -> Float[Array, "3 3"]:
-        """Of ``(x, y, heading)`` in world axes."""
-        c, s = jnp.cos(self.planar[2]), jnp.sin(self.planar[2])
-        R = jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return R @ self.belief.covariance @ R.T
+    past: Past
+    map: VoxelMap | None  # fixed; None: the reference is the previous image
+    keyframes: Keyframes | None  # None: nothing is kept to recover from
+    lost: bool  # the last image did not fit
+    key: PRNGKeyArray  # of a solver that draws; the same at every step
 
 
-class TrackerInfo(eqx.Module):
-    """How a step went."""
+@dataclass(frozen=True)
+class MapTracker:
+    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` in a fixed map, the reference rendered at every step."""
 
-    status: Int[Array, ""]  # a key of STATUS
-    agreement: AlignInfo
+    rig: Rig
+    transition: Transition
+    config: TrackingConfig = ROBOT
+    recovery: RecoveryConfig | None = None  # None: wait where the transition leads
+    max_depth: float = MAX_DEPTH  # m, of the rendering
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
+        """Return the prior's belief with the image seen there; its map is shared, not consumed.
+
+        Raises:
+            InputError: a prior without a map.
+        """
+        if prior.map is None:
+            raise InputError("MapTracker.init", "prior", "a learned map to track in")
+        past, kept, lost = begin(prior.belief, image, self.rig), None, False
+        if self.recovery is not None:
+            # Where the start is known roughly only: the first image is aligned to the map around it.
+            kept, camera = keyframes.empty(self.rig.camera), self.rig.camera
+            wayback = Wayback(prior.map, kept, self.max_depth, self.recovery)
+            starts = past.T_world_cam[None]
+            found = search(starts, self.transition.manifold, image, self.rig, self.config, wayback)
+            lost = found is None
+            if found is not None:
+                past = found.past
+                kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
+        return TrackerState(past, prior.map, kept, lost, key)
+
+    def step(
+        self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[TrackerState, FilterInfo]:
+        """Align the image to one rendered from the map where the control leads; see :class:`Filter`."""
+        # The rendering is a compiled call of its own: in one with the alignment, the compiler fuses the renderer into
+        # each of the many places that read its image and computes it again there.
+        assert state.map is not None
+        h, kept, camera = seconds(dt), state.keyframes, self.rig.camera
+        T_expected = expected_pose(self.transition, state.past.belief, control, h, self.rig)
+        against = anchor.rendered(state.map, T_expected, camera, self.max_depth)
+        wayback = None
+        if kept is not None and self.recovery is not None:
+            wayback = Wayback(state.map, kept, self.max_depth, self.recovery)
+        moved = (self.transition, control, h)
+        located = localise(
+            state.past, *moved, against, image, self.rig, state.key, self.config, state.lost, wayback, clock
+        )
+        past, status = located.past, located.status
+        if kept is not None and status.fits:
+            kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
+        return TrackerState(past, state.map, kept, not status.fits, state.key), FilterInfo(
+            status, past.belief, located.agreement
+        )
+
+    def posterior(self, state: TrackerState) -> Posterior:
+        """Return ``q(z_t)`` with the fixed map."""
+        return Posterior(state.past.belief, state.map)
 
 
-def observe(rgb: np.ndarray, depth: np.ndarray) -> RGBD:
-    """A camera image (uint8 colour, metres with 0 = no reading) as the model's."""
-    metres = jnp.where(np.isfinite(depth), jnp.asarray(depth, jnp.float32), 0.0)
-    return RGBD(metres, jnp.asarray(rgb, jnp.float32) / 255.0, metres > 0.0, metres > 0.0)
+@dataclass(frozen=True)
+class FrameTracker:
+    """As :class:`MapTracker`, but against the previous camera image, at the previous estimate (TNP-SM, "no map").
 
-
-def first(start: Float[Array, "3"], image: RGBD, std: tuple[float, float, float] = (1e-3, 1e-3, 1e-3)) -> TrackerState:
-    """The state at a known start pose ``(x, y, heading)`` with the image seen there."""
-    covariance = jnp.diag(jnp.asarray(std, jnp.float32) ** 2)
-    return TrackerState(PlanarBelief(jnp.asarray(start, jnp.float32), covariance), image, jnp.int32(0))
-
-
-@partial(jax.jit, static_argnums=6)
-def correct(
-    state: TrackerState,
-    predicted: PlanarBelief,
-    reference: RGBD,
-    T_world_ref: Float[Array, "4 4"],
-    image: RGBD,
-    rig: RobotRig,
-    config: TrackerConfig,
-    seen: Float[Array, "height width"] | None = None,
-) -> tuple[TrackerState, TrackerInfo]:
-    """Align the image to a reference and combine with the prediction; keep the prediction where they do not fit.
-
-    ``seen`` is the luminance of the camera image taken where the reference was rendered; Gauss-Newton alone uses it.
+    For transitions whose state is a pose. The images tell the step from there alone: what was uncertain before it
+    stays so, and covariances add up.
     """
-    basis = planar_basis(rig)
-    T_ref_cam = inverse(T_world_ref) @ planar_to_matrix(predicted.planar) @ rig.T_body_cam
-    problem = (T_ref_cam, prior_precision(predicted, config), T_ref_cam, basis, reference, image, rig.camera)
-    if config.adam is None:
-        T, agreement = align(*problem, config.align, seen=seen)
-    else:
-        # The same pixels at every step: a step stays a function of its arguments.
-        T, agreement = align_adam(*problem, config.align, jax.random.key(0), config.adam)
-    return conclude(state, predicted, T_world_ref @ T, agreement, image, rig, config)
+
+    rig: Rig
+    transition: Transition
+    config: TrackingConfig = ROBOT
+
+    def __post_init__(self) -> None:
+        manifold = self.transition.manifold
+        if manifold.twists.shape[1] != len(manifold.turns):
+            raise InputError("FrameTracker", "transition", "one whose state is a pose: planar, bicycle, differential")
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
+        """Return the prior's belief with the image seen there; a map is not looked at."""
+        return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key)
+
+    def step(
+        self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[TrackerState, FilterInfo]:
+        """Align the image to the one before; see :class:`Filter`."""
+        h, belief = seconds(dt), state.past.belief
+        known, against = _from_frame(state.past, self.rig)
+        moved = (self.transition, control, h)
+        located = localise(known, *moved, against, image, self.rig, state.key, self.config, state.lost, None, clock)
+        step = located.past.belief
+        belief = replace(step, covariance=_carried(self.transition, belief, control, h) + step.covariance)
+        past = replace(located.past, belief=belief, image=image)
+        fits = located.status.fits
+        return TrackerState(past, None, None, not fits, state.key), FilterInfo(
+            located.status, belief, located.agreement
+        )
+
+    def posterior(self, state: TrackerState) -> Posterior:
+        """Return ``q(z_t)``; there is no map."""
+        return Posterior(state.past.belief, None)
 
 
-def planar_basis(rig: RobotRig) -> Float[Array, "6 3"]:
-    """The camera's twists when the body goes forward, left, and turns."""
-    return se3_adjoint(inverse(rig.T_body_cam)) @ jnp.asarray(_PLANAR_TWISTS, jnp.float32)
+@dataclass(frozen=True)
+class DeadReckoning:
+    """``q(z_t) = int p(z_t | z_t-1, u_t-1) q(z_t-1)``: the controls alone, never corrected."""
 
+    transition: Transition
 
-def prior_precision(predicted: PlanarBelief, config: TrackerConfig) -> Float[Array, "3 3"]:
-    """Of ``p(z_t | z_t-1, u_t-1)``, what the motion model misses included."""
-    return jnp.linalg.inv(predicted.covariance + jnp.diag(jnp.asarray(config.process_std) ** 2))
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> GaussianBelief:
+        """Return the prior's belief; neither image nor map is looked at.
 
+        Raises:
+            InputError: a prior that is no Gaussian.
+        """
+        if not isinstance(prior.belief, GaussianBelief):
+            raise InputError("filter.init", "prior", "a GaussianBelief over the state")
+        return prior.belief
 
-def conclude(
-    state: TrackerState,
-    predicted: PlanarBelief,
-    T_world_cam: Float[Array, "4 4"],
-    agreement: AlignInfo,
-    image: RGBD,
-    rig: RobotRig,
-    config: TrackerConfig,
-) -> tuple[TrackerState, TrackerInfo]:
-    """The belief at the MAP pose (Laplace, SPEC 3, step 3), or the prediction where the images do not agree there."""
-    precision = prior_precision(predicted, config)
-    fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
-    corrected = PlanarBelief(
-        matrix_to_planar(T_world_cam @ inverse(rig.T_body_cam)),
-        jnp.linalg.inv(2.0 * agreement.information + precision),
-    )
-    spread = predicted.covariance + jnp.diag(jnp.asarray(config.process_std) ** 2)
-    belief = jax.tree.map(lambda a, b: jnp.where(fits, a, b), corrected, PlanarBelief(predicted.planar, spread))
-    lost = jnp.where(fits, 0, state.lost + 1)
-    return TrackerState(belief, image, lost), TrackerInfo(jnp.where(fits, OK, LOST), agreement)
+    def step(
+        self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[GaussianBelief, FilterInfo]:
+        """Predict; see :class:`Filter`."""
+        belief = clock("track", _predicted(self.transition, state, control, seconds(dt)))
+        return belief, FilterInfo(Status.OK, belief)
+
+    def posterior(self, state: GaussianBelief) -> Posterior:
+        """Return ``q(z_t)``; there is no map."""
+        return Posterior(state, None)
 
 
 @jax.jit
-def predict(belief: PlanarBelief, control: Array, noise: MotionNoise, rig: RobotRig) -> tuple[PlanarBelief, Array]:
-    """The belief after the control, and the camera's pose at its mean."""
-    predicted = planar_predict(belief, control, noise)
-    return predicted, planar_to_matrix(predicted.planar) @ rig.T_body_cam
+def _from_frame(past: Past, rig: Rig) -> tuple[Past, Anchor]:
+    """The past as if its pose were known, and its image as the reference."""
+    belief = past.belief
+    known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
+    return known, Anchor(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
 
 
-def step_map(
-    state: TrackerState,
-    control: Float[Array, "3"],
-    image: RGBD,
-    m: VoxelMap,
-    rig: RobotRig,
-    noise: MotionNoise,
-    config: TrackerConfig = TrackerConfig(),
-) -> tuple[TrackerState, TrackerInfo]:
-    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` against an image rendered at the predicted pose.
-
-    Args:
-        state: The belief after the last step.
-        control: (turn, offset, step) commanded since.
-        image: The camera image now.
-        m: The map, fixed.
-        rig: Camera and its place on the robot.
-        noise: Execution noise of the motion model.
-        config: Scales, gates, effort.
-
-    Returns:
-        The next state and how the step went; ``info.status`` is a key of :data:`STATUS`.
-    """
-    # Three compiled calls, not one: in one, the compiler fuses the renderer into each of the many places that read its
-    # image and computes it again there (25 ms more a step; it ignores optimization barriers on the CPU).
-    predicted, T_world_ref = predict(state.belief, control, noise, rig)
-    reference = emission.render(m, T_world_ref, rig.camera)
-    return correct(state, predicted, reference, T_world_ref, image, rig, config)
-
-
-@partial(jax.jit, static_argnums=5)
-def step_frames(
-    state: TrackerState,
-    control: Float[Array, "3"],
-    image: RGBD,
-    rig: RobotRig,
-    noise: MotionNoise,
-    config: TrackerConfig = TrackerConfig(),
-) -> tuple[TrackerState, TrackerInfo]:
-    """As :func:`step_map`, but against the previous camera image, at the previous estimate (TNP-SM, "no map").
-
-    The images tell the step from there alone: what was uncertain before it stays so, and covariances add up.
-    """
-    planar = state.belief.planar
-    predicted = planar_predict(PlanarBelief(planar, jnp.zeros((3, 3))), control, noise)
-    T_world_ref = planar_to_matrix(planar) @ rig.T_body_cam
-    moved, info = correct(state, predicted, state.image, T_world_ref, image, rig, config)
-    carried = planar_predict(state.belief, control, MotionNoise(0.0, 0.0)).covariance
-    belief = PlanarBelief(moved.belief.planar, carried + moved.belief.covariance)
-    return TrackerState(belief, moved.image, moved.lost), info
+_carried = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt, 0.0).covariance)
+_predicted = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))

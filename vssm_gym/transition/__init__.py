@@ -1,25 +1,30 @@
-"""Transitions ``p(z' | z, u)`` of the model: planar robot, rigid body, IMU-driven body, car (SPEC 1)."""
+"""Transitions ``p(z' | z, u)``: planar robot, rigid body, IMU-driven body, car; and beliefs over their states."""
 
-from vssm_gym.transition.base import Belief, Transition
+from vssm_gym.transition.base import Transition
+from vssm_gym.transition.belief import Belief, GaussianBelief
 from vssm_gym.transition.bicycle import Bicycle, BicycleNoise
 from vssm_gym.transition.imu import Imu, ImuNoise
-from vssm_gym.transition.planar import MotionNoise, Planar, PlanarBelief, planar_mean, planar_predict
-from vssm_gym.transition.rigid import Rigid, RigidBelief, RigidNoise, RigidState
+from vssm_gym.transition.manifold import PLANAR, RIGID, Manifold, RigidState
+from vssm_gym.transition.planar import MotionNoise, Planar, planar_belief, world_covariance
+from vssm_gym.transition.rigid import Rigid, RigidNoise, rigid_belief
 
 __all__ = [
+    "PLANAR",
+    "RIGID",
     "Belief",
     "Bicycle",
     "BicycleNoise",
+    "GaussianBelief",
     "Imu",
     "ImuNoise",
+    "Manifold",
     "MotionNoise",
     "Planar",
-    "PlanarBelief",
     "Rigid",
-    "RigidBelief",
     "RigidNoise",
     "RigidState",
     "Transition",
-    "planar_mean",
-    "planar_predict",
+    "planar_belief",
+    "rigid_belief",
+    "world_covariance",
 ]

@@ -1,69 +1,91 @@
-"""What every transition ``p(z' | z, u)`` offers the model, and the Gaussian in a tangent space that they share.
+"""``p(z' | z, u)``: what every transition offers filters, rollouts, planners and imagined environments."""
 
-A density on a group is taken with respect to its own volume: metres along each axis times the angle turned. Where
-``T = T_mean exp(xi)`` and ``xi`` is Gaussian, that is ``p(T) = N(xi) / |det Jr(xi)|``, ``Jr`` the right Jacobian.
-"""
+import abc
+from typing import Any
 
-from typing import Protocol, TypeVar, runtime_checkable
-
+import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, PRNGKeyArray
 
-QUOTED_STEP = 0.1  # s: standard deviations are quoted for steps this long; variances grow with time (SPEC 1)
+from vssm_gym.transition.belief import GaussianBelief, normal_log_prob
+from vssm_gym.transition.manifold import Manifold
 
-State = TypeVar("State")
-Mean = TypeVar("Mean", covariant=True)
-
-
-@runtime_checkable
-class Transition(Protocol[State]):
-    """``p(z' | z, u)`` with its step length and noise inside; every method takes leading batch axes."""
-
-    def sample(self, key: PRNGKeyArray, state: State, control: Array) -> State:
-        """``z' ~ p(z' | z, u)``: one independent draw for each state of the batch."""
-
-    def log_prob(self, following: State, state: State, control: Array) -> Array:
-        """``log p(z' | z, u)``."""
-
-    def pose(self, state: State) -> Array:
-        """``T_world_body`` (..., 4, 4) of a state."""
-
-    def perturb(self, state: State, xi: Array) -> State:
-        """The state an error ``xi`` (..., n) away, in the coordinates in which beliefs are Gaussian."""
-
-    def error(self, mean: State, state: State) -> Array:
-        """``xi`` with ``perturb(mean, xi) = state``."""
-
-    def log_volume(self, xi: Array) -> Array:
-        """``log |det d perturb / d xi|``: volume of state space per volume of errors."""
+QUOTED_STEP = 0.1  # s: standard deviations are quoted for steps this long; variances grow with time
 
 
-@runtime_checkable
-class Belief(Protocol[Mean]):
-    """``N(mean, covariance)``, the covariance that of a transition's errors."""
+class Transition(eqx.Module):
+    """``p(z' | z, u)`` over ``dt`` seconds; its noise and geometry are fields.
 
-    @property
-    def mean(self) -> Mean:
-        """The state the errors are measured from."""
+    A transition states :meth:`mean` and :meth:`noise_covariance`; everything else follows to first order, and a
+    subclass replaces what it knows exactly. Subclasses are final. ``mean``, ``sample`` and ``log_prob`` take leading
+    batch axes; the others take one state. A control that is a displacement by itself does not depend on ``dt``.
+    """
 
-    @property
-    def covariance(self) -> Array:
-        """``(n, n)``."""
+    manifold: eqx.AbstractClassVar[Manifold]  # the space of its states
+    commanded: eqx.AbstractClassVar[bool]  # whether a control says where the body goes: prediction needs no image
 
+    @abc.abstractmethod
+    def mean(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
+        """Return the state after a step without noise."""
 
-def normal_log_prob(xi: Float[Array, "*batch n"], covariance: Float[Array, "*shared n n"]) -> Float[Array, "*batch"]:
-    """``log N(xi; 0, covariance)``, one covariance for all or one each; NaN where it is not positive definite."""
-    root = jnp.linalg.cholesky(covariance)
-    whitener = solve_triangular(root, jnp.broadcast_to(jnp.eye(xi.shape[-1]), root.shape), lower=True)
-    white = jnp.einsum("...ij,...j->...i", whitener, xi)
-    log_det = jnp.sum(jnp.log(jnp.diagonal(root, axis1=-2, axis2=-1)), axis=-1)
-    return -0.5 * jnp.sum(white**2, axis=-1) - log_det - 0.5 * xi.shape[-1] * jnp.log(2.0 * jnp.pi)
+    @abc.abstractmethod
+    def noise_covariance(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
+        """Return the covariance of the errors ``xi`` about :meth:`mean` after a step from a known state."""
 
+    def jacobian(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
+        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: how a step carries errors along."""
+        manifold, after = self.manifold, self.mean(state, control, dt)
+        carried = lambda xi: manifold.error(after, self.mean(manifold.perturb(state, xi), control, dt))
+        return jax.jacfwd(carried)(jnp.zeros(len(manifold.turns)))
 
-def turn_log_volume(angle2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """``log(2 (1 - cos a) / a^2)`` of the squared angle: ``log |det Jr|`` of SO(3) and of SE(2), half that of SE(3)."""
-    near = angle2 < 1e-2
-    safe2 = jnp.where(near, 1.0, angle2)
-    far = jnp.log(jnp.maximum(2.0 * (1.0 - jnp.cos(jnp.sqrt(safe2))) / safe2, 1e-12))
-    return jnp.where(near, -angle2 / 12.0 - angle2**2 / 1440.0, far)
+    def predict(
+        self,
+        belief: GaussianBelief,
+        control: Float[Array, "m"],
+        dt: float | Array,
+        noise_scale: Float[Array, "n"] | float = 1.0,
+    ) -> GaussianBelief:
+        """``int p(z' | z, u) q(z) dz`` to first order: ``N(mean(z), F P F^T + S Q S)``.
+
+        Args:
+            belief: Over the state now.
+            control: Of the step.
+            dt: Its length, s.
+            noise_scale: Diagonal of S, by which the standard deviations of the noise are multiplied; 0 leaves it out.
+        """
+        F = self.jacobian(belief.mean, control, dt)
+        scale = jnp.broadcast_to(jnp.asarray(noise_scale, F.dtype), F.shape[:1])
+        Q = scale[:, None] * self.noise_covariance(belief.mean, control, dt) * scale
+        covariance = F @ belief.covariance @ F.T + Q
+        return GaussianBelief(self.mean(belief.mean, control, dt), 0.5 * (covariance + covariance.T), self.manifold)
+
+    def sample(self, key: PRNGKeyArray, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
+        """Draw ``z' ~ p(z' | z, u)``: one independent draw for each state of the batch."""
+        covariance = self._every_covariance(state, control, dt)
+        root = jnp.linalg.cholesky(covariance)
+        xi = jnp.einsum("...ij,...j->...i", root, jax.random.normal(key, covariance.shape[:-1]))
+        return self.manifold.perturb(self.mean(state, control, dt), xi)
+
+    def log_prob(
+        self, following: Any, state: Any, control: Float[Array, "*batch m"], dt: float | Array
+    ) -> Float[Array, "*batch"]:
+        """``log p(z' | z, u)`` of the Gaussian about :meth:`mean`."""
+        xi = self.manifold.error(self.mean(state, control, dt), following)
+        return normal_log_prob(xi, self._every_covariance(state, control, dt)) - self.manifold.log_volume(xi)
+
+    def mean_path(self, state: Any, controls: Float[Array, "time m"], dt: float | Array) -> Any:
+        """Return the states after each of several controls without noise, leading axis time."""
+
+        def step(state, control):
+            state = self.mean(state, control, dt)
+            return state, state
+
+        return jax.lax.scan(step, state, controls)[1]
+
+    def _every_covariance(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Array:
+        """:meth:`noise_covariance` of each state of a batch."""
+        one = lambda state, control: self.noise_covariance(state, control, dt)
+        for _ in range(control.ndim - 1):
+            one = jax.vmap(one)
+        return one(state, control)

@@ -1,4 +1,4 @@
-"""Kinematic bicycle: ``p(z' | z, u)`` of a car's ``(x, y, heading)`` at the rear axle (SPEC 1(e), 7).
+"""Kinematic bicycle: ``p(z' | z, u)`` of a car's ``(x, y, heading)`` at the rear axle (thesis 5.6.1).
 
     T' = T exp(s, 0, s k),   s = (speed + e_v) dt,   k = tan(steering + e_d) / wheelbase
 
@@ -11,10 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from vssm_gym.geometry import planar_to_matrix, wrap_angle
-from vssm_gym.transition import planar
-from vssm_gym.transition.base import QUOTED_STEP, normal_log_prob
-from vssm_gym.transition.planar import PlanarBelief
+from vssm_gym.geometry import wrap_angle
+from vssm_gym.transition.base import QUOTED_STEP, Transition
+from vssm_gym.transition.manifold import PLANAR
 
 
 class BicycleNoise(eqx.Module):
@@ -60,64 +59,60 @@ def _sinc(a: Array) -> Array:
     return jnp.where(near, 1.0 - a**2 / 6.0 * (1.0 - a**2 / 20.0), jnp.sin(safe) / safe)
 
 
-def integrate(
-    state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array, wheelbase: float | Array
-) -> Float[Array, "*batch 3"]:
-    """The noise-free step: ``(x, y, heading)`` at the end of :func:`arc`, heading in [-pi, pi)."""
-    forward, left, turn = jnp.moveaxis(arc(control, dt, wheelbase), -1, 0)
-    c, s = jnp.cos(state[..., 2]), jnp.sin(state[..., 2])
-    x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left
-    return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
-
-
-def predict(
-    belief: PlanarBelief, control: Float[Array, "2"], dt: float | Array, wheelbase: float | Array, noise: BicycleNoise
-) -> PlanarBelief:
-    """``int p(z' | z, u) N(z) dz`` to first order: ``F P F^T + G Q G^T + slip`` in the body frame after the step."""
-    dx, dy, turn = arc(control, dt, wheelbase)
-    c, s = jnp.cos(turn), jnp.sin(turn)
-    # xi' = Ad(exp(u)^-1) xi: the old error seen from the new body frame
-    F = jnp.array([[c, s, c * -dy + s * dx], [-s, c, s * dy + c * dx], [0.0, 0.0, 1.0]])
-    back = jnp.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    G = back @ jax.jacfwd(arc)(control, dt, wheelbase) * noise.control_stds(control, dt)
-    covariance = F @ belief.covariance @ F.T + G @ G.T + jnp.diag(noise.slip_variances(dt))
-    return PlanarBelief(integrate(belief.planar, control, dt, wheelbase), covariance)
-
-
-class Bicycle(eqx.Module):
-    """The car as a :class:`~vssm_gym.transition.base.Transition`; controls (..., 2) = (speed, steering)."""
+class Bicycle(Transition):
+    """The car; controls (..., 2) = (speed, steering), m/s and rad."""
 
     noise: BicycleNoise = BicycleNoise()
-    dt: Float[Array, ""] | float = QUOTED_STEP  # s
-    wheelbase: Float[Array, ""] | float = 0.26  # m, of the QCar (SPEC 7)
+    wheelbase: Float[Array, ""] | float = 0.26  # m, of the QCar
+
+    manifold = PLANAR
+    commanded = True
+
+    def mean(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """Return ``(x, y, heading)`` at the end of :func:`arc`, heading in [-pi, pi)."""
+        forward, left, turn = jnp.moveaxis(arc(control, dt, self.wheelbase), -1, 0)
+        c, s = jnp.cos(state[..., 2]), jnp.sin(state[..., 2])
+        x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left
+        return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
+
+    def jacobian(self, state: Float[Array, "3"], control: Float[Array, "2"], dt: float | Array) -> Float[Array, "3 3"]:
+        """``xi' = Ad(exp(u)^-1) xi``: the old error seen from the new body frame."""
+        dx, dy, turn = arc(control, dt, self.wheelbase)
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        return jnp.array([[c, s, c * -dy + s * dx], [-s, c, s * dy + c * dx], [0.0, 0.0, 1.0]])
+
+    def noise_covariance(
+        self, state: Float[Array, "3"], control: Float[Array, "2"], dt: float | Array
+    ) -> Float[Array, "3 3"]:
+        """``G Q G^T + slip`` in the body frame after the step, to first order in the errors of the control."""
+        turn = arc(control, dt, self.wheelbase)[2]
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        back = jnp.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        G = back @ jax.jacfwd(arc)(control, dt, self.wheelbase) * self.noise.control_stds(control, dt)
+        return G @ G.T + jnp.diag(self.noise.slip_variances(dt))
 
     def sample(
-        self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"]
+        self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """``z' ~ p(z' | z, u)``: the arc of the executed control, then slip."""
+        """Draw the arc of the executed control, then slip."""
         by_control, by_slip = jax.random.split(key)
-        e = jax.random.normal(by_control, (*state.shape[:-1], 2)) * self.noise.control_stds(control, self.dt)
-        executed = integrate(state, control + e, self.dt, self.wheelbase)
-        slip = jax.random.normal(by_slip, state.shape) * jnp.sqrt(self.noise.slip_variances(self.dt))
-        return planar.perturb(executed, slip)
+        e = jax.random.normal(by_control, (*state.shape[:-1], 2)) * self.noise.control_stds(control, dt)
+        slip = jax.random.normal(by_slip, state.shape) * jnp.sqrt(self.noise.slip_variances(dt))
+        return PLANAR.perturb(self.mean(state, control + e, dt), slip)
 
-    def log_prob(
-        self, following: Float[Array, "*batch 3"], state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"]
-    ) -> Float[Array, "*batch"]:
-        """Of the first-order Gaussian of :func:`predict` from a known pose."""
+    def mean_path(
+        self, state: Float[Array, "3"], controls: Float[Array, "*batch time 2"], dt: float | Array
+    ) -> Float[Array, "*batch time 3"]:
+        """Return ``z_1 .. z_T``, headings not wrapped, of one or many sequences of controls.
 
-        def one(following, state, control):
-            known = PlanarBelief(state, jnp.zeros((3, 3)))
-            predicted = predict(known, control, self.dt, self.wheelbase, self.noise)
-            xi = planar.error(predicted.planar, following)
-            return normal_log_prob(xi, predicted.covariance) - planar.log_volume(xi)
-
-        return jnp.vectorize(one, signature="(n),(n),(m)->()")(following, state, control)
-
-    def pose(self, state: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4 4"]:
-        """``T_world_body`` of the rear axle on the floor."""
-        return planar_to_matrix(state)
-
-    perturb = staticmethod(planar.perturb)
-    error = staticmethod(planar.error)
-    log_volume = staticmethod(planar.log_volume)
+        A bicycle's arc does not depend on its pose, so headings are sums of turns and places are sums of turned arcs:
+        all steps of all sequences at once.
+        """
+        arcs = arc(controls, dt, self.wheelbase)
+        turned = state[2] + jnp.cumsum(arcs[..., 2], axis=-1)
+        before = turned - arcs[..., 2]
+        c, s = jnp.cos(before), jnp.sin(before)
+        dx, dy = c * arcs[..., 0] - s * arcs[..., 1], s * arcs[..., 0] + c * arcs[..., 1]
+        return jnp.stack([state[0] + jnp.cumsum(dx, -1), state[1] + jnp.cumsum(dy, -1), turned], axis=-1)

@@ -1,14 +1,11 @@
-"""How imagined robots move: the laws of the real environments' noise, in JAX, many robots at once.
+"""How imagined robots move: the model's transitions under the real environments' noise, many robots at once.
 
-Holonomic (SPEC 6, :func:`vssm_gym.envs.robots.execute`), ``e_a ~ N(0, turn^2)``, ``e_s ~ N(0, step^2)``:
+Holonomic: the mean of :class:`~vssm_gym.transition.planar.Planar` for the control that its noise makes of the command.
 
-    heading' = heading + sign(turn) max(0, |turn| + e_a)                      where turn != 0
-    xy'      = xy + [cos phi, sin phi] max(0, s + e_s),  phi = heading + o + e_a    where s > 0
-
-Car (SPEC 7): the bicycle's arc of what servos make of the command. A servo lags, ``v' = a + (v - a) exp(-dt / lag)``,
-after ``a = gain u (1 + jitter e)``; the arc is that of the mean over the step. Gain and trim are the car's own, drawn
-with the episode (:mod:`vssm_gym.envs.car_noise`). Left out, and so part of what imagination misses: backlash, droop,
-the servo's fastest rate, and tyres that slip.
+Car: the mean of :class:`~vssm_gym.transition.bicycle.Bicycle` for what servos make of the command. A servo lags,
+``v' = a + (v - a) exp(-dt / lag)``, after ``a = gain u (1 + jitter e)``; the arc is that of the mean over the step.
+Gain and trim are the car's own, drawn with the episode (:mod:`vssm_gym.envs.car_noise`). Left out, and so part of what
+imagination misses: backlash, droop, the servo's fastest rate, and tyres that slip.
 """
 
 from typing import NamedTuple
@@ -19,8 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from vssm_gym.car import Car
 from vssm_gym.envs.world_model.ground import Ground, fits, slide
 from vssm_gym.geometry import wrap_angle
-from vssm_gym.transition.bicycle import integrate
-from vssm_gym.transition.planar import planar_mean
+from vssm_gym.transition.bicycle import Bicycle
+from vssm_gym.transition.planar import Planar
 
 # The car's footprint as discs along its middle, each over a third of its length
 DISCS = 3
@@ -34,28 +31,17 @@ class Moved(NamedTuple):
     collision: Bool[Array, "n"]
 
 
-def executed(
-    command: Float[Array, "n 3"], noise: Float[Array, "n 2"], normal: Float[Array, "n 2"]
-) -> Float[Array, "n 3"]:
-    """The control that a noisy holonomic robot carries out exactly; two standard normals a step."""
-    turn, offset, step = command[:, 0], command[:, 1], command[:, 2]
-    e_a, e_s = normal[:, 0] * noise[:, 0], normal[:, 1] * noise[:, 1]
-    turned = jnp.sign(turn) * jnp.maximum(0.0, jnp.abs(turn) + e_a)
-    moved = jnp.where(step > 0.0, jnp.maximum(0.0, step + e_s), 0.0)
-    return jnp.stack([turned, offset + e_a, moved], axis=-1)
-
-
 def drive_holonomic(
     ground: Ground,
     which: Int[Array, "n"],
     planar: Float[Array, "n 3"],
     command: Float[Array, "n 3"],
-    noise: Float[Array, "n 2"],
+    transition: Planar,
     normal: Float[Array, "n 2"],
     radius: float,
 ) -> Moved:
     """One step of discs of ``radius`` m that slide along what they meet."""
-    aim = planar_mean(planar, executed(command, noise, normal))
+    aim = transition.executed(planar, command, normal)
     x, y = planar[:, 0], planar[:, 1]
     x, y, touched = slide(ground, which, x, y, aim[:, 0] - x, aim[:, 1] - y, radius)
     return Moved(jnp.stack([x, y, aim[:, 2]], axis=-1), jnp.zeros((*x.shape, 4)), touched)
@@ -69,6 +55,7 @@ def drive_car(
     servos: Float[Array, "n 4"],
     noise: Float[Array, "n 6"],
     normal: Float[Array, "n 2"],
+    transition: Bicycle,
     car: Car,
 ) -> Moved:
     """One step of cars; one that would come to overlap an obstacle stays where it is, and its speed is gone."""
@@ -77,7 +64,7 @@ def drive_car(
     aim_steering = command[:, 1] + trim + noise[:, 5] * normal[:, 1]
     speed, mean_speed = _follow(speed, aim_speed, noise[:, 0], car.dt)
     steering, mean_steering = _follow(steering, aim_steering, noise[:, 1], car.dt)
-    aim = integrate(planar, jnp.stack([mean_speed, mean_steering], axis=-1), car.dt, car.wheelbase)
+    aim = transition.mean(planar, jnp.stack([mean_speed, mean_steering], axis=-1), car.dt)
     before, after = room(ground, which, planar, car), room(ground, which, aim, car)
     # One that overlaps already (a start in another sample of the map) may leave.
     blocked = (after < 0.0) & (after < before)

@@ -21,6 +21,7 @@ from vssm_gym.car import Car
 from vssm_gym.envs.world_model.motion import Moved, believed, drive_car, drive_holonomic
 from vssm_gym.envs.world_model.ways import BEYOND
 from vssm_gym.envs.world_model.world import Robot, World
+from vssm_gym.transition import Bicycle, MotionNoise, Planar
 
 _NORMALS = 5  # a step: two of the motion, three of the estimate
 
@@ -177,13 +178,14 @@ def _act(
     """The motion, which robots stopped, and the commands as clipped."""
     command = jnp.clip(action[:, : len(world.low)], world.low, world.high)
     if isinstance(robot, Car):
-        moved = drive_car(
-            world.ground, state.which, state.planar, command, state.servos, state.noise, normal[:, :2], robot
-        )
+        bicycle = Bicycle(wheelbase=robot.wheelbase)
+        bodies = (world.ground, state.which, state.planar, command)
+        moved = drive_car(*bodies, state.servos, state.noise, normal[:, :2], bicycle, robot)
         return moved, jnp.zeros_like(moved.collision), command
     stopped = (action[:, 3] > 0.5) & world.rules.stops
     command = jnp.where(stopped[:, None], 0.0, command)  # a stop carries out nothing else
-    moved = drive_holonomic(world.ground, state.which, state.planar, command, state.noise, normal[:, :2], robot.radius)
+    planar = Planar(MotionNoise(state.noise[:, 0], state.noise[:, 1]))
+    moved = drive_holonomic(world.ground, state.which, state.planar, command, planar, normal[:, :2], robot.radius)
     return moved, stopped, command
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.inference.belief import Gaussian, LinearGaussian, invert, joint, marginal, split
+from vssm_gym.inference.linear_gaussian import Gaussian, LinearGaussian, invert, joint, marginal, split
 
 sizes = st.sampled_from([(1, 1), (3, 2), (6, 6)])  # few: every size compiles anew
 seeds = st.integers(0, 2**32 - 1)

@@ -1,0 +1,33 @@
+"""The status of a filter's step, the same from inference to agents and reports."""
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """How an image was taken; :attr:`message` is the sentence that reports print."""
+
+    OK = 0
+    RECOVERED = 1
+    LOST = 2
+    NO_READING = 3
+
+    @property
+    def message(self) -> str:
+        """Return the sentence that a person reads."""
+        return _MESSAGES[self]
+
+    @property
+    def fits(self) -> bool:
+        """Return whether the image was explained, so that the belief holds what it said."""
+        return self in (Status.OK, Status.RECOVERED)
+
+    def __str__(self) -> str:
+        return self.message
+
+
+_MESSAGES = {
+    Status.OK: "ok",
+    Status.RECOVERED: "found again: the image fits the map at a pose other than the expected one",
+    Status.LOST: "lost track: the image fits neither the map nor the last image",
+    Status.NO_READING: "no depth reading, or next to none: nothing to align",
+}
