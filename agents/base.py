@@ -15,6 +15,7 @@ from vssm_gym.voxel_map import VoxelMap
 
 Observation: TypeAlias = Mapping[str, np.ndarray]
 
+ANY_TASK = "any"  # of an agent that reads no goal
 STOP_COMMAND = (0.0, 0.0, 0.0)  # the motion part of a stop: the robot stays where it is
 
 
@@ -23,11 +24,11 @@ class AgentContext:
     """What a robot may know before it starts (SPEC 6: its start pose and a map, then RGB-D only).
 
     Attributes:
-        K: ``(3, 3)`` intrinsic matrix, pixels.
-        camera: image ``(width, height)``, pixels.
+        K: ``(3, 3)`` intrinsic matrix, pixels; the identity without a camera.
+        camera: image ``(width, height)``, pixels; ``(0, 0)`` without a camera.
         T_body_cam: ``(4, 4)`` pose of the camera in the body frame, metres.
         limits: of one command: ``(3,)`` largest turn (rad), direction offset (rad) and step (m); of a car ``(2,)``
-            largest speed (m/s) and steering angle (rad).
+            largest speed (m/s) and steering angle (rad); of a disc ``(2,)`` largest turn (rad) and step (m).
         dt: seconds a step.
         map: the learned map; None where the agent asked for none.
         start_pose: ``(3,)`` x (m), y (m), heading (rad) in the map frame.
@@ -56,7 +57,7 @@ class Decision:
 
     Attributes:
         action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task. Of a car ``(2,)``
-            ``(speed m/s, steering rad)``.
+            ``(speed m/s, steering rad)``; of a disc ``(3,)`` ``(turn rad, s m, stop)``.
         pose: ``(3,)`` estimate ``(x, y, heading)`` in the map frame; None for an agent that keeps none.
         status: one readable line on the agent's state; reports print it where a run fails.
         latency: seconds by stage: "tracking", "planning", "control".
@@ -81,8 +82,10 @@ class Agent(Protocol):
     """
 
     name: str
-    robot: str  # which it drives: "holonomic" or "car"
-    task: str  # "pointgoal": drive to observation["goal"]; "explore": map what is there, no goal is observed
+    robot: str  # which it drives: "holonomic", "car", or "disc" with a laser scanner
+    # "pointgoal": drive to observation["goal"]; "imagegoal": to where observation["goal_rgb"] was taken; "explore": map
+    # what is there, no goal is observed; ANY_TASK: all of these.
+    task: str
     needs_pose: bool  # whether it reads observation["pose"]: oracles only
     needs_map: bool  # whether context.map must be there
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vssm_gym.agents.base import AgentContext, Decision, Observation
+from vssm_gym.agents.base import ANY_TASK, AgentContext, Decision, Observation
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class RandomAgent:
 
     name = "random"
     robot = "holonomic"
-    task = "pointgoal"
+    task = ANY_TASK
     needs_pose = False
     needs_map = False
 

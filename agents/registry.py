@@ -4,6 +4,7 @@ from vssm_gym.agents.astar import AStarAgent
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.candidate_random import CandidateRandomAgent
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
+from vssm_gym.agents.dist_bug import DistBugAgent
 from vssm_gym.agents.dwa import DwaAgent
 from vssm_gym.agents.frontier_gain import FrontierGainAgent
 from vssm_gym.agents.frontier_gain_tracked import FrontierGainTrackedAgent
@@ -40,6 +41,7 @@ AGENTS: dict[str, type[Agent]] = {
         HybridAStarAgent,
         GreedyAgent,
         DwaAgent,
+        DistBugAgent,
         MiExplorerAgent,
         FrontierNearestAgent,
         FrontierGainAgent,

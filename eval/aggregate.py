@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.errors import InputError
+from vssm_gym.eval.episode_row import KEY
 
 Row = Mapping[str, Any]  # one episode, as `vssm_gym.eval.sweep` writes it
 
 RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
 # What an episode shares with its pair.
-CONDITION = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics")
+CONDITION = tuple(name for name in KEY if name not in ("task", "seed", "agent"))
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""``bench slam``: our whole step beside Open3D's dense SLAM, on the same frames of a recording in one process.
+"""``bench slam``: our whole step beside Open3D's dense SLAM, on the same frames of a recording.
 
 Both see the undistorted, resized images of :class:`FrameReader` at the same rate. A step is all that a frame costs once
 its image is read: tracking, uncertainty, map update and the rendering for the next frame. Its stages stand below it.
-First steps, which compile or allocate, are not counted. The two take turns, run by run, so that a machine that slows
-down slows both.
+First steps, which compile or allocate, are not counted. Open3D runs in a process of its own, which takes the times. The
+two take turns, run by run, so that a machine that slows down slows both.
 """
 
 import functools
@@ -17,7 +17,8 @@ import numpy as np
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
-from vssm_gym.eval.open3d_slam import STAGES, Open3dSlam
+from vssm_gym.eval.open3d_process import run_open3d
+from vssm_gym.eval.open3d_slam import STAGES
 from vssm_gym.eval.slam_run import SlamOptions, SlamRun, prefetch, run_slam, thin
 
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
@@ -40,8 +41,8 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, progres
         progress: told after every frame.
 
     Returns:
-        ``rows``: one dict a method and size, see :func:`_row`; ``missing``: why there is no Open3D, or None;
-        ``notices``: what was wrong with the recording; the machine.
+        ``rows``: one dict a method and size, see :func:`_row`; ``missing``: why there is no Open3D, how its process
+        died, or None; ``notices``: what was wrong with the recording; the machine.
 
     Raises:
         InputError: a recording whose images are smaller than the smallest size.
@@ -92,16 +93,12 @@ def _theirs(
 ) -> tuple[tuple[np.ndarray, np.ndarray], int, dict[str, np.ndarray]]:
     """Times and poses, failures of its odometry, and the seconds of every step after the first."""
     reader, indices = FrameReader(sequence, size), thin(sequence.times, RATE)
-    slam = Open3dSlam(reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH)
-    steps = []
-    for done, (rgb, depth, _) in enumerate(prefetch(reader, indices), start=1):
-        steps.append(slam.step(rgb, depth))
-        if progress:
-            progress(f"Open3D {slam.version}", done, len(indices))
-    seconds = np.array([step.seconds for step in steps[1:]])
+    frames = ((rgb, depth) for rgb, depth, _ in prefetch(reader, indices))
+    told = None if progress is None else lambda version, done: progress(f"Open3D {version}", done, len(indices))
+    run = run_open3d(frames, reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH, told=told)
+    seconds = run.seconds[1:]
     by_stage = {"step": seconds.sum(axis=1)} | {stage: seconds[:, i] for i, stage in enumerate(STAGES)}
-    poses = np.stack([step.T_world_cam for step in steps])
-    return (sequence.times[indices], poses), sum(step.failed for step in steps), by_stage
+    return (sequence.times[indices], run.poses), run.failed, by_stage
 
 
 def _row(

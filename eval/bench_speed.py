@@ -66,7 +66,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     from vssm_gym.agents.astar import AStarAgent
     from vssm_gym.envs.pointnav import PointNavEnv
     from vssm_gym.envs.tasks import TaskSampler
-    from vssm_gym.eval.episode import agent_context
+    from vssm_gym.eval.agent_context import context_in
     from vssm_gym.inference import map_update
     from vssm_gym.inference.filter import Rig, observe
     from vssm_gym.inference.tracking import FrameTracker, MapTracker
@@ -163,7 +163,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     agent, loops, alone = AStarAgent(), [], []
     for i in range(3):
         observation, info = env.reset(seed=seed + i, options={"task": ends[i]})
-        agent.reset(agent_context(env, info, learned, noise), observation, seed)
+        agent.reset(context_in(env, info, learned, noise), observation, seed)
         before = counter.count
         for _ in range(60):
             began = time.perf_counter()

@@ -17,6 +17,20 @@ CAR = Car()
 SPACING = 0.3  # m driven between two footprints
 VISIBLE = 0.005  # m, of an error of location
 ARROW = 0.3  # m, of a heading
+# Of a figure of curves: metric -> labels and limits of its axes.
+PANELS: dict[str, dict[str, Any]] = {
+    "seconds_driven": {"xlabel": "time, s", "ylabel": "share of targets reached", "xlim": (0, None)},
+    "path_ratio": {
+        "xlabel": "path / shortest Reeds-Shepp curve",
+        "ylabel": "share of those reached",
+        "xlim": (0.9, None),
+    },
+    "control_p95_ms": {
+        "xlabel": "95 % point of an episode's controls, ms",
+        "ylabel": "share of episodes",
+        "xscale": "log",
+    },
+}
 PERIOD = 1e3 * CAR.dt  # ms: later commands come too late
 
 
@@ -25,7 +39,7 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
     figure = Figure(figsize=(5.0, 4.2), layout="constrained")
     axes = figure.subplots()
     pictures.draw_background(axes, background)
-    poses = np.asarray(row["trace"].get("poses", []), dtype=float).reshape(-1, 3)
+    poses = np.asarray(row["trace"].get("poses") or [], dtype=float).reshape(-1, 3)
     if len(poses):
         shown = poses[apart(poses, SPACING)]
         pictures.draw_outlines(axes, CAR.corners(shown[1:-1]), pictures.TRUE_COLOUR)
@@ -42,8 +56,8 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
 def _trace(row: Row) -> dict[str, Any]:
     """The trace without an estimate that is the truth, as of agents that observe the pose."""
     trace = row["trace"]
-    off = (row["location_error_max"] or 0.0) > VISIBLE
-    return {**trace, "estimate": trace["estimate"] if off else None}
+    off = (row.get("location_error_max") or 0.0) > VISIBLE
+    return {**trace, "estimate": trace.get("estimate") if off else None}
 
 
 def draw_target(axes: Axes, goal: Sequence[float]) -> None:
@@ -65,29 +79,31 @@ def apart(poses: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def curves(rows: Sequence[Row], seed: int) -> bytes:
-    """Three panels as SVG: share of targets reached by a time, path over its lower bound, latency of a control."""
+    """Panels as SVG: share of targets reached by a time, path over its lower bound, latency of a control.
+
+    A panel of which no row says anything is left out.
+    """
     del seed  # nothing is resampled
-    figure = Figure(figsize=(11.5, 3.3), layout="constrained")
-    reached, ratio, latency = figure.subplots(1, 3)
-    for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
-        style = {"color": report_figures.colours(rows)[agent], "label": agent, "where": "post"}
-        for axes, metric, n in (
-            (reached, "seconds_driven", len(members)),
-            (ratio, "path_ratio", None),
-            (latency, "decision_p95", None),
-        ):
-            x = np.sort([row[metric] for row in members if row[metric] is not None])
+    panels = {name: draw for name, draw in PANELS.items() if any(row[name] is not None for row in rows)}
+    figure = Figure(figsize=(0.5 + 3.67 * max(1, len(panels)), 3.3), layout="constrained")
+    key: dict[str, Any] = {}
+    for axes, (name, style) in zip(
+        np.atleast_1d(figure.subplots(1, max(1, len(panels)))), panels.items(), strict=False
+    ):
+        for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
+            x = np.sort([row[name] for row in members if row[name] is not None])
             if len(x):
-                axes.step([x[0], *x], np.arange(len(x) + 1) / (n or len(x)), **style)
-    reached.set(xlabel="time, s", ylabel="share of targets reached", xlim=(0, None))
-    ratio.set(xlabel="path / shortest Reeds-Shepp curve", ylabel="share of those reached", xlim=(0.9, None))
-    latency.set(xlabel="95 % point of an episode's controls, ms", ylabel="share of episodes", xscale="log")
-    latency.axvline(PERIOD, color="black", linewidth=0.7, linestyle=pictures.DASHES)
-    for axes in (reached, ratio, latency):
+                of = len(members) if name == "seconds_driven" else len(x)  # who did not arrive counts there
+                colour = report_figures.colours(rows)[agent]
+                (key[agent],) = axes.step([x[0], *x], np.arange(len(x) + 1) / of, color=colour, where="post")
+        axes.set(**style)
+        if name == "control_p95_ms":
+            axes.axvline(PERIOD, color="black", linewidth=0.7, linestyle=pictures.DASHES)
         axes.set_ylim(-0.02, 1.04)
         axes.grid(alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(*latency.get_legend_handles_labels(), loc="outside lower center", ncols=7, frameon=False, fontsize=9)
+    order = [agent for agent in report_figures.colours(rows) if agent in key]
+    figure.legend([key[a] for a in order], order, loc="outside lower center", ncols=7, frameon=False, fontsize=9)
     return pictures.svg(figure)
 
 

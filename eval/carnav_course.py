@@ -1,23 +1,28 @@
-"""CarNav in a sweep: a chain of target poses, its environment, and one episode of it (SPEC 7)."""
+"""CarNav in a sweep: a chain of target poses, its environment, and one episode of it."""
 
 import time
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.agents.base import Agent, AgentContext, Decision
-from vssm_gym.envs.car_task_sets import CarTaskSet, load, make_car_tasks, save
+from vssm_gym.agents.base import Agent, Decision
+from vssm_gym.envs import car_task_sets
+from vssm_gym.envs.car_task_sets import CarTaskSet
 from vssm_gym.envs.car_tasks import ALIGNED, REACHED, CarTask
 from vssm_gym.envs.scene import Apartment
-from vssm_gym.eval.config import Condition, Episode, episode_seed
+from vssm_gym.eval.agent_context import context_of
+from vssm_gym.eval.course_parts import conditions, keep_or_write, load, notice, scene_names, tasks_in, world
 from vssm_gym.eval.episode import estimates_of, latency_of, thinned, trace_of
+from vssm_gym.eval.episodes import Episode, episode_seed
 from vssm_gym.eval.failure import failure_reason
 from vssm_gym.eval.metrics import episode_metrics
 from vssm_gym.planning import reeds_shepp
 from vssm_gym.voxel_map import VoxelMap
+
+__all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
 # What agents that track are told of how the car strays from the bicycle in a step: rad and m.
 STRAYS = (0.02, 0.01)
@@ -25,17 +30,20 @@ MOVING = 0.05  # m/s, of a command: slower is standing, for the count of directi
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
-    """A chain of ``n`` test targets of a scene as a file; one that is there and as long is kept."""
-    if path.is_file() and len(load(path, apartment).tasks) >= n:
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save(make_car_tasks(apartment, n), path)
+    """Write a chain of ``n`` test targets of a scene to a file; one that is there and as long is kept."""
+    make = partial(car_task_sets.make_car_tasks, apartment, n)
+    keep_or_write(apartment, n, path, car_task_sets.load, make, car_task_sets.save)
 
 
 def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
-    """Run one episode; returns what it was worth."""
-    tasks = _tasks(task_file)
-    env = _env(episode.condition, agent.needs_pose)
+    """Run one episode; returns its measured fields of a row."""
+    tasks = tasks_in(task_file, CarTaskSet)
+    env = world(
+        episode.condition,
+        physics=episode.condition.physics,
+        observe_pose=agent.needs_pose,
+        images=not agent.needs_pose,  # who sees the pose needs no images, and rendering takes half of the time
+    )
     seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
     return run_episode(env, agent, tasks.tasks[episode.task], seed=seed, voxel_map=voxel_map)
 
@@ -57,10 +65,20 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         ``poses`` with headings).
     """
     observation, info = env.reset(seed=seed, options={"task": task})
-    world: Any = env.unwrapped
-    context = _context(world, info, voxel_map)
+    body: Any = env.unwrapped
+    car = body.car
+    context = context_of(
+        car,
+        car.length,
+        info["start_pose"],
+        success_radius=REACHED,
+        noise=STRAYS,
+        voxel_map=voxel_map,
+        camera=body.camera,
+        K=info["K"],
+    )
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
-    poses, contacts, speeds = [world.planar], [], []
+    poses, contacts, speeds = [body.planar], [], []
     decisions: list[Decision] = []
     seconds: list[float] = []
     ended = False
@@ -73,7 +91,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
             break
         observation, _, terminated, truncated, info = env.step(decision.action)
         ended = terminated or truncated
-        poses.append(world.planar)
+        poses.append(body.planar)
         contacts.append(bool(info["collision"]))
         speeds.append(float(info["control"][0]))
 
@@ -81,7 +99,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
     estimates = estimates_of(decisions, stopped=decisions[-1].gives_up)
     estimates = None if estimates is None else estimates[: len(path)]
     success = bool(info.get("success", False))
-    radius = context.car.turning_radius if context.car else 0.0
+    radius = car.turning_radius
     metrics = episode_metrics(
         success=success,
         geodesic=shortest_curve(np.array(task.start), goal, radius),
@@ -113,7 +131,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         "status": decisions[-1].status,
         "latency": latency_of(decisions, seconds),
         "end_on": "reach",
-        "tracer": world.renderer_name,
+        "tracer": body.renderer_name,
         "success_radius": context.success_radius,
         "goal": [float(v) for v in goal],
         "trace": {**trace_of(path[:, :2], estimates, contact), "poses": thinned(path)},
@@ -139,41 +157,3 @@ def direction_changes(speeds: np.ndarray) -> int:
     """How often a drive turns from forwards to backwards or the other way, standing in between or not."""
     signs = np.sign(speeds[np.abs(speeds) > MOVING])
     return int(np.count_nonzero(np.diff(signs)))
-
-
-def _context(world: Any, info: dict[str, Any], voxel_map: VoxelMap | None) -> AgentContext:
-    car = world.car
-    return AgentContext(
-        K=np.array(info["K"]),
-        camera=(world.camera.width, world.camera.height),
-        T_body_cam=car.T_body_cam,
-        limits=car.limits,
-        dt=car.dt,
-        map=voxel_map,
-        start_pose=np.array(info["start_pose"]),
-        body_length=car.length,
-        success_radius=REACHED,
-        noise=STRAYS,
-        car=car,
-    )
-
-
-@lru_cache(maxsize=2)  # of one condition, with and without the observed pose: episodes come condition by condition
-def _env(condition: Condition, observe_pose: bool) -> gym.Env:
-    return gym.make(
-        condition.env,
-        scene=condition.scene,
-        noise=condition.noise,
-        sensor_noise=condition.sensor_noise,
-        renderer=condition.renderer,
-        physics=condition.physics,
-        observe_pose=observe_pose,
-        images=not observe_pose,  # who sees the pose needs no images, and rendering takes half of the time
-        reward="sparse",
-        disable_env_checker=True,
-    )
-
-
-@lru_cache(maxsize=1)
-def _tasks(path: Path) -> CarTaskSet:
-    return load(path)

@@ -6,29 +6,28 @@ is kept beside the policy until that is written, so that an interrupted training
 """
 
 import zipfile
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.localization import TruePose
 from vssm_gym.agents.navigation import NavigationConfig, Navigator
 from vssm_gym.agents.policy_input import size_of
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.errors import InputError
+from vssm_gym.eval.agent_context import context_of
 from vssm_gym.eval.training_env import BODY, make_training_env, stream
+from vssm_gym.eval.training_run import Run
 from vssm_gym.files import atomic_write
 from vssm_gym.voxel_map import VoxelMap
-
-if TYPE_CHECKING:
-    from vssm_gym.eval.training import Run
 
 DEMONSTRATIONS = "demonstrations.npz"
 SHARE_COLLECTING = 0.8  # of the minutes; the rest is for fitting
 
 
-def clone(run: "Run") -> None:
+def clone(run: Run) -> None:
     """Collect ``steps`` of the expert's, fit, and write the policy. Interrupted, it keeps what was collected."""
     from vssm_gym.agents.sb3.cloning import fit
 
@@ -72,7 +71,7 @@ def clone(run: "Run") -> None:
     kept.unlink()
 
 
-def collect(run: "Run", vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def collect(run: Run, vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What a policy would have seen ``(n, inputs)``, and what the expert did in [-1, 1] ``(n, 3)``, float32.
 
     The given ones, of an earlier session, come first.
@@ -103,7 +102,7 @@ def collect(run: "Run", vectors: np.ndarray, actions: np.ndarray) -> tuple[np.nd
     return np.concatenate(seen_by), np.concatenate(done)
 
 
-def _restored(kept: Path, run: "Run") -> tuple[np.ndarray, np.ndarray]:
+def _restored(kept: Path, run: Run) -> tuple[np.ndarray, np.ndarray]:
     """What was collected before, and its clock; nothing where there is no such file."""
     spec = run.config.policy
     if not kept.is_file():
@@ -123,17 +122,9 @@ class Experts:
 
     def __init__(self, m: VoxelMap, n: int) -> None:
         robot = HolonomicRobot()
-        self._context: dict[str, Any] = {
-            "K": np.eye(3),
-            "camera": (1, 1),
-            "T_body_cam": robot.T_body_cam,
-            "limits": robot.limits,
-            "dt": robot.dt,
-            "map": m,
-            "body_length": robot.body_length,
-            "success_radius": BODY.success_radius,
-            "noise": (0.0, 0.0),
-        }
+        self._context = partial(
+            context_of, robot, robot.body_length, success_radius=BODY.success_radius, noise=(0.0, 0.0), voxel_map=m
+        )
         self._navigators = [Navigator(TruePose(), NavigationConfig()) for _ in range(n)]
         self._goals = np.zeros((n, 2))
 
@@ -144,8 +135,7 @@ class Experts:
         direction = np.stack([c * goal[:, 1] - s * goal[:, 2], s * goal[:, 1] + c * goal[:, 2]], axis=-1)
         self._goals[which] = (pose[:, :2] + goal[:, :1] * direction)[which]
         for i in np.flatnonzero(which).tolist():
-            context = AgentContext(start_pose=pose[i], **self._context)
-            self._navigators[i].reset(context, self._observation(shown, i), 0)
+            self._navigators[i].reset(self._context(pose[i]), self._observation(shown, i), 0)
 
     def act(self, shown: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Actions ``(n, 3)`` in [-1, 1], float32, and which of them drive: a stop is nothing that policies can do."""

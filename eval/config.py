@@ -1,41 +1,22 @@
 """A sweep's configuration: lists multiply into episodes, and every name is checked before anything runs (DESIGN)."""
 
-import hashlib
 import itertools
-import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from vssm_gym.agents.base import ANY_TASK
 from vssm_gym.agents.policy_file import PREFIX as POLICY
 from vssm_gym.agents.policy_file import agent_label, policy_at
 from vssm_gym.envs.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
+from vssm_gym.eval.courses import COURSES, course_of
+from vssm_gym.eval.episodes import Condition, Episode, ExploreSettings, scene_name
+from vssm_gym.eval.yaml_file import Names, Seeds, as_tuple, read_yaml
 
-T = TypeVar("T")
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
-
-
-def as_tuple(value: Any) -> Any:
-    """A list as a tuple, anything else as a tuple of it alone."""
-    return tuple(value) if isinstance(value, (list, tuple)) else (value,)
-
-
-def distinct(values: tuple[T, ...]) -> tuple[T, ...]:
-    """The values; a repeated one raises ValueError."""
-    if len(set(values)) != len(values):
-        raise ValueError(f"values that differ from each other, found {list(values)}")
-    return values
-
-
-Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)]
-Seeds = Annotated[
-    tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)
-]
 
 
 def _task_ids(value: Any) -> Any:
@@ -50,19 +31,6 @@ def _task_ids(value: Any) -> Any:
             raise ValueError(f"a number of tasks, a range like 20-39 or a list of task numbers, found {value!r}")
         return tuple(range(int(first), int(last) + 1))
     return as_tuple(value)
-
-
-class ExploreSettings(BaseModel):
-    """How explorers run.
-
-    ``steps`` (of 0.2 s) is the time limit of a run; ``navigation`` is how many PointNav tasks ``astar`` then drives on
-    the map that the run left.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    steps: Annotated[int, Field(gt=0)] = 1500
-    navigation: Annotated[int, Field(ge=0)] = 0
 
 
 class SweepConfig(BaseModel):
@@ -91,52 +59,6 @@ class SweepConfig(BaseModel):
     explore: ExploreSettings | None = None
 
 
-@dataclass(frozen=True)
-class Condition:
-    """What all episodes of one simulated world share."""
-
-    env: str
-    scene: str  # as the configuration names it
-    robot: str
-    noise: str
-    sensor_noise: str
-    renderer: str
-    physics: str
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One run of one agent at one task of one world."""
-
-    condition: Condition
-    task: int
-    seed: int  # of the sweep's list; `episode_seed` mixes it with scene and task
-    agent: str
-    explore: ExploreSettings | None = None  # of an explorer's run
-
-    def identity(self, scene_hash: str) -> dict[str, Any]:
-        """The fields of a row that say which episode it is, scenes by their short name and content."""
-        c = self.condition
-        return {
-            "env": c.env,
-            "scene": scene_name(c.scene),
-            "scene_hash": scene_hash,
-            "robot": c.robot,
-            "noise": c.noise,
-            "sensor_noise": c.sensor_noise,
-            "renderer": c.renderer,
-            "physics": c.physics,
-            "task": self.task,
-            "seed": self.seed,
-            "agent": agent_label(self.agent),
-        }
-
-
-def scene_name(scene: str) -> str:
-    """What rows and files call a scene: a built-in name as it is, a seed with dashes, a file by its stem."""
-    return scene.replace(":", "-") if scene.startswith(PREFIX) else Path(scene).stem
-
-
 def expand(config: SweepConfig) -> Iterator[Episode]:
     """Every episode once; world by world, then task by task, so that a worker keeps its scene and map.
 
@@ -151,69 +73,27 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
             yield Episode(condition, task, seed, agent, config.explore)
 
 
-def episode_seed(seed: int, scene_hash: str, task: int) -> int:
-    """The seed of the environment's streams, uint32: of (seed, scene, task) and *not* of the agent.
-
-    Agents so meet the same noise stream on the same task, which is what makes their difference a paired one.
-    """
-    text = json.dumps([seed, scene_hash, task])
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-
-
 def load_config(path: Path) -> SweepConfig:
     """Read and check a sweep's YAML.
 
     Raises:
         InputError: no such file, not YAML, a field that is unknown, missing or malformed, or a name nobody registered.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", f"a readable YAML file ({error})") from error
-    except yaml.YAMLError as error:
-        raise InputError(path, "file", f"valid YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(data, dict):
-        raise InputError(path, "file", f"fields {', '.join(SweepConfig.model_fields)}; found {type(data).__name__}")
-    try:
-        config = SweepConfig.model_validate(data)
-    except ValidationError as error:
-        raise first_problem(path, error, SweepConfig) from error
-    scenes = tuple(_resolve(path, scene) for scene in config.scenes)
+    config = read_yaml(path, SweepConfig)
+    check_environments(config, path)
+    course = course_of(config.env[0])
+    scenes = tuple(
+        scene if scene in course.scene_names() or scene.startswith(PREFIX) else str((path.parent / scene).resolve())
+        for scene in config.scenes
+    )
     agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
     config = config.model_copy(update={"scenes": scenes, "agents": agents})
     check_names(config, path)
     return config
 
 
-def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:
-    """What is wrong in a file of ``model``, its first problem only."""
-    problem = error.errors()[0]
-    field = ".".join(str(part) for part in problem["loc"]) or "file"
-    if problem["type"] == "extra_forbidden":
-        return InputError(path, field, f"one of the fields {', '.join(model.model_fields)}")
-    if problem["type"] == "missing":
-        return InputError(path, field, "this field")
-    return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))
-
-
-def _resolve(config_path: Path, scene: str) -> str:
-    """A built-in scene's name as it is; a file by its path, relative to the configuration that names it."""
-    from vssm_gym.envs.scene import built_in_scenes
-
-    known = scene in built_in_scenes() or scene.startswith(PREFIX)
-    return scene if known else str((config_path.parent / scene).resolve())
-
-
-def check_names(config: SweepConfig, source: object) -> None:
-    """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
-    # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
-    from vssm_gym.agents.registry import AGENTS, agent_type
-    from vssm_gym.envs.robots import NOISE_LEVELS
-    from vssm_gym.envs.scene import built_in_scenes
-    from vssm_gym.envs.sensor_noise import PRESETS
-    from vssm_gym.envs.sensors import RENDERERS
-    from vssm_gym.eval.courses import COURSES
-
+def check_environments(config: SweepConfig, source: object) -> None:
+    """Raise :class:`InputError` unless its environments are those of one robot and one task, and sweeps know them."""
     for env in config.env:
         if env not in COURSES:
             raise InputError(source, "env", f"one of {', '.join(COURSES)}; found {env!r}")
@@ -222,36 +102,40 @@ def check_names(config: SweepConfig, source: object) -> None:
         raise InputError(source, "env", f"environments of one robot; found {' and '.join(robots)}")
     if len({COURSES[env].task for env in config.env}) > 1:
         raise InputError(source, "env", f"environments of one task; found {' and '.join(config.env)}")
-    task = COURSES[config.env[0]].task
-    if config.explore is not None and task != "explore":
+    if config.explore is not None and COURSES[config.env[0]].task != "explore":
         raise InputError(source, "explore", f"no such field with {config.env[0]}: only explorers have it")
+
+
+def check_names(config: SweepConfig, source: object) -> None:
+    """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
+    # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
+    from vssm_gym.agents.registry import AGENTS, agent_type
+
+    check_environments(config, source)
+    spec, course = COURSES[config.env[0]], course_of(config.env[0])
     policies = [name for name in config.agents if name.startswith(POLICY)]
     types = {name: agent_type(name) for name in (*AGENTS, *policies)}
-    able = sorted(name for name, agent in types.items() if (agent.robot, agent.task) == (robots[0], task))
+    able = sorted(
+        name for name, agent in types.items() if agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK)
+    )
     if len({agent_label(name) for name in config.agents}) < len(config.agents):
         raise InputError(source, "agents", "policies that differ from each other; two of these are the same")
-    physics = list(COURSES[config.env[0]].physics)
-
-    known: list[tuple[str, Sequence[str], Sequence[str]]] = [
-        ("agents", config.agents, able),
-        ("robot", config.robot, robots),
-        ("noise", config.noise, list(NOISE_LEVELS)),
-        ("sensor_noise", config.sensor_noise, list(PRESETS)),
-        ("renderer", config.renderer, RENDERERS),
-        ("physics", config.physics, physics),
-    ]
-    for field, chosen, available in known:
-        for name in chosen:
+    known: dict[str, Sequence[str]] = {
+        "agents": able,
+        "robot": (spec.robot,),
+        **course.conditions(),
+        "physics": spec.physics,
+    }
+    for field, available in known.items():
+        for name in getattr(config, field):
             if name not in available:
                 raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}")
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
         raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
+    names = course.scene_names()
     for scene in config.scenes:
         if scene.startswith(PREFIX):
             parse_spec(scene)
-        elif scene not in built_in_scenes() and not Path(scene).is_file():
-            raise InputError(
-                source,
-                "scenes",
-                f"a built-in scene ({', '.join(built_in_scenes())}), {PREFIX}SEED or an existing file; found {scene!r}",
-            )
+        elif scene not in names and not Path(scene).is_file():
+            expected = f"a built-in scene ({', '.join(names)}), {PREFIX}SEED or an existing file; found {scene!r}"
+            raise InputError(source, "scenes", expected)

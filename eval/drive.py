@@ -14,7 +14,7 @@ from vssm_gym.agents.base import Agent, Observation
 from vssm_gym.agents.localization import Localizer
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.tasks import TaskSampler
-from vssm_gym.eval.episode import agent_context
+from vssm_gym.eval.agent_context import context_in
 from vssm_gym.voxel_map import VoxelMap
 
 MAX_GIVEN_UP = 50  # goals in a row for which the driver did not move
@@ -67,7 +67,7 @@ def drive(
     rng = np.random.default_rng([seed, 7])
     observation, info = env.reset(seed=seed, options={"task": sampler.draw(rng)})
     noise = (env.noise.turn, env.noise.step)
-    context = agent_context(env, info, voxel_map, noise)
+    context = context_in(env, info, voxel_map, noise)
     driver.reset(context, _shown(observation, driver.needs_pose), seed)
     blind = _shown(observation, pose=False)
     poses = {name: [rider.reset(context, blind).planar] for name, rider in riders.items()}

@@ -9,8 +9,9 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.agents.base import Agent, AgentContext, Decision, Observation
+from vssm_gym.agents.base import Agent, Decision, Observation
 from vssm_gym.envs.tasks import Task, TaskSampler
+from vssm_gym.eval.agent_context import context_in
 from vssm_gym.eval.failure import failure_reason
 from vssm_gym.eval.metrics import episode_metrics
 from vssm_gym.voxel_map import VoxelMap
@@ -43,33 +44,6 @@ class Step:
 Spectator: TypeAlias = Callable[[Step], None]
 
 
-def agent_context(
-    env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None, noise: tuple[float, float]
-) -> AgentContext:
-    """What an agent is told before it starts: body, camera, start pose and learned map; nothing of the scene.
-
-    Args:
-        env: a PointNav environment that was just reset.
-        info: what that reset returned.
-        voxel_map: the learned map, None for an agent that needs none.
-        noise: standard deviations of the execution noise, rad and m.
-    """
-    world = env.unwrapped
-    robot, camera = world.robot, world.camera  # type: ignore[attr-defined]
-    return AgentContext(
-        K=np.array(info["K"]),
-        camera=(camera.width, camera.height),
-        T_body_cam=robot.T_body_cam,
-        limits=robot.limits,
-        dt=robot.dt,
-        map=voxel_map,
-        start_pose=np.array(info["start_pose"]),
-        body_length=robot.body_length,
-        success_radius=world.success_radius,  # type: ignore[attr-defined]
-        noise=noise,
-    )
-
-
 def run_episode(
     env: gym.Env,
     sampler: TaskSampler,
@@ -79,18 +53,20 @@ def run_episode(
     seed: int,
     voxel_map: VoxelMap | None,
     noise: tuple[float, float],
+    limits: np.ndarray | None = None,
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
     """Run ``agent`` on ``task`` until it stops or time is out.
 
     Args:
-        env: PointNav with its time limit; the pose is observed if and only if the agent needs it.
+        env: PointNav, ImageNav or LidarMaze with its time limit; it shows the pose only to an agent that needs it.
         sampler: of the environment's scene, for the way that is left at the end.
         agent: any agent of the registry; it is reset here.
         task: start and goal.
         seed: of the environment's streams and, mixed, of the agent; the same for every agent.
         voxel_map: the learned map, None for an agent that needs none.
         noise: standard deviations of the execution noise that the agent is told, rad and m.
+        limits: of the agent's commands, where not all of the robot's.
         spectator: shown every step, in order; what it does takes none of the agent's time.
 
     Returns:
@@ -98,14 +74,15 @@ def run_episode(
         percentiles by stage in seconds, and the downsampled ``trace``: plain JSON values.
     """
     observation, info = env.reset(seed=seed, options={"task": task})
-    context = agent_context(env, info, voxel_map, noise)
+    world: Any = env.unwrapped
+    world = getattr(world, "navigation", world)  # ImageNav moves, rewards and ends as the PointNav that it holds
+    context = context_in(world, info, voxel_map, noise, limits)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
 
-    positions = [info["T_world_cam"][:2, 3]]  # the camera sits on the robot's axis
+    positions = [np.array(world.planar[:2])]
     contacts: list[bool] = []
     decisions: list[Decision] = []
     seconds: list[float] = []
-    world: Any = env.unwrapped
     ended = False
     while not ended:
         began = time.perf_counter()
@@ -117,7 +94,7 @@ def run_episode(
         observation, _, stopped, truncated, info = env.step(decision.action)
         ended = stopped or truncated
         decisions.append(decision)
-        positions.append(info["T_world_cam"][:2, 3])
+        positions.append(np.array(world.planar[:2]))
         contacts.append(bool(info["collision"]))
 
     path, goal, contact = np.array(positions), np.array(task.goal), np.array(contacts)
@@ -147,7 +124,7 @@ def run_episode(
         "status": decisions[-1].status,
         "latency": latency_of(decisions, seconds),
         "end_on": world.end_on,
-        "tracer": world.renderer_name,
+        "tracer": getattr(world, "renderer_name", "none"),
         "success_radius": context.success_radius,
         "goal": [float(v) for v in goal],
         "trace": trace_of(path, estimates, contact),

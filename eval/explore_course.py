@@ -1,26 +1,29 @@
-"""Explore in a sweep: its starts, its environment, and navigation on the map that a run leaves (SPEC 8).
+"""Explore in a sweep: its starts, its environment, and navigation on the map that a run leaves.
 
 Start ``i`` is that of PointNav's test task ``i`` of the scene, so that both share one frozen, hashed file.
 """
 
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from vssm_gym.agents.astar import AStarAgent
 from vssm_gym.agents.base import Agent
-from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
-from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.tasks import TaskSampler, TaskSet, load
+from vssm_gym.envs.robots import NOISE_LEVELS
+from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.tasks import TaskSet
 from vssm_gym.eval import episode as pointnav
 from vssm_gym.eval import pointnav_course
-from vssm_gym.eval.config import Condition, Episode, ExploreSettings, episode_seed
+from vssm_gym.eval.course_parts import conditions, load, notice, sampler_of, scene_names, tasks_in, world
+from vssm_gym.eval.episodes import Episode, ExploreSettings, episode_seed
 from vssm_gym.eval.explore_episode import Spectator, map_of, run_episode
 from vssm_gym.voxel_map import VoxelMap
 
+__all__ = ["conditions", "load", "navigate", "notice", "run", "scene_names", "write_tasks"]
+
+POINTNAV = "vssm_gym/PointNav-v0"
 LEAST_TASKS = 40  # of a scene's file, so that there are some to navigate beside the starts
 
 
@@ -37,8 +40,13 @@ def run(
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
     """Run one episode and what is driven on its map; returns what it was worth."""
-    tasks, settings = _tasks(task_file), episode.explore or ExploreSettings()
-    env = _env(episode.condition, agent.needs_pose, settings.steps)
+    tasks, settings = tasks_in(task_file, TaskSet), episode.explore or ExploreSettings()
+    env = world(
+        episode.condition,
+        observe_pose=agent.needs_pose,
+        finish=2.0,  # never: only the agent or the time limit ends a run
+        max_episode_steps=settings.steps,
+    )
     start = np.array(tasks.tasks[episode.task].start)
     seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
     row = run_episode(env, agent, start, seed=seed, spectator=spectator)
@@ -60,8 +68,8 @@ def navigate(episode: Episode, tasks: TaskSet, explored: VoxelMap, n: int) -> di
     noise = NOISE_LEVELS[episode.condition.noise]
     rows = [
         pointnav.run_episode(
-            _pointnav(episode.condition),
-            _sampler(episode.condition.scene),
+            world(episode.condition, POINTNAV),
+            sampler_of(episode.condition.scene),
             _navigator(),
             task,
             seed=episode_seed(episode.seed, tasks.scene_hash, task.id),
@@ -78,38 +86,6 @@ def navigate(episode: Episode, tasks: TaskSet, explored: VoxelMap, n: int) -> di
     }
 
 
-@lru_cache(maxsize=2)  # of one condition, with and without the observed pose: episodes come condition by condition
-def _env(condition: Condition, observe_pose: bool, steps: int) -> gym.Env:
-    return gym.make(
-        condition.env,
-        **_world(condition),
-        observe_pose=observe_pose,
-        reward="sparse",
-        finish=2.0,  # never: only the agent or the time limit ends a run
-        max_episode_steps=steps,
-        disable_env_checker=True,
-    )
-
-
-@lru_cache(maxsize=1)
-def _pointnav(condition: Condition) -> gym.Env:
-    return gym.make("vssm_gym/PointNav-v0", **_world(condition), reward="sparse", disable_env_checker=True)
-
-
-def _world(condition: Condition) -> dict[str, Any]:
-    return {name: getattr(condition, name) for name in ("scene", "noise", "sensor_noise", "renderer")}
-
-
 @cache
 def _navigator() -> Agent:
     return AStarAgent()
-
-
-@lru_cache(maxsize=1)
-def _sampler(scene: str) -> TaskSampler:
-    return TaskSampler(load_scene(scene), HolonomicRobot())
-
-
-@lru_cache(maxsize=1)
-def _tasks(path: Path) -> TaskSet:
-    return load(path)

@@ -12,10 +12,10 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vssm_gym.agents.base import Agent, AgentContext, Decision
-from vssm_gym.envs.explore import ExploreEnv
+from vssm_gym.agents.base import Agent, Decision
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.stage import Stage
+from vssm_gym.eval.agent_context import context_in
 from vssm_gym.eval.episode import Spectator, Step, estimates_of, latency_of, thinned, trace_of
 from vssm_gym.eval.explore_metrics import GOAL, Recorder
 from vssm_gym.eval.failure import lost_track, stuck_at
@@ -54,7 +54,7 @@ def run_episode(
     """
     observation, info = env.reset(seed=seed, options={"start": start})
     world: Any = env.unwrapped
-    context = _context(world, info)
+    context = context_in(world, info, None, (world.noise.turn, world.noise.step))
     surface = _surface(world.simulation.stage)
     judged = _thinned(surface)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
@@ -153,22 +153,6 @@ def _place(path: np.ndarray, metres: float) -> list[float]:
     """Where the path has the length ``metres``, to the millimetre."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     return path[np.argmin(np.abs(along - metres))].round(3).tolist()
-
-
-def _context(world: ExploreEnv, info: dict[str, Any]) -> AgentContext:
-    robot = world.robot
-    return AgentContext(
-        K=np.array(info["K"]),
-        camera=(world.camera.width, world.camera.height),
-        T_body_cam=robot.T_body_cam,
-        limits=robot.limits,
-        dt=robot.dt,
-        map=None,
-        start_pose=np.array(info["start_pose"]),
-        body_length=robot.body_length,
-        success_radius=0.0,  # there is no goal
-        noise=(world.noise.turn, world.noise.step),
-    )
 
 
 @lru_cache(maxsize=1)

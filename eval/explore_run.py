@@ -10,7 +10,8 @@ from PIL import Image
 from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.eval import explore_course, explore_pictures
-from vssm_gym.eval.config import SweepConfig, expand, scene_name
+from vssm_gym.eval.config import SweepConfig, expand
+from vssm_gym.eval.episodes import scene_name
 from vssm_gym.eval.explore_episode import Step, map_of
 from vssm_gym.eval.explore_recording import Recording
 from vssm_gym.eval.explore_video import write_video

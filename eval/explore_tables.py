@@ -1,8 +1,7 @@
-"""The tables of explorers (SPEC 8): ways to shares of coverage, paired ratios, scene by scene, at equal lengths."""
+"""The tables of explorers : ways to shares of coverage, paired ratios, scene by scene, at equal lengths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -21,57 +20,8 @@ EQUAL: dict[metrics.Axis, tuple[float, ...]] = {
     "seconds": (30.0, 60.0, 120.0, 240.0),
 }
 
-EXPLORE = Measures(
-    names={
-        "success": f"covered {GOAL} %",
-        "reached_99": "covered 99 %",
-        "metres_50": "m to 50 %",
-        "metres_90": f"m to {GOAL} %",
-        "metres_95": "m to 95 %",
-        "metres_99": "m to 99 %",
-        "seconds_90": f"s to {GOAL} %",
-        "coverage_percent": "coverage %",
-        "known": "information knat",
-        "complete_percent": "surface complete %",
-        "accuracy_cm": "mesh accuracy cm",
-        "completion_cm": "mesh completion cm",
-        "touched": "touched %",
-        "navigation_success": "navigation success %",
-        "navigation_spl": "navigation SPL",
-        "decision_p95": "decision p95 ms",
-    },
-    headline=(),
-    compared=("coverage_percent", "known", "complete_percent", "completion_cm", "touched", "navigation_success"),
-    digits={
-        **dict.fromkeys(("success", "reached_99", "touched", "coverage_percent", "complete_percent"), 1),
-        **dict.fromkeys(("metres_50", "metres_90", "metres_95", "metres_99", "seconds_90", "known"), 1),
-        **dict.fromkeys(("accuracy_cm", "completion_cm"), 2),
-        **dict.fromkeys(("navigation_success", "decision_p95"), 0),
-    },
-    shares=frozenset({"success", "reached_99", "touched"}),
-)
+EXPLORE = Measures("explore")
 POOLED = ("accuracy_cm", "completion_cm", "complete_percent", "navigation_success", "navigation_spl")
-
-
-def measured(row: Row) -> dict[str, Any]:
-    """A row in the units of the tables; None where it says nothing."""
-    navigation, total = row.get("navigation"), row["latency"].get("total")
-
-    def scaled(name: str, factor: float) -> float | None:
-        return None if row.get(name) is None else factor * row[name]
-
-    return {
-        **row,
-        "reached_99": row["metres_99"] is not None,
-        "coverage_percent": 100.0 * row["coverage"],
-        "known": scaled("entropy", -1e-3),
-        "complete_percent": scaled("completeness", 100.0),
-        "accuracy_cm": scaled("accuracy", 100.0),
-        "completion_cm": scaled("completion", 100.0),
-        "navigation_success": 100.0 * navigation["success"] if navigation else None,
-        "navigation_spl": navigation["spl"] if navigation else None,
-        "decision_p95": 1e3 * total["p95"] if total else None,
-    }
 
 
 def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
@@ -89,14 +39,14 @@ def headline(rows: Sequence[Row], seed: int) -> str:
         f"covered {GOAL} %",
         "covered 99 %",
         "touched %",
-        *(EXPLORE.names[name] for name in shown),
+        *(EXPLORE.label(name) for name in shown),
     ]
     lines = []
     for group, members in group_rows(rows, by).items():
         line = [*group, str(len(members)), str(len({row["scene_hash"] for row in members}))]
         line += [way(metrics.median_way(members, share, seed)) for share in SHARES]
         line += [way(metrics.median_way(members, GOAL, seed, "seconds"))]
-        line += [shares.percent(members, name).text(1) for name in ("success", "reached_99", "touched")]
+        line += [shares.percent(members, name).text(1) for name in ("covered_90", "covered_99", "touched")]
         line += [EXPLORE.text(name, over_scenes(members, name, seed)) for name in shown]
         lines.append(line)
     return html_table(header, lines, len(by))

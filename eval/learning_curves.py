@@ -24,7 +24,8 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.aggregate import Interval, bootstrap_mean
 from vssm_gym.eval.destinations import check_file
 from vssm_gym.eval.report_figures import PALETTE
-from vssm_gym.eval.training import MANIFEST, PROGRESS, read_progress
+from vssm_gym.eval.training import MANIFEST, PROGRESS
+from vssm_gym.eval.training_run import read_progress
 from vssm_gym.files import atomic_write
 from vssm_gym.viz import pictures
 

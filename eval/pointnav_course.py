@@ -1,26 +1,38 @@
-"""PointNav in a sweep: its tasks, its environment, and one episode of it."""
+"""PointNav and ImageNav in a sweep: their tasks, their environment, and one episode of them.
 
-from functools import lru_cache
+Both have the same frozen tasks; PointNav says where the goal is, ImageNav shows what is seen from there.
+"""
+
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-
 from vssm_gym.agents.base import Agent
+from vssm_gym.envs import tasks as task_sets
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
-from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.tasks import TaskSampler, TaskSet, load, save, task_set
-from vssm_gym.eval.config import Condition, Episode, episode_seed
+from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.tasks import TaskSet
+from vssm_gym.eval.course_parts import (
+    conditions,
+    keep_or_write,
+    load,
+    notice,
+    sampler_of,
+    scene_names,
+    tasks_in,
+    world,
+)
 from vssm_gym.eval.episode import Spectator, run_episode
+from vssm_gym.eval.episodes import Episode, episode_seed
 from vssm_gym.voxel_map import VoxelMap
+
+__all__ = ["conditions", "load", "notice", "run", "scene_names", "write_tasks"]
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
-    """The first ``n`` test tasks of a scene as a file; one that is there and holds them is kept."""
-    if path.is_file() and len(load(path, apartment).tasks) >= n:
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save(task_set(apartment, HolonomicRobot(), "test", n), path)
+    """Write the first ``n`` test tasks of a scene to a file; one that is there and holds them is kept."""
+    make = partial(task_sets.task_set, apartment, HolonomicRobot(), "test", n)
+    keep_or_write(apartment, n, path, task_sets.load, make, task_sets.save)
 
 
 def run(
@@ -30,11 +42,11 @@ def run(
     voxel_map: VoxelMap | None,
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
-    """Run one episode; returns what it was worth."""
-    tasks, noise = _tasks(task_file), NOISE_LEVELS[episode.condition.noise]
+    """Run one episode; returns its measured fields of a row."""
+    tasks, noise = tasks_in(task_file, TaskSet), NOISE_LEVELS[episode.condition.noise]
     return run_episode(
-        _env(episode.condition, agent.needs_pose),
-        _sampler(episode.condition.scene),
+        world(episode.condition, observe_pose=agent.needs_pose),
+        sampler_of(episode.condition.scene),
         agent,
         tasks.tasks[episode.task],
         seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
@@ -42,27 +54,3 @@ def run(
         noise=(noise.turn, noise.step),
         spectator=spectator,
     )
-
-
-@lru_cache(maxsize=2)  # of one condition, with and without the observed pose: episodes come condition by condition
-def _env(condition: Condition, observe_pose: bool) -> gym.Env:
-    return gym.make(
-        condition.env,
-        scene=condition.scene,
-        noise=condition.noise,
-        sensor_noise=condition.sensor_noise,
-        renderer=condition.renderer,
-        observe_pose=observe_pose,
-        reward="sparse",
-        disable_env_checker=True,
-    )
-
-
-@lru_cache(maxsize=1)
-def _sampler(scene: str) -> TaskSampler:
-    return TaskSampler(load_scene(scene), HolonomicRobot())
-
-
-@lru_cache(maxsize=1)
-def _tasks(path: Path) -> TaskSet:
-    return load(path)

@@ -12,7 +12,8 @@ from vssm_gym.envs.tasks import load
 from vssm_gym.errors import InputError
 from vssm_gym.eval import aggregate
 from vssm_gym.eval.aggregate import Interval
-from vssm_gym.eval.config import SweepConfig, check_names, scene_name
+from vssm_gym.eval.config import SweepConfig, check_names
+from vssm_gym.eval.episodes import scene_name
 from vssm_gym.eval.imagined import imagine, real_return
 from vssm_gym.eval.maps import Progress
 from vssm_gym.eval.rows import read_rows

@@ -22,8 +22,9 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.tasks import Task, load
 from vssm_gym.eval import pointnav_course
-from vssm_gym.eval.config import SweepConfig, expand, scene_name
+from vssm_gym.eval.config import SweepConfig, expand
 from vssm_gym.eval.episode import Step
+from vssm_gym.eval.episodes import scene_name
 from vssm_gym.eval.explore_recording import Plan
 from vssm_gym.eval.imagined import STEPS, Look, imagine
 from vssm_gym.eval.maps import Progress

@@ -10,22 +10,17 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
 from vssm_gym.eval.aggregate import Row, group_rows
-from vssm_gym.eval.report_car import CAR_VIEW
-from vssm_gym.eval.report_explore import EXPLORE_VIEW
-from vssm_gym.eval.report_view import POINTNAV_VIEW, View
+from vssm_gym.eval.courses import COURSES, view_of
+from vssm_gym.eval.destinations import check_file
+from vssm_gym.eval.manifest import LISTS, MANIFEST, read_manifest
+from vssm_gym.eval.metric_registry import measured
+from vssm_gym.eval.report_view import View
 from vssm_gym.eval.rows import FILE, read_rows
 from vssm_gym.files import atomic_write
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
-MANIFEST = "sweep.json"
-VIEWS = {
-    "vssm_gym/PointNav-v0": POINTNAV_VIEW,
-    "vssm_gym/CarNav-v0": CAR_VIEW,
-    "vssm_gym/Explore-v0": EXPLORE_VIEW,
-}
-# Fields of a row, and the lists of the configuration that say in which order their values come.
-ORDERED = {name: name for name in ("noise", "sensor_noise", "renderer", "physics")} | {"agent": "agents"}
+ORDERED = ("noise", "sensor_noise", "renderer", "physics", "agent")  # as the configuration's lists are
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
 
 STYLE = """
@@ -42,47 +37,44 @@ p.note{color:#56606b;font-size:13px;max-width:80ch}img{max-width:100%}code{backg
 """
 
 
-def write_report(folder: Path, seed: int = 0) -> Path:
+def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
     """Write ``folder/report.html`` from ``episodes.jsonl``, ``sweep.json`` and ``maps/``; returns its path.
 
-    The page needs no other file and no network. It appears whole or not at all.
+    The page needs no other file and no network. It appears whole or not at all. It leaves out what the folder lacks:
+    pictures of rows without a trace, latencies, maps.
 
     Args:
         folder: of a sweep.
         seed: of the bootstrap resampling.
+        out: the file to write; None: in the folder.
 
     Raises:
-        InputError: the folder holds no sweep, or no episode of it has ended.
+        InputError: ``out`` cannot be written, the folder holds no sweep, or no episode of it has ended.
     """
+    target = folder / "report.html" if out is None else out
+    if out is not None:
+        check_file(out)
     manifest = read_manifest(folder / MANIFEST)
-    view = VIEWS[manifest["config"]["env"][0]]
-    rows = [view.measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
+    view: View = view_of(_environment(manifest, folder))
+    rows = [measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
     page = _page(view, rows, manifest, folder, seed)
-    target = folder / "report.html"
     with atomic_write(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return target
 
 
-def read_manifest(path: Path) -> dict[str, Any]:
-    """What a sweep wrote about itself: ``config``, ``config_hash``, ``version``, ``seed``, ``episodes``."""
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        missing = {"config", "config_hash", "version", "seed", "episodes"} - manifest.keys()
-    except FileNotFoundError as error:
-        raise InputError(path, "file", "a sweep's folder; `vssm-gym sweep CONFIG --out DIR` makes one") from error
-    except (ValueError, AttributeError) as error:
-        raise InputError(path, "file", f"the JSON that a sweep wrote ({error})") from error
-    if missing:
-        raise InputError(path, min(missing), "this field")
-    return manifest
+def _environment(manifest: dict[str, Any], folder: Path) -> str:
+    envs = manifest["config"].get("env") or [None]
+    if envs[0] not in COURSES:
+        raise InputError(folder / MANIFEST, "config.env", f"one of {', '.join(COURSES)}; found {envs[0]!r}")
+    return envs[0]
 
 
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
     """Rows as if one worker had run them in order: agents as the configuration lists them, then tasks and seeds."""
-    rank = {field: {name: i for i, name in enumerate(config[names])} for field, names in ORDERED.items()}
+    rank = {field: {name: i for i, name in enumerate(config[LISTS[field]])} for field in ORDERED}
     return sorted(
         rows,
         key=lambda row: (row["scene"], *(rank[field][row[field]] for field in ORDERED), row["task"], row["seed"]),
@@ -98,7 +90,7 @@ def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], folder: Pat
         _header(view, rows, manifest, seed),
         _failures(view, rows, backgrounds),
         "<h2>Results</h2>",
-        f"<p class=note>{view.note}</p>",
+        f"<p class=note>{view.note} {view.measures.directions(tables.known(rows, view.measures))}</p>",
         f"<div class=wide>{tables.results(rows, seed, view.measures)}</div>",
     ]
     if reference:
@@ -111,14 +103,16 @@ def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], folder: Pat
     for group, members in group_rows(rows, view.curves_by(rows)).items():
         image = pictures.data_url(view.curves(members, seed), "image/svg+xml")
         sections.append(f"<h3>{escape(' · '.join(group))}</h3><img src='{image}' alt='curves of {escape(group[0])}'>")
-    sections += [
-        "<h2>Latency of a step</h2>",
-        "<p class=note>Wall-clock times inside a worker that shares this machine with the others.</p>",
-        tables.latencies(rows),
-        view.plans(rows, maps, folder),
-        "<h2>Successful runs</h2>",
-        _runs(view, figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds),
-    ]
+    if any(row.get("latency") for row in rows):
+        sections += [
+            "<h2>Latency of a step</h2>",
+            "<p class=note>Wall-clock times inside a worker that shares this machine with the others.</p>",
+            tables.latencies(rows),
+        ]
+    sections.append(view.plans(rows, maps, folder))
+    if any(row.get("trace") for row in rows):
+        successes = figures.choose_successes(rows, SUCCESSES_DRAWN)
+        sections += ["<h2>Successful runs</h2>", _runs(view, successes, backgrounds)]
     title = f"vssm-gym: {', '.join(dict.fromkeys(row['scene'] for row in rows))}"
     return (
         f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{escape(title)}</title>"
@@ -130,16 +124,16 @@ def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], folder: Pat
 def _header(view: View, rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
     config = manifest["config"]
     facts = {
-        "episodes": f"{len(rows)} of {manifest['episodes']}",
+        "episodes": f"{len(rows)} of {manifest['episodes']}" if len(rows) <= manifest["episodes"] else str(len(rows)),
         "configuration": manifest["config_hash"],
-        "version": ", ".join(sorted({row["version"] for row in rows})),
+        "version": ", ".join(sorted({row["version"] for row in rows if row.get("version")})),
         "environment": ", ".join(config["env"]),
         **{name.replace("_", " "): ", ".join(config[name]) for name in view.conditions},
         "voxel": f"{config['voxel']} m",
-        "ends on": ", ".join(sorted({row["end_on"] for row in rows})),
+        "ends on": ", ".join(sorted({row["end_on"] for row in rows if row.get("end_on")})),
         "seeds": ", ".join(str(seed) for seed in config["seeds"]),
     }
-    line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items())
+    line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items() if value)
     unfinished = len(rows) < manifest["episodes"]
     warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
     headline = view.headline(rows, seed)
@@ -164,9 +158,11 @@ def _failures(view: View, rows: Sequence[Row], backgrounds: Mapping[str, picture
         if (failed := sum(map(figures.has_failed, rows)))
         else ""
     )
+    counts = f"<h2>{view.failures}</h2><div class=wide>{tables.failure_counts(rows)}</div>"
+    if not drawn:
+        return f"{counts}{reasons}"
     return (
-        f"<h2>{view.failures}</h2><div class=wide>{tables.failure_counts(rows)}</div>"
-        f"<p class=note>{len(drawn)} of {len(shown)} {view.such} are drawn, agents that fail rarely first, "
+        f"{counts}<p class=note>{len(drawn)} of {len(shown)} {view.such} are drawn, agents that fail rarely first, "
         f"{view.drawn_on} (dark: cut at {view.cut_height:g} m; grey: never seen).</p>"
         f"<img src='{key}' alt='key'>{_runs(view, drawn, backgrounds)}{reasons}"
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from vssm_gym.eval import car_figures as figures
 from vssm_gym.eval import car_tables as tables
-from vssm_gym.eval import report_tables
+from vssm_gym.eval import report_tables, summary
 from vssm_gym.eval.aggregate import Row, group_rows
 from vssm_gym.eval.report_view import View, learned
 from vssm_gym.eval.value_figures import ValuePainter
@@ -45,7 +45,7 @@ def _plans(rows: Sequence[Row], maps: Mapping[str, VoxelMap], folder: Path) -> s
         if scene not in maps:
             continue
         painter = ValuePainter(maps[scene])
-        tasks = group_rows([row for row in members if "poses" in row["trace"]], ["task"])
+        tasks = group_rows([row for row in members if (row.get("trace") or {}).get("poses")], ["task"])
         for (task,), runs in list(tasks.items())[:TARGETS]:
             image, caption = painter.paint(runs[0])
             name = f"{scene} · task {task} · run of {runs[0]['agent']} in {runs[0]['physics']}"
@@ -70,11 +70,17 @@ def _numbers(row: Row) -> str:
     return f"{row['seconds']:.1f} s, {row['path_length']:.1f} m (bound {row['geodesic']:.1f} m), {counts}"
 
 
+SUMMARY = {
+    "reached %": summary.mean("reached"),
+    "touched %": summary.mean("touched"),
+    "seconds": summary.alone("seconds_driven"),
+}
+
 CAR_VIEW = View(
     conditions=("physics", "renderer", "robot", "noise", "sensor_noise"),
     measures=tables.CAR,
     note=NOTE,
-    measured=tables.measured,
+    summary=SUMMARY,
     headline=lambda rows, seed: report_tables.headline(rows, seed, tables.CAR, tables.pooled(rows)),
     comparison=_comparison,
     curves_by=lambda rows: [name for name in report_tables.grouping(rows) if name not in ("scene", "agent")],

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from vssm_gym.eval import explore_figures as figures
 from vssm_gym.eval import explore_tables as tables
+from vssm_gym.eval import summary
 from vssm_gym.eval.aggregate import Row, group_rows
-from vssm_gym.eval.explore_metrics import GOAL, KNOWN, LEAST, Axis, Ratio, ratio
+from vssm_gym.eval.explore_metrics import GOAL, KNOWN, LEAST, Axis, Ratio, median_way, ratio
 from vssm_gym.eval.report_tables import reference_agent
 from vssm_gym.eval.report_view import View
 from vssm_gym.viz import pictures
@@ -185,11 +186,17 @@ def _numbers(row: Row) -> str:
     return f"{GOAL} % after {way} m; {row['path_length']:.1f} m and {row['seconds']:.0f} s in all"
 
 
+SUMMARY = {
+    f"m to {GOAL} %": lambda rows: tables.way(median_way(rows, GOAL)),
+    f"covered {GOAL} %": summary.mean("covered_90"),
+    "touched": lambda rows: str(sum(bool(row["touched"]) for row in rows)),
+}
+
 EXPLORE_VIEW = View(
     conditions=("renderer", "robot", "noise", "sensor_noise"),
     measures=tables.EXPLORE,
     note=NOTE,
-    measured=tables.measured,
+    summary=SUMMARY,
     headline=_headline,
     comparison=_comparison,
     curves_by=tables.pooled,

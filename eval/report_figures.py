@@ -57,7 +57,7 @@ def _success_by_length(axes: Axes, rows: Sequence[Row], agent: str, colour: str,
 
 
 def _error_cdf(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> None:
-    errors = np.sort([row["location_error_mean"] for row in rows if row["location_error_mean"] is not None])
+    errors = np.sort([row["location_error_mean"] for row in rows if row.get("location_error_mean") is not None])
     if len(errors):
         x = np.maximum(errors, 1e-3)  # an oracle's error is 0, which a logarithmic axis cannot show
         axes.step(x, np.arange(1, len(x) + 1) / len(x), where="post", color=colour, label=agent)
@@ -67,7 +67,8 @@ def _error_growth(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> N
     """Median over episodes of the error after each metre driven, as far as half of the episodes go."""
     profiles = []
     for row in rows:
-        true, estimate = (np.asarray(row["trace"][name] or [], dtype=float) for name in ("true", "estimate"))
+        trace = row.get("trace") or {}
+        true, estimate = (np.asarray(trace.get(name) or [], dtype=float) for name in ("true", "estimate"))
         if len(estimate) == len(true) > 1:
             driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))])
             profiles.append((driven, np.linalg.norm(true - estimate, axis=1)))
@@ -109,12 +110,15 @@ def choose_failures(
 ) -> list[Row]:
     """Failed runs to draw: agents that fail rarely come first, for theirs are the ones to learn from.
 
+    Runs whose rows were kept without a trace cannot be drawn.
+
     At most ``each`` of one agent and condition, at most ``limit`` in all.
     """
     chosen = aggregate.group_rows(filter(failed, rows), GROUPS)
     episodes: Mapping[tuple, list] = aggregate.group_rows(rows, GROUPS)
     rarest = sorted(chosen, key=lambda group: len(chosen[group]) / len(episodes[group]))
-    return [row for group in rarest for row in chosen[group][:each]][:limit]
+    drawable = {group: [row for row in chosen[group] if row.get("trace")] for group in rarest}
+    return [row for group in rarest for row in drawable[group][:each]][:limit]
 
 
 def choose_successes(rows: Sequence[Row], limit: int) -> list[Row]:
@@ -122,7 +126,8 @@ def choose_successes(rows: Sequence[Row], limit: int) -> list[Row]:
 
     By geodesic; where there is no goal by the path that was driven.
     """
-    groups = aggregate.group_rows([row for row in rows if row["success"]], GROUPS)
-    ranked = [sorted(members, key=lambda row: -row.get("geodesic", row["path_length"])) for members in groups.values()]
+    groups = aggregate.group_rows([row for row in rows if row["success"] and row.get("trace")], GROUPS)
+    length = lambda row: row.get("geodesic") or row["path_length"]
+    ranked = [sorted(members, key=lambda row: -length(row)) for members in groups.values()]
     turns = max((len(members) for members in ranked), default=0)
     return [members[turn] for turn in range(turns) for members in ranked if turn < len(members)][:limit]

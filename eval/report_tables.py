@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 
 import numpy as np
@@ -10,63 +11,66 @@ import numpy as np
 from vssm_gym.errors import InputError
 from vssm_gym.eval import aggregate, shares
 from vssm_gym.eval.aggregate import Interval, Row
+from vssm_gym.eval.metric import Metric
+from vssm_gym.eval.metric_registry import shown_in
 
 
 @dataclass(frozen=True)
 class Measures:
-    """What the tables of an environment's report show.
+    """The metrics of a kind of report, as its tables show them: ``navigation``, ``car`` or ``explore``."""
 
-    Attributes:
-        names: fields of a row in the order of columns, and their headings.
-        headline: those that the page opens with.
-        compared: those whose paired differences are shown.
-        digits: after the point, where not 2.
-        shares: booleans, shown in % with the interval of a share.
-    """
+    report: str
 
-    names: Mapping[str, str]
-    headline: tuple[str, ...]
-    compared: tuple[str, ...]
-    digits: Mapping[str, int]
-    shares: frozenset[str] = frozenset()
+    @cached_property
+    def metrics(self) -> Mapping[str, Metric]:
+        """By name, in the order of columns."""
+        return shown_in(self.report)
 
-    def mean(self, rows: Sequence[Row], metric: str, seed: int) -> str:
+    @property
+    def headline(self) -> list[str]:
+        """The metrics that the page opens with."""
+        return [name for name, metric in self.metrics.items() if self.report in metric.headline]
+
+    @property
+    def compared(self) -> list[str]:
+        """Those whose paired differences are shown."""
+        return [name for name, metric in self.metrics.items() if self.report in metric.compared]
+
+    def label(self, name: str) -> str:
+        """The heading of a metric's column."""
+        return self.metrics[name].label
+
+    def mean(self, rows: Sequence[Row], name: str, seed: int) -> str:
         """Mean and 95 % interval of a metric, as a cell."""
-        share = metric in self.shares
-        return self.text(metric, shares.percent(rows, metric) if share else aggregate.mean(rows, metric, seed))
+        share = self.metrics[name].share
+        return self.text(name, shares.percent(rows, name) if share else aggregate.mean(rows, name, seed))
 
     def difference(
-        self, rows: Sequence[Row], metric: str, first: str, second: str, seed: int, by: str = "agent"
+        self, rows: Sequence[Row], name: str, first: str, second: str, seed: int, by: str = "agent"
     ) -> Interval | None:
         """Paired ``first - second`` of a metric; None where they share nothing to compare, as with an agent that keeps
         no estimate and so has no location error."""
         try:
-            if metric in self.shares:
-                return shares.paired_percent(rows, metric, first, second, by)
-            return aggregate.paired_difference(rows, metric, first, second, seed, by)
+            if self.metrics[name].share:
+                return shares.paired_percent(rows, name, first, second, by)
+            return aggregate.paired_difference(rows, name, first, second, seed, by)
         except InputError:
             return None
 
-    def text(self, metric: str, interval: Interval | None) -> str:
+    def text(self, name: str, interval: Interval | None) -> str:
         """The cell of an interval, with the metric's digits."""
-        return interval.text(self.digits.get(metric, 2)) if interval else "-"
+        return interval.text(self.metrics[name].digits) if interval else "-"
+
+    def directions(self, names: Sequence[str]) -> str:
+        """``Higher is better: SPL, success. Lower is better: steps.``"""
+        better = {
+            word: [self.label(name) for name in names if self.metrics[name].direction == word]
+            for word in ("higher", "lower")
+        }
+        return " ".join(f"{word.capitalize()} is better: {', '.join(of)}." for word, of in better.items() if of)
 
 
-POINTNAV = Measures(
-    names={
-        "spl": "SPL",
-        "success": "success",
-        "soft_spl": "SoftSPL",
-        "steps": "steps",
-        "collisions": "collisions",
-        "distance_to_goal": "to goal m",
-        "location_error_mean": "location error m",
-        "location_error_final": "final error m",
-    },
-    headline=("spl", "success"),
-    compared=("spl", "success", "soft_spl", "location_error_mean"),
-    digits={"steps": 0, "collisions": 1, "location_error_mean": 3, "location_error_final": 3},
-)
+POINTNAV = Measures("navigation")
 # How a failed episode ended, as far as its environment measures it.
 ENDS = {"distance_to_goal": "to goal m", "location_error_final": "error m"}
 # The order of columns; the constant ones are not shown.
@@ -109,13 +113,18 @@ def results(
         by: what rows are grouped by: the condition and agent.
     """
     by = grouping(rows) if by is None else by
-    shown = [metric for metric in metrics or measures.names if any(row.get(metric) is not None for row in rows)]
-    header = [*(name.replace("_", " ") for name in by), "episodes", *(measures.names[metric] for metric in shown)]
+    shown = known(rows, measures, metrics)
+    header = [*(name.replace("_", " ") for name in by), "episodes", *(measures.label(metric) for metric in shown)]
     lines = [
         [*group, str(len(members)), *(measures.mean(members, metric, seed) for metric in shown)]
         for group, members in aggregate.group_rows(rows, by).items()
     ]
     return html_table(header, lines, len(by))
+
+
+def known(rows: Sequence[Row], measures: Measures, metrics: Sequence[str] = ()) -> list[str]:
+    """Those of ``metrics``, or of all that the report shows, of which a row says something."""
+    return [metric for metric in metrics or measures.metrics if any(row.get(metric) is not None for row in rows)]
 
 
 def headline(rows: Sequence[Row], seed: int, measures: Measures, by: Sequence[str]) -> str:
@@ -134,16 +143,15 @@ def reference_agent(rows: Sequence[Row]) -> str | None:
 def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measures = POINTNAV) -> str:
     """Paired differences ``reference - other`` over the episodes that both ran."""
     by = grouping(rows)[:-1]
-    names = [measures.names[metric] for metric in measures.compared]
+    compared = known(rows, measures, measures.compared)
+    names = [measures.label(metric) for metric in compared]
     header = [*(name.replace("_", " ") for name in by), "difference", "pairs", *names]
     lines = []
     for group, members in aggregate.group_rows(rows, by).items():
         for other in dict.fromkeys(str(row["agent"]) for row in members):
             if other == reference:
                 continue
-            found = {
-                metric: measures.difference(members, metric, reference, other, seed) for metric in measures.compared
-            }
+            found = {metric: measures.difference(members, metric, reference, other, seed) for metric in compared}
             pairs = max((interval.episodes for interval in found.values() if interval), default=0)
             cells = [measures.text(metric, interval) for metric, interval in found.items()]
             lines.append([*group, f"{reference} - {other}", str(pairs), *cells])
@@ -154,9 +162,9 @@ def latencies(rows: Sequence[Row]) -> str:
     """Milliseconds by agent and stage: medians of the episodes' 50 % and 95 % points, and the worst 95 % point."""
     lines = []
     for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
-        for stage in dict.fromkeys(stage for row in members for stage in row["latency"]):
+        for stage in dict.fromkeys(stage for row in members for stage in row.get("latency") or ()):
             p50, p95 = (
-                1e3 * np.array([row["latency"][stage][p] for row in members if stage in row["latency"]])
+                1e3 * np.array([row["latency"][stage][p] for row in members if stage in (row.get("latency") or ())])
                 for p in ("p50", "p95")
             )
             lines.append([agent, stage, f"{np.median(p50):.1f}", f"{np.median(p95):.1f}", f"{p95.max():.1f}"])
@@ -177,7 +185,7 @@ def failure_counts(rows: Sequence[Row]) -> str:
     for group, members in aggregate.group_rows(rows, by).items():
         counts = Counter(kind(row["failure"]) for row in members if row["failure"])
         failed = f"{counts.total()} of {len(members)}"
-        counts.update({name: sum(row[name] for row in members) for name in touched})
+        counts.update({name: sum(bool(row[name]) for row in members) for name in touched})
         lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in (*kinds, *touched))])
     header = [*(name.replace("_", " ") for name in by), "failed", *kinds, *touched]
     return html_table(header, lines, len(by))
@@ -186,15 +194,15 @@ def failure_counts(rows: Sequence[Row]) -> str:
 def failure_list(rows: Sequence[Row]) -> str:
     """Every failed episode with its reason."""
     by, failed = grouping(rows), [row for row in rows if row["failure"]]
-    ends = {name: said for name, said in ENDS.items() if all(name in row for row in failed)}
+    ends = {name: said for name, said in ENDS.items() if any(row.get(name) is not None for row in failed)}
     lines = [
         [
             *(str(row[name]) for name in by),
             str(row["task"]),
             str(row["seed"]),
             row["failure"],
-            str(row["steps"]),
-            *("-" if row[name] is None else f"{row[name]:.2f}" for name in ends),
+            str(row.get("steps") or "-"),
+            *("-" if row.get(name) is None else f"{row[name]:.2f}" for name in ends),
         ]
         for row in failed
     ]

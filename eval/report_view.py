@@ -6,7 +6,9 @@ from pathlib import Path
 
 from vssm_gym.eval import report_figures as figures
 from vssm_gym.eval import report_tables as tables
+from vssm_gym.eval import summary
 from vssm_gym.eval.aggregate import Row
+from vssm_gym.eval.summary import Column
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
@@ -19,7 +21,7 @@ class View:
         conditions: lists of the configuration that the page opens with.
         measures: of the tables.
         note: HTML, what the results' numbers are.
-        measured: a row with the fields that follow from others.
+        summary: heading and text of each column of the table that ends a sweep, from the rows of one agent.
         headline: HTML of the tables that the page opens with.
         comparison: HTML of a section after the agents' differences.
         curves_by: fields with one figure of curves for each combination.
@@ -42,7 +44,7 @@ class View:
     conditions: tuple[str, ...]
     measures: tables.Measures
     note: str
-    measured: Callable[[Row], Row]
+    summary: Mapping[str, Column]
     headline: Callable[[Sequence[Row], int], str]
     comparison: Callable[[Sequence[Row], int], str]
     curves_by: Callable[[Sequence[Row]], Sequence[str]]
@@ -69,12 +71,18 @@ def learned(
     return lambda maps, folder, rows: {scene: pictures.topdown(m, cut_height) for scene, m in maps.items()}
 
 
+SUMMARY = {
+    "SPL": summary.mean("spl"),
+    "success": summary.mean("success"),
+    "error m": summary.alone("location_error_mean"),
+}
+
 POINTNAV_VIEW = View(
     conditions=("renderer", "robot", "noise", "sensor_noise"),
     measures=tables.POINTNAV,
     note="Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
     "Location error is measured by the harness against the simulator's pose, at every step.",
-    measured=lambda row: row,
+    summary=SUMMARY,
     headline=lambda rows, seed: tables.headline(rows, seed, tables.POINTNAV, tables.grouping(rows)),
     comparison=lambda rows, seed: "",
     curves_by=lambda rows: tables.grouping(rows)[:-1],

@@ -11,24 +11,24 @@ import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from vssm_gym.agents.policy_file import agent_label
-from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.scene import Apartment, load_scene
+from vssm_gym.envs.scene import Apartment
 from vssm_gym.errors import InputError
 from vssm_gym.eval import worker
-from vssm_gym.eval.config import Episode, SweepConfig, expand, scene_name
+from vssm_gym.eval.config import SweepConfig, expand
 from vssm_gym.eval.courses import COURSES, course_of
 from vssm_gym.eval.destinations import check_at_least, check_folder
+from vssm_gym.eval.episodes import Episode, scene_name
+from vssm_gym.eval.manifest import MANIFEST
 from vssm_gym.eval.maps import Progress, ensure_map, map_hash
 from vssm_gym.eval.rows import FILE, EpisodeLog, episode_key
+from vssm_gym.eval.shards import Shard
 from vssm_gym.eval.version import package_version
 from vssm_gym.files import atomic_write
-
-MANIFEST = "sweep.json"
 
 
 def run_sweep(
@@ -38,6 +38,7 @@ def run_sweep(
     resume: bool = False,
     workers: int = 2,
     seed: int = 0,
+    shard: Shard | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Run what is not yet in ``out/episodes.jsonl``; returns that file.
@@ -51,16 +52,19 @@ def run_sweep(
         resume: continue; with nothing there yet, begin.
         workers: processes.
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
+        shard: the part of the episodes to run; None: all of them.
         progress: told ("recording" | "map" | "episodes", done, total).
 
     Raises:
         InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
     """
     check_arguments(out, workers, seed)
-    apartments = {scene: load_scene(scene) for scene in config.scenes}
+    apartments = {scene: course_of(config.env[0]).load(scene) for scene in config.scenes}
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
-    manifest = _manifest(config, apartments, seed, len(episodes))
+    if shard is not None:
+        episodes = shard.part(episodes)
+    manifest = _manifest(config, apartments, seed, len(episodes), shard)
     out.mkdir(parents=True, exist_ok=True)
     with EpisodeLog(out / FILE) as log:
         _claim(out, manifest, len(log.rows), resume)
@@ -96,10 +100,11 @@ def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) ->
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int) -> dict[str, Any]:
+def _manifest(
+    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Shard | None
+) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
-    robot = HolonomicRobot()
-    spaces = {s: FreeSpace.from_apartment(a, robot.radius, robot.height) for s, a in apartments.items()}
+    course = course_of(config.env[0])
     shown = config.model_dump(mode="json") | {
         "scenes": [scene_name(scene) for scene in config.scenes],
         "agents": [agent_label(agent) for agent in config.agents],
@@ -108,10 +113,11 @@ def _manifest(config: SweepConfig, apartments: dict[str, Apartment], seed: int, 
         "config": shown,
         "config_hash": config_hash(config, hashes, seed),
         "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
-        "notices": {scene_name(scene): space.notice(apartments[scene].notes) for scene, space in spaces.items()},
+        "notices": {scene_name(scene): course.notice(apartment) for scene, apartment in apartments.items()},
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
+        **({"shard": asdict(shard)} if shard else {}),
     }
 
 
@@ -122,12 +128,15 @@ def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None
         raise InputError(out, "folder", f"a folder without episodes; it holds {rows} (--resume continues them)")
     if rows:
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
+            before = json.loads(path.read_text(encoding="utf-8"))
+            found, part = before["config_hash"], before.get("shard")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(path, "file", "the JSON that the sweep wrote, which says what its episodes are") from error
         if found != manifest["config_hash"]:
             expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
             raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
+        if part != manifest.get("shard"):
+            raise InputError(path, "shard", f"{manifest.get('shard')}; found {part}: another shard, another folder")
         return
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
@@ -144,7 +153,7 @@ def _jobs(
     """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
     from vssm_gym.agents.registry import agent_type
 
-    apartment, map_file = load_scene(scene), None
+    apartment, map_file = course_of(config.env[0]).load(scene), None
     task_files = {}
     for env in dict.fromkeys(episode.condition.env for episode in episodes):
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"

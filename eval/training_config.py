@@ -5,11 +5,10 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.config import as_tuple, distinct, first_problem
+from vssm_gym.eval.yaml_file import as_tuple, distinct, read_yaml
 
 WORLD_MODEL, SIMULATOR = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"
 # Keywords that follow from what is trained
@@ -144,18 +143,7 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
     Raises:
         InputError: no such file, not YAML, or a field that is unknown, missing or malformed.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", f"a readable YAML file ({error})") from error
-    except yaml.YAMLError as error:
-        raise InputError(path, "file", f"valid YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(data, dict):
-        raise InputError(path, "file", f"fields {', '.join(TrainingConfig.model_fields)}; found {type(data).__name__}")
-    try:
-        config = TrainingConfig.model_validate(data)
-    except ValidationError as error:
-        raise first_problem(path, error, TrainingConfig) from error
+    config = read_yaml(path, TrainingConfig)
     where = config.environment
     if map_file is not None and where.id != WORLD_MODEL:
         raise InputError(path, "map", f"no --map: {where.id} has a scene")

@@ -17,8 +17,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vssm_gym.eval.config import Episode
 from vssm_gym.eval.courses import course_of
+from vssm_gym.eval.episodes import Episode
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from vssm_gym.agents.base import Agent

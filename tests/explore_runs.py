@@ -64,7 +64,11 @@ def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, touch
         "failure": None if success else f"time out: {100 * coverage[-1]:.0f} % covered after 500 steps",
         "status": "finished: nothing left to gain" if stopped else "driving",
         "latency": {"total": {"p50": 0.02, "p95": 0.2}},
-        **({} if navigation is None else {"navigation": {"tasks": 2, "success": navigation, "spl": navigation}}),
+        **(
+            {}
+            if navigation is None
+            else {"navigation": {"tasks": 2, "success": navigation, "spl": navigation, "failures": []}}
+        ),
         "trace": {
             "true": [[0.1 * k, 0.2 * task] for k in range(20)],
             "estimate": None,

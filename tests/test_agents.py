@@ -16,7 +16,12 @@ from box_rooms import free_space
 from planning_worlds import voxel_map
 
 from vssm_gym import emission
+<<<<<<< HEAD
 from vssm_gym.agents.base import Agent, AgentContext, Decision
+=======
+from vssm_gym.agents import navigation
+from vssm_gym.agents.base import ANY_TASK, Agent, AgentContext, Decision
+>>>>>>> wt-eval
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.localization import FilteredPose, TruePose
 from vssm_gym.agents.navigation import NavigationConfig
@@ -40,7 +45,9 @@ CAMERA = Camera.from_hfov(64, 48, math.radians(90.0))
 LOW = NOISE_LEVELS["low"]
 SEES = ["astar", "no_map"]  # agents that need images
 # Of the others: tests/test_car_agents.py, tests/test_explorers.py.
-ON_FOOT = [name for name, agent in AGENTS.items() if agent.robot == "holonomic" and agent.task == "pointgoal"]
+ON_FOOT = [
+    name for name, agent in AGENTS.items() if agent.robot == "holonomic" and agent.task in ("pointgoal", ANY_TASK)
+]
 
 
 @pytest.fixture(scope="module")

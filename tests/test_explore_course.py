@@ -18,6 +18,7 @@ from vssm_gym.envs.splits import split_of
 from vssm_gym.envs.tasks import load, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval import explore_course, explore_episode
+from vssm_gym.eval.agent_context import context_in
 from vssm_gym.eval.config import expand, load_config
 from vssm_gym.eval.report import write_report
 from vssm_gym.eval.rows import FILE, episode_key, read_rows
@@ -185,7 +186,8 @@ def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy)
     agent = _AsAgent(policy())
     row = run(env, agent, seed=7)
     observation, info = env.reset(seed=7, options={"start": START})
-    context = explore_episode._context(env.unwrapped, info)
+    noise = env.unwrapped.noise
+    context = context_in(env.unwrapped, info, None, (noise.turn, noise.step))
     agent.reset(context, observation, int(np.random.SeedSequence([7, 1]).generate_state(1)[0]))
     seen, steps = [(0.0, info["coverage"])], 0
     ended = False

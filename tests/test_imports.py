@@ -54,6 +54,7 @@ ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "
 ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
 ALLOWED["viz"] = BASE | {"block_table", "voxel_map", "emission"}
 ALLOWED["eval"] |= {
+    "envs.registration",  # the table of environments
     "__init__",
     "envs",
     "envs.world_model",

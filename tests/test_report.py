@@ -3,6 +3,7 @@
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ from vssm_gym.eval.report import write_report
 from vssm_gym.viz import pictures
 from vssm_gym.voxel_map import VoxelMap
 
+BASELINES = sorted(path.parent for path in (Path(__file__).parents[1] / "eval" / "baselines").glob("*/episodes.jsonl"))
 CONFIG = {
     "env": ["vssm_gym/PointNav-v0"],
     "scenes": ["oak"],
@@ -213,3 +215,29 @@ def test_the_map_from_above_shows_walls_dark_tables_in_colour_and_the_unknown_gr
     np.testing.assert_allclose(at(3.0, 0.5), pictures.UNKNOWN_COLOUR)
     np.testing.assert_allclose(at(1.0, 0.5), [1.0, 0.35, 0.35], atol=1e-3)
     np.testing.assert_allclose(at(1.8, 1.2), 0.675, atol=1e-3)  # the grey floor
+
+
+@pytest.mark.parametrize("folder", BASELINES, ids=lambda path: path.name)
+def test_committed_rows_have_a_report(folder, tmp_path):
+    """They were kept without traces, latencies and maps: the page leaves these out."""
+    before = sorted(path.name for path in folder.iterdir())
+    path = write_report(folder, out=tmp_path / "page.html")
+    assert path == tmp_path / "page.html"
+    assert sorted(path.name for path in folder.iterdir()) == before
+    page = Page(path.read_text())
+    assert page.open == []
+    assert "Results" in page.headings
+    assert not {"Successful runs", "Latency of a step", "Cost-to-go"} & set(page.headings)
+    manifest = json.loads((folder / "sweep.json").read_text())
+    assert manifest["config_hash"] in page.text
+    assert all(agent in page.text for agent in manifest["config"]["agents"])
+    assert "nan" not in page.text.lower().split()
+
+
+def test_a_report_goes_where_it_is_told_or_nowhere(sweep_folder, tmp_path_factory):
+    with pytest.raises(InputError, match="folder: expected a folder that exists"):
+        write_report(sweep_folder, out=sweep_folder / "none" / "page.html")
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "page.html"
+    write_report(sweep_folder, out=elsewhere)
+    assert not (sweep_folder / "report.html").exists()
+    assert elsewhere.read_bytes() == write_report(sweep_folder).read_bytes()

@@ -11,6 +11,7 @@ from test_report import Page, box_map
 from vssm_gym.agents.critic import Critic
 from vssm_gym.car import Car
 from vssm_gym.eval import car_figures, car_tables, report_figures, value_figures
+from vssm_gym.eval.metric_registry import measured
 from vssm_gym.eval.report import write_report
 from vssm_gym.planning.footprint import Arena
 from vssm_gym.viz import pictures
@@ -140,15 +141,15 @@ def test_rows_without_poses_are_drawn_without_footprints(sweep_folder):
 
 
 def test_what_only_arrivals_have_is_left_out_of_the_others():
-    there, not_there = (car_tables.measured(episode("dwa", "mujoco", 0, success=s)) for s in (True, False))
+    there, not_there = (measured(episode("dwa", "mujoco", 0, success=s)) for s in (True, False))
     assert (there["seconds_driven"], there["path_ratio"]) == (6.0, pytest.approx(1.25))
-    assert there["decision_p95"] == pytest.approx(50.0)
+    assert there["control_p95_ms"] == pytest.approx(50.0)
     assert not_there["seconds_driven"] is None
     assert not_there["path_ratio"] is None
 
 
 def test_simulators_stand_side_by_side_with_their_paired_difference():
-    rows = [car_tables.measured(row) for row in rows_of_a_sweep()]
+    rows = [measured(row) for row in rows_of_a_sweep()]
     header, mujoco, bullet, difference, *dwa = cells(car_tables.simulators(rows, 0))
     executed, seconds = header.index("executed in"), header.index("seconds")
     assert [line[executed] for line in (mujoco, bullet, difference)] == ["mujoco", "bullet", "bullet - mujoco"]

@@ -13,6 +13,7 @@ from test_report_car import rows_of_a_sweep as rows_of_cars
 from vssm_gym.cli.console import print_results
 from vssm_gym.eval import explore_figures, explore_tables
 from vssm_gym.eval.aggregate import Interval
+from vssm_gym.eval.metric_registry import measured
 from vssm_gym.eval.report import write_report
 from vssm_gym.eval.report_explore import EXPLORE_VIEW
 from vssm_gym.viz import pictures
@@ -114,7 +115,7 @@ def test_it_says_where_the_first_agent_is_not_the_best(page):
 
 
 def headline(rows):
-    return EXPLORE_VIEW.headline([EXPLORE_VIEW.measured(row) for row in rows], 0)
+    return EXPLORE_VIEW.headline([measured(row) for row in rows], 0)
 
 
 def test_a_leader_everywhere_is_not_contradicted():
@@ -152,7 +153,7 @@ def test_what_nobody_knows_is_said_and_does_not_count_as_a_lead():
     rows = [run("mi_explorer", 30.0, task=task) for task in range(4)]
     rows += [run("frontier_gain", 60.0, ends=12.0 if task == 0 else 8.0, stopped=False, task=task) for task in range(4)]
     assert "tell whose entropy is the lower one in: oak (frontier_gain at 10, 20, 40 m).</p>" in headline(rows)
-    page = EXPLORE_VIEW.comparison([EXPLORE_VIEW.measured(row) for row in rows], 0)
+    page = EXPLORE_VIEW.comparison([measured(row) for row in rows], 0)
     points = {line["at"]: line for line in table(page, "pairs known")}
     assert [points[f"{x} m"]["pairs known"] for x in (5, 10, 20, 40)] == ["4 of 4", "1 of 4", "0 of 4", "0 of 4"]
     assert points["40 m"]["entropy, knat"] == "-"

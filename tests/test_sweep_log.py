@@ -7,12 +7,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.config import Episode, episode_seed, expand, load_config
+from vssm_gym.eval.config import expand, load_config
+from vssm_gym.eval.episodes import Episode, episode_seed
 from vssm_gym.eval.rows import FILE, KEY, EpisodeLog, episode_key, read_rows
 
 
 def row(task):
-    return dict.fromkeys(KEY, "x") | {"task": task, "note": "ä\n", "trace": [[0.5, task]]}
+    names = dict.fromkeys(KEY, "x") | {"scene": "ä\n", "task": task, "seed": 0}
+    return {"format": 1, **names, "success": True, "failure": None, "trace": {"true": [[0.5, float(task)]]}}
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -57,7 +59,11 @@ def test_zeros_that_a_power_cut_leaves_at_the_end_are_dropped(tmp_path):
     ("lines", "message"),
     [
         ([json.dumps(row(0)), "{", json.dumps(row(1))], "line 2: expected one episode as JSON"),
-        ([json.dumps(row(0)), json.dumps({"task": 1})], "line 2: expected one episode as JSON"),
+        ([json.dumps(row(0)), json.dumps({"task": 1})], "line 2: expected one episode as JSON with env, .*no env"),
+        ([json.dumps(row(0) | {"steps": 2.5})], "line 1: expected one episode as JSON; steps: a valid integer"),
+        ([json.dumps(row(0) | {"format": 2})], "line 1: expected one episode as JSON; format: 1"),
+        ([json.dumps(row(0) | {"weather": "rain"})], "line 1: expected one episode as JSON; weather: "),
+        (["[1]"], "line 1: expected one episode as JSON .found list"),
         ([json.dumps(row(0)), json.dumps(row(0))], "line 2: expected each episode once; it repeats line 1"),
     ],
 )
@@ -74,7 +80,7 @@ def test_a_damaged_log_is_refused_and_left_alone(tmp_path, lines, message):
 
 def test_nan_never_reaches_the_log(tmp_path):
     with EpisodeLog(tmp_path / FILE) as log:
-        with pytest.raises(ValueError, match="JSON compliant"):
+        with pytest.raises(ValueError, match="finite number"):
             log.append(row(0) | {"spl": float("nan")})
         log.append(row(1))
     assert [r["task"] for r in read_rows(tmp_path / FILE)] == [1]

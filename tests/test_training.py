@@ -17,9 +17,10 @@ from gymnasium.vector.utils import batch_space
 from vssm_gym.agents import policy_file
 from vssm_gym.agents.policy_input import features
 from vssm_gym.errors import InputError
-from vssm_gym.eval.training import ProgressLog, deferred_interrupt, read_progress, run_training
+from vssm_gym.eval.training import run_training
 from vssm_gym.eval.training_config import EnvironmentSettings, TrainingConfig, load_training, training_hash
 from vssm_gym.eval.training_env import BODY, PolicyView, commands, make_observing
+from vssm_gym.eval.training_run import ProgressLog, deferred_interrupt, read_progress
 from vssm_gym.geometry import wrap_angle
 from vssm_gym.scan import BEAMS
 

@@ -11,6 +11,7 @@ from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
 
+SIMULATED = sorted(name for name in ENVIRONMENTS if "WorldModel" not in name)
 SCENE = two_rooms(pieces=(furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6)),))
 CAMERA = {"camera": CameraConfig(width=32, height=24)}
 NOISY = {  # every kind of noise, so that one environment's use of it cannot pass unseen
@@ -41,7 +42,7 @@ def same(a: dict, b: dict) -> None:
         np.testing.assert_array_equal(a[key], b[key], err_msg=key)
 
 
-@pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
+@pytest.mark.parametrize("name", SIMULATED)
 @pytest.mark.parametrize("threads", [1, 2])
 def test_it_does_what_the_same_environments_do_one_by_one(name, threads):
     """Gymnasium's own vectorisation of single environments is the oracle, over episodes that end and restart."""
@@ -77,7 +78,7 @@ def test_observations_are_the_callers_own():
     env.close()
 
 
-@pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
+@pytest.mark.parametrize("name", SIMULATED)
 def test_some_environments_may_be_reset_alone(name):
     """The others neither move nor look again: what they say then and afterwards is as if nothing had been."""
     keywords = NOISY.get(name, {"noise": "high", "sensor_noise": "kinect"})

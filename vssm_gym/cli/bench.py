@@ -280,4 +280,4 @@ def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
     for notice in result["notices"]:
         print(f"warning: {notice}", file=sys.stderr)
     if result["missing"]:
-        console.print(f"compared with nothing: {result['missing']}", soft_wrap=True)
+        console.print(f"not compared: {result['missing']}", soft_wrap=True)

@@ -42,12 +42,14 @@ def print_results(log: Path) -> None:
     from rich.table import Table
 
     from vssm_gym.eval import aggregate
+    from vssm_gym.eval.courses import view_of
+    from vssm_gym.eval.metric_registry import measured
     from vssm_gym.eval.rows import read_rows
-    from vssm_gym.eval.summary import SUMMARIES
 
     console = Console(highlight=False)
-    for (env, *condition), rows in aggregate.group_rows(read_rows(log), ("env", "scene", "noise", "physics")).items():
-        columns = SUMMARIES[env]
+    all_rows = [measured(row) for row in read_rows(log)]
+    for (env, *condition), rows in aggregate.group_rows(all_rows, ("env", "scene", "noise", "physics")).items():
+        columns = view_of(env).summary
         table = Table(title=f"{' · '.join(condition)}; in brackets 95 % intervals", title_justify="left", box=None)
         table.add_column("agent", no_wrap=True)
         for name in ("runs", *columns, "failed"):
@@ -59,16 +61,12 @@ def print_results(log: Path) -> None:
         console.print(table)
 
 
-def print_notices(scenes: Sequence[str]) -> None:
+def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
     """What a user should know about scenes before anything runs in them, one line each on stderr."""
-    from vssm_gym.envs.free_space import FreeSpace
-    from vssm_gym.envs.robots import HolonomicRobot
-    from vssm_gym.envs.scene import load_scene
-    from vssm_gym.eval.config import scene_name
+    from vssm_gym.eval.courses import course_of
+    from vssm_gym.eval.episodes import scene_name
 
-    robot = HolonomicRobot()
+    course = course_of(env)
     for scene in scenes:
-        apartment = load_scene(scene)
-        notice = FreeSpace.from_apartment(apartment, robot.radius, robot.height).notice(apartment.notes)
-        if notice:
+        if notice := course.notice(course.load(scene)):
             print(f"warning: {scene_name(scene)}: {notice}", file=sys.stderr)

@@ -33,8 +33,9 @@ def explore(
     """
     from vssm_gym.cli.console import print_notices, progress_bars
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.config import ExploreSettings, SweepConfig, check_names
+    from vssm_gym.eval.config import SweepConfig, check_names
     from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.eval.episodes import ExploreSettings
     from vssm_gym.eval.explore_run import explore as run
     from vssm_gym.eval.video import check_writer
 

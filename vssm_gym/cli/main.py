@@ -29,6 +29,7 @@ COMMANDS: dict[str, Any] = {
     "evaluate": "evaluate.evaluate",
     "explore": "explore.explore",
     "sweep": "sweep.sweep",
+    "merge": "merge.merge",
     "report": "report.report",
     "slam": "slam.slam",
     "evaluate-trajectory": "evaluate_trajectory.evaluate_trajectory",

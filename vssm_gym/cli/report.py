@@ -1,4 +1,4 @@
-"""``vssm-gym report DIR``: a sweep's results as one HTML page (DESIGN)."""
+"""``vssm-gym report DIR``: a sweep's results as one HTML page."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,13 +6,18 @@ from typing import Annotated
 import tyro
 
 
-def report(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")], seed: int = 0) -> None:
+def report(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    seed: int = 0,
+) -> None:
     """Write DIR/report.html: failures first, tables with 95 % intervals, curves, runs drawn on the learned map.
 
     Args:
         folder: of a sweep, finished or not.
+        out: file to write instead of DIR/report.html, in a folder that exists.
         seed: of the bootstrap resampling behind the intervals.
     """
     from vssm_gym.eval.report import write_report
 
-    print(write_report(folder, seed))
+    print(write_report(folder, seed, out))

@@ -11,6 +11,7 @@ def sweep(
     out: Path,
     resume: bool = False,
     workers: int = 2,
+    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     seed: int = 0,
 ) -> None:
     """Run agents over tasks, scenes, noise levels and seeds; one line an episode goes to OUT/episodes.jsonl.
@@ -24,15 +25,19 @@ def sweep(
         out: new or empty folder for the results.
         resume: continue a sweep of the same configuration in OUT.
         workers: processes that run episodes.
+        shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` puts them together.
         seed: of the drives that maps are learned from; episodes take theirs from the configuration's seeds.
     """
     from vssm_gym.cli.console import print_notices, print_results, progress_bars
     from vssm_gym.eval.config import load_config
+    from vssm_gym.eval.shards import Shard
     from vssm_gym.eval.sweep import run_sweep
 
+    part = None if shard is None else Shard.parse(shard)
     checked = load_config(config)
-    print_notices(checked.scenes)
+    print_notices(checked.scenes, checked.env[0])
     with progress_bars() as progress:
-        log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, progress=progress)
+        log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, shard=part, progress=progress)
     print_results(log)
-    print(f"episodes: {log}\nnext: vssm-gym report {out}")
+    following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} shards have ended"
+    print(f"episodes: {log}\nnext: vssm-gym {following}")

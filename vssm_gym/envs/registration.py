@@ -1,35 +1,123 @@
-"""Gymnasium registration of every environment id."""
+"""Every environment, one row each: Gymnasium's registration, sweeps, reports and tests read this table.
+
+A row names modules by strings, because importing ``vssm_gym`` must load none of them, and because environments may not
+import the evaluation that runs in them.
+"""
+
+from dataclasses import dataclass
 
 import gymnasium as gym
 
-# Id -> module, class, steps after which an episode is truncated (`gym.make(..., max_episode_steps=N)` overrides); None
-# where it ends by itself.
-ENVIRONMENTS: dict[str, tuple[str, str, int | None]] = {
-    "vssm_gym/PointNav-v0": ("pointnav", "PointNavEnv", 500),  # 80 m at full speed
-    "vssm_gym/ImageNav-v0": ("imagenav", "ImageNavEnv", 500),
-    "vssm_gym/Explore-v0": ("explore", "ExploreEnv", 2000),  # 320 m at full speed
-    "vssm_gym/LidarMaze-v0": ("lidar_maze", "LidarMazeEnv", 1000),  # 20 m at full speed; the longest way is 4 m
-    "vssm_gym/Flight-v0": ("flight", "FlightEnv", None),  # with its reference, after 600 s at most
-    "vssm_gym/CarNav-v0": ("carnav", "CarNavEnv", 600),  # 60 s
-}
-# Imagined: it takes a map instead of a scene, and its vector environment is one compiled step.
-WORLD_MODEL = "vssm_gym/WorldModelNav-v0"
+
+@dataclass(frozen=True)
+class EnvironmentSpec:
+    """One environment.
+
+    Attributes:
+        id: of ``gym.make``.
+        env: ``module:class`` of one environment.
+        vector: ``module:factory`` of many at once.
+        max_episode_steps: steps after which an episode is truncated (``gym.make(..., max_episode_steps=N)`` overrides
+            it); None where it ends by itself.
+        robot: what agents must drive to run there (:mod:`vssm_gym.agents.base`).
+        task: what they must be made for.
+        physics: simulators that a sweep may choose from.
+        course: module that sets, runs and judges the episodes of a sweep (:class:`vssm_gym.eval.courses.Course`); None
+            where no sweep runs.
+        view: ``module:name`` of what its report shows (:class:`vssm_gym.eval.report_view.View`); None likewise.
+    """
+
+    id: str
+    env: str
+    vector: str
+    max_episode_steps: int | None
+    robot: str = ""
+    task: str = ""
+    physics: tuple[str, ...] = ()
+    course: str | None = None
+    view: str | None = None
+
+
+_ROWS = (
+    EnvironmentSpec(
+        id="vssm_gym/PointNav-v0",
+        env="vssm_gym.envs.pointnav:PointNavEnv",
+        vector="vssm_gym.envs.vector:pointnav",
+        max_episode_steps=500,  # 80 m at full speed
+        robot="holonomic",
+        task="pointgoal",
+        physics=("mujoco",),
+        course="vssm_gym.eval.pointnav_course",
+        view="vssm_gym.eval.report_view:POINTNAV_VIEW",
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/ImageNav-v0",
+        env="vssm_gym.envs.imagenav:ImageNavEnv",
+        vector="vssm_gym.envs.vector:imagenav",
+        max_episode_steps=500,
+        robot="holonomic",
+        task="imagegoal",
+        physics=("mujoco",),
+        course="vssm_gym.eval.pointnav_course",  # PointNav's tasks, whose goal is shown instead of told
+        view="vssm_gym.eval.report_view:POINTNAV_VIEW",
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/Explore-v0",
+        env="vssm_gym.envs.explore:ExploreEnv",
+        vector="vssm_gym.envs.vector:explore",
+        max_episode_steps=2000,  # 320 m at full speed
+        robot="holonomic",
+        task="explore",
+        physics=("mujoco",),
+        course="vssm_gym.eval.explore_course",
+        view="vssm_gym.eval.report_explore:EXPLORE_VIEW",
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/LidarMaze-v0",
+        env="vssm_gym.envs.lidar_maze:LidarMazeEnv",
+        vector="vssm_gym.envs.vector:lidar_maze",
+        max_episode_steps=1000,  # 20 m at full speed; the longest shortest path is 4 m
+        robot="disc",
+        task="pointgoal",
+        physics=("none",),
+        course="vssm_gym.eval.lidar_maze_course",
+        view="vssm_gym.eval.report_lidar_maze:LIDAR_MAZE_VIEW",
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/Flight-v0",
+        env="vssm_gym.envs.flight:FlightEnv",
+        vector="vssm_gym.envs.vector:flight",
+        max_episode_steps=None,  # with its reference, after 600 s at most
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/CarNav-v0",
+        env="vssm_gym.envs.carnav:CarNavEnv",
+        vector="vssm_gym.envs.vector:carnav",
+        max_episode_steps=600,  # 60 s
+        robot="car",
+        task="pointgoal",
+        physics=("mujoco", "bullet"),
+        course="vssm_gym.eval.carnav_course",
+        view="vssm_gym.eval.report_car:CAR_VIEW",
+    ),
+    # Imagined: it takes a map instead of a scene, and its vector environment is one compiled step.
+    EnvironmentSpec(
+        id="vssm_gym/WorldModelNav-v0",
+        env="vssm_gym.envs.world_model.single:WorldModelNavEnv",
+        vector="vssm_gym.envs.world_model.vector:WorldModelVectorEnv",
+        max_episode_steps=500,
+    ),
+)
+ENVIRONMENTS: dict[str, EnvironmentSpec] = {spec.id: spec for spec in _ROWS}
 
 
 def register() -> None:
     """Register the environments; calling it twice changes nothing."""
-    for name, (module, cls, steps) in ENVIRONMENTS.items():
-        if name not in gym.registry:
+    for spec in ENVIRONMENTS.values():
+        if spec.id not in gym.registry:
             gym.register(
-                id=name,
-                entry_point=f"vssm_gym.envs.{module}:{cls}",
-                vector_entry_point=f"vssm_gym.envs.vector:{module}",
-                max_episode_steps=steps,
+                id=spec.id,
+                entry_point=spec.env,
+                vector_entry_point=spec.vector,
+                max_episode_steps=spec.max_episode_steps,
             )
-    if WORLD_MODEL not in gym.registry:
-        gym.register(
-            id=WORLD_MODEL,
-            entry_point="vssm_gym.envs.world_model.single:WorldModelNavEnv",
-            vector_entry_point="vssm_gym.envs.world_model.vector:WorldModelVectorEnv",
-            max_episode_steps=500,
-        )

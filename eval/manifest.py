@@ -1,0 +1,48 @@
+"""``sweep.json``: what a sweep says of itself, and what of its rows it says for all of them."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.errors import InputError
+
+MANIFEST = "sweep.json"
+FIELDS = ("config", "config_hash", "version", "seed", "episodes")
+# Fields of a row, and the lists of the configuration that their values come from.
+LISTS = {name: name for name in ("env", "robot", "noise", "sensor_noise", "renderer", "physics")}
+LISTS |= {"scene": "scenes", "agent": "agents", "task": "tasks", "seed": "seeds"}
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What a sweep wrote about itself: ``config``, ``config_hash``, ``version``, ``seed``, ``episodes``.
+
+    Raises:
+        InputError: no such file, no JSON, or a field that is missing.
+    """
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        missing = set(FIELDS) - manifest.keys()
+    except FileNotFoundError as error:
+        raise InputError(path, "file", "a sweep's folder; `vssm-gym sweep CONFIG --out DIR` makes one") from error
+    except (OSError, ValueError, AttributeError) as error:
+        raise InputError(path, "file", f"the JSON that a sweep wrote ({error})") from error
+    if missing:
+        raise InputError(path, min(missing), "this field")
+    if not isinstance(manifest["config"], dict):
+        raise InputError(path, "config", "the sweep's configuration")
+    return manifest
+
+
+def completed(row: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """A row that leaves out what all rows share, with ``common`` and the configuration's lists that hold one value.
+
+    What the row itself says stands. The hash of its scene is that of the scene's name.
+    """
+    config = manifest["config"]
+    only = {field: config[name][0] for field, name in LISTS.items() if len(config.get(name) or ()) == 1}
+    whole = {**only, **manifest.get("common", {}), **row}
+    hashes = manifest.get("scene_hashes", {})
+    if "scene_hash" not in whole and whole.get("scene") in hashes:
+        whole["scene_hash"] = hashes[whole["scene"]]
+    return whole

@@ -1,0 +1,61 @@
+"""YAML files that people write, read into a pydantic model: one clear error, lists from single values."""
+
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import yaml
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
+
+from vssm_gym.errors import InputError
+
+T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
+
+
+def as_tuple(value: Any) -> Any:
+    """A list as a tuple, anything else as a tuple of it alone."""
+    return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+
+
+def distinct(values: tuple[T, ...]) -> tuple[T, ...]:
+    """The values; a repeated one raises ValueError."""
+    if len(set(values)) != len(values):
+        raise ValueError(f"values that differ from each other, found {list(values)}")
+    return values
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)]
+Seeds = Annotated[
+    tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)
+]
+
+
+def read_yaml(path: Path, model: type[M]) -> M:
+    """Read a file of ``model``.
+
+    Raises:
+        InputError: no such file, not YAML, or a field that is unknown, missing or malformed.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, "file", f"a readable YAML file ({error})") from error
+    except yaml.YAMLError as error:
+        raise InputError(path, "file", f"valid YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(data, dict):
+        raise InputError(path, "file", f"fields {', '.join(model.model_fields)}; found {type(data).__name__}")
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise first_problem(path, error, model) from error
+
+
+def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:
+    """What is wrong in a file of ``model``, its first problem only."""
+    problem = error.errors()[0]
+    field = ".".join(str(part) for part in problem["loc"]) or "file"
+    if problem["type"] == "extra_forbidden":
+        return InputError(path, field, f"one of the fields {', '.join(model.model_fields)}")
+    if problem["type"] == "missing":
+        return InputError(path, field, "this field")
+    return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))

@@ -1,0 +1,30 @@
+"""``vssm-gym merge SHARD ... --out DIR``: the shards of a sweep as one folder."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def merge(
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SHARD")],
+    out: Path,
+) -> None:
+    """Merge the folders of `sweep --shard I/N` into the one that the whole sweep would have left.
+
+    Every shard has to be there and finished. Nothing is written otherwise.
+
+    Args:
+        folders: of all shards, in any order.
+        out: new or empty folder.
+    """
+    import sys
+
+    from vssm_gym.cli.console import print_results
+    from vssm_gym.eval.merge import merge_sweeps
+
+    merged = merge_sweeps(folders, out)
+    print_results(merged.log)
+    for notice in merged.notices:
+        print(f"warning: {notice}", file=sys.stderr)
+    print(f"episodes: {merged.log}\nnext: vssm-gym report {out}")
