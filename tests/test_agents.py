@@ -16,12 +16,7 @@ from box_rooms import free_space
 from planning_worlds import voxel_map
 
 from vssm_gym import emission
-<<<<<<< HEAD
-from vssm_gym.agents.base import Agent, AgentContext, Decision
-=======
-from vssm_gym.agents import navigation
 from vssm_gym.agents.base import ANY_TASK, Agent, AgentContext, Decision
->>>>>>> wt-eval
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.localization import FilteredPose, TruePose
 from vssm_gym.agents.navigation import NavigationConfig
@@ -132,7 +127,7 @@ def test_protocol(name):
     assert isinstance(agent, Agent)
     assert agent.name == name
     assert {type(agent.needs_pose), type(agent.needs_map)} == {bool}
-    assert agent.task in ("pointgoal", "explore")
+    assert agent.task in ("pointgoal", "imagegoal", "explore", ANY_TASK)
     # Whatever the environment's info holds, there is no way to hand it over.
     assert list(inspect.signature(agent.act).parameters) == ["observation"]
     assert list(inspect.signature(agent.reset).parameters) == ["context", "observation", "seed"]
