@@ -30,6 +30,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 from vssm_gym.planning.astar import plan
 from vssm_gym.planning.planners import PLANNERS
+from vssm_gym.transition import MotionNoise, Planar
 from vssm_gym.voxel_map import VoxelMap
 
 FLOOR = shapely.box(0.0, 0.0, 5.0, 3.0)
@@ -62,6 +63,7 @@ def context(learned: VoxelMap | None, start: np.ndarray) -> AgentContext:
         body_length=ROBOT.body_length,
         success_radius=0.4,
         noise=(LOW.turn, LOW.step),
+        transition=Planar(MotionNoise(LOW.turn, LOW.step)),
     )
 
 
