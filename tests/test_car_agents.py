@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from planning_worlds import voxel_map
 
 from vssm_gym.agents.base import AgentContext
-from vssm_gym.agents.localization import motion_of
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.car import Car
 from vssm_gym.envs.car_task_sets import CarTaskSet, load, make_car_tasks, save
 from vssm_gym.envs.car_tasks import ALIGNED, REACHED, CarTask
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.errors import InputError
+from vssm_gym.eval.agent_context import believed_motion
 from vssm_gym.eval.carnav_course import direction_changes, run_episode, shortest_curve
 from vssm_gym.planning import reeds_shepp
 from vssm_gym.transition import Bicycle
@@ -158,7 +158,7 @@ def test_a_car_believes_to_drive_its_arc(speed, steering, heading):
     chord = way * np.sinc(0.5 * turn / np.pi)
     direction = heading + 0.5 * turn
     start = np.array([0.3, -0.2, heading])
-    motion = motion_of(context())
+    motion = believed_motion(CAR, (0.0, 0.0))
     after = np.asarray(motion.mean(jnp.asarray(start), jnp.asarray([speed, steering]), CAR.dt), np.float64)
     np.testing.assert_allclose(
         after[:2], start[:2] + chord * np.array([math.cos(direction), math.sin(direction)]), atol=1e-6
