@@ -1,4 +1,4 @@
-"""``astar``: track the pose in the learned map, plan with A* on it, drive (SPEC 6; TNP-SM, "ours").
+"""``astar``: track the pose in the learned map, plan with A* on it, drive (TNP-SM, "ours").
 
 Reads RGB-D, its own commands and the map; never the true pose.
 """

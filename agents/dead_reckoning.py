@@ -1,4 +1,4 @@
-"""``dead_reckoning``: integrate the commands, plan with A* on the learned map (SPEC 6; TNP-SM, "dynamics").
+"""``dead_reckoning``: integrate the commands, plan with A* on the learned map (TNP-SM, "dynamics").
 
 It plans in the same map as ``astar`` and looks at no image at all.
 """

@@ -30,12 +30,12 @@ class Window:
         self._window = DynamicWindow(self._levels, self._car, goal[:2])
         self._state = self._window.init()
         first = self._window.step(self._state, planar)
-        return first.status.value if first.status is DwaStatus.NO_WAY else None
+        return first.status.message if first.status is DwaStatus.NO_WAY else None
 
     def step(self, planar: np.ndarray) -> Step:
         """The best arc within reach."""
         self._state = self._window.step(self._state, planar)
-        return Step(self._state.control, self._state.status.value)
+        return Step(self._state.control, self._state.status.message)
 
 
 class DwaAgent:

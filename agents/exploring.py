@@ -20,11 +20,11 @@ from vssm_gym.agents.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.own_map import OwnMap, OwnMapConfig
 from vssm_gym.agents.strategy import Choice, Situation, Strategy, around
 from vssm_gym.geometry import wrap_angle
-from vssm_gym.planning.astar import plan
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.exploration import Roadmap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.frontier import frontier_cells
+from vssm_gym.planning.planners import Planner, find_planner
 from vssm_gym.voxel_map import VoxelMap
 
 ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
@@ -37,6 +37,7 @@ FULL = "finished: the map has no room for more"
 class ExploringConfig:
     """How ways are planned, how often to choose, and when to stop; lengths in metres."""
 
+    planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
     margins: tuple[float, ...] = (0.08, 0.03)  # clearance of a way beyond the robot's radius: the first that leads on
     replan_steps: int = 5
     known_share: float = 0.8  # of a target's frontier cells, after which it is pointless to go there
@@ -57,6 +58,7 @@ class Explorer:
     ) -> None:
         self._strategy, self._mapper = strategy, mapper or MapAtObservedPose()
         self._config, self._own_config = config or ExploringConfig(), own or OwnMapConfig()
+        self._plan_path = find_planner(self._config.planner)
         self._own: OwnMap
 
     @property
@@ -190,9 +192,11 @@ class Explorer:
             self._choice, self._arrived = choice, False
             if choice.goal is None:
                 return None
-            # The roadmap's edges are looked at less closely than A*'s: a way may need less room than was asked.
+            # The roadmap's edges are looked at less closely than a planner's: a way may need less room than was asked.
             for tight in (margin, max(0.5 * margin, least), least):
-                result = plan(roadmap.clearance, planar, choice.goal, radius, margin=tight, goal_radius=ARRIVED)
+                result = self._plan_path(
+                    planar, choice.goal, roadmap.clearance, radius, margin=tight, goal_radius=ARRIVED
+                )
                 if result.found:
                     self._way = Way(result.path, roadmap.clearance, tight) if len(result.path) > 1 else None
                     return None

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
-from vssm_gym.planning.astar import needed
 from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.grid_search.need import needed
 from vssm_gym.planning.pursuit import steer
 from vssm_gym.planning.taut import tighten
 

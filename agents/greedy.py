@@ -10,7 +10,9 @@ import numpy as np
 from vssm_gym.agents.critic import Critic
 from vssm_gym.agents.driving import Driver, Step
 from vssm_gym.agents.localization import TruePose
+from vssm_gym.arc import poses_after, turn_of
 from vssm_gym.car import Car
+from vssm_gym.geometry import wrap_angle
 from vssm_gym.planning.footprint import Arena, collides
 from vssm_gym.planning.value_iteration import CostToGo
 
@@ -59,10 +61,10 @@ class GreedyDescent:
     def _along(self, planar: np.ndarray) -> Any:
         """Poses of every arc, ``(arcs, PARTS, 3)``."""
         s = self._length[:, None] * np.arange(1, PARTS + 1) / PARTS
-        turn = s * np.tan(self._steering)[:, None] / self._car.wheelbase
-        chord, bearing = s * np.sinc(0.5 * turn / np.pi), planar[2] + 0.5 * turn
-        x, y = planar[0] + chord * np.cos(bearing), planar[1] + chord * np.sin(bearing)
-        return np.stack([x, y, (planar[2] + turn + np.pi) % (2.0 * np.pi) - np.pi], axis=-1)
+        turn = turn_of(s, self._steering[:, None], self._car.wheelbase)
+        poses = poses_after(planar[2], s, turn, planar[0], planar[1])
+        poses[..., 2] = wrap_angle(poses[..., 2])
+        return poses
 
 
 class GreedyAgent:

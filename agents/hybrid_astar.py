@@ -55,7 +55,7 @@ class HybridPursuit:
         """The first drive found: to the target with room to spare, without, then to poses around it."""
         for goal in self._goal + OFFSETS[:, : len(self._goal)]:
             for levels in self._levels:
-                result = plan(levels, self._car, planar, goal, time_limit=math.inf, max_expansions=EXPANSIONS)
+                result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=EXPANSIONS)
                 if result.found:
                     self._drive, self._progress = Drive(result.poses, result.gears), 0.0
                     return result

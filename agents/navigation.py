@@ -1,8 +1,9 @@
 """The navigator that the planning agents share: localise -> plan -> steer -> decide to stop.
 
-Agents differ in how they localise and in nothing else, as published (SPEC 6; TNP-SM): each gives its localizer to a
-:class:`Navigator`. The map is static, so its clearance is computed once a map, and A* runs once a goal; after that each
-step pulls what is left of the plan taut from the newest estimate, and A* runs again only where that fails.
+Agents differ in how they localise and in nothing else, as published (TNP-SM): each gives its localizer to a
+:class:`Navigator`. The planner is any of :mod:`vssm_gym.planning.planners`, A* by default. The map is static, so its
+clearance is computed once a map, and the planner runs once a goal; after that each step pulls what is left of the plan
+taut from the newest estimate, and the planner runs again only where that fails.
 """
 
 import math
@@ -15,8 +16,9 @@ import numpy as np
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
 from vssm_gym.agents.localization import Localization, Localizer
 from vssm_gym.errors import InputError
-from vssm_gym.planning.astar import needed, plan
 from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.grid_search.need import needed
+from vssm_gym.planning.planners import Planner, find_planner
 from vssm_gym.planning.pursuit import steer
 from vssm_gym.planning.result import PlanResult
 from vssm_gym.planning.taut import tighten
@@ -27,6 +29,7 @@ from vssm_gym.voxel_map import VoxelMap
 class NavigationConfig:
     """How carefully to plan, when to stop, when to call the robot stuck; lengths in metres."""
 
+    planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
     heights: tuple[float, float] = (0.08, 0.5)  # of the robot's body above the floor, whose noise stays below
     resolution: float = 0.025  # of the clearance grid
     # Extra clearance of a plan: with room to spare; as the robot fits; tighter, since walls are learned with an error.
@@ -61,6 +64,7 @@ class Navigator:
 
     def __init__(self, localizer: Localizer, config: NavigationConfig) -> None:
         self._localizer, self._config = localizer, config
+        self._plan = find_planner(config.planner)
         self._map: VoxelMap | None = None
         self._static: ClearanceMap  # of that map, kept over episodes
 
@@ -160,7 +164,7 @@ class Navigator:
         return np.concatenate([path, [end]]) if self._clearance.at(between).min() >= asked else None
 
     def _replan(self, estimate: Localization, target: float) -> PlanResult | None:
-        """A* with room to spare, and as tightly as the robot fits: the tight way is taken where it is much shorter.
+        """Plan with room to spare, and as tightly as the robot fits: the tight path is taken where it is much shorter.
 
         Where neither exists: tighter than it fits, since a learned wall may stand too far out; then to all of the
         success region; then without the obstacles that were felt.
@@ -170,7 +174,7 @@ class Navigator:
         wide, tight, squeezed = c.margins
 
         def attempt(clearance: ClearanceMap, margin: float, radius: float) -> PlanResult:
-            return plan(clearance, estimate.planar, task.goal, self._radius, margin=margin, goal_radius=radius)
+            return self._plan(estimate.planar, task.goal, clearance, self._radius, margin=margin, goal_radius=radius)
 
         def adopt(result: PlanResult, clearance: ClearanceMap, margin: float, radius: float) -> None:
             self._clearance, task.failures = clearance, 0

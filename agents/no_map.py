@@ -1,4 +1,4 @@
-"""``no_map``: align each image to the one before, plan with A* on the learned map (SPEC 6; TNP-SM, "no map").
+"""``no_map``: align each image to the one before, plan with A* on the learned map (TNP-SM, "no map").
 
 It plans in the same map as ``astar`` but never compares an image with it, so its errors add up.
 """

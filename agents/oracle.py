@@ -1,4 +1,4 @@
-"""``oracle``: the true pose, and A* on the learned map: what perfect localisation would reach (SPEC 6).
+"""``oracle``: the true pose, and A* on the learned map: what perfect localisation would reach.
 
 The only agent that reads ``observation["pose"]``; map, planner and controller are those of ``astar``.
 """

@@ -1,4 +1,4 @@
-"""``vi_ipopt``: the critic of ``vi_mpc``, and an interior-point method (CasADi, IPOPT) as actor (SPEC 7)."""
+"""``vi_ipopt``: the critic of ``vi_mpc``, and an interior-point method (CasADi, IPOPT) as actor."""
 
 from vssm_gym.agents.driving import Driver
 from vssm_gym.agents.localization import TruePose

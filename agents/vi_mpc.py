@@ -1,4 +1,4 @@
-"""``vi_mpc``: value iteration as critic, model-predictive control as actor, on the learned map (SPEC 7).
+"""``vi_mpc``: value iteration as critic, model-predictive control as actor, on the learned map.
 
 The cost-to-go of the target is computed once; every step then solves a short-horizon problem that ends in it. The
 solver here is random search refined by an augmented Lagrangian, as published; reads the true pose (an MDP).

@@ -1,4 +1,4 @@
-"""``vi_mpc_tracked``: ``vi_mpc`` that is told its start and from then on sees RGB-D images only (SPEC 7).
+"""``vi_mpc_tracked``: ``vi_mpc`` that is told its start and from then on sees RGB-D images only.
 
 The pose is tracked against the learned map, with the car's arc as prior.
 """

@@ -1,4 +1,4 @@
-"""``vi_mppi``: the critic of ``vi_mpc``, and path-integral control (MPPI) as actor (SPEC 7)."""
+"""``vi_mppi``: the critic of ``vi_mpc``, and path-integral control (MPPI) as actor."""
 
 from vssm_gym.agents.driving import Driver
 from vssm_gym.agents.localization import TruePose

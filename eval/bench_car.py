@@ -202,8 +202,8 @@ def search_row(arena: Arena, tasks: Sequence[CarTask], car: Car) -> Row:
     """Plans of hybrid A* along the chain."""
     levels = FootprintLevels.from_occupied(arena.occupied, arena.origin, arena.resolution, car)
     ends = [(np.array(task.start), np.array(task.goal)) for task in tasks]
-    plan(levels, car, *ends[0])  # compiles
-    plans = [plan(levels, car, start, goal) for start, goal in ends]
+    plan(*ends[0], levels, car)  # compiles
+    plans = [plan(start, goal, levels, car) for start, goal in ends]
     facts = {"plans": len(plans), "found": sum(found.found for found in plans)}
     return _row("hybrid A*, from pose to pose", [1e3 * found.seconds for found in plans], "ms", None, facts)
 

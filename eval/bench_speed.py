@@ -153,7 +153,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     ends = [sampler.draw(np.random.default_rng([seed, i])) for i in range(TIMED + 1)]
     planner = median_ms(
         lambda i: (
-            plan(clearance, np.array(ends[i].start), np.array(ends[i].goal), env.robot.radius, goal_radius=0.35).cost
+            plan(np.array(ends[i].start), np.array(ends[i].goal), clearance, env.robot.radius, goal_radius=0.35).cost
         ),
         TIMED,
     )

@@ -76,7 +76,7 @@ class SlamOptions:
     rate: float = 10.0  # frames a second at most
     voxel: float = 0.07  # m
     extent: float = 14.0  # m: edge of the cube that is mapped, around the first camera
-    solver: str = "gauss_newton"  # of the pose, a key of prism.SOLVERS
+    solver: str = "gauss_newton"  # of the pose, a key of camera_filter.SOLVERS
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty reaches the pose too
     seed: int = 0
     render_width: int = 160  # pixels: images are tracked at about this width

@@ -3,9 +3,9 @@
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.lidar import LidarConfig
 from vssm_gym.envs.lidar_maze import LONGEST, LidarMazeEnv
 from vssm_gym.envs.mazes import load_maze
+from vssm_gym.envs.sensors.lidar import LidarConfig
 
 ID = "vssm_gym:vssm_gym/LidarMaze-v0"
 LIDAR = LidarConfig(max_range=LONGEST)

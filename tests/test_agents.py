@@ -16,10 +16,9 @@ from box_rooms import free_space
 from planning_worlds import voxel_map
 
 from vssm_gym import emission
-from vssm_gym.agents import navigation
 from vssm_gym.agents.base import ANY_TASK, Agent, AgentContext, Decision
 from vssm_gym.agents.dead_reckoning import DeadReckoningAgent
-from vssm_gym.agents.localization import DeadReckoning, MapLocalizer, TruePose
+from vssm_gym.agents.localization import FilteredPose, TruePose
 from vssm_gym.agents.navigation import NavigationConfig
 from vssm_gym.agents.oracle import OracleAgent
 from vssm_gym.agents.random import RandomAgent, RandomConfig
@@ -30,6 +29,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 from vssm_gym.planning.astar import plan
+from vssm_gym.planning.planners import PLANNERS
 from vssm_gym.voxel_map import VoxelMap
 
 FLOOR = shapely.box(0.0, 0.0, 5.0, 3.0)
@@ -213,7 +213,7 @@ def test_a_new_goal_is_a_new_task(learned):
 
 
 @pytest.mark.parametrize("name", ["oracle", "dead_reckoning"])
-def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
+def test_the_first_step_plans_and_is_timed(name, learned):
     """Planning in ``reset`` warms up only: the search that leads the robot is part of the first step's latency."""
     searched = []
 
@@ -221,8 +221,7 @@ def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
         searched.append(plan(*arguments, **keywords))
         return searched[-1]
 
-    monkeypatch.setattr(navigation, "plan", counted)
-    agent, start = AGENTS[name](), np.array([0.6, 0.6, 0.3])
+    agent, start = AGENTS[name](NavigationConfig(planner=counted)), np.array([0.6, 0.6, 0.3])
     observation = observe(start, np.array([4.4, 0.5]), None)
     agent.reset(context(learned, start), observation, 0)
     counts = [len(searched)]
@@ -232,6 +231,26 @@ def test_the_first_step_plans_and_is_timed(name, learned, monkeypatch):
         if len(counts) == 2:
             assert decision.latency["planning"] >= sum(result.seconds for result in searched[counts[0] :])
     assert counts[0] < counts[1] == counts[2] == counts[3]
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_any_planner_leads_to_the_goal(name, learned):
+    """The planner of the configuration is asked, and its paths are followed to the goal by a short path."""
+    asked = []
+
+    def counted(*arguments, **keywords):
+        asked.append(PLANNERS[name](*arguments, **keywords))
+        return asked[-1]
+
+    start, goal = np.array([0.6, 0.6, 0.3]), np.array([4.4, 0.5])
+    by_name = drive(OracleAgent(NavigationConfig(planner=name)), learned, start, goal)
+    by_object = drive(OracleAgent(NavigationConfig(planner=counted)), learned, start, goal)
+    assert np.array_equal(by_name.poses, by_object.poses)
+    assert asked
+    assert by_name.stopped
+    assert by_name.away(goal) <= 0.4
+    shortest = Geodesics(free_space([WALL, TABLE], ROBOT.radius, FLOOR)).length(start[:2], goal, 0.4)
+    assert by_name.driven <= 1.1 * shortest
 
 
 def test_an_obstacle_that_nobody_mapped(learned):
@@ -274,13 +293,20 @@ def test_an_uncertain_agent_goes_nearer():
     assert ends[1] < 0.25
 
 
+def noise_image(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """What says nothing: dead reckoning looks at no image."""
+    rgb = rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8)
+    return {"rgb": rgb, "depth": rng.uniform(0.3, 5.0, (CAMERA.height, CAMERA.width)).astype(np.float32)}
+
+
 def test_dead_reckoning_is_exact_without_noise():
-    localizer, planar, rng = DeadReckoning(), np.array([1.0, 2.0, 0.5]), np.random.default_rng(0)
-    localizer.reset(context(None, planar), {})
+    planar, rng = np.array([1.0, 2.0, 0.5]), np.random.default_rng(0)
+    localizer = FilteredPose("dead_reckoning")
+    localizer.reset(context(None, planar), noise_image(rng))
     for _ in range(50):
         command = rng.uniform(-ROBOT.limits * [1.0, 1.0, 0.0], ROBOT.limits)
         planar = execute(planar, command, NOISE_LEVELS["none"], rng)
-        estimate = localizer.update(command, {})
+        estimate = localizer.update(command, noise_image(rng))
     assert np.allclose(estimate.planar, planar, atol=1e-4)
 
 
@@ -288,10 +314,10 @@ def test_dead_reckoning_knows_how_lost_it_is():
     """Its standard deviations against those of 2000 noisy drives of the same 30 commands."""
     start = np.array([0.0, 0.0, 0.4])
     commands = [(0.1, 0.0, 0.0) if k % 3 == 0 else (0.0, 0.02, 0.12) for k in range(30)]
-    localizer, rng = DeadReckoning(), np.random.default_rng(0)
-    localizer.reset(context(None, start), {})
+    localizer, rng = FilteredPose("dead_reckoning"), np.random.default_rng(0)
+    localizer.reset(context(None, start), noise_image(rng))
     for command in commands:
-        estimate = localizer.update(np.array(command), {})
+        estimate = localizer.update(np.array(command), noise_image(rng))
     ends = []
     for _ in range(2000):
         planar = start
@@ -307,7 +333,7 @@ def test_missing_map_and_missing_pose(learned):
     with pytest.raises(InputError, match="map"):
         DeadReckoningAgent().reset(context(None, start), blank, 0)
     with pytest.raises(InputError, match="map"):
-        MapLocalizer().reset(context(None, start), blank)
+        FilteredPose("tracker").reset(context(None, start), blank)
     del blank["pose"]
     with pytest.raises(InputError, match="observe_pose"):
         TruePose().reset(context(learned, start), blank)

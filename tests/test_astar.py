@@ -14,8 +14,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from vssm_gym.envs.geodesic import Geodesics
-from vssm_gym.planning.astar import needed, plan, search
+from vssm_gym.planning.astar import plan, search
 from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.grid_search.need import needed
 from vssm_gym.planning.result import PlanStatus
 from vssm_gym.planning.taut import tighten
 
@@ -104,8 +105,8 @@ def scene(obstacles: list[shapely.Polygon], seed: int) -> tuple[ClearanceMap, np
 def test_any_angle_path(obstacles, seed, margin, goal_radius):
     """Feasible, no longer than the grid's path, no shorter than the straight line."""
     plan_map, start, goal = scene(obstacles, seed)
-    result = plan(plan_map, start, goal, RADIUS, margin=margin, goal_radius=goal_radius)
-    grid = plan(plan_map, start, goal, RADIUS, margin=margin, goal_radius=goal_radius, any_angle=False)
+    result = plan(start, goal, plan_map, RADIUS, margin=margin, goal_radius=goal_radius)
+    grid = plan(start, goal, plan_map, RADIUS, margin=margin, goal_radius=goal_radius, any_angle=False)
     assert result.status is grid.status
     if not result.found:
         assert result.path.shape == (0, 2)
@@ -127,7 +128,7 @@ def test_any_angle_path(obstacles, seed, margin, goal_radius):
 def test_taut(obstacles, seed):
     """No bend can be moved by 2 cm so that the path gets shorter and stays clear of everything."""
     plan_map, start, goal = scene(obstacles, seed)
-    path = plan(plan_map, start, goal, RADIUS).path
+    path = plan(start, goal, plan_map, RADIUS).path
     for i in range(1, len(path) - 1):
         for angle in np.arange(12) * math.pi / 6:
             moved = path[i - 1 : i + 2].copy()
@@ -141,7 +142,7 @@ def test_taut(obstacles, seed):
 def test_length_against_a_visibility_graph(obstacles, seed):
     """Never shorter than the shortest path of a slightly thinner disc, within 1 % of that of a slightly thicker one."""
     plan_map, start, goal = scene(obstacles, seed)
-    result = plan(plan_map, start, goal, RADIUS, goal_radius=0.4)
+    result = plan(start, goal, plan_map, RADIUS, goal_radius=0.4)
     thin = Geodesics(free_space(obstacles, RADIUS - 0.02)).length(start, goal, 0.4)
     thick = Geodesics(free_space(obstacles, RADIUS + 0.02)).length(start, goal, 0.4)
     assert result.cost >= thin - 1e-3
@@ -152,7 +153,7 @@ def test_round_one_corner_by_hand():
     """From (0.5, 1) to (2.5, 1) past a thin wall that ends at y = 2: two tangents to a circle and the arc between."""
     floor = shapely.box(0.0, 0.0, 3.0, 3.0)
     plan_map = clearance_map(floor, shapely.box(1.4999, 0.0, 1.5001, 2.0), 0.02)
-    result = plan(plan_map, np.array([0.5, 1.0]), np.array([2.5, 1.0]), RADIUS)
+    result = plan(np.array([0.5, 1.0]), np.array([2.5, 1.0]), plan_map, RADIUS)
     to_corner = math.sqrt(2.0)
     tangent = math.sqrt(to_corner**2 - RADIUS**2)
     wrapped = 1.5 * math.pi - 2.0 * math.acos(RADIUS / to_corner)  # 270 degrees less the two of the tangents
@@ -165,7 +166,7 @@ CUT = clearance_map(ROOM, shapely.box(2.4, 0.0, 2.6, 4.0))  # a wall from side t
 
 
 def test_no_path_says_so():
-    result = plan(CUT, np.array([1.0, 1.0]), np.array([4.0, 1.0]), RADIUS)
+    result = plan(np.array([1.0, 1.0]), np.array([4.0, 1.0]), CUT, RADIUS)
     assert result.status is PlanStatus.NO_PATH
     assert "no path" in result.status.message
     assert result.expansions > 1000
@@ -174,21 +175,21 @@ def test_no_path_says_so():
 def test_a_goal_without_a_free_place_says_so():
     boxed = clearance_map(ROOM, shapely.box(2.0, 1.0, 4.0, 3.0))
     inside = np.array([3.0, 2.0])
-    assert plan(boxed, np.array([1.0, 1.0]), inside, RADIUS, goal_radius=0.4).status is PlanStatus.GOAL_BLOCKED
-    reached = plan(boxed, np.array([1.0, 1.0]), inside, RADIUS, goal_radius=1.2)
+    assert plan(np.array([1.0, 1.0]), inside, boxed, RADIUS, goal_radius=0.4).status is PlanStatus.GOAL_BLOCKED
+    reached = plan(np.array([1.0, 1.0]), inside, boxed, RADIUS, goal_radius=1.2)
     assert reached.found
     assert np.linalg.norm(reached.path[-1] - inside) <= 1.2 + 1e-9
 
 
 def test_a_start_deep_inside_says_so():
     boxed = clearance_map(ROOM, shapely.box(2.0, 1.0, 4.0, 3.0))
-    assert plan(boxed, np.array([3.0, 2.0]), np.array([1.0, 1.0]), RADIUS).status is PlanStatus.START_BLOCKED
-    assert plan(boxed, np.array([-9.0, 2.0]), np.array([1.0, 1.0]), RADIUS).status is PlanStatus.START_BLOCKED
+    assert plan(np.array([3.0, 2.0]), np.array([1.0, 1.0]), boxed, RADIUS).status is PlanStatus.START_BLOCKED
+    assert plan(np.array([-9.0, 2.0]), np.array([1.0, 1.0]), boxed, RADIUS).status is PlanStatus.START_BLOCKED
 
 
 def test_time_out_leads_towards_the_goal():
     start, goal = np.array([0.5, 0.5]), np.array([2.2, 3.5])
-    result = plan(CUT, start, goal, RADIUS, max_expansions=40)
+    result = plan(start, goal, CUT, RADIUS, max_expansions=40)
     assert result.status is PlanStatus.TIME_OUT
     assert not result.found
     assert result.expansions == 40
@@ -197,7 +198,7 @@ def test_time_out_leads_towards_the_goal():
 
 
 def test_already_there():
-    result = plan(CUT, np.array([1.0, 1.0]), np.array([1.2, 1.0]), RADIUS, goal_radius=0.4)
+    result = plan(np.array([1.0, 1.0]), np.array([1.2, 1.0]), CUT, RADIUS, goal_radius=0.4)
     assert result.found
     assert result.cost == 0.0
     assert result.path.shape == (1, 2)
@@ -207,7 +208,7 @@ def test_already_there():
 def test_leaving_a_wall(room_left, y):
     """A robot that touches the wall, or stands in it by error, leaves it steadily, at no detour to speak of."""
     start, goal = np.array([2.4 - room_left, y]), np.array([1.0, 2.0])
-    result = plan(CUT, start, goal, RADIUS, margin=0.03)
+    result = plan(start, goal, CUT, RADIUS, margin=0.03)
     assert result.found
     assert result.cost <= np.linalg.norm(goal - start) + 0.05
     points = along(result.path)
@@ -222,7 +223,7 @@ def test_leaving_a_wall(room_left, y):
 def test_following_a_plan(obstacles, seed, share):
     """From a place on its plan the robot's way is no longer than what is left of it, and as clear."""
     plan_map, start, goal = scene(obstacles, seed)
-    result = plan(plan_map, start, goal, RADIUS, margin=0.03, goal_radius=0.4)
+    result = plan(start, goal, plan_map, RADIUS, margin=0.03, goal_radius=0.4)
     if not result.found or len(result.path) < 2:
         return
     ends = np.cumsum(np.linalg.norm(np.diff(result.path, axis=0), axis=1))
@@ -248,6 +249,6 @@ def test_a_plan_out_of_sight_is_given_up():
 
 def test_same_question_same_answer():
     world = clearance_map(ROOM, shapely.box(2.0, 0.0, 2.6, 2.5) | shapely.box(3.5, 1.5, 4.0, 4.0))
-    answers = [plan(world, np.array([0.5, 0.5]), np.array([4.5, 3.5]), RADIUS, margin=0.03) for _ in range(2)]
+    answers = [plan(np.array([0.5, 0.5]), np.array([4.5, 3.5]), world, RADIUS, margin=0.03) for _ in range(2)]
     assert np.array_equal(answers[0].path, answers[1].path)
     assert answers[0].expansions == answers[1].expansions

@@ -14,7 +14,7 @@ from vssm_gym.envs.scene import load_scene, save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.eval import bench_car, bench_envs
 from vssm_gym.planning.value_iteration import PoseGrid, solve
-from vssm_gym.transition import bicycle
+from vssm_gym.transition import Bicycle
 
 ARENAS = ("arena", "depot", "dock", "garage", "paddock")
 
@@ -51,7 +51,7 @@ def test_without_errors_the_bicycle_drives_its_arc(monkeypatch, control):
     start = np.array([0.3, -0.2, 3.0])
     car = Car()
     driven = bench_car._driven(start, np.array(control), np.random.default_rng(0), car)
-    exact = bicycle.integrate(jnp.asarray(start), jnp.asarray(control), car.dt, car.wheelbase)
+    exact = Bicycle(wheelbase=car.wheelbase).mean(jnp.asarray(start), jnp.asarray(control), car.dt)
     np.testing.assert_allclose(driven, np.asarray(exact), atol=1e-6)
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from planning_worlds import voxel_map
 
 from vssm_gym.agents.base import AgentContext
-from vssm_gym.agents.driving import as_planar
+from vssm_gym.agents.localization import motion_of
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.car import Car
 from vssm_gym.envs.car_task_sets import CarTaskSet, load, make_car_tasks, save
@@ -23,7 +23,6 @@ from vssm_gym.envs.scene import load_scene
 from vssm_gym.errors import InputError
 from vssm_gym.eval.carnav_course import direction_changes, run_episode, shortest_curve
 from vssm_gym.planning import reeds_shepp
-from vssm_gym.transition import bicycle
 from vssm_gym.voxel_map import VoxelMap
 
 CAR = Car()
@@ -128,8 +127,8 @@ def test_no_agent_acts_on_what_info_says(name, learned):
     np.testing.assert_array_equal(*actions)
 
 
-def test_an_agent_without_a_map_says_so():
-    context = AgentContext(
+def context() -> AgentContext:
+    return AgentContext(
         K=np.eye(3),
         camera=(8, 8),
         T_body_cam=CAR.T_body_cam,
@@ -142,21 +141,27 @@ def test_an_agent_without_a_map_says_so():
         noise=(0.0, 0.0),
         car=CAR,
     )
+
+
+def test_an_agent_without_a_map_says_so():
     with pytest.raises(InputError, match="map"):
-        AGENTS["dwa"]().reset(context, {"goal": np.zeros(3), "pose": np.zeros(3)}, 0)
+        AGENTS["dwa"]().reset(context(), {"goal": np.zeros(3), "pose": np.zeros(3)}, 0)
 
 
 @given(st.floats(-0.6, 0.6), st.floats(-0.52, 0.52), st.floats(-3.0, 3.0))
-def test_a_cars_arc_is_the_planar_robots_step(speed, steering, heading):
-    """The tracker's prior moves where the bicycle does."""
-    turn, offset, step = as_planar(np.array([speed, steering]), CAR)
+def test_a_car_believes_to_drive_its_arc(speed, steering, heading):
+    """The tracker's prior moves along the chord of the arc: it leaves at half the turn, and is a sinc shorter."""
+    way = speed * CAR.dt
+    turn = way * math.tan(steering) / CAR.wheelbase
+    chord = way * np.sinc(0.5 * turn / np.pi)
+    direction = heading + 0.5 * turn
     start = np.array([0.3, -0.2, heading])
-    x, y = start[:2] + step * np.array([math.cos(heading + offset), math.sin(heading + offset)])
-    expected = np.asarray(
-        bicycle.integrate(jnp.asarray(start), jnp.asarray([speed, steering]), CAR.dt, CAR.wheelbase), np.float64
+    motion = motion_of(context())
+    after = np.asarray(motion.mean(jnp.asarray(start), jnp.asarray([speed, steering]), CAR.dt), np.float64)
+    np.testing.assert_allclose(
+        after[:2], start[:2] + chord * np.array([math.cos(direction), math.sin(direction)]), atol=1e-6
     )
-    np.testing.assert_allclose([x, y], expected[:2], atol=1e-6)
-    assert math.remainder(heading + turn - expected[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-5)
+    assert math.remainder(heading + turn - after[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-5)
 
 
 poses = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3.1, 3.1)).map(np.array)

@@ -132,7 +132,7 @@ def test_how_far_it_has_strayed_is_reported():
     ],
 )
 def test_plans_of_hybrid_astar_are_driven_without_touching(grid, start, goal):
-    result = plan(levels(grid), CAR, start, goal)
+    result = plan(start, goal, levels(grid), CAR)
     poses, steps = run(Drive(result.poses, result.gears), start)
     assert steps[-1].done
     assert math.hypot(*(poses[-1] - goal)[:2]) < 0.05

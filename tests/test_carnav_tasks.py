@@ -3,6 +3,7 @@
 import math
 import pickle
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from vssm_gym.car import Car
-from vssm_gym.envs.car_space import CarSpace
+from vssm_gym.envs.car_space import CELL, HEADINGS, TURNS, CarSpace
 from vssm_gym.envs.car_task_sets import make_car_tasks
 from vssm_gym.envs.car_tasks import (
     ALIGNED,
@@ -26,6 +27,8 @@ from vssm_gym.envs.car_tasks import (
 from vssm_gym.envs.scene import load_scene
 from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
+from vssm_gym.geometry import wrap_angle
+from vssm_gym.transition import Bicycle
 
 CAR = Car()
 ARENAS = ("arena", "depot", "dock", "garage", "paddock")
@@ -185,3 +188,17 @@ def test_every_target_that_is_drawn_would_be_accepted():
     sampler = car_sampler_of(load_scene("paddock"), CAR)
     for task in tasks.tasks:
         sampler.validate(task)
+
+
+@pytest.mark.parametrize("curvature", [-1, 0, 1])
+@pytest.mark.parametrize("k", [0, 5, 40])
+def test_the_lattice_is_joined_by_the_arcs_of_the_bicycle(k: int, curvature: int) -> None:
+    """The twin of the model's law: cells of the exact arc at full lock, to the rounding to a cell."""
+    turn, angle = TURNS[1], 2.0 * np.pi * TURNS[1] / HEADINGS
+    steering = curvature * CAR.max_steering
+    bicycle = Bicycle(wheelbase=CAR.wheelbase)
+    for share, (i, j, heading) in zip((0.25, 0.5, 0.75, 1.0), SPACE._way(k, curvature, turn), strict=True):
+        start = jnp.array([0.0, 0.0, 2.0 * np.pi * k / HEADINGS])
+        x, y, after = bicycle.mean(start, jnp.array([CAR.turning_radius * angle * share, steering]), 1.0)
+        assert max(abs(CELL * i - float(x)), abs(CELL * j - float(y))) <= 0.5 * CELL + 1e-6
+        assert abs(wrap_angle(float(after) - 2.0 * np.pi * heading / HEADINGS)) <= np.pi / HEADINGS + 1e-5

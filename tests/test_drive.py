@@ -15,6 +15,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.eval.drive import drive
 from vssm_gym.geometry import wrap_angle
+from vssm_gym.inference.status import Status
 
 STEPS = 120
 
@@ -71,7 +72,7 @@ class Rider:
 
     def update(self, command, observation):
         self.seen.append(set(observation))
-        return Localization(np.zeros(3), np.zeros(3), "ok")
+        return Localization(np.zeros(3), np.zeros(3), Status.OK)
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks import TaskSampler
 from vssm_gym.eval.episode import run_episode
 from vssm_gym.eval.failure import failure_reason
+from vssm_gym.inference.status import Status
 from vssm_gym.planning.result import PlanStatus
 
 LIMIT = 40
@@ -229,5 +230,5 @@ def test_an_error_that_was_corrected_is_no_loss():
 
 
 def test_a_tracker_that_says_so_noticed():
-    statuses = ["driving; localization: lost track: the camera image does not fit the reference"] * 30
+    statuses = [f"driving; localization: {Status.LOST}"] * 30
     assert reason(statuses=statuses, estimates=np.ones((31, 2))).endswith("which the agent noticed")

@@ -200,11 +200,12 @@ def test_slow_flights_of_many_laps_are_refused():
 def test_the_camera_goes_on_from_flight_to_flight():
     env = make(sensor_noise="kinect")
     env.reset(seed=0)
-    sensor, imu = env._sensor, env._imu
+    camera, imu, *_ = env.sensors
+    sensor, readings = camera._sensor, imu._imu
     env.reset()
-    assert env._sensor is sensor and env._imu is not imu
+    assert camera._sensor is sensor and imu._imu is not readings
     env.reset(seed=0)
-    assert env._sensor is not sensor
+    assert camera._sensor is not sensor
 
 
 def test_one_who_strays_is_given_up():

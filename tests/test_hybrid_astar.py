@@ -1,5 +1,6 @@
 """Hybrid A*: its plans can be driven, touch nothing and are short; what cannot be reached says so."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,7 +13,7 @@ from vssm_gym.planning import reeds_shepp
 from vssm_gym.planning.footprint_levels import FREE, TOUCHING, FootprintLevels
 from vssm_gym.planning.hybrid_astar import DEFAULT_COSTS, FULL_LOCK, CarPlan, arcs, plan
 from vssm_gym.planning.hybrid_search import Costs
-from vssm_gym.planning.result import PlanStatus
+from vssm_gym.planning.result import PlanResult, PlanStatus
 
 RADIUS = CAR.wheelbase / math.tan(FULL_LOCK * CAR.max_steering)
 OPEN = levels(occupied(8.0, 8.0))
@@ -32,7 +33,7 @@ def check_drivable(result: CarPlan, grid: np.ndarray, start: np.ndarray, goal: n
     chord = np.diff(poses[:, :2], axis=0)
     length = np.hypot(*chord.T) / np.sinc(0.5 * turn / np.pi)
     assert np.all(np.abs(turn) <= length / RADIUS + 1e-6)
-    assert result.length == pytest.approx(length.sum())
+    assert result.cost == pytest.approx(length.sum())
     # A hop lies along the heading halfway, forwards or backwards as the gear says: one arc, no sideways slip
     middle = poses[:-1, 2] + 0.5 * turn
     along = chord[:, 0] * np.cos(middle) + chord[:, 1] * np.sin(middle)
@@ -47,9 +48,9 @@ def check_drivable(result: CarPlan, grid: np.ndarray, start: np.ndarray, goal: n
 def test_without_obstacles_a_plan_is_the_reeds_shepp_path(seed):
     rng = np.random.default_rng(seed)
     start, goal = (np.array([*rng.uniform(2.5, 5.5, 2), rng.uniform(-3.1, 3.1)]) for _ in range(2))
-    result = plan(OPEN, CAR, start, goal, costs=LENGTH_ALONE)
+    result = plan(start, goal, OPEN, CAR, costs=LENGTH_ALONE)
     check_drivable(result, occupied(8.0, 8.0), start, goal)
-    assert result.length == pytest.approx(float(reeds_shepp.length(start, goal, RADIUS)), rel=3e-5)
+    assert result.cost == pytest.approx(float(reeds_shepp.length(start, goal, RADIUS)), rel=3e-5)
 
 
 @pytest.mark.parametrize(
@@ -64,46 +65,46 @@ def test_without_obstacles_a_plan_is_the_reeds_shepp_path(seed):
     ],
 )
 def test_hand_made_places(grid, start, goal, cusps):
-    result = plan(levels(grid), CAR, start, goal)
+    result = plan(start, goal, levels(grid), CAR)
     check_drivable(result, grid, start, goal)
     assert result.cusps >= cusps
     bound = float(reeds_shepp.length(start, goal, RADIUS)) if len(goal) == 3 else math.hypot(*(goal - start[:2]))
-    assert result.length >= bound - 1e-9
+    assert result.cost >= bound - 1e-9
 
 
 def test_out_of_a_corridor_too_narrow_to_turn_in_the_car_backs():
-    result = plan(levels(DEAD_END), CAR, np.array([0.5, 1.0, math.pi]), np.array([2.6, 0.3]))
+    result = plan(np.array([0.5, 1.0, math.pi]), np.array([2.6, 0.3]), levels(DEAD_END), CAR)
     inside = (result.poses[:, 0] < 1.8) & (result.poses[:, 1] > 0.8)
     assert np.all(result.gears[inside] == -1)
 
 
 @pytest.mark.parametrize("goal", [np.array([2.5, 1.0, 0.0]), np.array([2.5, 1.0])])
 def test_a_sealed_goal_is_refused_at_once(goal):
-    result = plan(levels(SEALED), CAR, np.array([0.5, 0.5, 0.0]), goal)
+    result = plan(np.array([0.5, 0.5, 0.0]), goal, levels(SEALED), CAR)
     assert result.status is PlanStatus.NO_PATH
     assert result.expansions == 0
     assert result.path.shape == (0, 2)
-    assert result.length == math.inf
+    assert result.cost == math.inf
 
 
 def test_a_place_that_only_a_narrower_car_could_enter_is_searched_and_refused():
     """The axle fits into the niche, the car does not come in: nothing but the search can tell."""
     grid = occupied(1.6, 1.2, (0.95, 0.0, 1.0, 0.45), (0.95, 0.7, 1.0, 1.2))
-    result = plan(levels(grid), CAR, np.array([0.4, 0.6, 0.0]), np.array([1.3, 0.6, 1.57]))
+    result = plan(np.array([0.4, 0.6, 0.0]), np.array([1.3, 0.6, 1.57]), levels(grid), CAR)
     assert result.status is PlanStatus.NO_PATH
     assert result.expansions > 0
 
 
 @pytest.mark.parametrize("goal", [np.array([0.5, 0.1, 0.0]), np.array([0.5, 0.1]), np.array([99.0, 0.0])])
 def test_a_goal_inside_an_obstacle_is_refused(goal):
-    assert plan(levels(PARKING), CAR, np.array([1.2, 1.0, 0.0]), goal).status is PlanStatus.GOAL_BLOCKED
+    assert plan(np.array([1.2, 1.0, 0.0]), goal, levels(PARKING), CAR).status is PlanStatus.GOAL_BLOCKED
 
 
 def test_a_start_in_touch_with_a_wall_leaves_it():
     start, goal = np.array([0.5, 0.42, 0.0]), np.array([1.8, 1.2, 0.0])
     table = levels(PARKING)
     assert table.at(start) == TOUCHING
-    result = plan(table, CAR, start, goal)
+    result = plan(start, goal, table, CAR)
     assert result.found
     level = table.at(result.poses)
     out = int(np.argmax(level < TOUCHING))
@@ -112,24 +113,24 @@ def test_a_start_in_touch_with_a_wall_leaves_it():
 
 def test_a_start_deep_inside_an_obstacle_is_refused():
     grid = occupied(4.0, 4.0, (0.5, 0.5, 3.0, 3.0))
-    result = plan(levels(grid), CAR, np.array([1.7, 1.7, 0.0]), np.array([3.5, 3.5]))
+    result = plan(np.array([1.7, 1.7, 0.0]), np.array([3.5, 3.5]), levels(grid), CAR)
     assert result.status is PlanStatus.START_BLOCKED
 
 
 def test_a_budget_ends_the_search_with_a_partial_plan():
     grid = occupied(4.0, 3.0, (1.9, 0.0, 2.0, 2.3))
     start, goal = np.array([0.5, 0.5, 0.0]), np.array([3.5, 0.5, 0.0])
-    result = plan(levels(grid), CAR, start, goal, max_expansions=40)
+    result = plan(start, goal, levels(grid), CAR, max_expansions=40)
     assert result.status is PlanStatus.TIME_OUT
     assert result.expansions == 40
     assert len(result.poses) > 1
-    assert plan(levels(grid), CAR, start, goal, time_limit=0.0).status is PlanStatus.TIME_OUT
-    check_drivable(plan(levels(grid), CAR, start, goal), grid, start, goal)
+    assert plan(start, goal, levels(grid), CAR, time_limit=0.0).status is PlanStatus.TIME_OUT
+    check_drivable(plan(start, goal, levels(grid), CAR), grid, start, goal)
 
 
 def test_the_same_question_has_the_same_answer():
     start, goal = np.array([0.4, 0.7, 0.0]), PARKED
-    once, again = (plan(levels(PARKING), CAR, start, goal) for _ in range(2))
+    once, again = (plan(start, goal, levels(PARKING), CAR) for _ in range(2))
     np.testing.assert_array_equal(once.poses, again.poses)
 
 
@@ -141,8 +142,8 @@ def test_a_finer_search_is_hardly_better(seed):
     table = levels(grid)
     rows = rng.uniform([0.2, 0.2, -3.1], [2.8, 2.8, 3.1], (200, 3))
     start, goal = rows[table.at(rows) == FREE][:2]
-    coarse = plan(table, CAR, start, goal)
-    fine = plan(table, CAR, start, goal, cell=0.05, headings=144, steerings=9)
+    coarse = plan(start, goal, table, CAR)
+    fine = plan(start, goal, table, CAR, cell=0.05, headings=144, steerings=9)
     check_drivable(coarse, grid, start, goal)
     assert drive_cost(table, coarse) <= 1.2 * drive_cost(table, fine) + 0.1
 
@@ -171,4 +172,12 @@ def test_arcs_are_what_the_car_drives():
 )
 def test_bad_input_is_named(options, field):
     with pytest.raises(InputError, match=field):
-        plan(OPEN, CAR, **({"start": np.array([3.0, 3.0, 0.0]), "goal": np.array([4.0, 4.0])} | options))
+        plan(obstacles=OPEN, car=CAR, **({"start": np.array([3.0, 3.0, 0.0]), "goal": np.array([4.0, 4.0])} | options))
+
+
+def test_a_drive_reads_as_a_plan_does():
+    """What reports print of a path they can print of a drive."""
+    result = plan(np.array([1.0, 1.0, 0.0]), np.array([2.0, 1.5]), OPEN, CAR)
+    for field in (*(field.name for field in dataclasses.fields(PlanResult)), "found"):
+        assert hasattr(result, field)
+    assert result.path.shape == (len(result.poses), 2)

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.transition import imu, rigid
-from vssm_gym.transition.imu import Imu, ImuNoise
-from vssm_gym.transition.rigid import RigidBelief, RigidState
+from vssm_gym.transition import RIGID, Imu, ImuNoise, RigidState, rigid_belief
 
 G = 9.81
 R0 = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
@@ -25,7 +23,7 @@ def state(velocity, R: np.ndarray = R0, t=(1.0, -2.0, 0.5)) -> RigidState:
 
 def run(start: RigidState, control, dt: float, steps: int) -> RigidState:
     for _ in range(steps):
-        start = imu.integrate(start, jnp.asarray(control), dt)
+        start = Imu().mean(start, jnp.asarray(control), dt)
     return start
 
 
@@ -56,7 +54,7 @@ def test_a_body_on_a_carousel_returns() -> None:
     start = state([1.0, 0.0, 0.0, 0.0, 0.0, 1.0], np.eye(3), (0.0, -1.0, 0.0))
 
     def step(s, _):
-        s = imu.integrate(s, jnp.asarray(control), 2 * np.pi / n)
+        s = Imu().mean(s, jnp.asarray(control), 2 * np.pi / n)
         return s, s.T_world_body[:3, 3]
 
     after, path = jax.lax.scan(step, start, length=n)
@@ -71,10 +69,11 @@ def test_prediction_is_linearised_as_autodiff_does(dt: float) -> None:
         start, control = state(rng.normal(size=6)), jnp.asarray(rng.normal(size=6) * 4)
         root = rng.normal(size=(12, 12)) * 0.1
         P, noise = jnp.asarray(root @ root.T), ImuNoise()
-        mean = imu.integrate(start, control, dt)
-        step = lambda xi: rigid.error(mean, imu.integrate(rigid.perturb(start, xi), control, dt))
+        body = Imu(noise)
+        mean = body.mean(start, control, dt)
+        step = lambda xi: RIGID.error(mean, body.mean(RIGID.perturb(start, xi), control, dt))
         F = jax.jacfwd(step)(jnp.zeros(12))
-        predicted = imu.predict(RigidBelief(start, P), control, dt, noise)
+        predicted = body.predict(rigid_belief(start, P), control, dt)
         expected = F @ P @ F.T + jnp.diag(noise.variances(dt))
         np.testing.assert_allclose(np.asarray(predicted.covariance), np.asarray(expected), rtol=1e-8, atol=1e-12)
 
@@ -86,10 +85,11 @@ def test_prediction_agrees_with_samples() -> None:
     start = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), state([1.0, 0.5, 0.0, 0.2, 0.0, 0.3]))
     control = jnp.asarray([1.0, -2.0, 9.0, 1.0, 0.5, -2.0], jnp.float32)
     noise = ImuNoise(0.02, 0.03, 0.05, 0.04)
-    starts = rigid.perturb(start, jnp.asarray(rng.multivariate_normal(np.zeros(12), P, n), jnp.float32))
-    moved = Imu(noise, 0.1).sample(jax.random.key(0), starts, jnp.broadcast_to(control, (n, 6)))
-    predicted = imu.predict(RigidBelief(start, jnp.asarray(P, jnp.float32)), control, 0.1, noise)
-    xi, covariance = np.asarray(rigid.error(predicted.state, moved), float), np.asarray(predicted.covariance, float)
+    starts = RIGID.perturb(start, jnp.asarray(rng.multivariate_normal(np.zeros(12), P, n), jnp.float32))
+    body = Imu(noise)
+    moved = body.sample(jax.random.key(0), starts, jnp.broadcast_to(control, (n, 6)), 0.1)
+    predicted = body.predict(rigid_belief(start, jnp.asarray(P, jnp.float32)), control, 0.1)
+    xi, covariance = np.asarray(RIGID.error(predicted.mean, moved), float), np.asarray(predicted.covariance, float)
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(xi.mean(axis=0) / scale, 0.0, atol=0.04)
     np.testing.assert_allclose(np.cov(xi.T) / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=0.03)
@@ -117,7 +117,7 @@ def test_a_real_imu_agrees_with_the_truth(euroc, rate: int, bound: tuple[float, 
     readings, truth = euroc
     group = 200 // rate
     errors = []
-    step = jax.jit(lambda s, u: jax.lax.scan(lambda s, u: (imu.integrate(s, u, 1.0 / rate), None), s, u)[0])
+    step = jax.jit(lambda s, u: jax.lax.scan(lambda s, u: (Imu().mean(s, u, 1.0 / rate), None), s, u)[0])
     for row in truth[400:-40:40][:60]:
         now = row[0]
         first = np.searchsorted(readings[:, 0], now - 1e-4)

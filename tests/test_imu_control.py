@@ -12,7 +12,7 @@ from vssm_gym.envs.reference_flights import HOVER, Placement, ReferenceFlight
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse
 from vssm_gym.inference.imu_control import ImuControl
-from vssm_gym.transition.rigid import RigidState, integrate
+from vssm_gym.transition import Rigid, RigidState
 
 FLIGHT = ReferenceFlight("star", 3.0, Placement((0.0, 0.0), 4.0, 0.4))
 T_BODY_CAM = FlightBody().T_body_cam
@@ -43,7 +43,7 @@ def test_dead_reckoning_with_the_controls_is_the_flight():
     state = RigidState(jnp.asarray(poses[0], jnp.float32), jnp.zeros(6))
     for before, now, truth, velocity in zip(times, times[1:], poses[1:], velocities[1:], strict=False):
         u = control(np.asarray(state.T_world_body), np.asarray(state.velocity)[3:], before, now)
-        state = integrate(state, jnp.asarray(u, jnp.float32), now - before)
+        state = Rigid().mean(state, jnp.asarray(u, jnp.float32), now - before)
         turn = np.asarray(state.T_world_body)[:3, :3].T @ truth[:3, :3]
         assert np.linalg.norm(Rotation.from_matrix(turn).as_rotvec()) < 2e-3
         np.testing.assert_allclose(np.asarray(state.velocity)[:3], velocity, atol=0.02)

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.imu import PRESETS, ImuNoise, NoisyImu, imu_noise, readings, specific_force
 from vssm_gym.errors import InputError
-from vssm_gym.transition import imu as model
-from vssm_gym.transition.rigid import RigidState
+from vssm_gym.transition import Imu, RigidState
 
 
 def flight(seconds: float, dt: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -27,11 +26,11 @@ def flight(seconds: float, dt: float, seed: int) -> tuple[np.ndarray, np.ndarray
 
 
 def integrated(T: np.ndarray, v: np.ndarray, controls: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and velocities that :func:`vssm_gym.transition.imu.integrate` makes of readings."""
+    """Poses and velocities that :meth:`vssm_gym.transition.imu.Imu.mean` makes of readings."""
     start = RigidState(jnp.asarray(T[0], jnp.float32), jnp.asarray(np.r_[v[0], np.zeros(3)], jnp.float32))
 
     def step(state: RigidState, control: jax.Array) -> tuple[RigidState, tuple[jax.Array, jax.Array]]:
-        state = model.integrate(state, control, dt)
+        state = Imu().mean(state, control, dt)
         return state, (state.T_world_body, state.velocity[:3])
 
     _, (poses, velocities) = jax.lax.scan(step, start, jnp.asarray(controls, jnp.float32))

@@ -3,6 +3,7 @@
 import math
 import pickle
 import sys
+from dataclasses import fields, replace
 
 import gymnasium as gym
 import numpy as np
@@ -12,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import vssm_gym  # noqa: F401  (registers the environments)
-from vssm_gym.envs.lidar import PRESETS, Lidar, LidarConfig, LidarNoise, lidar_noise, measured
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import make_tracer
+from vssm_gym.envs.sensors.lidar import PRESETS, Lidar, LidarConfig, LidarNoise, lidar_noise, measured
 from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
@@ -86,9 +87,9 @@ def test_both_tracers_see_the_same(monkeypatch) -> None:
 @pytest.mark.parametrize("distance", [0.5, 2.0, 6.0])
 def test_ranges_err_by_their_law(name: str, distance: float) -> None:
     """``N(r, (floor + growth r)^2)``, the stated share lost, one beam's error independent of the next one's."""
-    noise, config = PRESETS[name], LidarConfig(beams=100)
+    noise, config = PRESETS[name], LidarConfig(beams=100, noise=name)
     rng = np.random.default_rng(0)
-    read = np.stack([measured(np.full(100, distance, np.float32), noise, config, rng) for _ in range(1000)])
+    read = np.stack([measured(np.full(100, distance, np.float32), config, rng) for _ in range(1000)])
     got = read > 0.0
     assert np.mean(~got) == pytest.approx(noise.dropout, abs=0.002)
     error = (read[got] - distance) / (noise.floor + noise.growth * distance)
@@ -99,9 +100,9 @@ def test_ranges_err_by_their_law(name: str, distance: float) -> None:
 
 
 def test_noise_never_leaves_the_range_and_makes_no_reading_from_nothing() -> None:
-    config = LidarConfig(beams=1000, min_range=0.2, max_range=5.0)
+    config = LidarConfig(beams=1000, min_range=0.2, max_range=5.0, noise=LidarNoise(floor=0.1))
     ranges = np.tile(np.array([0.0, 0.21, 4.99, 3.0], np.float32), 250)
-    read = measured(ranges, LidarNoise(floor=0.1), config, np.random.default_rng(1))
+    read = measured(ranges, config, np.random.default_rng(1))
     assert ((read == 0.0) | ((read >= 0.2) & (read <= 5.0))).all()
     assert (read[ranges == 0.0] == 0.0).all()
     assert 0.2 < np.mean(read[ranges == np.float32(4.99)] == 0.0) < 0.7
@@ -109,8 +110,8 @@ def test_noise_never_leaves_the_range_and_makes_no_reading_from_nothing() -> Non
 
 def test_without_noise_ranges_are_exact_and_a_seed_gives_its_bytes() -> None:
     config, ranges = LidarConfig(), Lidar(LidarConfig(), TRACER).scan(at(1.0, 1.0, 0.0))
-    np.testing.assert_array_equal(measured(ranges, PRESETS["none"], config, np.random.default_rng(0)), ranges)
-    one, two = (measured(ranges, PRESETS["rplidar"], config, np.random.default_rng(5)) for _ in range(2))
+    np.testing.assert_array_equal(measured(ranges, config, np.random.default_rng(0)), ranges)
+    one, two = (measured(ranges, replace(config, noise="rplidar"), np.random.default_rng(5)) for _ in range(2))
     assert one.tobytes() == two.tobytes() and one.dtype == np.float32
 
 
@@ -142,8 +143,9 @@ def test_a_robot_may_have_a_scanner(name: str) -> None:
     """Its scan is that of its true pose, and its noise leaves image and motion alone."""
     keywords = {"scene": ROOMS, "camera": {"width": 32, "height": 24}, "noise": "mid", "sensor_noise": "kinect"}
     plain = gym.make(f"vssm_gym/{name}-v0", **keywords)
-    exact = gym.make(f"vssm_gym/{name}-v0", lidar=CONFIG, **keywords)
-    noisy = gym.make(f"vssm_gym/{name}-v0", lidar=vars(CONFIG), lidar_noise="rplidar", **keywords)
+    exact = gym.make(f"vssm_gym/{name}-v0", sensors=[CONFIG], **keywords)
+    asked = {"sensor": "lidar"} | {field.name: getattr(CONFIG, field.name) for field in fields(CONFIG)}
+    noisy = gym.make(f"vssm_gym/{name}-v0", sensors=[asked | {"noise": "rplidar"}], **keywords)
     assert "scan" not in plain.observation_space.spaces
     action = np.array([0.2, 0.0, 0.1, 0.0], np.float32)
     for step in range(3):
@@ -162,7 +164,11 @@ def test_a_robot_may_have_a_scanner(name: str) -> None:
 
 
 def test_scanners_in_a_vector_environment_scan_as_single_ones() -> None:
-    keywords = {"scene": ROOMS, "camera": {"width": 32, "height": 24}, "lidar": True, "lidar_noise": "hokuyo"}
+    keywords = {
+        "scene": ROOMS,
+        "camera": {"width": 32, "height": 24},
+        "sensors": [{"sensor": "lidar", "noise": "hokuyo"}],
+    }
     vector = gym.make_vec("vssm_gym/PointNav-v0", num_envs=2, **keywords)
     scans = vector.reset(seed=1)[0]["scan"]
     assert scans.shape == (2, 64)
@@ -172,7 +178,14 @@ def test_scanners_in_a_vector_environment_scan_as_single_ones() -> None:
     vector.close()
 
 
-@pytest.mark.parametrize("lidar", ["hokuyo", 3, {"rays": 5}, {"beams": 0}, {"fov": "wide"}])
-def test_a_scanner_that_is_none_is_refused(lidar: object) -> None:
+@pytest.mark.parametrize("fields", [{"rays": 5}, {"beams": 0}, {"fov": "wide"}, {"noise": "loud"}])
+def test_a_scanner_that_is_none_is_refused(fields: dict) -> None:
     with pytest.raises(InputError, match=r"lidar|LidarConfig"):
-        gym.make("vssm_gym/PointNav-v0", scene=ROOMS, lidar=lidar)
+        gym.make("vssm_gym/PointNav-v0", scene=ROOMS, sensors=[{"sensor": "lidar", **fields}])
+
+
+@pytest.mark.parametrize("keyword", ["lidar", "lidar_noise"])
+@pytest.mark.parametrize("name", ["PointNav", "ImageNav", "Explore"])
+def test_the_keywords_of_earlier_versions_name_the_new_one(name: str, keyword: str) -> None:
+    with pytest.raises(InputError, match=rf'{keyword}: expected sensors=\["lidar"\]'):
+        gym.make(f"vssm_gym/{name}-v0", **{keyword: True})

@@ -16,9 +16,10 @@ from vssm_gym.planning.mpc.fields import make_fields
 from vssm_gym.planning.mpc.lagrangian import lagrangian
 from vssm_gym.planning.mpc.problem import MpcConfig, MpcProblem
 from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
-from vssm_gym.transition import bicycle
+from vssm_gym.transition import Bicycle
 
 PROBLEM = MpcProblem(config=MpcConfig(horizon=8, comfort=0.3))
+BICYCLE = Bicycle(wheelbase=PROBLEM.car.wheelbase)
 START, LAST = np.array([0.3, -0.2, 2.6]), np.array([0.2, -0.1])
 
 
@@ -132,7 +133,7 @@ def test_a_rollout_is_the_bicycle_step_by_step(seed: int) -> None:
     state = jnp.asarray(rng.uniform(-3, 3, 3), jnp.float32)
     rolled = objective.with_start(state, objective.rollout(PROBLEM, state, controls))
     for t in range(6):
-        state = bicycle.integrate(state, controls[t], PROBLEM.car.dt, PROBLEM.car.wheelbase)
+        state = BICYCLE.mean(state, controls[t], PROBLEM.car.dt)
         np.testing.assert_allclose(rolled[t + 1, :2], state[:2], atol=2e-6)
         assert abs(np.exp(1j * float(rolled[t + 1, 2])) - np.exp(1j * float(state[2]))) < 2e-6
 

@@ -24,6 +24,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.config import SweepConfig, check_names, load_config
 from vssm_gym.eval.imagined import real_return
 from vssm_gym.eval.sweep import config_hash
+from vssm_gym.inference.status import Status
 
 ROBOT = HolonomicRobot()
 SPEC = PolicySpec(
@@ -52,7 +53,7 @@ class Seen:
     """A localizer that is told the pose in advance."""
 
     def __init__(self, planar: tuple[float, float, float], std: float = 0.0) -> None:
-        self.belief, self.commands = Localization(np.array(planar), np.full(3, std), "ok"), []
+        self.belief, self.commands = Localization(np.array(planar), np.full(3, std), Status.OK), []
 
     def reset(self, context: AgentContext, observation: Any) -> Localization:
         return self.belief
@@ -115,7 +116,7 @@ def test_features_by_hand():
 
 def test_uncertainty_is_shown_in_the_bodys_frame():
     """Unsure along the map's x, at 30 degrees to it: cos 30 of it forward, sin 30 to the left."""
-    std = body_std(Localization(np.array([1.0, 2.0, np.pi / 6.0]), np.array([0.04, 0.0, 0.02]), "ok"))
+    std = body_std(Localization(np.array([1.0, 2.0, np.pi / 6.0]), np.array([0.04, 0.0, 0.02]), Status.OK))
     np.testing.assert_allclose(std, [0.04 * np.cos(np.pi / 6.0), 0.02, 0.02])
     shown = {"goal": np.array([1.0, 1.0, 0.0]), "pose_std": std}
     np.testing.assert_allclose(features(shown, ("goal", "pose_std"))[4:], 10.0 * std, atol=1e-6)

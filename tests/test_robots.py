@@ -2,6 +2,8 @@
 
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from scipy import stats
 from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute, execution_noise
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import wrap_angle
+from vssm_gym.transition import MotionNoise, Planar
 
 ROBOT = HolonomicRobot()
 NONE = NOISE_LEVELS["none"]
@@ -115,3 +118,20 @@ def test_bad_noise_is_named(bad):
         ExecutionNoise(turn=bad, step=0.0)
     with pytest.raises(InputError, match="low, mid, high"):
         execution_noise("loud")
+
+
+whole = {"allow_subnormal": False}  # XLA flushes smaller numbers to zero, and then nothing is commanded
+any_turn = st.one_of(st.just(0.0), st.floats(-ROBOT.max_turn, ROBOT.max_turn, **whole))
+any_step = st.one_of(st.just(0.0), st.floats(0.0, ROBOT.max_step, **whole))
+
+
+@given(planars, any_turn, st.floats(-ROBOT.max_offset, ROBOT.max_offset), any_step, noises, seeds)
+def test_it_is_the_twin_of_the_models_law(planar, turn, offset, step, noise, seed):
+    """The same normals give the same pose in NumPy and in JAX; noises far beyond a step are rectified."""
+    command = np.array([turn, offset, step])
+    twin = execute(planar, command, noise, np.random.default_rng(seed))
+    normal = np.random.default_rng(seed).standard_normal(2)
+    with jax.enable_x64(True):
+        law = Planar(MotionNoise(noise.turn, noise.step)).executed(*map(jnp.asarray, (planar, command, normal)))
+    np.testing.assert_allclose(np.asarray(law)[:2], twin[:2], atol=1e-12)
+    assert abs(np.exp(1j * float(law[2])) - np.exp(1j * twin[2])) < 1e-12

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from test_procthor import imported, small_house, vec
 
-from vssm_gym.envs.apartment import Apartment, Box, Furniture, Material, Room, Wall
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import Box, Furniture, Material, Room, Wall
 from vssm_gym.envs.importers.houseexpo import import_houseexpo
 from vssm_gym.envs.importers.mjcf import import_mjcf
 from vssm_gym.envs.mazes import FOLDER, MAZES

@@ -27,7 +27,7 @@ def test_a_camera_is_configured_by_itself_a_mapping_or_nothing() -> None:
     "spec", [{"widht": 80}, {"rate": 10.0}, (160, 120), "small", 160, {1: 2}, [("width", 80)], CameraConfig]
 )
 def test_anything_else_is_one_clear_error(spec) -> None:
-    with pytest.raises(InputError, match="CameraConfig or a mapping of width, height, hfov"):
+    with pytest.raises(InputError, match="CameraConfig, or a mapping of width, height, hfov"):
         camera_config(spec)
 
 

@@ -26,10 +26,9 @@ from slam_recordings import (
 from vssm_gym.cli import main as main_module
 from vssm_gym.cli.slam import print_warnings
 from vssm_gym.data.sequences import FrameReader, load_sequence
-from vssm_gym.eval import slam_run
 from vssm_gym.eval.slam_run import SlamOptions, run_slam
 from vssm_gym.geometry import inverse, transform
-from vssm_gym.inference import prism
+from vssm_gym.inference.prism import Prism
 from vssm_gym.viz import stream
 from vssm_gym.voxel_map import VoxelMap, read_metadata
 
@@ -145,7 +144,7 @@ def test_a_lost_frame_is_said_to_be_lost_and_leaves_the_map_alone(vssm, tmp_path
 
 def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    real, calls = prism.step, []
+    real, calls = Prism.step, []
 
     def interrupted(*arguments, **named):
         calls.append(1)
@@ -153,7 +152,7 @@ def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch
             raise KeyboardInterrupt
         return real(*arguments, **named)
 
-    monkeypatch.setattr(slam_run.prism, "step", interrupted)
+    monkeypatch.setattr(Prism, "step", interrupted)
     code, _, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)
     assert code == 130
     assert err.splitlines()[-1].startswith("interrupted")

@@ -23,9 +23,11 @@ from vssm_gym.eval import slam_output, slam_report, slam_states
 from vssm_gym.eval.slam_figures import _belief, _cells
 from vssm_gym.eval.slam_run import SlamRun, TrackedFrame
 from vssm_gym.geometry import inverse, se3_exp
-from vssm_gym.inference import prism
+from vssm_gym.inference.filter import observe
 from vssm_gym.inference.map_update import update
-from vssm_gym.inference.tracking import observe
+from vssm_gym.inference.status import Status
+from vssm_gym.posterior import Posterior
+from vssm_gym.transition import RigidState, rigid_belief
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
@@ -43,14 +45,15 @@ def made_up_run(sequence, frames: int, seed: int = 0, **changes) -> SlamRun:
         error = STD * rng.standard_normal(12) * (k > 0)  # the first frame is the world
         T = np.asarray(start @ truth[k] @ np.asarray(se3_exp(jnp.asarray(error[:6]))), float)
         frame = TrackedFrame(
-            index=k, time=times[k], T_world_cam=T, status=prism.OK, inlier_share=0.9, coverage=0.9, photometric=2.0,
+            index=k, time=times[k], T_world_cam=T, status=Status.OK, inlier_share=0.9, coverage=0.9, photometric=2.0,
             in_grid=1.0, read_s=0.01, wait_s=0.0, step_s=0.02, stages={"track": 0.012, "map": 0.004}, warm=k > 0,
             velocity=None if k == 0 else v[k - 1] + error[6:], covariance=None if k == 0 else np.diag(STD**2),
             left_window=0,
         )  # fmt: skip
         made.append(replace(frame, **changes.get(f"at_{k}", {})))
     m = VoxelMap.cube((0.0, 0.0, 0.0), 6.4, 0.08)
-    return SlamRun(tuple(made), m, FrameReader(sequence, (80, 60)), ())
+    belief = rigid_belief(RigidState(jnp.eye(4), jnp.zeros(6)), jnp.diag(jnp.asarray(STD**2, jnp.float32)))
+    return SlamRun(tuple(made), Posterior(belief, m), FrameReader(sequence, (80, 60)), ())
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +91,7 @@ def test_the_calibration_does_not_depend_on_the_frame_of_the_truth(long_sequence
 
 
 def test_lost_frames_have_no_velocity_and_are_no_part_of_the_calibration(long_sequence):
-    lost = {"status": prism.LOST, "covariance": np.eye(12), "velocity": np.zeros(6), "photometric": np.nan}
+    lost = {"status": Status.LOST, "covariance": np.eye(12), "velocity": np.zeros(6), "photometric": np.nan}
     run = made_up_run(long_sequence, 40, at_7=lost)
     truth = slam_states.Truth.of(run, long_sequence)
     mean, std = slam_states.velocity_bands(run)
@@ -103,17 +106,17 @@ def test_every_status_is_said(long_sequence):
     run = made_up_run(
         long_sequence,
         10,
-        at_3={"status": prism.LOST, "photometric": np.nan, "stages": {"track": 0.01, "recover": 0.3}},
-        at_4={"status": prism.NO_READING, "inlier_share": np.nan},
-        at_5={"status": prism.RECOVERED, "left_window": 12, "stages": {"track": 0.01, "recover": 0.2}},
+        at_3={"status": Status.LOST, "photometric": np.nan, "stages": {"track": 0.01, "recover": 0.3}},
+        at_4={"status": Status.NO_READING, "inlier_share": np.nan},
+        at_5={"status": Status.RECOVERED, "left_window": 12, "stages": {"track": 0.01, "recover": 0.2}},
     )
     run = replace(run, notices=("rgb.txt: odd",))
     truth = slam_states.Truth.of(run, long_sequence)
     stats = slam_output.summarise(run, long_sequence, options(), 1.0, truth)
     assert json.loads(json.dumps(stats, allow_nan=False)) == stats
     assert [(frame["index"], frame["status"]) for frame in stats["lost"]] == [
-        (3, prism.STATUS[prism.LOST]),
-        (4, prism.STATUS[prism.NO_READING]),
+        (3, Status.LOST.message),
+        (4, Status.NO_READING.message),
     ]
     assert [frame["index"] for frame in stats["found_again"]] == [5]
     assert stats["map"]["blocks_forgotten"] == 12
@@ -121,11 +124,11 @@ def test_every_status_is_said(long_sequence):
     assert stats["latency_ms"]["recover"]["n"] == 2
     assert stats["notices"] == ["rgb.txt: odd"]
     stats["map"] |= {"vertices": 0, "faces": 0}
-    shown = slam_report.page(run, long_sequence, truth, surface_mesh(run.map), stats, options().prism)
+    shown = slam_report.page(run, long_sequence, truth, surface_mesh(run.map), stats, options().tracking)
     for text in ("2 of 10 frames were lost", "found again 1 time", "12 observed blocks", "1 warning.", "rgb.txt: odd"):
         assert text in shown
-    for status in (prism.LOST, prism.NO_READING, prism.RECOVERED):
-        assert prism.STATUS[status] in shown
+    for status in (Status.LOST, Status.NO_READING, Status.RECOVERED):
+        assert status.message in shown
 
 
 def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
@@ -141,8 +144,8 @@ def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
 
 def test_slices_read_a_sparse_map_as_a_dense_one():
     """Where cells are and which points are known: by storage row, without laying out the cube."""
-    image, config = observe(*frame_of(0)), options().prism.update
-    dense = update(options().prior(), image.depth, image.rgb, jnp.eye(4), CAMERA, config)
+    image, config = observe(*frame_of(0)), options().filter(CAMERA).config.update
+    dense = update(options().prior().map, image.depth, image.rgb, jnp.eye(4), CAMERA, config)
     sparse = stored_sparsely(dense, 900)
     for below in (np.inf, -0.1):
         a, b = (np.array(sorted(map(tuple, _cells(m, below)))) for m in (dense, sparse))
@@ -163,5 +166,5 @@ def test_storage_that_ran_out_is_said(long_sequence):
     run = made_up_run(long_sequence, 2)
     full = eqx.tree_at(lambda m: m.table.refused, stored_sparsely(run.map, 8), jnp.int32(5))
     assert slam_output.notices(run) == ()
-    (notice,) = slam_output.notices(replace(run, map=full))
+    (notice,) = slam_output.notices(replace(run, posterior=replace(run.posterior, map=full)))
     assert notice.startswith("the map's storage is full: 5 ")

@@ -23,7 +23,7 @@ from vssm_gym.eval.slam_run import SlamOptions, SlamRun, TrackedFrame
 from vssm_gym.eval.studies import Study, write_study
 from vssm_gym.eval.study_calibration import judge
 from vssm_gym.eval.study_map_update import _answer, _picture
-from vssm_gym.inference import prism
+from vssm_gym.inference.status import Status
 
 
 def arm(steps: int, ms: float, depth: float) -> dict:
@@ -97,7 +97,7 @@ def test_the_study_on_a_real_sequence(shared_data, tmp_path) -> None:
 
 def frame(index: int, **known: object) -> TrackedFrame:
     """Tracked and warm; the first one has no belief, as in a real run."""
-    first = TrackedFrame(index, 0.1 * index, np.eye(4), prism.OK, None, None, None, 1.0, 0.002, 0.0, 0.01,
+    first = TrackedFrame(index, 0.1 * index, np.eye(4), Status.OK, None, None, None, 1.0, 0.002, 0.0, 0.01,
                          {"track": 0.004, "map": 0.005}, index > 0, None, None, 0)  # fmt: skip
     return replace(first, **known)
 
@@ -148,7 +148,7 @@ def test_lost_frames_and_frames_without_truth_are_left_out() -> None:
     far = np.eye(4)
     far[0, 3] = 9.0
     frames = list(run.frames)
-    frames[7] = replace(frames[7], status=prism.LOST, T_world_cam=far)
+    frames[7] = replace(frames[7], status=Status.LOST, T_world_cam=far)
     times, truth = recording.truth
     recording.truth = (np.delete(times, 12), np.delete(truth, 12, axis=0))
     judged = judge(replace(run, frames=tuple(frames)), recording)

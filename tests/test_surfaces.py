@@ -6,7 +6,7 @@ from box_maps import map_of, signed_distance
 from box_rooms import furniture, two_rooms
 from trimesh.triangles import closest_point
 
-from vssm_gym.envs.apartment import Material
+from vssm_gym.envs.apartment_parts import Material
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensors import CameraConfig

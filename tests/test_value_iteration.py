@@ -25,7 +25,6 @@ from vssm_gym.planning.value_iteration import (
     solve,
     sweeps,
 )
-from vssm_gym.transition.bicycle import integrate
 
 CAR = Car()
 SMALL = Car(wheelbase=0.05, track=0.04, length=0.09, width=0.05, rear_overhang=0.02, camera_forward=0.05)
@@ -303,21 +302,6 @@ def test_too_few_sweeps_are_told():
     assert result.status is ValueStatus.NOT_CONVERGED
     assert result.residual >= 1e-3
     assert result.sweeps == 4
-
-
-@pytest.mark.parametrize(("n_headings", "turns"), [(8, (-1, 0, 1)), (16, (0, 2)), (64, (-3, -1, 0, 1, 3))])
-def test_motions_are_arcs_of_the_bicycle(n_headings, turns):
-    motions = Motions.of(CAR, n_headings, turns)
-    assert np.abs(motions.controls[:, 1]).max() == pytest.approx(CAR.max_steering)
-    shares = np.array([0.0, 0.37, 1.0])
-    poses = motions.along(shares)
-    seconds = shares * motions.length / CAR.max_speed
-    start = np.zeros(poses.shape)
-    start[..., 2] = 2.0 * np.pi / n_headings * np.arange(n_headings)[:, None, None]
-    controls = np.broadcast_to(motions.controls[:, None], (*poses.shape[:-1], 2))
-    expected = np.asarray(jax.jit(integrate)(start, controls, seconds, CAR.wheelbase))
-    assert np.allclose(poses[..., :2], expected[..., :2], atol=1e-5)
-    assert np.allclose(np.exp(1j * poses[..., 2]), np.exp(1j * expected[..., 2]), atol=1e-5)
 
 
 def test_a_post_between_start_and_end_of_an_arc_stops_it():

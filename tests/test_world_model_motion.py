@@ -13,10 +13,10 @@ from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.envs.tasks import APART, SHORTEST, SUCCESS
 from vssm_gym.envs.world_model.config import Imagination
 from vssm_gym.envs.world_model.ground import Ground
-from vssm_gym.envs.world_model.motion import _follow, believed, executed
+from vssm_gym.envs.world_model.motion import _follow, believed
 from vssm_gym.envs.world_model.tasks import Fit, draw_tasks
 from vssm_gym.envs.world_model.ways import Lattice
-from vssm_gym.transition.planar import perturb, planar_mean
+from vssm_gym.transition import PLANAR, MotionNoise, Planar
 
 RADIUS = HolonomicRobot().radius
 
@@ -46,9 +46,8 @@ def test_a_noisy_step_is_the_simulators(level):
         execute(pose, command, noise, Listed(normal))  # type: ignore[arg-type]
         for pose, command, normal in zip(poses, commands, normals, strict=True)
     ]
-    spread = np.tile([noise.turn, noise.step], (n, 1))
-    control = executed(*(jnp.asarray(a, jnp.float32) for a in (commands, spread, normals)))
-    found = np.asarray(planar_mean(jnp.asarray(poses, jnp.float32), control))
+    robots = Planar(MotionNoise(jnp.full(n, noise.turn), jnp.full(n, noise.step)))
+    found = np.asarray(robots.executed(*(jnp.asarray(a, jnp.float32) for a in (poses, commands, normals))))
     np.testing.assert_allclose(found[:, :2], np.array(expected)[:, :2], atol=2e-6)
     turned = np.remainder(found[:, 2] - np.array(expected)[:, 2] + np.pi, 2 * np.pi) - np.pi
     np.testing.assert_allclose(turned, 0.0, atol=2e-6)
@@ -72,7 +71,9 @@ def test_the_estimate_errs_in_the_body_frame():
     rng = np.random.default_rng(1)
     planar, error = rng.uniform(-2.0, 2.0, (50, 3)), 0.02 * rng.standard_normal((50, 3))
     planar, error = (jnp.asarray(a, jnp.float32) for a in (planar, error))
-    np.testing.assert_allclose(np.asarray(believed(planar, error)), np.asarray(perturb(planar, error)), atol=2e-3)
+    np.testing.assert_allclose(
+        np.asarray(believed(planar, error)), np.asarray(PLANAR.perturb(planar, error)), atol=2e-3
+    )
 
 
 @pytest.fixture(scope="module")

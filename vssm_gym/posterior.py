@@ -98,18 +98,26 @@ class Posterior(eqx.Module):
         """Read what :meth:`save` wrote.
 
         Raises:
-            InputError: the file is missing or damaged, or a map file without a belief.
+            InputError: the file is missing, damaged or of another version, or a map file without a belief.
         """
         header = map_file.read_header(path, {map_file.FORMAT, FORMAT})
+        if header["format"] == FORMAT and header.get("version") != VERSION:
+            raise InputError(path, "version", f"{FORMAT} version {VERSION}, found {header.get('version')!r:.80}")
         stored = header.get("belief")
-        if not isinstance(stored, dict) or stored.get("manifold") not in MANIFOLDS:
+        if not isinstance(stored, dict):
             raise InputError(path, "belief", "a belief over the state; this file holds a map alone")
-        manifold = MANIFOLDS[stored["manifold"]]
+        manifold = next((known for name, known in MANIFOLDS.items() if name == stored.get("manifold")), None)
+        if manifold is None:
+            raise InputError(path, "belief.manifold", f"one of {', '.join(MANIFOLDS)}")
         form = manifold.resting(jnp.eye(4))
         leaves, n = jax.tree.leaves(form), len(manifold.turns)
         shapes = [leaf.shape for leaf in leaves]
         mean = _arrays(path, "mean", stored.get("mean"), shapes)
         (covariance,) = _arrays(path, "covariance", [stored.get("covariance")], [(n, n)])
+        P = np.asarray(covariance, np.float64)
+        rounding = 1e-5 * np.abs(P).max()
+        if np.abs(P - P.T).max() > rounding or np.linalg.eigvalsh(P).min() < -rounding:
+            raise InputError(path, "belief.covariance", "a symmetric matrix without negative eigenvalues")
         belief = GaussianBelief(jax.tree.unflatten(jax.tree.structure(form), mean), covariance, manifold)
         return cls(belief, VoxelMap.load(path) if header["format"] == map_file.FORMAT else None)
 
@@ -144,9 +152,10 @@ def _manifold(belief: Belief) -> Any:
 
 def _arrays(path: str | Path, field: str, values: Any, shapes: list[tuple[int, ...]]) -> list[Array]:
     try:
-        arrays = [np.asarray(value, np.float64) for value in values]
-    except (TypeError, ValueError):
+        with np.errstate(over="ignore"):  # what float32 does not hold is refused below
+            arrays = [np.asarray(value, np.float64).astype(np.float32) for value in values]
+    except (TypeError, ValueError, OverflowError):
         arrays = []
     if [a.shape for a in arrays] != shapes or not all(np.isfinite(a).all() for a in arrays):
         raise InputError(path, f"belief.{field}", f"finite numbers of shapes {shapes}")
-    return [jnp.asarray(a, jnp.float32) for a in arrays]
+    return [jnp.asarray(a) for a in arrays]

@@ -35,6 +35,8 @@ class BulletCar:
     A pickled car goes on from the same poses and velocities, to rounding: those caches are not part of its state.
     """
 
+    _bearings: list[float]  # of obstacles touched in the last drive, rad
+
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
         boxes = apartment.boxes()
@@ -62,6 +64,7 @@ class BulletCar:
             "base": p.getBasePositionAndOrientation(self._body, physicsClientId=client),
             "velocity": p.getBaseVelocity(self._body, physicsClientId=client),
             "joints": [p.getJointState(self._body, j, physicsClientId=client)[:2] for j in range(6)],
+            "bearings": self._bearings,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -71,11 +74,13 @@ class BulletCar:
         p.resetBaseVelocity(self._body, *state["velocity"], physicsClientId=client)
         for j, (angle, speed) in enumerate(state["joints"]):
             p.resetJointState(self._body, j, angle, speed, physicsClientId=client)
+        self._bearings = state["bearings"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         p, client = self._bullet, self._client
         p.resetSimulation(physicsClientId=client)
+        self._bearings = []
         p.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         p.setPhysicsEngineParameter(
             fixedTimeStep=SUBSTEP, numSolverIterations=60, deterministicOverlappingPairs=1, physicsClientId=client
@@ -206,6 +211,7 @@ class BulletCar:
         for j in (1, 3, 4, 5):
             p.changeDynamics(self._body, j, lateralFriction=friction, physicsClientId=client)
         touched: set[int] = set()
+        self._bearings = []
         for speed, steering in points.tolist():
             self._hold(speed, steering)
             for _ in range(round(TICK / SUBSTEP)):
@@ -213,7 +219,14 @@ class BulletCar:
                 for contact in p.getContactPoints(self._body, linkIndexA=-1, physicsClientId=client):
                     if contact[8] <= 0.0:  # the distance: Bullet keeps points before they touch
                         touched.add(contact[2])
+                        _, rotation = self._where()
+                        outwards = -np.array(contact[7]) @ rotation  # the normal points to the chassis
+                        self._bearings.append(math.atan2(outwards[1], outwards[0]))
         return tuple(dict.fromkeys(self._names[body] for body in sorted(touched)))
+
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""
+        return np.array(self._bearings)
 
     def pose(self) -> PlanarPose:
         """The rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""

@@ -37,6 +37,13 @@ class CarBody(Protocol):
             Names of the obstacles touched, each once, in the order of the apartment's boxes; tyres touch floor only.
         """
 
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the chassis during the last :meth:`drive`, rad.
+
+        Against the contact's normal, from the car to the obstacle, counter-clockwise from body x; one a contact and
+        substep, none where nothing was touched.
+        """
+
     def pose(self) -> PlanarPose:
         """The rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float
 
+from vssm_gym.envs.presets import Presets
 from vssm_gym.errors import InputError
 
 BATTERY = 300.0  # s, after which the battery has lost 63 % of what it loses
@@ -97,13 +98,7 @@ NOISE_LEVELS: dict[str, CarNoise] = {
 }
 
 
-def car_noise(level: str | CarNoise) -> CarNoise:
-    """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
-    if isinstance(level, CarNoise):
-        return level
-    if not isinstance(level, str) or level not in NOISE_LEVELS:
-        raise InputError("environment", "noise", f"one of {', '.join(NOISE_LEVELS)} or a CarNoise, not {level!r:.80}")
-    return NOISE_LEVELS[level]
+car_noise = Presets("environment", "noise", CarNoise, NOISE_LEVELS)
 
 
 class CarActuators:

@@ -6,7 +6,7 @@ reward and termination are in ``docs/envs/carnav.md``.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -19,19 +19,23 @@ from vssm_gym.envs.car_body import PHYSICS, CarBody
 from vssm_gym.envs.car_noise import CarActuators, CarNoise, car_noise
 from vssm_gym.envs.car_picture import draw_run
 from vssm_gym.envs.car_tasks import REACHED, TARGETS, CarTask, Targets, car_sampler_of
-from vssm_gym.envs.eye import EXTENT, PICTURE, Eye
 from vssm_gym.envs.mjcf import MujocoCar
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
+from vssm_gym.envs.sensors.base import EXTENT, GroundBody, Sensor, SensorConfig
+from vssm_gym.envs.sensors.pose import PoseSensor
+from vssm_gym.envs.sensors.registry import parse_sensors
+from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.suite import SensorSuite
+from vssm_gym.envs.sensors.told import Told
 from vssm_gym.envs.staged import Report, StagedEnv
-from vssm_gym.envs.streams import seeded_streams
-from vssm_gym.envs.topdown import TopDown, beside_plan
+from vssm_gym.envs.streams import STREAMS, seeded_streams
+from vssm_gym.envs.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import planar_to_matrix
 
 MAX_ACCELERATION = 2.0  # m/s^2, of control="acceleration"
 STEP_COST, TOUCH_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
@@ -52,6 +56,7 @@ class CarNavEnv(StagedEnv):
         targets: ``poses`` (x, y, heading) or ``points`` (x, y).
         control: the action's first number: ``speed``, m/s, or ``acceleration``, m/s^2.
         chain: whether an episode begins where the one before has ended, speed and touch included.
+        sensors: what the car carries besides its camera, as PointNav's: names, configurations or mappings.
         observe_pose: whether the observation holds the true pose (an oracle's privilege).
         images: whether it holds ``rgb`` and ``depth``; without them nothing is rendered.
         reward: ``dense`` (metres gained along free space, costs a step and a touch, a prize for success) or ``sparse``.
@@ -71,6 +76,7 @@ class CarNavEnv(StagedEnv):
         targets: Targets = "poses",
         control: Literal["speed", "acceleration"] = "speed",
         chain: bool = False,
+        sensors: Sequence[str | SensorConfig | Mapping[str, Any]] = (),
         observe_pose: bool = False,
         images: bool = True,
         reward: Literal["dense", "sparse"] = "dense",
@@ -87,18 +93,25 @@ class CarNavEnv(StagedEnv):
                 raise InputError("CarNav", field, f"True or False; found {value!r:.80}")
         self.noise, self.car, self.physics = car_noise(noise), Car(), physics
         self.targets, self.control, self.chain = targets, control, chain
-        self.observe_pose, self.reward, self.render_mode = observe_pose, reward, render_mode
+        self.reward, self.render_mode = reward, render_mode
         self.apartment: Apartment = load_scene(scene)
-        config, seen = camera_config(camera), sensor_noise_of(sensor_noise)
-        self._eye = Eye(scenery_of(self.apartment, config, renderer), seen) if images else None
-        self.camera = config.intrinsics()
+        carried, seen = parse_sensors("CarNav", sensors), sensor_noise_of(sensor_noise)
+        scenery = scenery_of(self.apartment, camera_config(camera), renderer)
+        self.camera, self._images = scenery.camera, images
         self._K = self.camera.K
-        self.renderer_name = "none" if self._eye is None else self._eye.scenery.renderer_name
-        self.parallel = self._eye is None or self._eye.scenery.parallel
+        self.renderer_name = scenery.renderer_name if images else "none"
+        mounted: list[Sensor[GroundBody]] = [RGBDSensor(scenery, seen)] if images else []
+        mounted += [config.mount(scenery) for config in carried]
+        far = np.array([EXTENT, EXTENT, np.pi], np.float32)
+        goal = far if targets == "poses" else far[:2]
+        oracle: list[Sensor[GroundBody]] = [PoseSensor()] if observe_pose else []
+        told = Told("goal", gym.spaces.Box(-goal, goal), self._goal)
+        self.sensors = SensorSuite("CarNav", [*mounted, told, *oracle])
+        self.parallel = self.sensors.parallel
         self.sampler = car_sampler_of(self.apartment, self.car)
         self.body = _make_body(physics, self.apartment, self.car)
         self._goal_distance = self.sampler.goal_distance() if reward == "dense" else None
-        self.action_space, self.observation_space = self._action_space(), self._observation_space()
+        self.action_space, self.observation_space = self._action_space(), gym.spaces.Dict(self.sensors.spaces())
 
         self.task: CarTask | None = None
         self.path_length = 0.0  # m driven in this episode
@@ -108,6 +121,7 @@ class CarNavEnv(StagedEnv):
         self._actuators: CarActuators | None = None
         self._speed = 0.0  # m/s, as commanded
         self._planar: PlanarPose = np.zeros(3)
+        self._body: GroundBody | None = None  # the car as it is, for the sensors
         self._path: list[np.ndarray] = []
         self._potential = 0.0  # m, dense reward only
         self._outcome: tuple[float, bool, dict[str, Any]] = (0.0, False, {})  # reward, terminated, info
@@ -121,7 +135,15 @@ class CarNavEnv(StagedEnv):
     @property
     def T_world_cam(self) -> Matrix4:
         """The true camera pose; not for agents."""
-        return planar_to_matrix(self._planar) @ self.car.T_body_cam
+        return self._carrier.T_world_cam.copy()
+
+    @property
+    def _carrier(self) -> GroundBody:
+        """The true state of the car, for its sensors; not for agents."""
+        if self._body is None:
+            contacts = self.body.contact_bearings()
+            self._body = GroundBody(self.planar, self.car.T_body_cam, self.car.dt, contacts)
+        return self._body
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Start a task: ``options["task"]``, or one of the seeded task stream.
@@ -149,9 +171,8 @@ class CarNavEnv(StagedEnv):
         elif goal is not None:
             task = self.sampler.task(self._planar.tolist(), self._parsed(goal), number)
         if seed is not None or not self._streams:
-            self._streams = seeded_streams(seed)
-            if self._eye is not None:
-                self._eye.seed(self._streams["sensors"])
+            self._streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
+            self.sensors.seed(self._streams)
         stream = self._streams["task"]
         if on:
             self.task = task or self.sampler.goal_from(stream, self._planar, self.targets, number)
@@ -162,8 +183,8 @@ class CarNavEnv(StagedEnv):
             self._speed, self.touched = 0.0, ()
         self._planar = self.body.pose()
         self.path_length, self.touches, self._path = 0.0, 0, [self._planar[:2]]
-        if self._eye is not None:
-            self._eye.moved()
+        self._body = None
+        self.sensors.begin(self._carrier)
         if self._goal_distance is not None:
             self._goal_distance.aim(np.array(self.task.goal[:2]))
             self._potential = self._cost_to_go(math.inf)
@@ -188,8 +209,8 @@ class CarNavEnv(StagedEnv):
         self._planar = now if np.isfinite(now).all() else was
         self.path_length += float(np.hypot(*(self._planar[:2] - was[:2])))
         self._path.append(self._planar[:2])
-        if self._eye is not None:
-            self._eye.moved()
+        self._body = None
+        self.sensors.moved()
         if self.control == "acceleration":
             command[0] = (self._speed - before) / self.car.dt
         reached, lost = self.task.reached(self._planar), not (self.body.upright() and self._on_floor())
@@ -200,20 +221,15 @@ class CarNavEnv(StagedEnv):
         self._outcome = self._reward(reached and not lost), reached or lost, info
 
     def look(self) -> None:
-        """Take the image."""
-        if self._eye is not None:
-            self._eye.look(self.T_world_cam, self.car.dt)
+        """Let the sensors measure."""
+        self.sensors.look(self._carrier)
 
     def report(self) -> Report:
         """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
         assert self.task is not None
         self.look()
         reward, terminated, info = self._outcome
-        observation = {} if self._eye is None else self._eye.observation()
-        observation["goal"] = np.array(self.task.goal, dtype=np.float32)
-        if self.observe_pose:
-            observation["pose"] = self._planar.astype(np.float32)
-        return observation, reward, terminated, False, info
+        return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """The camera's image, where there are images, beside the plan: uint8 ``(360, width, 3)``; None if not asked."""
@@ -223,10 +239,10 @@ class CarNavEnv(StagedEnv):
             self._plan = TopDown(self.apartment.boxes(), PICTURE, PICTURE)
         path, goal = np.array(self._path), np.array(self.task.goal)
         plan = draw_run(self._plan, path, self.car, self._planar, goal, REACHED)
-        if self._eye is None:
+        if not self._images:
             return plan
         self.look()
-        return beside_plan(self._eye.rgb, plan)
+        return beside_plan(self.sensors.reading("rgb"), plan)
 
     def close(self) -> None:
         """Let go of the simulator."""
@@ -237,14 +253,10 @@ class CarNavEnv(StagedEnv):
         high = np.array([speed if self.control == "speed" else MAX_ACCELERATION, steering], np.float32)
         return gym.spaces.Box(-high, high)
 
-    def _observation_space(self) -> gym.spaces.Dict:
-        spaces: dict[str, gym.Space[Any]] = {} if self._eye is None else self._eye.spaces()
-        far = np.array([EXTENT, EXTENT, np.pi], np.float32)
-        high = far if self.targets == "poses" else far[:2]
-        spaces["goal"] = gym.spaces.Box(-high, high)
-        if self.observe_pose:
-            spaces["pose"] = gym.spaces.Box(-far, far)
-        return gym.spaces.Dict(spaces)
+    def _goal(self) -> np.ndarray:
+        """What the car is told."""
+        assert self.task is not None
+        return np.array(self.task.goal, dtype=np.float32)
 
     def _info(self, control: np.ndarray) -> dict[str, Any]:
         return {

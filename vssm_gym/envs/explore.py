@@ -56,7 +56,7 @@ class ExploreEnv(StagedEnv):
         self.parallel = self.simulation.parallel
         self.coverage = Coverage(self.simulation.stage.observable, self.simulation.scenery.config.hfov)
         self.action_space = self.simulation.action_space()
-        self.observation_space = gym.spaces.Dict(self.simulation.spaces())
+        self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
         self._outcome: tuple[float, bool, dict[str, Any]] | None = None  # reward, terminated, info
 
     @property
@@ -77,12 +77,12 @@ class ExploreEnv(StagedEnv):
         self.simulation.place(start)
         self.coverage.reset()
         self.coverage.see(self.planar)
-        self._outcome = 0.0, False, self._info(np.zeros(3), collision=False) | {"start_pose": start}
+        self._outcome = 0.0, False, self._info(self.simulation.rest, collision=False) | {"start_pose": start}
 
     def advance(self, action: np.ndarray) -> None:
         """Carry out ``(turn, o, s, stop)``; a stop ends the episode and carries out nothing else of the action."""
         command, stop = self.simulation.parse(action)
-        command = np.zeros(3) if stop else command
+        command = self.simulation.rest if stop else command
         collision = False if stop else self.simulation.drive(command)
         gained = self.coverage.see(self.planar)
         finished = self.coverage.fraction >= self.finish

@@ -11,28 +11,30 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flight_noise, fly
 from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.imu import GRAVITY, ImuNoise, NoisyImu
+from vssm_gym.envs.imu import GRAVITY, ImuNoise
 from vssm_gym.envs.imu import imu_noise as imu_model
 from vssm_gym.envs.mjcf import FlightWorld
 from vssm_gym.envs.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
 from vssm_gym.envs.scene import Apartment, load_scene
 from vssm_gym.envs.scenery import scenery_of
-from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
+from vssm_gym.envs.sensors.base import EXTENT, Sensor
+from vssm_gym.envs.sensors.flight import FlightPoseSensor, FlyingBody, ImuSensor
+from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.suite import SensorSuite
+from vssm_gym.envs.sensors.told import Told
 from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.topdown import TopDown, beside_plan
+from vssm_gym.envs.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import matrix_to_planar
 
-FLIGHT_STREAMS = (*STREAMS, "imu")
-EXTENT = 1000.0  # SI units: bound of depths, coordinates, speeds, readings
 SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
 SLOWEST, FASTEST = 0.2, 20.0  # m/s that may be asked for; where the rotors are too weak for it, less
 LONGEST = 600.0  # s, most of a reference, and so of an episode
@@ -40,7 +42,6 @@ STRAYED = 2.0  # m from the reference, at which the flight is given up
 NEAR = 1.0  # m from the reference, beyond which a step earns nothing
 CRASH = 5.0  # what a collision costs
 HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
-PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 
 
 class FlightEnv(StagedEnv):
@@ -92,12 +93,8 @@ class FlightEnv(StagedEnv):
             raise InputError("Flight", "speed", f"{SLOWEST:g} to {FASTEST:g} m/s, or None; found {speed!r:.80}")
         if not (_number(rate) and 5.0 <= rate <= 100.0):
             raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r:.80}")
-        self.noise, self.imu_noise, self.sensor_noise = (
-            flight_noise(noise),
-            imu_model(imu_noise),
-            noise_model(sensor_noise),
-        )
-        self.observe_pose, self.reward, self.render_mode = observe_pose, reward, render_mode
+        self.noise, felt, seen = flight_noise(noise), imu_model(imu_noise), noise_model(sensor_noise)
+        self.reward, self.render_mode = reward, render_mode
         self.flight, self.speed, self.yaw = flight, speed, yaw
         self.apartment: Apartment = load_scene(scene)
         self.body, self.dt = FlightBody(), 1.0 / rate
@@ -109,28 +106,26 @@ class FlightEnv(StagedEnv):
             self._checked(self._reference(flight, SPEEDS[0] if speed is None else speed))
         self.world = FlightWorld(self.apartment, self.body.radius)
         self.scenery = scenery_of(self.apartment, camera_config(camera), renderer)
-        self.camera, self.parallel = self.scenery.camera, self.scenery.parallel
-        self.renderer_name = self.scenery.renderer_name
+        self.camera, self.renderer_name = self.scenery.camera, self.scenery.renderer_name
         self._K = self.camera.K
 
         low, high = self.body.limits
         self.action_space = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
-        size = (self.camera.height, self.camera.width)
-        spaces: dict[str, gym.Space[Any]] = {
-            "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
-            "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
-            "imu": gym.spaces.Box(-EXTENT, EXTENT, (self.substeps, 6), np.float32),
-            "reference": gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32),
-        }
-        if observe_pose:
-            spaces["pose"] = gym.spaces.Box(-EXTENT, EXTENT, (7,), np.float32)
-            spaces["velocity"] = gym.spaces.Box(-EXTENT, EXTENT, (3,), np.float32)
-        self.observation_space = gym.spaces.Dict(spaces)
+        reference = Told("reference", gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32), self._wanted)
+        oracle: list[Sensor[FlyingBody]] = [FlightPoseSensor()] if observe_pose else []
+        sensors: list[Sensor[FlyingBody]] = [
+            RGBDSensor(self.scenery, seen),
+            ImuSensor(felt, self.substeps),
+            reference,
+            *oracle,
+        ]
+        self.sensors = SensorSuite("Flight", sensors)
+        self.parallel = self.sensors.parallel
+        self.observation_space = gym.spaces.Dict(self.sensors.spaces())
 
         self._streams: dict[str, np.random.Generator] = {}
         self.task: ReferenceFlight | None = None
         self.steps = 0  # of this episode
-        self._image: tuple[np.ndarray, np.ndarray] | None = None
         self._plan: TopDown | None = None
 
     @property
@@ -151,50 +146,47 @@ class FlightEnv(StagedEnv):
         if task is not None and not isinstance(task, ReferenceFlight):
             raise InputError("reset", "options['task']", f"a ReferenceFlight; found {type(task).__name__}")
         if seed is not None or not self._streams:
-            self._streams = seeded_streams(seed, FLIGHT_STREAMS)
-            self._sensor = NoisySensor(self.sensor_noise, self.camera, self._streams["sensors"])
+            self._streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
+            self.sensors.seed(self._streams)
         self.task = self._checked(self._drawn() if task is None else task)
         motion = self.task.at(np.zeros(1))
         self.state = FlightState(motion.position[0], motion.velocity[0], motion.R_world_body[0])
         self.world.reset(self.state.position)
         self.steps, self._collision, self._first = 0, False, True
         self._control, self._gust = HOVERING.copy(), np.zeros(6)
-        # The camera goes on from flight to flight, as in the other environments; the IMU is switched on for each, with
-        # a bias of its own.
-        self._imu = NoisyImu(self.imu_noise, self._streams["imu"])
-        self._readings = self._imu(np.tile(HOVERING, (self.substeps, 1)), self.imu_period)
-        self._path, self._image = [self.state.position], None
+        self._felt = np.tile(HOVERING, (self.substeps, 1))
+        self._path = [self.state.position]
+        self.sensors.begin(self._carrier())
 
     def advance(self, action: np.ndarray) -> None:
         """Carry out ``(specific force, body rates)`` for one period; what exceeds the limits is clipped to them."""
         assert self.task is not None
         self._control = self._command(action)
         self._gust = self.noise.following(self._gust, self.dt, self._streams["dynamics"])
-        h, felt, self._collision = self.imu_period, np.empty((self.substeps, 6)), False
+        h, self._felt, self._collision = self.imu_period, np.empty((self.substeps, 6)), False
         for k in range(self.substeps):
-            after, felt[k] = fly(self.state, self._control, self._gust, self.body.drag, h)
+            after, self._felt[k] = fly(self.state, self._control, self._gust, self.body.drag, h)
             if self.world.move((after.position - self.state.position) / h, h):
                 self._collision = True
                 after = FlightState(self.world.position(), self.world.velocity(), after.R_world_body)
             self.state = after
-        self._readings = self._imu(felt, h)
-        self.steps, self._first, self._image = self.steps + 1, False, None
+        self.steps, self._first = self.steps + 1, False
+        self.sensors.moved()
         self._path.append(self.state.position)
 
     def look(self) -> None:
-        """Take the image, once a step however often it is asked for; touches no other state."""
-        if self._image is None:
-            self._image = self._sensor(*self.scenery.render(self._T_world_cam()), self.dt)
+        """Let the sensors measure, once a step however often it is asked for; touches no other state."""
+        self.sensors.look(self._carrier())
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """What :meth:`step` returns, of the state that it has left."""
-        assert self.task is not None and self._image is not None
+        assert self.task is not None
         error = self.tracking_error()
         strayed, arrived = error > STRAYED, self.time >= self.task.duration
         terminated = self._collision or strayed or arrived
         success = arrived and not self._collision and not strayed
         info: dict[str, Any] = {
-            "T_world_cam": self._T_world_cam(),
+            "T_world_cam": self._carrier().T_world_cam,
             "K": self._K.copy(),
             "collision": self._collision,
             "control": self._control.copy(),
@@ -208,7 +200,7 @@ class FlightEnv(StagedEnv):
             reward = float(success)
         else:
             reward = self.dt * max(0.0, 1.0 - error / NEAR) - CRASH * self._collision
-        return self._observation(), reward, terminated, False, info
+        return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
@@ -217,19 +209,20 @@ class FlightEnv(StagedEnv):
         if self._plan is None:
             self._plan = TopDown(self.world.boxes, PICTURE, PICTURE)
         self.look()
-        assert self._image is not None
         planar = matrix_to_planar(self.state.T_world_body)
         goal = self.task.at(np.array([self.time])).position[0, :2]
         plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * NEAR)
-        return beside_plan(self._image[0], plan)
+        return beside_plan(self.sensors.reading("rgb"), plan)
 
     def tracking_error(self) -> float:
         """Metres from where the reference is now."""
         assert self.task is not None
         return float(np.linalg.norm(self.state.position - self.task.at(np.array([self.time])).position[0]))
 
-    def _T_world_cam(self) -> Float[np.ndarray, "4 4"]:
-        return self.state.T_world_body @ self.body.T_body_cam
+    def _carrier(self) -> FlyingBody:
+        """The true state of the body, for its sensors; not for agents."""
+        T_world_body, T_body_cam = self.state.T_world_body, self.body.T_body_cam
+        return FlyingBody(T_world_body, self.state.velocity, T_body_cam, self.dt, self._felt, self.imu_period)
 
     def _reference(self, name: str, speed: float) -> ReferenceFlight:
         if name not in self._places:
@@ -263,23 +256,13 @@ class FlightEnv(StagedEnv):
         values = parse_action(action, ("fx", "fy", "fz", "wx", "wy", "wz"))
         return np.clip(values, *self.body.limits)
 
-    def _observation(self) -> dict[str, np.ndarray]:
-        assert self.task is not None and self._image is not None
-        rgb, depth = self._image
+    def _wanted(self) -> Float[np.ndarray, "10"]:
+        """Where the reference is at the end of the coming step: position, velocity, acceleration, heading; world."""
+        assert self.task is not None
         motion = self.task.at(np.array([self.time + self.dt]))
         nose = motion.R_world_body[0, :, 0]
         wanted = [motion.position[0], motion.velocity[0], motion.acceleration[0], [np.arctan2(nose[1], nose[0])]]
-        observation = {
-            "rgb": rgb.copy(),
-            "depth": depth.copy(),
-            "imu": self._readings.astype(np.float32),
-            "reference": np.concatenate(wanted).astype(np.float32),
-        }
-        if self.observe_pose:
-            quaternion = Rotation.from_matrix(self.state.R_world_body).as_quat(canonical=True)
-            observation["pose"] = np.concatenate([self.state.position, quaternion]).astype(np.float32)
-            observation["velocity"] = self.state.velocity.astype(np.float32)
-        return observation
+        return np.concatenate(wanted).astype(np.float32)
 
 
 def _number(value: Any) -> bool:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from vssm_gym.axes import Matrix4
 from vssm_gym.envs.imu import GRAVITY
+from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.reference_flights import ReferenceFlight, attitude
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import R_BODY_CAM
@@ -79,13 +80,7 @@ NOISE_LEVELS: dict[str, FlightNoise] = {
 }
 
 
-def flight_noise(level: str | FlightNoise) -> FlightNoise:
-    """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
-    if isinstance(level, FlightNoise):
-        return level
-    if not isinstance(level, str) or level not in NOISE_LEVELS:
-        raise InputError("Flight", "noise", f"one of {', '.join(NOISE_LEVELS)} or a FlightNoise, not {level!r}")
-    return NOISE_LEVELS[level]
+flight_noise = Presets("Flight", "noise", FlightNoise, NOISE_LEVELS)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.pointnav import PointNavEnv
-from vssm_gym.envs.simulation import PICTURE
+from vssm_gym.envs.sensors.told import Told
 from vssm_gym.envs.staged import Report, StagedEnv
-from vssm_gym.envs.topdown import beside_plan
+from vssm_gym.envs.topdown import PICTURE, beside_plan
 from vssm_gym.geometry import planar_to_matrix
 
 HEADINGS = 8  # directions, evenly spread, in which a goal image may look
@@ -37,8 +37,10 @@ class ImageNavEnv(StagedEnv):
         self.success_radius = self.navigation.success_radius
         self.action_space = self.navigation.action_space
         size = (self.navigation.camera.height, self.navigation.camera.width, 3)
-        spaces = {**self.navigation.simulation.spaces(), "goal_rgb": gym.spaces.Box(0, 255, size, np.uint8)}
-        self.observation_space = gym.spaces.Dict(spaces)
+        sensors = self.simulation.sensors
+        sensors.remove("goal")  # its image is told in place of its position
+        sensors.add(Told("goal_rgb", gym.spaces.Box(0, 255, size, np.uint8), self._goal))
+        self.observation_space = gym.spaces.Dict(sensors.spaces())
         self._goal_rgb: np.ndarray | None = None
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -53,15 +55,10 @@ class ImageNavEnv(StagedEnv):
     def look(self) -> None:
         """Take the image and, at the start of an episode, the goal's."""
         self.navigation.look()
-        if self._goal_rgb is None:
-            self._goal_rgb = self._goal_image()
 
     def report(self) -> Report:
-        """PointNav's, with the goal's image in place of its position."""
-        observation, *rest = self.navigation.report()
-        assert self._goal_rgb is not None
-        del observation["goal"]
-        return observation | {"goal_rgb": self._goal_rgb.copy()}, *rest  # type: ignore[return-value]
+        """What PointNav reports, with the goal's image in place of its position."""
+        return self.navigation.report()
 
     def render(self) -> np.ndarray | None:
         """The camera's image, the goal's and the plan, side by side: uint8 ``(360, width, 3)``."""
@@ -70,6 +67,12 @@ class ImageNavEnv(StagedEnv):
             return picture
         plan = picture[:, -PICTURE:]
         return np.concatenate([picture[:, :-PICTURE], beside_plan(self._goal_rgb, plan)], axis=1)
+
+    def _goal(self) -> np.ndarray:
+        """What the robot is told: the goal's image, rendered once an episode."""
+        if self._goal_rgb is None:
+            self._goal_rgb = self._goal_image()
+        return self._goal_rgb
 
     def _goal_image(self) -> np.ndarray:
         """The view from the goal: of eight headings, in an order drawn from the task, the first that is open.

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from vssm_gym.envs.presets import Presets
 from vssm_gym.errors import InputError
 
 GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, world
@@ -66,13 +67,7 @@ PRESETS = {
 }
 
 
-def imu_noise(spec: str | ImuNoise) -> ImuNoise:
-    """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
-    if isinstance(spec, ImuNoise):
-        return spec
-    if not isinstance(spec, str) or spec not in PRESETS:
-        raise InputError("imu_noise", "name", f"one of {', '.join(PRESETS)}, or an ImuNoise; found {spec!r}")
-    return PRESETS[spec]
+imu_noise = Presets("environment", "imu_noise", ImuNoise, PRESETS)
 
 
 def specific_force(

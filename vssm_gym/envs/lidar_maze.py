@@ -14,15 +14,20 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from vssm_gym.axes import PlanarPose
-from vssm_gym.envs.lidar import LidarConfig, LidarNoise, measured
 from vssm_gym.envs.maze_noise import motion_noise, range_noise
 from vssm_gym.envs.maze_objectives import Approach, Coverage
 from vssm_gym.envs.mazes import ROBOT, load_maze
-from vssm_gym.envs.planar import clearance, scan, slide
+from vssm_gym.envs.planar import clearance, slide
 from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.sensors.base import GroundBody, Sensor
+from vssm_gym.envs.sensors.lidar import LidarConfig, LidarNoise
+from vssm_gym.envs.sensors.maze_scan import MazeScan
+from vssm_gym.envs.sensors.pose import PoseSensor
+from vssm_gym.envs.sensors.suite import SensorSuite
+from vssm_gym.envs.sensors.told import Told
 from vssm_gym.envs.staged import StagedEnv
-from vssm_gym.envs.streams import seeded_streams
+from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.topdown import TopDown
 from vssm_gym.envs.validation import choose, parse_action
@@ -75,11 +80,9 @@ class LidarMazeEnv(StagedEnv):
         if isinstance(beams, bool) or not isinstance(beams, int) or not 1 <= beams <= 4096:
             raise InputError("LidarMaze", "beams", f"1 to 4096 readings a scan, not {beams!r}")
         self.noise = motion_noise(noise)
-        self.sensor_noise = range_noise(sensor_noise)
-        self.observe_pose, self.end_on, self.reward, self.render_mode = observe_pose, end_on, reward, render_mode
+        self.end_on, self.reward, self.render_mode = end_on, reward, render_mode
         self.maze = load_maze(scene)
         self.robot, self.beams = ROBOT, beams
-        self._lidar = LidarConfig(beams=beams, max_range=LONGEST)
         self.success_radius = SUCCESS * self.robot.body_length
         self.tasks = self.maze.tasks if tasks is None else checked_set("LidarMaze", tasks, self.maze.apartment)
         self.objective: Approach | Coverage = Coverage(self.maze.space)
@@ -91,27 +94,28 @@ class LidarMazeEnv(StagedEnv):
         self.action_space = gym.spaces.Box(
             np.array([-turn, 0.0, 0.0], np.float32), np.array([turn, step, 1.0], np.float32)
         )
-        spaces: dict[str, gym.Space[Any]] = {"scan": gym.spaces.Box(0.0, LONGEST, (beams,), np.float32)}
+        scanner = LidarConfig(beams=beams, max_range=LONGEST, noise=range_noise(sensor_noise))
+        sensors: list[Sensor[GroundBody]] = [MazeScan(scanner, self.maze.rectangles)]
         if task == "navigate":
-            spaces["goal"] = gym.spaces.Box(0.0, 1.0, (2,), np.float32)
+            sensors.append(Told("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
         if observe_pose:
-            low, high = np.array([0.0, 0.0, -np.pi], np.float32), np.array([1.0, 1.0, np.pi], np.float32)
-            spaces["pose"] = gym.spaces.Box(low, high)
-        self.observation_space = gym.spaces.Dict(spaces)
+            sensors.append(PoseSensor(np.array([[0.0, 0.0, -np.pi], [1.0, 1.0, np.pi]])))
+        self.sensors = SensorSuite("LidarMaze", sensors)
+        self.observation_space = gym.spaces.Dict(self.sensors.spaces())
 
         self._streams: dict[str, np.random.Generator] = {}
         self.task: Task | None = None
         self.planar: PlanarPose = np.zeros(3)  # the true (x, y, heading), m and rad; not for agents
         self.path_length = 0.0  # m driven in this episode
         self._path: list[np.ndarray] = []
-        self._scan, self._scanned = np.zeros(beams, np.float32), False  # of the robot's pose
         self._outcome: tuple[float, bool, dict[str, Any]] = 0.0, False, {}
         self._plan: TopDown | None = None
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """The first stage of a reset: streams, task and pose, no scan yet."""
         if seed is not None or not self._streams:
-            self._streams = seeded_streams(seed)
+            self._streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
+            self.sensors.seed(self._streams)
         unknown = set(options or {}) - {"task"}
         if unknown:
             raise InputError("reset", "options", f"no other key than 'task'; found {sorted(unknown)}")
@@ -122,7 +126,8 @@ class LidarMazeEnv(StagedEnv):
             self._check(task)
         self.task = task
         self.planar = np.array(self.task.start, dtype=np.float64)
-        self.path_length, self._path, self._scanned = 0.0, [self.planar[:2]], False
+        self.path_length, self._path = 0.0, [self.planar[:2]]
+        self.sensors.begin(self._body())
         self.objective.begin(self.task)
         info = self._info(np.zeros(2), collision=False) | {"task": self.task, "start_pose": self.planar.copy()}
         self._outcome = 0.0, False, info
@@ -131,7 +136,8 @@ class LidarMazeEnv(StagedEnv):
         """The first stage of a step: the robot moves, and what that earns is settled."""
         assert self.task is not None
         command, stop = self._command(action)
-        collision = self._scanned = False
+        collision = False
+        self.sensors.moved()
         if stop:
             command = np.zeros(2)
         else:
@@ -148,22 +154,14 @@ class LidarMazeEnv(StagedEnv):
         self._outcome = reward, terminated, info
 
     def look(self) -> None:
-        """The scan at the robot's pose, measured with noise; once, however often it is asked for."""
-        if not self._scanned:
-            ranges = scan(self.planar[None], self.maze.rectangles, self.beams)[0]
-            self._scan = measured(ranges, self.sensor_noise, self._lidar, self._streams["sensors"])
-            self._scanned = True
+        """Let the sensors measure at the robot's pose; once, however often it is asked for."""
+        self.sensors.look(self._body())
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """The last stage: what Gymnasium's ``step`` returns; ``reset`` returns its first and last."""
         assert self.task is not None
-        observation = {"scan": self._scan.copy()}
-        if isinstance(self.objective, Approach):
-            observation["goal"] = np.asarray(self.task.goal, dtype=np.float32)
-        if self.observe_pose:
-            observation["pose"] = self.planar.astype(np.float32)
         reward, terminated, info = self._outcome
-        return observation, reward, terminated, False, info
+        return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """The plan with path, robot, goal region and the latest readings around the true pose: ``(480, 480, 3)``."""
@@ -173,13 +171,24 @@ class LidarMazeEnv(StagedEnv):
             self._plan = TopDown(self.maze.apartment.boxes(), PICTURE, PICTURE, margin=0.02)
         goal = np.asarray(self.task.goal) if isinstance(self.objective, Approach) else None
         picture = self._plan.draw(np.array(self._path), self.planar, self.robot.radius, goal, self.success_radius)
+        self.look()
+        ranges = self.sensors.reading("scan")
         angle = self.planar[2] + 2.0 * np.pi * np.arange(self.beams) / self.beams
-        ends = self.planar[:2] + self._scan[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        ends = self.planar[:2] + ranges[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         image = Image.fromarray(picture)
         pen = ImageDraw.Draw(image)
-        for column, row in self._plan.pixels(ends[self._scan > 0.0]):
+        for column, row in self._plan.pixels(ends[ranges > 0.0]):
             pen.ellipse((column - 2.0, row - 2.0, column + 2.0, row + 2.0), fill=_RAY)
         return np.asarray(image)
+
+    def _body(self) -> GroundBody:
+        """The true state of the robot, for its sensors; the maze does not say where it was touched."""
+        return GroundBody(self.planar, self.robot.T_body_cam, self.robot.dt, contacts=np.zeros(0))
+
+    def _goal(self) -> np.ndarray:
+        """What the robot is told."""
+        assert self.task is not None
+        return np.asarray(self.task.goal, dtype=np.float32)
 
     def _drive(self, command: np.ndarray) -> bool:
         """Move as the noise has it, sliding along walls; whether one was touched."""

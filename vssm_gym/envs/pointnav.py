@@ -12,7 +12,9 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.axes import PlanarPose
-from vssm_gym.envs.simulation import EXTENT, Simulation
+from vssm_gym.envs.sensors.base import EXTENT
+from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.validation import choose
@@ -64,7 +66,8 @@ class PointNavEnv(StagedEnv):
         self._goal_distance = self.simulation.stage.goal_distance() if reward == "dense" else None
         self.action_space = self.simulation.action_space()
         goal = gym.spaces.Box(-EXTENT, EXTENT, (2,), np.float32)
-        self.observation_space = gym.spaces.Dict({**self.simulation.spaces(), "goal": goal})
+        self.simulation.sensors.add(Told("goal", goal, self._goal))
+        self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
 
         self.task: Task | None = None
         self._to_goal = np.inf  # m along free space, dense reward only
@@ -97,11 +100,11 @@ class PointNavEnv(StagedEnv):
         if self._goal_distance is not None:
             self._goal_distance.aim(np.asarray(self.task.goal))
             self._to_goal = self._goal_distance(self.planar[:2])
-        info = self.simulation.info(np.zeros(3), collision=False)
+        info = self.simulation.info(self.simulation.rest, collision=False)
         self._outcome = 0.0, False, info | {"task": self.task, "start_pose": start}
 
     def advance(self, action: np.ndarray) -> None:
-        """Carry out ``(turn, o, s, stop)``; what exceeds the limits is clipped to them.
+        """Carry out the robot's command and ``stop``, such as ``(turn, o, s, stop)``, clipped to its limits.
 
         A stop ends the episode where the robot stands: nothing else of the action is carried out.
         """
@@ -109,7 +112,7 @@ class PointNavEnv(StagedEnv):
         command, stop = self.simulation.parse(action)
         stop &= self.end_on == "stop"
         if stop:
-            command, collision = np.zeros(3), False
+            command, collision = self.simulation.rest, False
         else:
             collision = self.simulation.drive(command)
         arrived = bool(np.hypot(*(self.planar[:2] - self.task.goal)) <= self.success_radius)
@@ -127,12 +130,16 @@ class PointNavEnv(StagedEnv):
         """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
         assert self.task is not None
         reward, terminated, info = self._outcome
-        observation = self.simulation.observation() | {"goal": np.asarray(self.task.goal, dtype=np.float32)}
-        return observation, reward, terminated, False, info
+        return self.simulation.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture(None if self.task is None else np.asarray(self.task.goal), self.success_radius)
+
+    def _goal(self) -> np.ndarray:
+        """What the robot is told."""
+        assert self.task is not None
+        return np.asarray(self.task.goal, dtype=np.float32)
 
     def _next_task(self) -> Task:
         stream = self.simulation.streams["task"]

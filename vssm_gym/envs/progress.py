@@ -11,9 +11,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from vssm_gym.envs.free_space import FreeSpace
+from vssm_gym.grid_graph import LONGEST, edges, graph
 
 SPACING = 0.1  # m, for a radius of 0.1 m
-_EDGES = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)]
 
 
 class GoalDistance:
@@ -36,19 +36,9 @@ class GoalDistance:
         self._distance = np.full(tuple(shape), np.inf)
 
     def _edges(self) -> csr_array:
-        index = np.arange(self._free.size).reshape(self._free.shape)
-        nx, ny = self._free.shape
-        rows, columns, lengths = [], [], []
-        for dx, dy in _EDGES:
-            a = (slice(0, nx - dx), slice(max(0, -dy), ny - max(0, dy)))
-            b = (slice(dx, nx), slice(max(0, dy), ny + min(0, dy)))
-            both = self._free[a] & self._free[b]
-            rows.append(index[a][both])
-            columns.append(index[b][both])
-            lengths.append(np.full(both.sum(), self._spacing * np.hypot(dx, dy)))
-        row, column, length = np.concatenate(rows), np.concatenate(columns), np.concatenate(lengths)
+        row, column, length = edges(self._free)
         kept = self._passable(row, column)
-        return csr_array((length[kept], (row[kept], column[kept])), shape=(index.size, index.size))
+        return graph(self._free.size, row[kept], column[kept], self._spacing * length[kept])
 
     def _passable(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Which edges run through free space: of two grown obstacles that overlap a little, the lens is thin."""
@@ -57,7 +47,7 @@ class GoalDistance:
         near = np.zeros(len(nodes), dtype=bool)
         free = np.flatnonzero(self._free)
         points = shapely.points(nodes[free])
-        near[free] = shapely.dwithin(self._border, points, np.sqrt(5.0) * self._spacing)
+        near[free] = shapely.dwithin(self._border, points, LONGEST * self._spacing)
         asked = np.flatnonzero(near[row] & near[column])
         lines = shapely.linestrings(np.stack([nodes[row[asked]], nodes[column[asked]]], axis=1))
         passable = np.ones(len(row), dtype=bool)

@@ -6,17 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.envs.apartment import (
-    Apartment,
-    Box,
-    Door,
-    Furniture,
-    Material,
-    Room,
-    Wall,
-    Window,
-    parse_apartment,
-)
+from vssm_gym.envs.apartment import Apartment, parse_apartment
+from vssm_gym.envs.apartment_parts import Box, Door, Furniture, Material, Room, Wall, Window
 from vssm_gym.envs.generator import PREFIX, generate, parse_spec
 from vssm_gym.envs.importers.houseexpo import import_houseexpo, is_houseexpo
 from vssm_gym.envs.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets

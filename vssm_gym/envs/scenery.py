@@ -17,7 +17,7 @@ from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.mjcf import World
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.sensors import CameraConfig, make_camera, make_tracer
+from vssm_gym.envs.sensors.camera import CameraConfig, SceneCamera, make_camera, make_tracer
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.envs.tracing import Tracer
 
@@ -51,13 +51,25 @@ class Scenery:
     def __init__(self, apartment: Apartment, config: CameraConfig, renderer: str) -> None:
         self.apartment, self.config, self.renderer = apartment, config, renderer
         self.boxes: list[SolidBox] = apartment.boxes()
-        self._eye = make_camera(self.boxes, config, renderer)
-        self.camera, self.renderer_name = self._eye.camera, self._eye.name
-        # Whether several threads may render at once.
-        self.parallel = isinstance(self._eye, RaycastCamera)
+        self.camera = config.intrinsics()
 
     def __reduce__(self) -> Any:
         return scenery_of, (self.apartment, self.config, self.renderer)
+
+    @cached_property
+    def _eye(self) -> SceneCamera:
+        """The renderer, built when it is first asked for: who sees nothing needs none."""
+        return make_camera(self.boxes, self.config, self.renderer)
+
+    @property
+    def renderer_name(self) -> str:
+        """What makes the images, to be recorded with results."""
+        return self._eye.name
+
+    @property
+    def parallel(self) -> bool:
+        """Whether several threads may render at once."""
+        return isinstance(self._eye, RaycastCamera)
 
     @cached_property
     def tracer(self) -> Tracer:

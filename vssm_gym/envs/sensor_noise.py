@@ -29,6 +29,7 @@ from scipy.special import ndtri
 
 from vssm_gym.camera import Camera
 from vssm_gym.envs import sensor_kernels as kernels
+from vssm_gym.envs.presets import Presets
 from vssm_gym.errors import InputError
 
 PIXEL = 1.0 / 525.0  # tangent of the pixel that colour noise is stated for: a Kinect's at 640x480
@@ -116,13 +117,7 @@ PRESETS = {
 }
 
 
-def sensor_noise(spec: str | SensorNoise) -> SensorNoise:
-    """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
-    if isinstance(spec, SensorNoise):
-        return spec
-    if not isinstance(spec, str) or spec not in PRESETS:
-        raise InputError("sensor_noise", "name", f"one of {', '.join(PRESETS)}, or a SensorNoise; found {spec!r}")
-    return PRESETS[spec]
+sensor_noise = Presets("environment", "sensor_noise", SensorNoise, PRESETS)
 
 
 class NoisySensor:

@@ -4,13 +4,12 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import shapely
 
-if TYPE_CHECKING:
-    from vssm_gym.envs.apartment import Apartment, Door, Material, Wall, Window
+from vssm_gym.envs.apartment_parts import Door, Furniture, Material, Room, Wall, Window
 
 Kind = Literal["floor", "ceiling", "wall", "door", "window", "furniture"]
 
@@ -36,7 +35,7 @@ class SolidBox:
     center: tuple[float, float, float]
     size: tuple[float, float, float]
     yaw: float
-    material: "Material"
+    material: Material
 
 
 class Solid(Protocol):
@@ -55,6 +54,38 @@ class Solid(Protocol):
         """Rad about z."""
 
 
+class Building(Protocol):
+    """Whatever has an apartment's parts; see :class:`vssm_gym.envs.apartment.Apartment` for them."""
+
+    @property
+    def rooms(self) -> tuple[Room, ...]:
+        """They tile the floor."""
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """Doors and windows name theirs by index."""
+
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        """Holes with leaves."""
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Holes with panes."""
+
+    @property
+    def furniture(self) -> tuple[Furniture, ...]:
+        """Pieces made of boxes."""
+
+    @property
+    def ceiling_height(self) -> float:
+        """Of the ceiling's underside, m."""
+
+    @property
+    def ceiling(self) -> Material:
+        """How it looks."""
+
+
 def footprint(box: Solid) -> shapely.Polygon:
     """The rectangle a box covers on the floor, world frame."""
     half = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * box.size[:2]
@@ -62,7 +93,7 @@ def footprint(box: Solid) -> shapely.Polygon:
     return shapely.Polygon(half @ np.array([[c, s], [-s, c]]) + box.center[:2])
 
 
-def solid_boxes(apartment: "Apartment") -> list[SolidBox]:
+def solid_boxes(apartment: Building) -> list[SolidBox]:
     """Floor slabs (top at z = 0), ceiling, walls around their holes, door leaves, panes, furniture, in this order."""
     boxes = [*_floor(apartment), _ceiling(apartment)]
     holes: dict[int, list[Door | Window]] = defaultdict(list)
@@ -80,13 +111,13 @@ def solid_boxes(apartment: "Apartment") -> list[SolidBox]:
     return boxes
 
 
-def _extent(apartment: "Apartment") -> tuple[np.ndarray, np.ndarray]:
+def _extent(apartment: Building) -> tuple[np.ndarray, np.ndarray]:
     points = [p for room in apartment.rooms for p in room.polygon]
     points += [p for wall in apartment.walls for p in (wall.start, wall.end)]
     return np.min(points, axis=0) - MARGIN, np.max(points, axis=0) + MARGIN
 
 
-def _floor(apartment: "Apartment") -> list[SolidBox]:
+def _floor(apartment: Building) -> list[SolidBox]:
     """Slabs that tile the apartment's bounding rectangle without gap or overlap, each with its room's floor.
 
     The rectangle is cut at every corner coordinate (up to CUTS of them), finer where a room has a slanted edge; a cell
@@ -145,25 +176,25 @@ def _merge(owner: np.ndarray) -> list[tuple[int, int, int, int, int]]:
     return rectangles
 
 
-def _ceiling(apartment: "Apartment") -> SolidBox:
+def _ceiling(apartment: Building) -> SolidBox:
     low, high = _extent(apartment)
     bottom = apartment.ceiling_height
     return _span("ceiling", "ceiling", (*low, bottom), (*high, bottom + SLAB), apartment.ceiling)
 
 
-def _span(name: str, kind: Kind, low: tuple, high: tuple, material: "Material") -> SolidBox:
+def _span(name: str, kind: Kind, low: tuple, high: tuple, material: Material) -> SolidBox:
     center = tuple(float(a + b) / 2 for a, b in zip(low, high, strict=True))
     size = tuple(float(b - a) for a, b in zip(low, high, strict=True))
     return SolidBox(name, kind, center, size, 0.0, material)  # type: ignore[arg-type]
 
 
-def _place(wall: "Wall", along: float, across: float, z: float) -> tuple[float, float, float]:
+def _place(wall: Wall, along: float, across: float, z: float) -> tuple[float, float, float]:
     """World point of (metres along start -> end, metres to the left of it, z)."""
     c, s = math.cos(wall.yaw), math.sin(wall.yaw)
     return (wall.start[0] + c * along - s * across, wall.start[1] + s * along + c * across, z)
 
 
-def _wall(wall: "Wall", index: int, reach: tuple[float, float], holes: "Sequence[Door | Window]") -> list[SolidBox]:
+def _wall(wall: Wall, index: int, reach: tuple[float, float], holes: Sequence[Door | Window]) -> list[SolidBox]:
     """The wall's solid parts: between holes, below sills and above lintels; two layers where its sides differ."""
     top = wall.base + wall.height
     parts: list[tuple[float, float, float, float]] = []
@@ -190,7 +221,7 @@ def _wall(wall: "Wall", index: int, reach: tuple[float, float], holes: "Sequence
     return boxes
 
 
-def _reaches(apartment: "Apartment") -> list[tuple[float, float]]:
+def _reaches(apartment: Building) -> list[tuple[float, float]]:
     """How far each wall runs beyond its start and its end to close the corners with the walls it meets there, m."""
     walls = apartment.walls
     lines = shapely.linestrings([[wall.start, wall.end] for wall in walls])
@@ -212,7 +243,7 @@ def _reaches(apartment: "Apartment") -> list[tuple[float, float]]:
     return list(zip(*reaches, strict=True))
 
 
-def door_leaves(name: str, wall: "Wall", door: "Door") -> list[SolidBox]:
+def door_leaves(name: str, wall: Wall, door: Door) -> list[SolidBox]:
     """Leaves as thick as LEAF, flush with the wall's face on the side they swing to, hinged on that face."""
     hinges = ((), (door.hinge,), ("start", "end"))[door.leaves]
     if not hinges:
@@ -232,7 +263,7 @@ def door_leaves(name: str, wall: "Wall", door: "Door") -> list[SolidBox]:
     return boxes
 
 
-def _pane(name: str, wall: "Wall", window: "Window") -> SolidBox:
+def _pane(name: str, wall: Wall, window: Window) -> SolidBox:
     center = _place(wall, window.offset + window.width / 2, 0.0, wall.base + window.sill + window.height / 2)
     size = (window.width, min(PANE, wall.thickness), window.height)
     return SolidBox(name, "window", center, size, wall.yaw, window.material)

@@ -12,15 +12,15 @@ from typing import Any
 
 from vssm_gym.envs.coverage import Observable
 from vssm_gym.envs.progress import GoalDistance
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots.base import Robot
 from vssm_gym.envs.scenery import Scenery
 from vssm_gym.envs.tasks import TaskSampler
 
-_STAGES: "weakref.WeakValueDictionary[tuple[int, HolonomicRobot], Stage]" = weakref.WeakValueDictionary()
+_STAGES: "weakref.WeakValueDictionary[tuple[int, Robot], Stage]" = weakref.WeakValueDictionary()
 _BUILDING = threading.Lock()
 
 
-def stage_of(scenery: Scenery, robot: HolonomicRobot) -> "Stage":
+def stage_of(scenery: Scenery, robot: Robot) -> "Stage":
     """The process's stage of these, built where there is none."""
     with _BUILDING:
         stage = _STAGES.get((id(scenery), robot))  # a stage keeps its scenery, and so its id
@@ -37,7 +37,7 @@ class Stage:
         robot: its measures decide what is free.
     """
 
-    def __init__(self, scenery: Scenery, robot: HolonomicRobot) -> None:
+    def __init__(self, scenery: Scenery, robot: Robot) -> None:
         self.scenery, self.robot = scenery, robot
 
     def __reduce__(self) -> Any:

@@ -20,6 +20,9 @@ from vssm_gym.errors import InputError
 
 Report = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 
+_SCANNER = 'sensors=["lidar"], or sensors=[{"sensor": "lidar", "beams": 64, "noise": "hokuyo"}]'
+_REPLACED = {"lidar": _SCANNER, "lidar_noise": _SCANNER}  # keywords of earlier versions, and what they are now
+
 
 class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
     """Gymnasium's ``reset`` and ``step`` out of the four stages."""
@@ -30,8 +33,10 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
         """Refuse keywords that the constructor does not take, with those that it does."""
-        taken = _keywords(cls)
+        taken = keywords_of(cls)
         for name in given:
+            if name in _REPLACED and "sensors" in taken:
+                raise InputError(cls.__name__.removesuffix("Env"), name, _REPLACED[name])
             if name not in taken:
                 raise InputError(cls.__name__.removesuffix("Env"), name, f"one of its keywords: {', '.join(taken)}")
         return super().__new__(cls)
@@ -74,12 +79,12 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         return observation, reward, terminated, truncated, info
 
 
-def _keywords(cls: type) -> list[str]:
-    """The keywords of a class, and of the one that it passes the rest to."""
+def keywords_of(cls: type) -> list[str]:
+    """Return the keywords of a class, and of the one that it passes the rest to."""
     own = [
         name
         for name, parameter in inspect.signature(cls.__init__).parameters.items()  # type: ignore[misc]
         if name != "self" and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
     ]
     further = getattr(cls, "passes_to", None)
-    return own if further is None else list(dict.fromkeys(own + _keywords(further)))
+    return own if further is None else list(dict.fromkeys(own + keywords_of(further)))

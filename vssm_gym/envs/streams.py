@@ -1,11 +1,21 @@
-"""One random generator for each thing that is random, so that one's use never shifts another's."""
+"""Give each thing that is random a generator of its own, so that one's use never shifts another's."""
+
+import zlib
 
 import numpy as np
 
 STREAMS = ("scene", "task", "dynamics", "sensors")
 
+# Children of the seed that have a number. A stream of any other name is the child of its name, so that it is the same
+# whatever else there is. The scanner of the robots and the IMU of the multirotor are never in one environment.
+_NUMBERS = {"scene": 0, "task": 1, "dynamics": 2, "sensors": 3, "lidar": 4, "imu": 4}
+
 
 def seeded_streams(seed: int | None, names: tuple[str, ...] = STREAMS) -> dict[str, np.random.Generator]:
-    """Generators of ``names``, independent children of ``seed``; fresh entropy where it is None."""
-    children = np.random.SeedSequence(seed).spawn(len(names))
-    return {name: np.random.default_rng(child) for name, child in zip(names, children, strict=True)}
+    """Return generators of ``names``, independent children of ``seed``; fresh entropy where it is None."""
+    entropy = np.random.SeedSequence(seed).entropy
+    return {name: np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=_key(name))) for name in names}
+
+
+def _key(name: str) -> tuple[int, ...]:
+    return (_NUMBERS[name],) if name in _NUMBERS else (len(_NUMBERS), zlib.crc32(name.encode()))

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from vssm_gym.envs.free_space import ROOM_AREA, FreeSpace
 from vssm_gym.envs.geodesic import Geodesics
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots.base import Robot
 from vssm_gym.envs.scene import Apartment
 from vssm_gym.errors import InputError
 
@@ -38,7 +38,7 @@ class Waypoint:
     turn_around: bool  # a viewpoint: look once in every direction
 
 
-def survey_route(apartment: Apartment, robot: HolonomicRobot, seed: int = 0, reach: float = 1.2) -> list[Waypoint]:
+def survey_route(apartment: Apartment, robot: Robot, seed: int = 0, reach: float = 1.2) -> list[Waypoint]:
     """Waypoints of a survey of all that the robot can reach; the recording starts at the first one.
 
     Args:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from vssm_gym.envs.content_hash import content_hash
 from vssm_gym.envs.free_space import FreeSpace
 from vssm_gym.envs.geodesic import Geodesics
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots.base import Robot
 from vssm_gym.envs.scene import Apartment
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
@@ -61,7 +61,7 @@ class Footprint(_Model):
     height: float
 
     @classmethod
-    def of(cls, robot: HolonomicRobot) -> "Footprint":
+    def of(cls, robot: Robot) -> "Footprint":
         """The footprint of a robot."""
         return cls(body_length=robot.body_length, radius=robot.radius, height=robot.height)
 
@@ -120,7 +120,7 @@ def read(kind: type[S], path: Path, apartment: Apartment | None) -> S:
     return tasks
 
 
-def task_set(apartment: Apartment, robot: HolonomicRobot, split: Split, n: int) -> TaskSet:
+def task_set(apartment: Apartment, robot: Robot, split: Split, n: int) -> TaskSet:
     """The first ``n`` tasks of a split: from the frozen file where it is of this scene and robot, else made anew."""
     path = FROZEN / f"{apartment.name}-{split}.json"
     if path.is_file():
@@ -131,7 +131,7 @@ def task_set(apartment: Apartment, robot: HolonomicRobot, split: Split, n: int) 
     return make_tasks(apartment, robot, n, split)
 
 
-def make_tasks(apartment: Apartment, robot: HolonomicRobot, n: int, split: Split, seed: int = 0) -> TaskSet:
+def make_tasks(apartment: Apartment, robot: Robot, n: int, split: Split, seed: int = 0) -> TaskSet:
     """``n`` tasks, each from its own stream.
 
     Raises:
@@ -152,7 +152,7 @@ def make_tasks(apartment: Apartment, robot: HolonomicRobot, n: int, split: Split
     return _hashed(tasks)
 
 
-def freeze(apartment: Apartment, robot: HolonomicRobot, n: int = 200, folder: Path = FROZEN) -> list[Path]:
+def freeze(apartment: Apartment, robot: Robot, n: int = 200, folder: Path = FROZEN) -> list[Path]:
     """Write the files that :func:`task_set` looks for, one a split; for built-in scenes, after they changed."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -165,7 +165,7 @@ def freeze(apartment: Apartment, robot: HolonomicRobot, n: int = 200, folder: Pa
 class TaskSampler:
     """Makes and checks tasks of one apartment and robot, in the largest connected part of its free space."""
 
-    def __init__(self, apartment: Apartment, robot: HolonomicRobot) -> None:
+    def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
         self._scene, self._apart, self._success = apartment.name, APART * robot.body_length, SUCCESS * robot.body_length
 

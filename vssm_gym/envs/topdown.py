@@ -11,6 +11,7 @@ from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.solids import SolidBox, footprint
 
 CUT = 1.2  # m: boxes that begin higher (wall cupboards, lintels) are left out
+PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 FLATTEST = 2  # width over height of a camera's picture at most
 _SMOOTH = 2  # the plan is drawn this much larger, then reduced: smooth edges
 _INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}

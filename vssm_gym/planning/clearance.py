@@ -1,16 +1,21 @@
 """Clearance: ``c(xy) = `` signed Euclidean distance (m) from a point of the floor plan to the nearest place not free.
 
-The map's field is a projective, truncated distance, so it says where surfaces are and not how far they are (SPEC 3,
-step 5): the clearance is a distance transform of its zero level on a fine 2D grid. It is positive in free space and
+The map's field is a projective, truncated distance, so it says where surfaces are and not how far they are:
+the clearance is a distance transform of its zero level on a fine 2D grid. It is positive in free space and
 negative inside obstacles, so that a robot whose estimate touches a wall still sees which way leads out.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
 
 from vssm_gym.columns import KNOWN_SHARE, level_distance, observed_columns
+from vssm_gym.errors import InputError
 from vssm_gym.voxel_map import VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
@@ -82,6 +87,54 @@ class ClearanceMap:
         return ClearanceMap(
             np.minimum(self.clearance, disc).astype(np.float32, order="C"), self.origin, self.resolution
         )
+
+
+@dataclass(frozen=True)
+class ClearanceField:
+    """Clearance as a function of the place, for planners: ``xy (n, 2) -> clearance (n,)``, m, within a rectangle.
+
+    A planner samples it once, between the corners, and plans on the samples; beyond the rectangle nothing is free.
+
+    Attributes:
+        at: ``(n, 2)`` world points to ``(n,)`` signed clearances, m; it may change by no more than the distance moved.
+        low: ``(2,)`` world position of the lowest corner, m.
+        high: ``(2,)`` of the highest, m.
+        resolution: m between samples.
+    """
+
+    at: Callable[[np.ndarray], np.ndarray]
+    low: np.ndarray
+    high: np.ndarray
+    resolution: float
+
+    def __post_init__(self) -> None:
+        low, high = np.asarray(self.low, np.float64), np.asarray(self.high, np.float64)
+        if not (low.shape == high.shape == (2,) and np.isfinite([low, high]).all() and (low < high).all()):
+            raise InputError("ClearanceField", "low, high", f"two finite corners, low < high; found {low!r}, {high!r}")
+        if not (math.isfinite(self.resolution) and self.resolution > 0.0):
+            raise InputError("ClearanceField", "resolution", f"a positive length in metres; found {self.resolution!r}")
+
+    @cached_property
+    def sampled(self) -> ClearanceMap:
+        """The field on a grid from ``low`` to at least ``high``, made at the first use."""
+        low, extent = np.asarray(self.low, np.float64), np.subtract(self.high, self.low)
+        nx, ny = (math.ceil(e / self.resolution - 1e-9) + 1 for e in extent)
+        cells = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
+        values = np.asarray(self.at(low + cells * self.resolution))
+        if values.shape != (nx * ny,) or not np.isfinite(values).all():
+            expected = f"{nx * ny} finite clearances for as many points; found shape {values.shape}"
+            raise InputError("ClearanceField", "at", expected)
+        clearance = np.ascontiguousarray(values.reshape(nx, ny), np.float32)
+        return ClearanceMap(clearance, low, float(self.resolution))
+
+
+Space: TypeAlias = ClearanceMap | ClearanceField
+"""Where a disc's centre has how much room, as planners take it: an array of clearances, or a function."""
+
+
+def on_grid(space: Space) -> ClearanceMap:
+    """Return the space as an array; a function is sampled once, however often it is planned in."""
+    return space.sampled if isinstance(space, ClearanceField) else space
 
 
 def _window(free: np.ndarray) -> tuple[slice, slice]:

@@ -17,15 +17,16 @@ ever before; that leaves many such places and not all.
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numba import njit
 
+from vssm_gym.arc import pose_after, turn_of
 from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.footprint_levels import TIGHT, TOUCHING, FootprintLevels, level_at
 from vssm_gym.planning.goal_distance import goal_distance
+from vssm_gym.planning.result import Outcome
 
 REACH = 1.2  # m of an arc that is looked at
 ACROSS = 0.3  # m, what standing square to the way counts
@@ -42,7 +43,7 @@ NEARER = 0.1  # m that count as coming nearer than ever
 _PART = 0.02  # m of an arc between two looks
 
 
-class DwaStatus(Enum):
+class DwaStatus(Outcome):
     """What the controller is doing; the value is the message that reports print."""
 
     DRIVING = "driving towards the goal"
@@ -153,7 +154,7 @@ class DynamicWindow:
         self, planar: np.ndarray, steerings: np.ndarray, gear: float, escape: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of the arc of each steering: progress (m), tight share and free length (m), all ``(n,)``."""
-        curvatures = np.tan(steerings) / self.car.wheelbase
+        curvatures = turn_of(1.0, steerings, self.car.wheelbase)
         count = math.ceil(REACH / _PART)
         return _follow_arcs(
             self.obstacles.lookup, self.distance, self.downhill, planar, curvatures, gear, count, escape
@@ -193,9 +194,7 @@ def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, es
         turn = gear * _PART * curvatures[k]
         least, narrow, leaving = np.inf, 0, touching
         for i in range(count):
-            x += gear * _PART * math.cos(heading + 0.5 * turn)
-            y += gear * _PART * math.sin(heading + 0.5 * turn)
-            heading += turn
+            x, y, heading = pose_after(x, y, heading, gear * _PART, turn)
             level = level_at(lookup, x, y, heading)
             if level == TOUCHING and not (leaving and i * _PART < escape):
                 break

@@ -9,11 +9,8 @@ them is not looked at, because what is passable for a car's axle is bounded by o
 import numpy as np
 from numba import njit
 
+from vssm_gym.grid_graph import LENGTHS, MOVES
 from vssm_gym.planning.heap import pop, sift_up
-
-# Straight, diagonal and knight's moves; each row: di, dj.
-_MOVES = np.array([[i, j] for i in range(-2, 3) for j in range(-2, 3) if np.gcd(i, j) == 1])
-_LENGTHS = np.hypot(_MOVES[:, 0], _MOVES[:, 1])
 
 
 @njit(cache=True, nogil=True)
@@ -40,11 +37,11 @@ def goal_distance(passable: np.ndarray, gx: float, gy: float) -> np.ndarray:
         size -= 1
         place[node] = -2
         i, j = node // ny, node % ny
-        for m in range(_MOVES.shape[0]):
-            a, b = i + _MOVES[m, 0], j + _MOVES[m, 1]
+        for m in range(MOVES.shape[0]):
+            a, b = i + MOVES[m, 0], j + MOVES[m, 1]
             if not (0 <= a < nx and 0 <= b < ny) or not passable[a, b]:
                 continue
-            other, through = a * ny + b, key[node] + _LENGTHS[m]
+            other, through = a * ny + b, key[node] + LENGTHS[m]
             if through < key[other] and place[other] != -2:
                 key[other] = through
                 if place[other] == -1:

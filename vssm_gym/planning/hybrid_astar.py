@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vssm_gym.arc import poses_after
 from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import wrap_angle
@@ -36,12 +37,14 @@ _BATCH = 200  # nodes between two looks at the clock
 class CarPlan:
     """A drive from the start to the goal, or the reason why there is none.
 
+    It reads as a :class:`~vssm_gym.planning.result.PlanResult` does, and knows headings and gears besides.
+
     Attributes:
         status: how the search ended.
         poses: ``(n, 3)`` x, y (m), heading (rad, in [-pi, pi)) at most a cell of the collision table apart, the start
             first; empty ``(0, 3)`` where there is no plan, the best partial one after a time-out.
         gears: ``(n,)`` int8, 1 forwards, -1 backwards on the way to the pose; the first is the second's.
-        length: driven, m; infinite where there is no plan.
+        cost: length driven, m; infinite where there is no plan.
         seconds: wall-clock time of the whole call.
         expansions: nodes that the search closed.
     """
@@ -49,7 +52,7 @@ class CarPlan:
     status: PlanStatus
     poses: np.ndarray
     gears: np.ndarray
-    length: float
+    cost: float
     seconds: float
     expansions: int
 
@@ -70,10 +73,10 @@ class CarPlan:
 
 
 def plan(
-    obstacles: FootprintLevels,
-    car: Car,
     start: np.ndarray,
     goal: np.ndarray,
+    obstacles: FootprintLevels,
+    car: Car,
     *,
     costs: Costs = DEFAULT_COSTS,
     cell: float = 0.1,
@@ -83,10 +86,13 @@ def plan(
     time_limit: float = 5.0,
     max_expansions: int = 1_000_000,
 ) -> CarPlan:
-    """Cheapest drive of ``car`` from the pose ``start`` ``(3,)`` to ``goal``: a pose ``(3,)``, or a point ``(2,)``.
+    """Plan a cheap drive of ``car`` from the pose ``start`` to ``goal``.
 
     Args:
+        start: ``(3,)`` x, y (m), heading (rad).
+        goal: a pose ``(3,)``, or a point ``(2,)``.
         obstacles: what the footprint touches where.
+        car: its measures.
         costs: weights beside the length.
         cell: of the search, m; arcs are one and a half as long. Halved where the search finds no way.
         headings: of the search; doubled there.
@@ -157,10 +163,7 @@ def arcs(step: float, radius: float, steerings: int, part: float) -> Moves:
     gear = np.repeat([1.0, -1.0], steerings)
     count = max(1, math.ceil(step / part - 1e-9))
     s = gear[:, None] * step * np.arange(1, count + 1) / count
-    turn = s * share[:, None] / radius
-    chord = s * np.sinc(0.5 * turn / np.pi)
-    displacement = np.stack([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn], axis=-1)
-    return Moves(displacement, gear, share, step)
+    return Moves(poses_after(0.0, s, s * share[:, None] / radius), gear, share, step)
 
 
 def _pose(value: np.ndarray, sizes: tuple[int, ...], field: str) -> np.ndarray:

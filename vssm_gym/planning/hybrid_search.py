@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from vssm_gym.arc import pose_after
 from vssm_gym.planning.footprint_levels import TIGHT, TOUCHING, Lookup, level_at
 from vssm_gym.planning.heap import pop, sift_up
 from vssm_gym.planning.reeds_shepp import CANDIDATES, relative, shortest, words
@@ -124,10 +125,7 @@ def curve_excess(
         for _ in range(parts):
             s = lengths[i] / parts
             turn = steerings[i] * s / radius
-            chord = s * (1.0 - turn * turn / 24.0)  # of an arc of one cell
-            x += chord * math.cos(heading + 0.5 * turn)
-            y += chord * math.sin(heading + 0.5 * turn)
-            heading += turn
+            x, y, heading = pose_after(x, y, heading, s * (1.0 - turn * turn / 24.0), turn)  # of an arc of one cell
             level = level_at(lookup, x, y, heading)
             if level == TOUCHING:
                 return np.inf

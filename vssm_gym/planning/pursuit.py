@@ -1,4 +1,4 @@
-"""Following a path: turn in place towards the next waypoint, then drive straight at it (SPEC 6, TNP-SM controller).
+"""Following a path: turn in place towards the next waypoint, then drive straight at it (TNP-SM controller).
 
 With ``e = bearing(waypoint) - heading``: where ``|e| > max_offset`` the robot turns, ``(clip(e), 0, 0)``; else it
 drives, ``(0, e, min(max_step, distance))``. Its direction offset ``o`` makes small corrections, because every turning

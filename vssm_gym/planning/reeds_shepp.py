@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from vssm_gym.arc import poses_after
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import wrap_angle
 
@@ -94,11 +95,10 @@ def sample(curve: ReedsSheppPath, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _along(pose: np.ndarray, s: np.ndarray, curvature: float) -> np.ndarray:
-    """Poses ``(n, 3)`` at the signed lengths ``s`` along an arc; the chord is ``s sinc(turn / 2)`` at half the turn."""
-    turn = s * curvature
-    chord, direction = s * np.sinc(0.5 * turn / np.pi), pose[2] + 0.5 * turn
-    x, y = pose[0] + chord * np.cos(direction), pose[1] + chord * np.sin(direction)
-    return np.stack([x, y, wrap_angle(pose[2] + turn)], axis=-1)
+    """Return poses ``(n, 3)`` at the signed lengths ``s`` along an arc, headings in [-pi, pi)."""
+    poses = poses_after(pose[2], s, s * curvature, pose[0], pose[1])
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
 
 
 def _poses(value: np.ndarray, field: str) -> np.ndarray:

@@ -6,7 +6,16 @@ from enum import Enum
 import numpy as np
 
 
-class PlanStatus(Enum):
+class Outcome(Enum):
+    """How something that plans ended, as a value; a planner's own outcomes are the members of one subclass."""
+
+    @property
+    def message(self) -> str:
+        """Return the sentence that a person reads: the value."""
+        return str(self.value)
+
+
+class PlanStatus(Outcome):
     """How a search ended; the value is the message that reports print."""
 
     FOUND = "path found"
@@ -14,11 +23,6 @@ class PlanStatus(Enum):
     START_BLOCKED = "no path: the start is inside an obstacle, too deep to leave it"
     GOAL_BLOCKED = "no path: no free place within the goal's radius"
     TIME_OUT = "time out: the path leads to the searched place nearest to the goal"
-
-    @property
-    def message(self) -> str:
-        """The sentence that a person reads."""
-        return self.value
 
 
 @dataclass(frozen=True)

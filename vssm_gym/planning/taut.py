@@ -1,67 +1,22 @@
 """Any-angle paths: a grid path pulled taut, ``min sum |p_i+1 - p_i|`` with every segment and every bend clear enough.
 
-A path is feasible when all of every segment has the clearance that :class:`Need` asks for (SPEC 6: the whole segment
-free, a minimum clearance at its end). Every move below keeps a path feasible and shortens it, so the result is never
-longer than what it started from. Coordinates are grid cells; clearances are metres.
+A path is feasible when all of every segment has the clearance that :class:`Need` asks for. Every move below keeps a
+path feasible and shortens it, so the result is never longer than what it started from. Coordinates are grid cells;
+clearances are metres.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from vssm_gym.planning.clearance import ClearanceMap, bilinear
+from vssm_gym.planning.grid_search.need import Need, need_at, segment_free
 
 SWEEPS = 12  # of all moves over all bends; a path of a furnished apartment is taut after 3 to 6
 GAIN = 0.02  # cells: a sweep that shortens the path by less ends the work
 SPACING = 6.0  # cells between the points of a segment that a shortcut may lead to
 SHARP = 0.6  # rad: a sharper bend is split in two, since one bend cuts a corner's arc worse than two
-
-
-class Need(NamedTuple):
-    """Clearance (m) asked for at a place: ``min(limit, base + slope * |xy - (x, y)|)``.
-
-    The ramp lets a robot leave a place that is too near to an obstacle: what is asked grows from what it has now.
-    """
-
-    limit: float  # m
-    x: float  # cells, where the ramp starts: the robot
-    y: float
-    base: float  # m, infinite where the robot stands clear
-    slope: float  # m a cell
-
-
-@njit(cache=True, nogil=True)
-def need_at(need: Need, x: float, y: float) -> float:
-    """The clearance (m) asked for at cell coordinates ``(x, y)``; see :class:`Need`."""
-    if need.base >= need.limit:
-        return need.limit
-    return min(need.limit, need.base + need.slope * math.hypot(x - need.x, y - need.y))
-
-
-@njit(cache=True, nogil=True)
-def segment_free(
-    clearance: np.ndarray, resolution: float, ax: float, ay: float, bx: float, by: float, need: Need
-) -> bool:
-    """Whether the clearance along all of the segment is at least what is needed.
-
-    A clearance falls by at most the distance moved, so the walk steps as far as the slack allows, half a cell at least.
-    """
-    length = math.hypot(bx - ax, by - ay)
-    if length == 0.0:
-        return True
-    ux, uy = (bx - ax) / length, (by - ay) / length
-    rate = resolution + (need.slope if need.base < need.limit else 0.0)
-    t = 0.0
-    while True:
-        x, y = ax + t * ux, ay + t * uy
-        slack = bilinear(clearance, x, y) - need_at(need, x, y)
-        if slack < 0.0:
-            return False
-        if t >= length:
-            return True
-        t = min(length, t + max(0.5, 0.9 * slack / rate))  # 0.9: the interpolation may fall a little faster
 
 
 @njit(cache=True, nogil=True)

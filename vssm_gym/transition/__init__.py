@@ -1,8 +1,9 @@
-"""Transitions ``p(z' | z, u)``: planar robot, rigid body, IMU-driven body, car; and beliefs over their states."""
+"""Transitions ``p(z' | z, u)``: robots on the floor, rigid body, IMU, car; and beliefs over their states."""
 
 from vssm_gym.transition.base import Transition
 from vssm_gym.transition.belief import Belief, GaussianBelief
 from vssm_gym.transition.bicycle import Bicycle, BicycleNoise
+from vssm_gym.transition.differential import DifferentialDrive, WheelNoise
 from vssm_gym.transition.imu import Imu, ImuNoise
 from vssm_gym.transition.manifold import PLANAR, RIGID, Manifold, RigidState
 from vssm_gym.transition.planar import MotionNoise, Planar, planar_belief, world_covariance
@@ -14,6 +15,7 @@ __all__ = [
     "Belief",
     "Bicycle",
     "BicycleNoise",
+    "DifferentialDrive",
     "GaussianBelief",
     "Imu",
     "ImuNoise",
@@ -24,6 +26,7 @@ __all__ = [
     "RigidNoise",
     "RigidState",
     "Transition",
+    "WheelNoise",
     "planar_belief",
     "rigid_belief",
     "world_covariance",

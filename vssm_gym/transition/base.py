@@ -74,14 +74,20 @@ class Transition(eqx.Module):
         xi = self.manifold.error(self.mean(state, control, dt), following)
         return normal_log_prob(xi, self._every_covariance(state, control, dt)) - self.manifold.log_volume(xi)
 
-    def mean_path(self, state: Any, controls: Float[Array, "time m"], dt: float | Array) -> Any:
-        """Return the states after each of several controls without noise, leading axis time."""
+    def mean_path(self, state: Any, controls: Float[Array, "*batch time m"], dt: float | Array) -> Any:
+        """Return the states after each of several controls without noise, axes ``(*batch, time, ...)``.
+
+        Every sequence of controls starts at the one ``state``.
+        """
 
         def step(state, control):
             state = self.mean(state, control, dt)
             return state, state
 
-        return jax.lax.scan(step, state, controls)[1]
+        path = lambda controls: jax.lax.scan(step, state, controls)[1]
+        for _ in range(controls.ndim - 2):
+            path = jax.vmap(path)
+        return path(controls)
 
     def _every_covariance(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Array:
         """:meth:`noise_covariance` of each state of a batch."""

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry import wrap_angle
+from vssm_gym.transition.arc import arc_of
 from vssm_gym.transition.base import QUOTED_STEP, Transition
 from vssm_gym.transition.manifold import PLANAR
 
@@ -48,15 +49,7 @@ def arc(control: Float[Array, "*batch 2"], dt: float | Array, wheelbase: float |
     """
     s = control[..., 0] * dt
     turn = s * jnp.tan(control[..., 1]) / wheelbase
-    # sin(a)/a and (1 - cos a)/a = a/2 (sin(a/2) / (a/2))^2: neither cancels, and their derivatives do not at zero
-    return jnp.stack([s * _sinc(turn), s * 0.5 * turn * _sinc(0.5 * turn) ** 2, turn], axis=-1)
-
-
-def _sinc(a: Array) -> Array:
-    """``sin(a) / a``, by its series near zero."""
-    near = jnp.abs(a) < 0.1
-    safe = jnp.where(near, 1.0, a)
-    return jnp.where(near, 1.0 - a**2 / 6.0 * (1.0 - a**2 / 20.0), jnp.sin(safe) / safe)
+    return arc_of(s, turn)
 
 
 class Bicycle(Transition):

@@ -8,7 +8,8 @@ No gap is between 0.12 and 0.38 m wide, so that no centimetre decides whether a 
 
 from collections.abc import Sequence
 
-from vssm_gym.envs.apartment import Apartment, Box, Furniture, Material
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import Box, Furniture, Material
 from vssm_gym.envs.generator.venues import one_room, pictures
 
 Color = tuple[float, float, float]

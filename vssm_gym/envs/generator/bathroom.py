@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vssm_gym.envs.apartment import Material
+from vssm_gym.envs.apartment_parts import Material
 from vssm_gym.envs.generator.pieces import CERAMIC, STEEL, WHITE, Piece, Style, block, cm, cushion, one, pick, tinted
 
 GLASS = Material(color=(0.80, 0.88, 0.90), texture="marble", scale=1.5)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vssm_gym.envs.apartment import Material
+from vssm_gym.envs.apartment_parts import Material
 from vssm_gym.envs.generator.pieces import BLACK, WHITE, Piece, Style, block, cm, one, pick, tinted
 from vssm_gym.envs.pictures import PICTURES
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from vssm_gym.envs.apartment import XY, Apartment, Door, Material, Room, Wall, Window
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import XY, Door, Material, Room, Wall, Window
 from vssm_gym.errors import InputError
 
 DOOR_HEIGHT = 2.05  # m

@@ -7,7 +7,8 @@ import itertools
 
 import numpy as np
 
-from vssm_gym.envs.apartment import Apartment, Furniture
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import Furniture
 from vssm_gym.envs.generator import bathroom, bedroom, decor, kitchen, living, work
 from vssm_gym.envs.generator.fitting import Fitting
 from vssm_gym.envs.generator.placement import Site

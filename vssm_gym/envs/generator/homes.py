@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vssm_gym.envs.apartment import XY, Apartment
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import XY
 from vssm_gym.envs.generator import looks
 from vssm_gym.envs.generator.floorplan import DoorPlan, Plan, WindowPlan, build
 from vssm_gym.envs.generator.furnish import furnish

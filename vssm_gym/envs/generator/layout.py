@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vssm_gym.envs.apartment import XY
+from vssm_gym.envs.apartment_parts import XY
 from vssm_gym.envs.generator import looks
 from vssm_gym.envs.generator.floorplan import DoorPlan, Plan, RoomPlan, WindowPlan
 from vssm_gym.envs.generator.openings import NoPlan, place_doors, place_windows

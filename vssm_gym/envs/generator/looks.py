@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vssm_gym.envs.apartment import XY, Material
+from vssm_gym.envs.apartment_parts import XY, Material
 from vssm_gym.envs.generator.floorplan import RoomPlan
 from vssm_gym.envs.generator.pieces import Color, pick, tinted
 

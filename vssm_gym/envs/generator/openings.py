@@ -6,7 +6,7 @@ import math
 import numpy as np
 import shapely
 
-from vssm_gym.envs.apartment import XY
+from vssm_gym.envs.apartment_parts import XY
 from vssm_gym.envs.generator.floorplan import DoorPlan, RoomPlan, WindowPlan
 from vssm_gym.envs.generator.pieces import cm, pick
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from vssm_gym.envs.apartment import Material
+from vssm_gym.envs.apartment_parts import Material
 
 Color = tuple[float, float, float]
 T = TypeVar("T")

@@ -16,7 +16,8 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from vssm_gym.envs.apartment import Apartment, Box, Door, Furniture, Room, Window
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import Box, Door, Furniture, Room, Window
 from vssm_gym.envs.generator.pieces import LOW, STEP, Block, Piece
 from vssm_gym.envs.generator.quarter_turns import ROUNDING, contains, gaps, overlap, overlap3, turned, turned3
 from vssm_gym.envs.solids import SolidBox, footprint

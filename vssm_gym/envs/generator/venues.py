@@ -10,7 +10,8 @@ import math
 import numpy as np
 import shapely
 
-from vssm_gym.envs.apartment import Apartment, Box, Furniture, Material
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import Box, Furniture, Material
 from vssm_gym.envs.generator.decor import PAINTINGS
 from vssm_gym.envs.generator.floorplan import DoorPlan, Plan, RoomPlan, build
 from vssm_gym.envs.generator.pieces import WHITE, pick, tinted

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vssm_gym.envs.apartment import Material
+from vssm_gym.envs.apartment_parts import Material
 from vssm_gym.envs.generator.pieces import (
     BLACK,
     STEEL,

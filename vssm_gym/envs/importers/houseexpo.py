@@ -15,7 +15,8 @@ import shapely
 from pydantic import BaseModel, ConfigDict, Field
 from shapely import Polygon
 
-from vssm_gym.envs.apartment import Apartment, Coordinate, Door, Furniture, Material, Room, Wall
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import Coordinate, Door, Furniture, Material, Room, Wall
 from vssm_gym.envs.importers.plan_looks import CEILING, DOOR, PICTURE, floor_material, picture, wall_material
 from vssm_gym.envs.importers.plan_rooms import Opening, split_rooms
 from vssm_gym.envs.importers.plan_walls import Face, square_corners, wall_faces

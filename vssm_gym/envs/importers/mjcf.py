@@ -15,7 +15,8 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
-from vssm_gym.envs.apartment import FAR, Apartment, Box, Furniture, Material, Room, Wall
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import FAR, Box, Furniture, Material, Room, Wall
 from vssm_gym.envs.importers.mjcf_xml import StillModel
 from vssm_gym.envs.importers.voxels import CELL, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
 from vssm_gym.envs.mjcf import StaticGeom, static_geoms

@@ -2,7 +2,7 @@
 
 import zlib
 
-from vssm_gym.envs.apartment import Box, Furniture, Material
+from vssm_gym.envs.apartment_parts import Box, Furniture, Material
 
 CEILING = 2.6  # m
 DOOR = 2.05  # m, height of a doorway under its lintel

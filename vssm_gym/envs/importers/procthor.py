@@ -20,7 +20,8 @@ from typing import Any, Literal
 import numpy as np
 import shapely
 
-from vssm_gym.envs.apartment import XY, Apartment, Door, Furniture, Material, Room, Wall, Window
+from vssm_gym.envs.apartment import Apartment
+from vssm_gym.envs.apartment_parts import XY, Door, Furniture, Material, Room, Wall, Window
 from vssm_gym.envs.importers.procthor_format import Asset, Hole, House, HouseWall, Surface, Vector
 from vssm_gym.envs.importers.procthor_looks import RGB, surface_material
 from vssm_gym.envs.importers.procthor_objects import furniture_of

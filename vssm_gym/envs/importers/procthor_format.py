@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vssm_gym.envs.apartment import Coordinate
+from vssm_gym.envs.apartment_parts import Coordinate
 
 Openness = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-1e6, le=1e6)]  # degrees

@@ -7,7 +7,7 @@ the words in its name; an object's from its type, shaded by a hash of its asset,
 import zlib
 from typing import Literal
 
-from vssm_gym.envs.apartment import Material
+from vssm_gym.envs.apartment_parts import Material
 
 RGB = tuple[float, float, float]
 

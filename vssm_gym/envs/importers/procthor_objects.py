@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vssm_gym.envs.apartment import Box, Furniture, Wall
+from vssm_gym.envs.apartment_parts import Box, Furniture, Wall
 from vssm_gym.envs.importers.procthor_format import OBJECTS, Asset, House, HouseObject
 from vssm_gym.envs.importers.procthor_looks import object_material
 from vssm_gym.errors import InputError

@@ -19,7 +19,8 @@ from jaxtyping import Bool, Int
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import ndimage
 
-from vssm_gym.envs.apartment import EXTENT, Apartment, Coordinate, Room, Wall
+from vssm_gym.envs.apartment import EXTENT, Apartment
+from vssm_gym.envs.apartment_parts import Coordinate, Room, Wall
 from vssm_gym.envs.importers.map_image import read_grey
 from vssm_gym.envs.importers.plan_looks import CEILING, floor_material, wall_material
 from vssm_gym.envs.importers.reading import read_bytes

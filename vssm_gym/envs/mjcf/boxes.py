@@ -5,6 +5,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float, Int
 
 from vssm_gym.envs.solids import SolidBox
 
@@ -40,6 +41,20 @@ def boxes_of_geoms(model: mujoco.MjModel) -> np.ndarray:
     """The box behind each geom; -1 for the robot's."""
     geoms = [model.geom(i).name.split() for i in range(model.ngeom)]
     return np.array([int(words[1]) if words[0] in ("box", "prism") else -1 for words in geoms])
+
+
+def bearings(
+    boxes: Int[np.ndarray, "n 2"], normals: Float[np.ndarray, "n 3"], R_world_body: np.ndarray
+) -> Float[np.ndarray, "n"]:
+    """Return the directions from a robot to the boxes that it touches, rad, counter-clockwise from body x.
+
+    Args:
+        boxes: index of the box behind each contact's two geoms, -1 for the robot's.
+        normals: of the contacts, from their first geom to their second, world frame.
+        R_world_body: nine numbers, the robot's orientation.
+    """
+    outwards = np.where(boxes[:, 1:] >= 0, normals, -normals) @ R_world_body.reshape(3, 3)
+    return np.arctan2(outwards[:, 1], outwards[:, 0])
 
 
 def cast_rays(

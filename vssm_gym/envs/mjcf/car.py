@@ -17,7 +17,7 @@ from vssm_gym.car import Car
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.car_body import BUMPER, CHASSIS_MASS, CLEARANCE, PUSH, WHEEL_MASS, ackermann
 from vssm_gym.envs.car_noise import TICK
-from vssm_gym.envs.mjcf.boxes import boxes_of_geoms, fixed_box
+from vssm_gym.envs.mjcf.boxes import bearings, boxes_of_geoms, fixed_box
 from vssm_gym.envs.mjcf.physics import obstacles
 
 SUBSTEP = 0.005  # s
@@ -118,6 +118,8 @@ def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
 class MujocoCar:
     """A :class:`~vssm_gym.envs.car_body.CarBody` in MuJoCo; one object is one simulation, for one thread."""
 
+    _bearings: list[np.ndarray]  # of obstacles touched in the last drive, rad, one array a substep
+
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
         self._build()
@@ -127,6 +129,7 @@ class MujocoCar:
         self.model = build_car_spec(self.apartment, self.car).compile()
         self.data = mujoco.MjData(self.model)
         self._box_of_geom = boxes_of_geoms(self.model)
+        self._body = self.model.body("car").id
         names = [f"{end} {side}" for end in ("rear", "front") for side in ("left", "right")]
         self._tyres = [self.model.geom(name).id for name in names]
         self.reset(np.zeros(3))
@@ -134,16 +137,18 @@ class MujocoCar:
     def __getstate__(self) -> dict[str, Any]:
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return {"apartment": self.apartment, "car": self.car, "state": state}
+        return {"apartment": self.apartment, "car": self.car, "state": state, "bearings": self._bearings}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.apartment, self.car = state["apartment"], state["car"]
         self._build()
         mujoco.mj_setState(self.model, self.data, state["state"], _STATE)
+        self._bearings = state["bearings"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
+        self._bearings = []
         half = 0.5 * float(planar[2])
         self.data.qpos[:7] = planar[0], planar[1], 0.0, math.cos(half), 0.0, 0.0, math.sin(half)
 
@@ -152,13 +157,23 @@ class MujocoCar:
         model, data = self.model, self.data
         model.geom_friction[self._tyres, 0] = friction
         touched: set[int] = set()
+        self._bearings = []
         for speed, steering in points.tolist():
             data.ctrl[:] = self._controls(speed, steering)
             for _ in range(round(TICK / SUBSTEP)):
                 mujoco.mj_step(model, data)
                 if data.ncon:
-                    touched.update(self._box_of_geom[data.contact.geom].max(axis=1).tolist())
+                    boxes = self._box_of_geom[data.contact.geom]
+                    met = boxes.max(axis=1).tolist()
+                    touched.update(met)
+                    if max(met) >= 0:  # not the floor alone; the contacts' body is that of the substep's begin
+                        which, R_world_body = np.array(met) >= 0, data.xmat[self._body]
+                        self._bearings.append(bearings(boxes[which], data.contact.frame[which, :3], R_world_body))
         return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(touched - {-1})))
+
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""
+        return np.concatenate(self._bearings) if self._bearings else np.zeros(0)
 
     def _controls(self, speed: float, steering: float) -> tuple[float, float, float]:
         """Set points of the two steering servos and the motor, as they stand in the model."""

@@ -12,13 +12,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.free_space import STEP_HEIGHT
-from vssm_gym.envs.mjcf.boxes import CONTACTS, LOOKS, ROBOT, boxes_of_geoms, cast_rays, empty_spec, fixed_box
+from vssm_gym.envs.mjcf.boxes import CONTACTS, LOOKS, ROBOT, bearings, boxes_of_geoms, cast_rays, empty_spec, fixed_box
 from vssm_gym.envs.planar import clearance, rectangles
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots.base import Robot
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.geometry import wrap_angle
 
@@ -35,7 +36,7 @@ def obstacles(boxes: Sequence[SolidBox], height: float) -> list[int]:
     ]
 
 
-def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
+def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
     """The apartment's boxes, fixed, and the robot on two slides and a hinge ``(x, y, heading)``; SI units, z up.
 
     Geoms are named ``box I`` and ``prism I`` after the index in ``apartment.boxes()``; the body is named ``robot``.
@@ -85,7 +86,7 @@ def build_spec(apartment: Apartment, robot: HolonomicRobot) -> mujoco.MjSpec:
 class World:
     """The robot among the apartment's boxes; one object is one simulation, for one thread."""
 
-    def __init__(self, apartment: Apartment, robot: HolonomicRobot) -> None:
+    def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.apartment, self.robot = apartment, robot
         self._build()
 
@@ -94,25 +95,28 @@ class World:
         self.model = build_spec(self.apartment, self.robot).compile()
         self.data = mujoco.MjData(self.model)
         self._box_of_geom = boxes_of_geoms(self.model)
+        self._body = self.model.body("robot").id
         self._rectangles = rectangles([self.boxes[i] for i in obstacles(self.boxes, self.robot.height)])
         self._touched: set[int] = set()
+        self._meetings: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # a substep's geoms, normals, heading
         mujoco.mj_forward(self.model, self.data)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"apartment": self.apartment, "robot": self.robot, "planar": self.pose(), "touched": self._touched}
+        state = {"apartment": self.apartment, "robot": self.robot, "planar": self.pose()}
+        return state | {"touched": self._touched, "meetings": self._meetings}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.apartment, self.robot = state["apartment"], state["robot"]
         self._build()
         self.reset(state["planar"])
-        self._touched = state["touched"]
+        self._touched, self._meetings = state["touched"], state["meetings"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the robot at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = planar
         mujoco.mj_kinematics(self.model, self.data)  # rays need the geoms' places
-        self._touched = set()
+        self._touched, self._meetings = set(), []
 
     def pose(self) -> PlanarPose:
         """The robot's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
@@ -131,7 +135,7 @@ class World:
         model, data = self.model, self.data
         displacement = np.asarray(target, dtype=np.float64) - data.qpos
         displacement[2] = wrap_angle(displacement[2])
-        self._touched = set()
+        self._touched, self._meetings = set(), []
         travel = math.hypot(displacement[0], displacement[1])
         free = clearance(data.qpos[0], data.qpos[1], self._rectangles) - self.robot.radius - KEEP
         if free > 0.0 and travel <= free:
@@ -148,7 +152,10 @@ class World:
             qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
             step(model, data)
             if data.ncon:
-                pairs.add(data.contact.geom.tobytes())
+                geoms_met = data.contact.geom.copy()  # the array is a view of memory that the next substep reuses
+                pairs.add(geoms_met.tobytes())
+                # Contacts are those of the substep's begin, and so is the body's pose; qpos is that of its end.
+                self._meetings.append((geoms_met, data.contact.frame[:, :3].copy(), data.xmat[self._body].copy()))
         geoms = np.frombuffer(b"".join(pairs), dtype=np.int32)
         self._touched = set(self._box_of_geom[geoms].tolist()) - {-1}
         return bool(self._touched)
@@ -156,6 +163,15 @@ class World:
     def contacts(self) -> list[str]:
         """Names of the obstacles that the last :meth:`drive` touched, in the order of the apartment's boxes."""
         return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
+
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the robot during the last :meth:`drive`, rad.
+
+        Against the contact's normal, from the robot to the obstacle, counter-clockwise from body x; one a contact and
+        substep, none where nothing was touched.
+        """
+        met = [bearings(self._box_of_geom[geoms], normals, R) for geoms, normals, R in self._meetings]
+        return np.concatenate(met) if met else np.zeros(0)
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""

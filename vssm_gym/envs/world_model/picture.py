@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vssm_gym.envs.eye import PICTURE
+from vssm_gym.envs.topdown import PICTURE
 from vssm_gym.envs.world_model.ground import Ground
 
 FREE, BLOCKED, UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from vssm_gym.car import Car
-from vssm_gym.envs.eye import EXTENT
+from vssm_gym.envs.sensors.base import EXTENT
 from vssm_gym.envs.validation import choose
 from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
 from vssm_gym.envs.world_model.crew import Crew

@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from vssm_gym.envs.progress import SPACING
 from vssm_gym.envs.world_model.ground import Ground, mean_clearance
+from vssm_gym.grid_graph import edges, graph
 
 NOWHERE = 1e6  # m, from where no way leads to the goal
 BEYOND = 1e3  # m: what is looked up as more is near such a node
-_EDGES = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)]
 _RINGS = 3  # of blocked nodes beside free ones get a distance, so that a robot at a wall has one
 
 
@@ -86,23 +86,11 @@ class Lattice:
         return Ways(field, at_goals, origin, (self.shape[0], self.shape[1]))
 
     def _edges(self) -> csr_array:
-        nx, ny = self.shape
-        index = np.arange(nx * ny).reshape(nx, ny)
-        free = self.free.reshape(nx, ny)
-        rows, columns, lengths = [], [], []
-        for dx, dy in _EDGES:
-            a = (slice(0, nx - dx), slice(max(0, -dy), ny - max(0, dy)))
-            b = (slice(dx, nx), slice(max(0, dy), ny + min(0, dy)))
-            both = free[a] & free[b]
-            begin, end = index[a][both], index[b][both]
-            along = np.linspace(0.0, 1.0, 5)[1:-1, None, None]
-            between = (1.0 - along) * self.nodes[begin] + along * self.nodes[end]
-            passable = (self.clearance(between) >= 0.95 * self._radius).all(axis=0)
-            rows.append(begin[passable])
-            columns.append(end[passable])
-            lengths.append(np.full(passable.sum(), SPACING * np.hypot(dx, dy)))
-        row, column, length = np.concatenate(rows), np.concatenate(columns), np.concatenate(lengths)
-        return csr_array((length, (row, column)), shape=(index.size, index.size))
+        begin, end, length = edges(self.free.reshape(self.shape))
+        along = np.linspace(0.0, 1.0, 5)[1:-1, None, None]
+        between = (1.0 - along) * self.nodes[begin] + along * self.nodes[end]
+        passable = (self.clearance(between) >= 0.95 * self._radius).all(axis=0)
+        return graph(self.free.size, begin[passable], end[passable], SPACING * length[passable])
 
 
 def _filled(distance: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""``I(M; x_>t | z_>t) = H(M) - E_x H(M | x, z) = sum_cells 1/2 log(1 + n lambda_u / lambda)`` of trajectories (SPEC 8).
+"""``I(M; x_>t | z_>t) = H(M) - E_x H(M | x, z) = sum_cells 1/2 log(1 + n lambda_u / lambda)`` of trajectories.
 
 ``lambda`` is a cell's precision, ``lambda_u`` that of one update and ``n`` the number of a trajectory's images that
 observe the cell: precisions add whatever is read, so given which cells the images observe, the posterior's entropy is

@@ -1,4 +1,4 @@
-"""Images imagined from the current belief: depth of many views in a call, at the map's mean or in a sample (SPEC 8).
+"""Images imagined from the current belief: depth of many views in a call, at the map's mean or in a sample.
 
 Literal samples of unknown cells, ``N(-0.001, 10^2)`` each on its own, are solid by the next cell: nobody would look
 into the unknown. The prior says nothing of how surfaces hang together, so samples take a word from elsewhere: unknown

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.candidates import FIXED, propose
 from vssm_gym.planning.mpc.fields import FieldCache, Fields
@@ -28,9 +29,11 @@ from vssm_gym.planning.mpc.lagrangian import RefineConfig, refine
 from vssm_gym.planning.mpc.objective import required_clearance, rollout, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, checked_pose, last_control
 from vssm_gym.planning.mpc.ranking import ranked
+from vssm_gym.planning.mpc.symbols import bicycle_step, spline
 from vssm_gym.planning.mpc.verdict import Verdict, judge, to_result
-from vssm_gym.planning.mpc.windows import SUPPORT, ClearanceTable, ValueTable
+from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
 from vssm_gym.planning.value_iteration import CostToGo
+from vssm_gym.transition import Bicycle
 
 CANDIDATES = 4 * FIXED  # to find a start among
 STARTS = 3  # the last plan and the best of the candidates, of which IPOPT gets one
@@ -61,6 +64,7 @@ class Ipopt:
 
     def __init__(self, problem: MpcProblem | None = None) -> None:
         self.problem = problem or MpcProblem()
+        _bicycle(self.problem)  # an error now rather than at the first step
         self._fields = FieldCache(self.problem.car)
         self._tables: tuple[Fields, ValueTable, ClearanceTable] | None = None
         self._solvers: dict[tuple[Any, ...], Any] = {}
@@ -159,22 +163,13 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
     before = ca.horzcat(pose, z[:, :-1])
     change = u - ca.horzcat(last, u[:, :-1])
 
-    def sinc(a):
-        near = ca.fabs(a) < 0.1
-        safe = ca.if_else(near, 1.0, a)
-        return ca.if_else(near, 1.0 - a**2 / 6.0 * (1.0 - a**2 / 20.0), ca.sin(safe) / safe)
-
-    length = u[0, :] * car.dt
-    turn = length * ca.tan(u[1, :]) / car.wheelbase
-    forward, left = length * sinc(turn), length * 0.5 * turn * sinc(0.5 * turn) ** 2
-    c, s = ca.cos(before[2, :]), ca.sin(before[2, :])
-    gaps = z - (before + ca.vertcat(c * forward - s * left, s * forward + c * left, turn))
+    gaps = z - bicycle_step(ca, before, u, car.dt, float(_bicycle(problem).wheelbase))
 
     centres, radius = problem.discs
     heading_x, heading_y = ca.cos(z[2, :]), ca.sin(z[2, :])
     px = ca.horzcat(*[z[0, :] + a * heading_x - b * heading_y for a, b in centres])
     py = ca.horzcat(*[z[1, :] + a * heading_y + b * heading_x for a, b in centres])
-    flat = _spline(
+    flat = spline(
         ca,
         distances,
         (clearances.cells, clearances.cells),
@@ -184,7 +179,7 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
 
     turns = z[2, :] * (values.headings / (2.0 * math.pi))
     turns -= values.headings * ca.floor(turns / values.headings)
-    value = _spline(
+    value = spline(
         ca,
         table,
         (values.cells, values.cells, values.headings + 3),
@@ -212,26 +207,11 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
     return ca.nlpsol("car", "ipopt", program, settings)
 
 
-def _spline(ca: Any, coefficients: Any, shape: tuple[int, ...], places: list[Any]) -> Any:
-    """The cubic B-spline at ``places`` (rows ``(1, n)`` of cell coordinates, one a dimension), ``(1, n)``.
-
-    Beyond the window the place nearest to it. The indices are piecewise constant, so derivatives pass by them.
-    """
-    indices, weights = [], []
-    for g, n in zip(places, shape, strict=True):
-        g = ca.fmin(ca.fmax(g, 1.0), n - 2.0 - 1e-9)
-        below = ca.floor(g)
-        t = g - below
-        indices.append([below - 1.0 + k for k in range(SUPPORT)])
-        r = 1.0 - t
-        inner = lambda a: (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0
-        weights.append([r**3 / 6.0, inner(t), inner(r), t**3 / 6.0])
-    flat, weight = indices[0], weights[0]
-    for k in range(1, len(shape)):
-        flat = [shape[k] * i + j for i in flat for j in indices[k]]
-        weight = [a * b for a in weight for b in weights[k]]
-    picked = coefficients[ca.vec(ca.vertcat(*flat))]
-    return ca.sum1(ca.reshape(picked, len(flat), places[0].shape[1]) * ca.vertcat(*weight))
+def _bicycle(problem: MpcProblem) -> Bicycle:
+    """Return the problem's transition, the one law that is spelled in CasADi here; an error for another one."""
+    if not isinstance(problem.transition, Bicycle):
+        raise InputError("Ipopt", "problem.transition", f"a Bicycle; found {type(problem.transition).__name__}")
+    return problem.transition
 
 
 def _bounds(problem: MpcProblem, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

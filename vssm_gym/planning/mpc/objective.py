@@ -16,29 +16,19 @@ from jaxtyping import Array, Float
 from vssm_gym.geometry import wrap_angle
 from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.problem import MpcProblem
-from vssm_gym.transition import bicycle
 
 
 class Plans(NamedTuple):
     """Evaluated plans."""
 
-    states: Float[Array, "*batch time 3"]  # z_1 .. z_T, heading not wrapped
+    states: Float[Array, "*batch time 3"]  # z_1 .. z_T; a heading may be wrapped or not
     cost: Float[Array, "*batch"]  # step costs
     clearance: Float[Array, "*batch time discs"]  # d - r, m
 
 
 def rollout(problem: MpcProblem, state: Float[Array, "3"], controls: Float[Array, "*batch time 2"]) -> Array:
-    """``z_1 .. z_T``: :func:`~vssm_gym.transition.bicycle.integrate` step by step, ``(*batch, time, 3)``.
-
-    A bicycle's arc does not depend on its pose, so headings are sums of turns and places are sums of turned arcs: all
-    steps of all plans at once. Headings are not wrapped.
-    """
-    arcs = bicycle.arc(controls, problem.car.dt, problem.car.wheelbase)
-    turned = state[2] + jnp.cumsum(arcs[..., 2], axis=-1)
-    before = turned - arcs[..., 2]
-    c, s = jnp.cos(before), jnp.sin(before)
-    dx, dy = c * arcs[..., 0] - s * arcs[..., 1], s * arcs[..., 0] + c * arcs[..., 1]
-    return jnp.stack([state[0] + jnp.cumsum(dx, -1), state[1] + jnp.cumsum(dy, -1), turned], axis=-1)
+    """Return ``z_1 .. z_T``, ``(*batch, time, 3)``; headings are wrapped or not, as the transition leaves them."""
+    return problem.transition.mean_path(state, controls, problem.car.dt)
 
 
 def footprint_clearance(problem: MpcProblem, fields: Fields, states: Float[Array, "*batch 3"]) -> Array:

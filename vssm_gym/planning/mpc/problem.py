@@ -1,17 +1,16 @@
-"""The car's control problem over a short horizon, and what every solver of it returns (SPEC 7, thesis eq. 5.21).
+"""The car's control problem over a short horizon, and what every solver of it returns (thesis eq. 5.21).
 
-    min_u  sum_{t<T} gamma^t c(z_t, u_t) + gamma^T J(z_T)      z_{t+1} = z_t exp(arc(u_t))
+    min_u  sum_{t<T} gamma^t c(z_t, u_t) + gamma^T J(z_T)      z_{t+1} = mean of p(z' | z_t, u_t)
     s.t.   d(p_i(z_t)) - r >= m  for t = 1..T and every disc i of the footprint,
            |speed| and |steering| within the car's limits, and their changes within a rate
 
 ``J`` is the cost-to-go of value iteration, ``d`` the clearance of the floor plan, ``p_i`` the centres of the discs that
 cover the footprint and ``r`` their radius. ``c`` is the step cost of value iteration until ``J`` is zero, and three
-small terms: see :mod:`vssm_gym.planning.mpc.objective`.
+small terms: see :mod:`vssm_gym.planning.mpc.objective`. The transition is the car's bicycle unless another is given.
 """
 
 import math
 from dataclasses import dataclass, field, fields, replace
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +19,10 @@ from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.cover import cover
+from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import CostToGo
+from vssm_gym.transition import Bicycle, Transition
+from vssm_gym.transition.manifold import PLANAR
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,28 @@ class MpcConfig:
 
 @dataclass(frozen=True)
 class MpcProblem:
-    """A car under a configuration: what is known before map, goal and pose are. Hashable, so static in JAX."""
+    """A car under a configuration: what is known before map, goal and pose are. Hashable, so static in JAX.
+
+    Attributes:
+        car: footprint, limits of the two controls and length of a step.
+        config: what the controller may do and what it is charged for.
+        transition: of planar poses under those controls; by default the car's bicycle. Its fields are numbers.
+    """
 
     car: Car = field(default_factory=Car)
     config: MpcConfig = field(default_factory=MpcConfig)
+    transition: Transition = None  # type: ignore[assignment]  # the car's, filled in below
+
+    def __post_init__(self) -> None:
+        if self.transition is None:
+            object.__setattr__(self, "transition", Bicycle(wheelbase=self.car.wheelbase))
+        if self.transition.manifold != PLANAR:
+            raise InputError("MpcProblem", "transition", f"one of planar poses; found {self.transition!r:.80}")
+        try:
+            hash(self.transition)
+        except TypeError:
+            expected = "a transition whose fields are numbers, not arrays: compiled code is kept for each"
+            raise InputError("MpcProblem", "transition", expected) from None
 
     @property
     def discs(self) -> tuple[np.ndarray, float]:
@@ -96,7 +116,7 @@ class MpcProblem:
         return self.car.dt * np.array([self.config.speed_rate, self.config.steering_rate])
 
 
-class MpcStatus(Enum):
+class MpcStatus(Outcome):
     """How a solution ended; the value is the message that reports print."""
 
     SOLVED = "solved: every constraint holds, the solver converged"
@@ -104,11 +124,6 @@ class MpcStatus(Enum):
     INFEASIBLE = "infeasible: no plan was found that keeps the margin"
     BLOCKED = "infeasible: the car is inside an obstacle of the map, or closer to it than the discs that cover it"
     LATE = "late: the answer came after the deadline"
-
-    @property
-    def message(self) -> str:
-        """The sentence that a person reads."""
-        return self.value
 
     @property
     def usable(self) -> bool:

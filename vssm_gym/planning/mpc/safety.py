@@ -11,7 +11,6 @@ Free means: from the pose where the car is now, with a standstill at the end, at
 """
 
 from dataclasses import dataclass
-from enum import Enum
 from functools import partial
 
 import jax
@@ -22,13 +21,14 @@ from jaxtyping import Array
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.objective import rollout, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, checked_pose
+from vssm_gym.planning.result import Outcome
 
 REMEMBERED = 50  # commands of the way back: 5 s
 STANDING = 1e-3  # m/s
 WAYS = 4  # out of a step without a plan
 
 
-class SafeKind(Enum):
+class SafeKind(Outcome):
     """Why a command was chosen; the value is the message that reports print."""
 
     PLANNED = "drives the new plan"
@@ -37,11 +37,6 @@ class SafeKind(Enum):
     ESCAPED = "leaves the obstacle by the solver's way"
     BRAKED = "brakes: no motion is known to be free"
     HELD = "stands: no motion is known to be free"
-
-    @property
-    def message(self) -> str:
-        """The sentence that a person reads."""
-        return self.value
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 
 The sharpest arc is driven at full lock, which fixes the length: ``length = max(b) (2 pi / n_headings) turning_radius``.
 A motion that starts at a cell centre with a heading of the grid ends with a heading of the grid, so only x and y of the
-successor lie between grid points.
+successor lie between grid points. The poses are those of the bicycle in NumPy (:mod:`vssm_gym.arc`), not in JAX: their
+cells decide which poses are neighbours, so even the last bit of a heading of the grid matters.
 """
 
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from vssm_gym.arc import poses_after
 from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.footprint import cells_under, dilate, heading_grid
@@ -72,10 +74,8 @@ class Motions:
         turn = 2.0 * np.pi / self.n_headings * self.heading_steps
         expand = (slice(None), *(None,) * share.ndim)
         angle = turn[expand] * share
-        chord = ahead[expand] * share * np.sinc(0.5 * angle / np.pi)  # of the arc, in the direction of its middle
         headings = heading_grid(self.n_headings)[:, None][(..., *(None,) * share.ndim)]
-        direction = headings + 0.5 * angle
-        return np.stack([chord * np.cos(direction), chord * np.sin(direction), headings + angle], axis=-1)
+        return poses_after(headings, ahead[expand] * share, angle)
 
     @property
     def displacements(self) -> np.ndarray:

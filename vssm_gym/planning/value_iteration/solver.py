@@ -1,4 +1,4 @@
-"""Value iteration by aggregation over (x, y, heading): ``V(s) = min_a 1 + gamma sum_c w_c(s, a) V(c)`` (SPEC 7).
+"""Value iteration by aggregation over (x, y, heading): ``V(s) = min_a 1 + gamma sum_c w_c(s, a) V(c)``.
 
 ``c`` runs over the four poses of the grid around the end of arc ``a``, ``w_c`` are bilinear weights. Step cost 1 a
 motion, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint meets an occupied cell
@@ -7,7 +7,6 @@ anywhere are no motions.
 
 import time
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ import numpy as np
 from vssm_gym.car import Car
 from vssm_gym.errors import InputError
 from vssm_gym.planning.footprint import Arena, collides, heading_grid, rectangle_collisions
+from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import sweeps
 from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
 from vssm_gym.planning.value_iteration.motions import Motions
@@ -24,19 +24,14 @@ from vssm_gym.planning.value_iteration.reachability import flood
 WARM_SWEEPS = 64  # a warm start that takes longer has too far to climb: from scratch it is faster
 
 
-class ValueStatus(Enum):
+class ValueStatus(Outcome):
     """How value iteration ended; the value is the message that reports print."""
 
-    CONVERGED = "converged"
+    CONVERGED = "converged: the Bellman residual is below the tolerance everywhere"
     NOT_CONVERGED = "not converged: the sweeps allowed ran out before the Bellman residual was small"
     GOAL_BLOCKED = "no cost-to-go: the car collides at every pose of the goal region"
     START_BLOCKED = "refused: the car collides at the start"
     UNREACHABLE = "refused: no motions lead from the start to the goal"
-
-    @property
-    def message(self) -> str:
-        """The sentence that a person reads."""
-        return self.value
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,17 @@
-"""Robots: what they measure, what they may be told, and how a noisy body executes it (SPEC 6, TNP-SM)."""
+"""Drive a robot that turns and slides on the floor: its measures, its commands and their noise (TNP-SM)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.envs.presets import Presets
+from vssm_gym.envs.robots.base import camera_ahead
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import R_BODY_CAM, wrap_angle
+from vssm_gym.geometry import wrap_angle
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,8 @@ class HolonomicRobot:
     max_step: float = 0.16  # m a step, 0 <= s <= max_step: 0.8 body lengths
     dt: float = 0.2  # s
 
+    commands: ClassVar[tuple[str, ...]] = ("turn", "o", "s")
+
     @property
     def radius(self) -> float:
         """Radius of the footprint, metres."""
@@ -36,17 +42,28 @@ class HolonomicRobot:
         return np.array([self.max_turn, self.max_offset, self.max_step])
 
     @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest ``(turn, o, s)``, rad, rad, m; float64 ``(3,)``."""
+        return np.array([-self.max_turn, -self.max_offset, 0.0]), self.limits
+
+    @property
     def T_body_cam(self) -> Matrix4:
         """Camera frame to body frame (origin on the floor below the axis), constant; float64 ``(4, 4)``."""
-        T = np.eye(4)
-        T[:3, :3] = R_BODY_CAM
-        T[2, 3] = self.camera_height
-        return T
+        return camera_ahead(self.camera_height)
 
     def clip(self, command: np.ndarray) -> np.ndarray:
         """The nearest command within the limits, component by component: ``(turn, o, s)`` float64 ``(3,)``."""
-        low = np.array([-self.max_turn, -self.max_offset, 0.0])
-        return np.clip(np.asarray(command, dtype=np.float64), low, self.limits)
+        return np.clip(np.asarray(command, dtype=np.float64), *self.bounds)
+
+    def parse_noise(self, level: "str | ExecutionNoise | Mapping[str, Any]") -> "ExecutionNoise":
+        """Return the noise of a named level, of a mapping of its fields, or the noise itself."""
+        return execution_noise(level)
+
+    def execute(
+        self, planar: PlanarPose, command: np.ndarray, noise: "ExecutionNoise", rng: np.random.Generator
+    ) -> PlanarPose:
+        """Execute one noisy step in free space: see :func:`execute`."""
+        return execute(planar, command, noise, rng)
 
 
 @dataclass(frozen=True)
@@ -72,25 +89,18 @@ NOISE_LEVELS: dict[str, ExecutionNoise] = {
 }
 
 
-def execution_noise(level: str | ExecutionNoise) -> ExecutionNoise:
-    """The noise of a named level, or ``level`` itself; an unknown name raises :class:`InputError`."""
-    if isinstance(level, ExecutionNoise):
-        return level
-    if not isinstance(level, str) or level not in NOISE_LEVELS:
-        raise InputError(
-            "environment", "noise", f"one of {', '.join(NOISE_LEVELS)} or an ExecutionNoise, not {level!r}"
-        )
-    return NOISE_LEVELS[level]
+execution_noise = Presets("environment", "noise", ExecutionNoise, NOISE_LEVELS)
 
 
 def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng: np.random.Generator) -> PlanarPose:
-    """One noisy step in free space (SPEC 6; TNP-SM, body-frame ``o``).
+    """Execute one noisy step in free space (TNP-SM, body-frame ``o``).
 
         heading' = heading + sign(turn) max(0, |turn| + e_a)                      where turn != 0
         xy'      = xy + [cos(phi), sin(phi)] max(0, s + e_s),  phi = heading + o + e_a    where s > 0
 
     ``e_a ~ N(0, noise.turn^2)``, ``e_s ~ N(0, noise.step^2)``; the same ``e_a`` serves both lines. Noise acts only
-    where the robot tries to move, and never reverses a motion.
+    where the robot tries to move, and never reverses a motion. The law is the NumPy twin of what
+    :meth:`vssm_gym.transition.planar.Planar.executed` is in JAX; a test holds them together.
 
     Args:
         planar: ``(x, y, heading)`` before the step, m and rad.

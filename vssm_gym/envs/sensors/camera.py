@@ -2,15 +2,16 @@
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from vssm_gym.axes import Matrix4
 from vssm_gym.camera import Camera
 from vssm_gym.envs.mjcf import FlightWorld, World
+from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.raycast import RaycastCamera
 from vssm_gym.envs.solids import SolidBox
 from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer, Tracer
@@ -40,19 +41,7 @@ class CameraConfig:
         return Camera.from_hfov(self.width, self.height, self.hfov)
 
 
-def camera_config(spec: CameraConfig | Mapping[str, Any] | None) -> CameraConfig:
-    """A configuration from itself, from a mapping of its fields (those left out keep their defaults), or the default.
-
-    Raises :class:`InputError` for anything else.
-    """
-    if spec is None:
-        return CameraConfig()
-    if isinstance(spec, CameraConfig):
-        return spec
-    known = [field.name for field in fields(CameraConfig)]
-    if not isinstance(spec, Mapping) or not set(spec) <= set(known):
-        raise InputError("camera", "spec", f"a CameraConfig or a mapping of {', '.join(known)}; found {spec!r:.80}")
-    return CameraConfig(**spec)
+camera_config = Presets("environment", "camera", CameraConfig, {}, default=CameraConfig())
 
 
 class SceneCamera(Protocol):

@@ -1,4 +1,4 @@
-"""A planar laser scanner: ranges to the first box along a fan of beams, and how a real one misreads them.
+"""Scan with a planar laser: ranges to the first box along a fan of beams, and how a real scanner misreads them.
 
 The law of the errors is that of every scanner here, the mazes' too (:mod:`vssm_gym.envs.maze_noise` has their levels).
 
@@ -13,45 +13,19 @@ Sources: data sheets of Hokuyo's URG-04LX (indoor scanner of small robots) and S
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.axes import Matrix4
+from vssm_gym.envs.presets import Presets
+from vssm_gym.envs.scenery import Scenery
+from vssm_gym.envs.sensors.base import HasPose
 from vssm_gym.envs.tracing import Tracer
 from vssm_gym.errors import InputError
-
-
-@dataclass(frozen=True)
-class LidarConfig:
-    """The fan of beams, horizontal in the robot's frame."""
-
-    beams: int = 64
-    fov: float = 2.0 * math.pi  # rad
-    min_range: float = 0.0  # m
-    max_range: float = 10.0  # m
-    height: float = 0.3  # m above the robot's origin
-
-    def __post_init__(self) -> None:
-        for field in ("fov", "min_range", "max_range", "height"):
-            if not isinstance(value := getattr(self, field), int | float):
-                raise InputError("LidarConfig", field, f"a number, not {value!r:.80}")
-        if isinstance(self.beams, bool) or not (isinstance(self.beams, int) and 1 <= self.beams <= 65536):
-            raise InputError("LidarConfig", "beams", f"1 to 65536, not {self.beams!r}")
-        if not 0.0 < self.fov <= 2.0 * math.pi:
-            raise InputError("LidarConfig", "fov", f"an angle in radians above 0, 2 pi at most, not {self.fov!r}")
-        if not (0.0 <= self.min_range < self.max_range < math.inf):
-            found = f"{self.min_range!r}, {self.max_range!r}"
-            raise InputError("LidarConfig", "max_range", f"0 <= min_range < max_range, finite, m; found {found}")
-        if not math.isfinite(self.height):
-            raise InputError("LidarConfig", "height", f"a finite number of metres, not {self.height!r}")
-
-    def angles(self) -> Float[np.ndarray, "beams"]:
-        """Direction of each beam, rad, rising."""
-        return self.fov * ((np.arange(self.beams) + 0.5) / self.beams - 0.5)
 
 
 @dataclass(frozen=True)
@@ -84,30 +58,79 @@ PRESETS = {
 }
 
 
-def lidar_noise(spec: str | LidarNoise) -> LidarNoise:
-    """A preset by name, or the noise itself; raises :class:`InputError` for an unknown name."""
-    if isinstance(spec, LidarNoise):
-        return spec
-    if not isinstance(spec, str) or spec not in PRESETS:
-        raise InputError("lidar_noise", "name", f"one of {', '.join(PRESETS)}, or a LidarNoise; found {spec!r}")
-    return PRESETS[spec]
+lidar_noise = Presets("lidar", "noise", LidarNoise, PRESETS)
 
 
-def lidar_config(spec: bool | LidarConfig | Mapping[str, Any] | None) -> LidarConfig | None:
-    """The scanner that a keyword asks for: True is the default one, None and False none; a mapping gives its fields."""
-    if spec is None or isinstance(spec, bool):
-        return LidarConfig() if spec else None
-    if isinstance(spec, LidarConfig):
-        return spec
-    known = [field.name for field in fields(LidarConfig)]
-    if not isinstance(spec, Mapping) or not set(spec) <= set(known):
-        expected = f"True, a LidarConfig or a mapping of {', '.join(known)}; found {spec!r:.80}"
-        raise InputError("environment", "lidar", expected)
-    return LidarConfig(**spec)
+@dataclass(frozen=True)
+class LidarConfig:
+    """The fan of beams, horizontal in the robot's frame, and how its ranges err.
+
+    ``noise`` is a :class:`LidarNoise`, the name of a preset, or a mapping of its fields.
+    """
+
+    beams: int = 64
+    fov: float = 2.0 * math.pi  # rad
+    min_range: float = 0.0  # m
+    max_range: float = 10.0  # m
+    height: float = 0.3  # m above the robot's origin
+    noise: LidarNoise = LidarNoise()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "noise", lidar_noise(self.noise))
+        for field in ("fov", "min_range", "max_range", "height"):
+            if not isinstance(value := getattr(self, field), int | float):
+                raise InputError("LidarConfig", field, f"a number, not {value!r:.80}")
+        if isinstance(self.beams, bool) or not (isinstance(self.beams, int) and 1 <= self.beams <= 65536):
+            raise InputError("LidarConfig", "beams", f"1 to 65536, not {self.beams!r}")
+        if not 0.0 < self.fov <= 2.0 * math.pi:
+            raise InputError("LidarConfig", "fov", f"an angle in radians above 0, 2 pi at most, not {self.fov!r}")
+        if not (0.0 <= self.min_range < self.max_range < math.inf):
+            found = f"{self.min_range!r}, {self.max_range!r}"
+            raise InputError("LidarConfig", "max_range", f"0 <= min_range < max_range, finite, m; found {found}")
+        if not math.isfinite(self.height):
+            raise InputError("LidarConfig", "height", f"a finite number of metres, not {self.height!r}")
+
+    def angles(self) -> Float[np.ndarray, "beams"]:
+        """Direction of each beam, rad, rising."""
+        return self.fov * ((np.arange(self.beams) + 0.5) / self.beams - 0.5)
+
+    def mount(self, scenery: Scenery) -> "LidarSensor":
+        """Build the scanner in a scene."""
+        return LidarSensor(self, scenery)
+
+
+class LidarSensor:
+    """``scan`` float32 ``(beams,)``: ranges in m, counter-clockwise, 0 = no reading; see the module.
+
+    Args:
+        config: the fan and its noise.
+        scenery: what is scanned; the robot itself is transparent.
+    """
+
+    stream = "lidar"
+
+    def __init__(self, config: LidarConfig, scenery: Scenery) -> None:
+        self.config, self._lidar = config, Lidar(config, scenery.tracer)
+        space = gym.spaces.Box(0.0, config.max_range, (config.beams,), np.float32)
+        self.spaces: dict[str, gym.Space[Any]] = {"scan": space}
+        self.parallel = scenery.tracer.parallel
+        self._rng: np.random.Generator | None = None
+
+    def seed(self, rng: np.random.Generator) -> None:
+        """Draw errors from this stream."""
+        self._rng = rng
+
+    def begin(self, body: HasPose) -> None:
+        """Go on as before."""
+
+    def measure(self, body: HasPose) -> dict[str, np.ndarray]:
+        """Scan once."""
+        assert self._rng is not None
+        return {"scan": measured(self._lidar.scan(body.T_world_body), self.config, self._rng)}
 
 
 class Lidar:
-    """The exact scanner: one call of the tracer a scan.
+    """Scan exactly: one call of the tracer a scan.
 
     Args:
         config: the fan.
@@ -121,7 +144,7 @@ class Lidar:
         self._beams = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
 
     def scan(self, T_world_body: Matrix4) -> Float[np.ndarray, "beams"]:
-        """Ranges as they are, float32, m; 0 where nothing is within ``max_range``, or something within ``min_range``.
+        """Return ranges as they are, float32, m; 0 where nothing is in range, or something nearer.
 
         Args:
             T_world_body: ``(4, 4)`` pose of the robot, m.
@@ -134,13 +157,13 @@ class Lidar:
 
 
 def measured(
-    ranges: Float[np.ndarray, "*batch"], noise: str | LidarNoise, config: LidarConfig, rng: np.random.Generator
+    ranges: Float[np.ndarray, "*batch"], config: LidarConfig, rng: np.random.Generator
 ) -> Float[np.ndarray, "*batch"]:
-    """Exact ranges as the scanner reads them: ``r' = r + e``, lost returns, nothing out of range; float32, m.
+    """Read exact ranges as the scanner does: ``r' = r + e``, lost returns, nothing out of range; float32, m.
 
     Each call draws the same amount from ``rng`` whatever the ranges; the same stream gives the same bytes.
     """
-    noise = lidar_noise(noise)
+    noise = config.noise
     error, chance = rng.standard_normal(ranges.shape), rng.random(ranges.shape)
     read = ranges + noise.range_std(ranges) * error
     return _within(np.where((ranges > 0.0) & (chance >= noise.dropout), read, 0.0).astype(np.float32), config)

@@ -1,0 +1,66 @@
+"""State what a robot on the floor is to the simulator: an upright cylinder with a camera, and a law of motion.
+
+(x, y, heading)' ~ p(. | (x, y, heading), command)        in free space; contacts are the simulator's
+"""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.geometry import R_BODY_CAM
+
+
+class Robot(Protocol):
+    """One kind of robot: a frozen dataclass whose fields all have defaults, so that ``robot="name"`` builds it."""
+
+    @property
+    def body_length(self) -> float:
+        """Diameter of the cylinder, m."""
+
+    @property
+    def height(self) -> float:
+        """Top of the cylinder, m."""
+
+    @property
+    def camera_height(self) -> float:
+        """Of the camera above the floor, m."""
+
+    @property
+    def dt(self) -> float:
+        """Length of a step, s."""
+
+    @property
+    def radius(self) -> float:
+        """Radius of the footprint, m."""
+
+    @property
+    def T_body_cam(self) -> Matrix4:
+        """Camera frame to body frame (origin on the floor below the axis), constant; float64 ``(4, 4)``."""
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of a command's numbers, in their order."""
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Largest command; float64, one number for each name."""
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest command; float64, one number for each name."""
+
+    def parse_noise(self, level: str | Mapping[str, Any] | Any) -> Any:
+        """Return the execution noise of a level's name, of a mapping of its fields, or the noise itself."""
+
+    def execute(self, planar: PlanarPose, command: np.ndarray, noise: Any, rng: np.random.Generator) -> PlanarPose:
+        """Execute one noisy step in free space; every call draws the same amount from ``rng``."""
+
+
+def camera_ahead(camera_height: float) -> Matrix4:
+    """Return ``T_body_cam`` of a camera on the body's axis that looks along body x; float64 ``(4, 4)``."""
+    T = np.eye(4)
+    T[:3, :3] = R_BODY_CAM
+    T[2, 3] = camera_height
+    return T

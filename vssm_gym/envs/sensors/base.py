@@ -1,0 +1,99 @@
+"""State what a sensor is to an environment, and what it may read of the robot that carries it.
+
+    observation = union over sensors of measure(body)        body: the robot's true state
+
+An environment holds a list of sensors (:class:`~vssm_gym.envs.sensors.suite.SensorSuite`), and its observation is what
+they say. Each draws its noise from a stream of its own, so that adding or removing one changes no byte of the others.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.axes import Matrix4, PlanarPose
+from vssm_gym.envs.scenery import Scenery
+from vssm_gym.geometry import planar_to_matrix
+
+EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
+
+Body = TypeVar("Body", contravariant=True)
+
+
+class Sensor(Protocol[Body]):
+    """One sensor of one robot, mounted in one scene; ``Body`` is the kind of robot that may carry it."""
+
+    @property
+    def spaces(self) -> Mapping[str, gym.Space[Any]]:
+        """Keys that it adds to the observation, and their spaces."""
+
+    @property
+    def stream(self) -> str:
+        """Name of its stream of random numbers (:mod:`vssm_gym.envs.streams`)."""
+
+    @property
+    def parallel(self) -> bool:
+        """Whether sensors of several robots may measure at once, in threads of one process."""
+
+    def seed(self, rng: np.random.Generator) -> None:
+        """Switch the sensor on, with this stream of random numbers; a seeded reset does so."""
+
+    def begin(self, body: Body) -> None:
+        """Start an episode with the robot as it is; without a seed the stream goes on."""
+
+    def measure(self, body: Body) -> dict[str, np.ndarray]:
+        """Measure once: an array of the space of each key. It is called once after every motion."""
+
+
+class SensorConfig(Protocol):
+    """A frozen dataclass that says which sensor a robot on the ground carries; a row of the registry names its class.
+
+    Every field has a default.
+    """
+
+    def mount(self, scenery: Scenery) -> "Sensor[GroundBody]":
+        """Build the sensor in a scene."""
+
+
+@dataclass(frozen=True)
+class GroundBody:
+    """The true state of a robot on the floor at one moment. It is ground truth: sensors read it, agents never do."""
+
+    planar: PlanarPose  # (x, y, heading), m and rad, world
+    T_body_cam: Matrix4
+    dt: float  # s since the measurement before
+    contacts: Float[np.ndarray, "n"]  # bearings of obstacles that pressed against it in the last step, rad, from body x
+
+    @cached_property
+    def T_world_body(self) -> Matrix4:
+        """Pose of the body on the floor."""
+        return planar_to_matrix(self.planar)
+
+    @cached_property
+    def T_world_cam(self) -> Matrix4:
+        """Pose of the camera."""
+        return self.T_world_body @ self.T_body_cam
+
+
+class HasPose(Protocol):
+    """Whatever has a pose in space."""
+
+    @property
+    def T_world_body(self) -> Matrix4:
+        """Pose of the body."""
+
+
+class HasCamera(Protocol):
+    """Whatever carries a camera."""
+
+    @property
+    def T_world_cam(self) -> Matrix4:
+        """Pose of the camera."""
+
+    @property
+    def dt(self) -> float:
+        """Seconds since the measurement before."""

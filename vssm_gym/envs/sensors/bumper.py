@@ -1,0 +1,57 @@
+"""Feel what touched the robot in its last step: a ring of switches around its footprint.
+
+    k = round(n bearing / 2 pi) mod n
+
+The bearing is the direction from the robot to the obstacle, against the normal of the simulator's own contact, in the
+body frame. Of four sectors the first is what the robot ran into ahead, then to the left, behind and to the right.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.envs.scenery import Scenery
+from vssm_gym.envs.sensors.base import GroundBody
+from vssm_gym.errors import InputError
+
+
+@dataclass(frozen=True)
+class BumperConfig:
+    """How finely a bumper tells directions apart."""
+
+    sectors: int = 4  # equal ones, the first of them centred ahead, then counter-clockwise
+
+    def __post_init__(self) -> None:
+        if isinstance(self.sectors, bool) or not (isinstance(self.sectors, int) and 1 <= self.sectors <= 64):
+            raise InputError("BumperConfig", "sectors", f"1 to 64, not {self.sectors!r}")
+
+    def mount(self, scenery: Scenery) -> "BumperSensor":
+        """Build the sensor; it sees nothing of the scene."""
+        return BumperSensor(self)
+
+
+class BumperSensor:
+    """``bumper`` int8 ``(sectors,)``: 1 where an obstacle touched the robot in the last step, 0 elsewhere."""
+
+    stream = "bumper"
+    parallel = True
+
+    def __init__(self, config: BumperConfig) -> None:
+        self.config = config
+        self.spaces: dict[str, gym.Space[Any]] = {"bumper": gym.spaces.MultiBinary(config.sectors)}
+
+    def seed(self, rng: np.random.Generator) -> None:
+        """Nothing is random."""
+
+    def begin(self, body: GroundBody) -> None:
+        """Nothing is kept."""
+
+    def measure(self, body: GroundBody) -> dict[str, np.ndarray]:
+        """Read the switches."""
+        n = self.config.sectors
+        closed = np.zeros(n, dtype=np.int8)
+        closed[np.rint(n * body.contacts / (2.0 * math.pi)).astype(int) % n] = 1
+        return {"bumper": closed}

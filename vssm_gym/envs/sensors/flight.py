@@ -1,0 +1,90 @@
+"""Measure what a flying body feels and, for oracles, where it is: its IMU, and its true pose and velocity."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from vssm_gym.axes import Matrix4
+from vssm_gym.envs.imu import ImuNoise, NoisyImu
+from vssm_gym.envs.sensors.base import EXTENT
+
+
+@dataclass(frozen=True)
+class FlyingBody:
+    """The true state of a flying body at one moment. It is ground truth: sensors read it, agents never do."""
+
+    T_world_body: Matrix4
+    velocity: Float[np.ndarray, "3"]  # m/s, world
+    T_body_cam: Matrix4
+    dt: float  # s since the measurement before
+    felt: Float[np.ndarray, "n 6"]  # exact specific force (m/s^2) and rate (rad/s) since then, body frame
+    imu_period: float  # s between the rows of `felt`
+
+    @cached_property
+    def T_world_cam(self) -> Matrix4:
+        """Pose of the camera."""
+        return self.T_world_body @ self.T_body_cam
+
+
+class ImuSensor:
+    """``imu`` float32 ``(n, 6)``: the readings since the last image, oldest first; m/s^2, rad/s, body frame.
+
+    It is switched on for each flight, with a bias of its own.
+
+    Args:
+        noise: what it adds to exact readings.
+        substeps: readings a step.
+    """
+
+    stream = "imu"
+    parallel = True
+
+    def __init__(self, noise: ImuNoise, substeps: int) -> None:
+        self.noise = noise
+        self.spaces: dict[str, gym.Space[Any]] = {"imu": gym.spaces.Box(-EXTENT, EXTENT, (substeps, 6), np.float32)}
+        self._rng: np.random.Generator | None = None
+        self._imu: NoisyImu | None = None
+
+    def seed(self, rng: np.random.Generator) -> None:
+        """Draw biases and errors from this stream."""
+        self._rng = rng
+
+    def begin(self, body: FlyingBody) -> None:
+        """Switch the IMU on: its bias is drawn anew."""
+        assert self._rng is not None
+        self._imu = NoisyImu(self.noise, self._rng)
+
+    def measure(self, body: FlyingBody) -> dict[str, np.ndarray]:
+        """Read what the body felt since the last measurement."""
+        assert self._imu is not None
+        return {"imu": self._imu(body.felt, body.imu_period).astype(np.float32)}
+
+
+class FlightPoseSensor:
+    """``pose`` float32 ``(7,)``: true position (m) and quaternion x y z w; ``velocity`` ``(3,)``, m/s, world frame."""
+
+    stream = "pose"
+    parallel = True
+
+    def __init__(self) -> None:
+        self.spaces: dict[str, gym.Space[Any]] = {
+            "pose": gym.spaces.Box(-EXTENT, EXTENT, (7,), np.float32),
+            "velocity": gym.spaces.Box(-EXTENT, EXTENT, (3,), np.float32),
+        }
+
+    def seed(self, rng: np.random.Generator) -> None:
+        """Nothing is random."""
+
+    def begin(self, body: FlyingBody) -> None:
+        """Nothing is kept."""
+
+    def measure(self, body: FlyingBody) -> dict[str, np.ndarray]:
+        """Return pose and velocity as they are."""
+        quaternion = Rotation.from_matrix(body.T_world_body[:3, :3]).as_quat(canonical=True)
+        pose = np.concatenate([body.T_world_body[:3, 3], quaternion])
+        return {"pose": pose.astype(np.float32), "velocity": body.velocity.astype(np.float32)}

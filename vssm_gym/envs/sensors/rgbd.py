@@ -1,0 +1,48 @@
+"""Measure colour and depth with a robot's RGB-D camera.
+
+The renderer is shared (:mod:`vssm_gym.envs.scenery`); the sensor owns its noise and its random stream. It goes on from
+episode to episode, as a real one whose exposure does not start anew, until a seed switches it on again.
+"""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.envs.scenery import Scenery
+from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensors.base import EXTENT, HasCamera
+
+
+class RGBDSensor:
+    """``rgb`` uint8 ``(H, W, 3)`` and ``depth`` float32 ``(H, W)``, z-depth in m, 0 = no reading: one image, two keys.
+
+    Args:
+        scenery: what is seen, and the renderer.
+        noise: what the sensor adds to the exact image.
+    """
+
+    stream = "sensors"
+
+    def __init__(self, scenery: Scenery, noise: SensorNoise) -> None:
+        self.scenery, self.noise = scenery, noise
+        size = (scenery.camera.height, scenery.camera.width)
+        self.spaces: dict[str, gym.Space[Any]] = {
+            "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
+            "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
+        }
+        self.parallel = scenery.parallel
+        self._sensor: NoisySensor | None = None
+
+    def seed(self, rng: np.random.Generator) -> None:
+        """Measure with a new sensor, whose noise is of this stream."""
+        self._sensor = NoisySensor(self.noise, self.scenery.camera, rng)
+
+    def begin(self, body: HasCamera) -> None:
+        """Go on as before."""
+
+    def measure(self, body: HasCamera) -> dict[str, np.ndarray]:
+        """Take the image, ``body.dt`` s after the one before."""
+        assert self._sensor is not None
+        rgb, depth = self._sensor(*self.scenery.render(body.T_world_cam), body.dt)
+        return {"rgb": rgb, "depth": depth}

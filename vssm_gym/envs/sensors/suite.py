@@ -1,0 +1,86 @@
+"""Hold the sensors of one robot: its observation is what they measure, once after every motion."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Generic, TypeVar
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.envs.sensors.base import Sensor
+from vssm_gym.errors import InputError
+
+Body = TypeVar("Body")
+
+
+class SensorSuite(Generic[Body]):
+    """The list of a robot's sensors, and their latest readings.
+
+    Args:
+        source: name of the environment, for error messages.
+        sensors: in any order; no two of them may have a key in common.
+    """
+
+    def __init__(self, source: str, sensors: Sequence[Sensor[Body]]) -> None:
+        self._source = source
+        self._sensors: list[Sensor[Body]] = []
+        self._readings: dict[str, np.ndarray] | None = None  # at the robot's present pose
+        for sensor in sensors:
+            self.add(sensor)
+
+    def __iter__(self) -> Iterator[Sensor[Body]]:
+        return iter(self._sensors)
+
+    def add(self, sensor: Sensor[Body]) -> None:
+        """Carry one more sensor; raises :class:`InputError` where one of its keys is taken."""
+        if taken := sorted(set(sensor.spaces) & set(self.spaces())):
+            expected = f"sensors without a key in common; {', '.join(map(repr, taken))} would be measured twice"
+            raise InputError(self._source, "sensors", expected)
+        self._sensors.append(sensor)
+
+    def remove(self, key: str) -> None:
+        """Carry the sensor of ``key`` no longer."""
+        self._sensors = [sensor for sensor in self._sensors if key not in sensor.spaces]
+
+    def spaces(self) -> dict[str, gym.Space[Any]]:
+        """The spaces of :meth:`observation`."""
+        return {key: space for sensor in self._sensors for key, space in sensor.spaces.items()}
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Names of the streams that :meth:`seed` needs."""
+        return tuple(dict.fromkeys(sensor.stream for sensor in self._sensors))
+
+    @property
+    def parallel(self) -> bool:
+        """Whether several robots may look at once, in threads of one process."""
+        return all(sensor.parallel for sensor in self._sensors)
+
+    def seed(self, streams: Mapping[str, np.random.Generator]) -> None:
+        """Switch every sensor on, each with its stream."""
+        for sensor in self._sensors:
+            sensor.seed(streams[sensor.stream])
+
+    def begin(self, body: Body) -> None:
+        """Start an episode with the robot as it is."""
+        for sensor in self._sensors:
+            sensor.begin(body)
+        self.moved()
+
+    def moved(self) -> None:
+        """Forget the readings: the robot has moved, and the next look measures anew."""
+        self._readings = None
+
+    def look(self, body: Body) -> None:
+        """Let every sensor measure, unless they have done so since the robot moved."""
+        if self._readings is None:
+            self._readings = {k: value for sensor in self._sensors for k, value in sensor.measure(body).items()}
+
+    def reading(self, key: str) -> np.ndarray:
+        """The latest reading of one key; not to be changed."""
+        assert self._readings is not None
+        return self._readings[key]
+
+    def observation(self) -> dict[str, np.ndarray]:
+        """The latest readings of all sensors; the arrays are the caller's own copies."""
+        assert self._readings is not None
+        return {key: value.copy() for key, value in self._readings.items()}

@@ -1,0 +1,70 @@
+"""Planners of a disc by name: ``(start, goal, space, radius, ...) -> PlanResult``.
+
+An agent takes one as an argument. A new planner is one file and one row of :data:`PLANNERS`; ``tests/test_planners.py``
+holds every row to the protocol on every kind of space.
+"""
+
+from typing import Protocol
+
+import numpy as np
+
+from vssm_gym.errors import InputError
+from vssm_gym.planning import astar
+from vssm_gym.planning.clearance import Space
+from vssm_gym.planning.grid_search import theta_star
+from vssm_gym.planning.result import PlanResult
+
+
+class Planner(Protocol):
+    """A path of a disc through a space, or the reason why there is none; metres, world frame.
+
+    The path is a polyline from the start on which the space leaves the disc ``radius + margin`` everywhere. A start
+    that has less room is left along a ramp (:func:`vssm_gym.planning.grid_search.need.needed`). The same question has
+    the same answer.
+    """
+
+    def __call__(
+        self,
+        start: np.ndarray,
+        goal: np.ndarray,
+        space: Space,
+        radius: float,
+        *,
+        margin: float = 0.0,
+        goal_radius: float = 0.0,
+        max_expansions: int = 1_000_000,
+    ) -> PlanResult:
+        """Plan a short path of a disc of ``radius`` from ``start`` to within ``goal_radius`` of ``goal``.
+
+        Args:
+            start: ``(2,)`` or planar pose ``(3,)``, of which the position counts.
+            goal: ``(2,)``, likewise.
+            space: where the disc's centre has how much room: an array of clearances, or a function.
+            radius: of the body.
+            margin: extra clearance everywhere on the path; negative: less than the body's radius is enough.
+            goal_radius: reaching any point so near to the goal is enough; where it is smaller than the grid can
+                resolve, the path ends at the free node nearest to the goal or, in sight of it, at the goal.
+            max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
+
+        Returns:
+            Status, path, cost (the path's length) and time. A start or a goal that cannot be reached is a status;
+            :class:`InputError` is raised only for what is no number.
+        """
+        ...
+
+
+PLANNERS: dict[str, Planner] = {
+    "astar": astar.plan,
+    "theta_star": theta_star.plan,
+}
+
+
+def find_planner(planner: str | Planner) -> Planner:
+    """Return the planner of a name, or ``planner`` itself; an unknown name raises :class:`InputError`."""
+    if callable(planner):
+        return planner
+    if planner not in PLANNERS:
+        raise InputError(
+            "configuration", "planner", f"one of {', '.join(PLANNERS)}, or a Planner; found {planner!r:.80}"
+        )
+    return PLANNERS[planner]
