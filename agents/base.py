@@ -11,6 +11,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from vssm_gym.car import Car
+from vssm_gym.transition.base import Transition
 from vssm_gym.voxel_map import VoxelMap
 
 Observation: TypeAlias = Mapping[str, np.ndarray]
@@ -35,6 +36,7 @@ class AgentContext:
         body_length: diameter of the robot's footprint, or length of the car's, metres.
         success_radius: a stop within this distance of the goal succeeds, metres; a car only has to come so near.
         noise: standard deviations of the execution noise: turn (rad), step (m).
+        transition: how the robot believes that it moves; its controls are the agent's commands.
         car: the car's measures; None for another robot.
     """
 
@@ -48,6 +50,7 @@ class AgentContext:
     body_length: float
     success_radius: float
     noise: tuple[float, float]
+    transition: Transition
     car: Car | None = None
 
 

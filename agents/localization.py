@@ -18,20 +18,9 @@ from vssm_gym.inference.filter import Rig, observe
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
 from vssm_gym.posterior import Posterior
-from vssm_gym.transition import (
-    Bicycle,
-    BicycleNoise,
-    GaussianBelief,
-    MotionNoise,
-    Planar,
-    Transition,
-    planar_belief,
-    world_covariance,
-)
+from vssm_gym.transition import GaussianBelief, planar_belief, world_covariance
 
 START_STD = 1e-3  # m, rad: how well a robot that looks at images knows its start
-# How a real car strays from the bicycle in 0.1 s: 2 degrees of steering, a tenth of its speed, tyres that slip.
-CAR_STRAYS = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
 
 
 @dataclass(frozen=True)
@@ -93,8 +82,8 @@ class FilteredPose:
         """Start the filter; one step is computed and dropped, so that compiling it delays no later one."""
         if self._entry.needs_map and context.map is None:
             raise InputError("AgentContext", "map", "a learned map: this localizer tracks in one")
-        self._dt, motion = context.dt, motion_of(context)
-        self._filter = self._entry.make(rig_of(context), motion)
+        self._dt = context.dt
+        self._filter = self._entry.make(rig_of(context), context.transition)
         std = 0.0 if self._entry.blind else START_STD
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
         prior = Posterior(start, context.map if self._entry.needs_map else None)
@@ -109,13 +98,6 @@ class FilteredPose:
         image = observe(observation["rgb"], observation["depth"])
         self._state, info = self._filter.step(self._state, control, image, self._dt)
         return localization(info.belief, info.status)
-
-
-def motion_of(context: AgentContext) -> Transition:
-    """Return the motion model that a robot has of itself."""
-    if context.car is not None:
-        return Bicycle(CAR_STRAYS, context.car.wheelbase)
-    return Planar(MotionNoise(*context.noise))
 
 
 def rig_of(context: AgentContext) -> Rig:

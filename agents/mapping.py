@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
-from vssm_gym.agents.localization import START_STD, Localization, TruePose, localization, motion_of, rig_of
+from vssm_gym.agents.localization import START_STD, Localization, TruePose, localization, rig_of
 from vssm_gym.camera import Camera
 from vssm_gym.geometry import planar_to_matrix
 from vssm_gym.inference.filter import observe
@@ -74,10 +74,10 @@ class MapAndPose:
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
         """The first image at the known start; what a lost robot does is compiled here, so that it delays no step."""
-        rig, motion = rig_of(context), motion_of(context)
+        rig = rig_of(context)
         image = observe(observation["rgb"], observation["depth"])
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), START_STD**2 * jnp.eye(3))
-        self._filter, self._dt = FILTERS["prism"].make(rig, motion), context.dt
+        self._filter, self._dt = FILTERS["prism"].make(rig, context.transition), context.dt
         self._state = self._filter.init(Posterior(start, prior), image, jax.random.key(0))
         # An image without depth fits nothing, so the map stays as it is.
         dark = observe(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))

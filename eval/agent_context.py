@@ -1,11 +1,15 @@
 """What an agent is told before it starts, built in one place: nothing of the scene."""
 
+from functools import singledispatch
 from typing import Any, Protocol
 
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.car import Car
+from vssm_gym.envs.robots.differential import DifferentialRobot
+from vssm_gym.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
+from vssm_gym.transition.differential import DifferentialDrive, WheelNoise
 from vssm_gym.voxel_map import VoxelMap
 
 
@@ -26,6 +30,25 @@ class Body(Protocol):
     def dt(self) -> float:
         """Seconds a step."""
         ...
+
+
+# How a real car strays from the bicycle in 0.1 s: 3 degrees of steering, a tenth of its speed, and tyres that slip.
+CAR_STRAYS = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
+
+
+@singledispatch
+def believed_motion(body: Any, noise: tuple[float, float]) -> Transition:
+    """Return how a robot believes that it moves; unless its kind is registered here, as a holonomic one does.
+
+    Args:
+        body: the robot.
+        noise: standard deviations that it is told of its execution.
+    """
+    return Planar(MotionNoise(*noise))
+
+
+believed_motion.register(Car, lambda body, noise: Bicycle(CAR_STRAYS, body.wheelbase))
+believed_motion.register(DifferentialRobot, lambda body, noise: DifferentialDrive(WheelNoise(*noise), body.track))
 
 
 def context_of(
@@ -64,6 +87,7 @@ def context_of(
         body_length=length,
         success_radius=success_radius,
         noise=noise,
+        transition=believed_motion(body, noise),
         car=body if isinstance(body, Car) else None,
     )
 

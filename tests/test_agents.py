@@ -30,6 +30,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry import planar_to_matrix
 from vssm_gym.planning.astar import plan
 from vssm_gym.planning.planners import PLANNERS
+from vssm_gym.transition import MotionNoise, Planar
 from vssm_gym.voxel_map import VoxelMap
 
 FLOOR = shapely.box(0.0, 0.0, 5.0, 3.0)
@@ -62,6 +63,7 @@ def context(learned: VoxelMap | None, start: np.ndarray) -> AgentContext:
         body_length=ROBOT.body_length,
         success_radius=0.4,
         noise=(LOW.turn, LOW.step),
+        transition=Planar(MotionNoise(LOW.turn, LOW.step)),
     )
 
 
@@ -127,7 +129,7 @@ def test_protocol(name):
     assert isinstance(agent, Agent)
     assert agent.name == name
     assert {type(agent.needs_pose), type(agent.needs_map)} == {bool}
-    assert agent.task in ("pointgoal", "explore", ANY_TASK)
+    assert agent.task in ("pointgoal", "imagegoal", "explore", ANY_TASK)
     # Whatever the environment's info holds, there is no way to hand it over.
     assert list(inspect.signature(agent.act).parameters) == ["observation"]
     assert list(inspect.signature(agent.reset).parameters) == ["context", "observation", "seed"]

@@ -23,6 +23,7 @@ from vssm_gym.envs.scene import load_scene
 from vssm_gym.errors import InputError
 from vssm_gym.eval.carnav_course import direction_changes, run_episode, shortest_curve
 from vssm_gym.planning import reeds_shepp
+from vssm_gym.transition import Bicycle
 from vssm_gym.voxel_map import VoxelMap
 
 CAR = Car()
@@ -139,6 +140,7 @@ def context() -> AgentContext:
         body_length=CAR.length,
         success_radius=REACHED,
         noise=(0.0, 0.0),
+        transition=Bicycle(wheelbase=CAR.wheelbase),
         car=CAR,
     )
 

@@ -9,6 +9,7 @@ from test_car_agents import FLOOR, SOLIDS
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.registry import AGENTS
+from vssm_gym.transition import Bicycle
 
 ROOMS = two_rooms(pieces=(furniture("crate", (1.5, 1.2, 0.25), (0.6, 0.4, 0.5)),))
 TARGETS = 8
@@ -40,6 +41,7 @@ def test_a_chain_of_targets_is_driven_as_one():
         body_length=car.length,
         success_radius=0.1,
         noise=(0.02, 0.01),
+        transition=Bicycle(),
         car=car,
     )
     agent.reset(context, observation, 0)

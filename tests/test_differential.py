@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import test_filters
 from box_rooms import two_rooms
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given
@@ -19,6 +20,7 @@ from vssm_gym.envs.robots.differential import WHEEL_NOISE, DifferentialRobot
 from vssm_gym.envs.robots.differential import WheelNoise as Noise
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import wrap_angle
+from vssm_gym.inference.registry import filters_for
 from vssm_gym.transition import PLANAR, DifferentialDrive, GaussianBelief, WheelNoise
 
 ROBOT = DifferentialRobot()
@@ -237,3 +239,12 @@ def test_gymnasium_accepts_it() -> None:
 def test_an_unknown_robot_names_those_there_are() -> None:
     with pytest.raises(InputError, match="robot: expected one of 'holonomic', 'differential'; found 'tracked'"):
         make(robot="tracked")
+
+
+@pytest.mark.parametrize("name", filters_for(DifferentialDrive(WheelNoise(0.05, 0.004))))
+def test_every_filter_takes_it(name: str) -> None:
+    """The arc of the filters' room, driven on two wheels."""
+    drive = DifferentialDrive(WheelNoise(0.05, 0.004))
+    outer = 0.5 * test_filters.TURN * drive.track
+    travel = jnp.array([test_filters.STEP - outer, test_filters.STEP + outer])
+    test_filters.follow(name, drive, lambda k: travel)

@@ -7,6 +7,7 @@ import pytest
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.dist_bug import DistBugAgent
+from vssm_gym.transition import MotionNoise, Planar
 
 BEAMS = 64
 LIMITS = np.array([math.radians(30.0), 0.02])
@@ -17,7 +18,17 @@ def started(heading=0.0):
     agent = DistBugAgent()
     pose = np.array([0.2, 0.5, heading])
     context = AgentContext(
-        np.eye(3), (0, 0), np.eye(4), LIMITS, 0.2, None, pose, body_length=0.025, success_radius=0.05, noise=(0.0, 0.0)
+        np.eye(3),
+        (0, 0),
+        np.eye(4),
+        LIMITS,
+        0.2,
+        None,
+        pose,
+        body_length=0.025,
+        success_radius=0.05,
+        noise=(0.0, 0.0),
+        transition=Planar(MotionNoise(0.0, 0.0)),
     )
     agent.reset(context, {}, 0)
     return agent

@@ -22,6 +22,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
 from vssm_gym.planning.information import entropy
 from vssm_gym.planning.occupancy_grid import FREE
+from vssm_gym.transition import MotionNoise, Planar
 
 EXPLORERS = [name for name, agent in AGENTS.items() if agent.task == "explore"]
 TRACKED = {"mi_explorer_tracked", "frontier_gain_tracked", "frontier_looking_tracked"}  # PRISM estimates their pose
@@ -47,6 +48,7 @@ def context(world: ExploreEnv, info: Mapping[str, np.ndarray]) -> AgentContext:
         body_length=robot.body_length,
         success_radius=0.4,
         noise=(world.noise.turn, world.noise.step),
+        transition=Planar(MotionNoise(world.noise.turn, world.noise.step)),
     )
 
 

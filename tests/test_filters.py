@@ -1,5 +1,7 @@
 """The contract of filters: every filter with every transition that it takes, in one room."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -76,11 +78,16 @@ def control(kind: str, k: int) -> jax.Array:
 
 
 def make(name: str, kind: str) -> tuple[Filter, Posterior]:
-    transition, entry = TRANSITIONS[kind], FILTERS[name]
+    return made(name, TRANSITIONS[kind])
+
+
+def made(name: str, transition: Transition) -> tuple[Filter, Posterior]:
+    """The filter, and a prior at the start of the arc."""
+    entry = FILTERS[name]
     manifold = transition.manifold
     p = manifold.twists.shape[1]
     start = at_rest(manifold, jnp.asarray(pose(0), jnp.float32), 1e-6 * jnp.eye(p), (0.05, 0.05))
-    if manifold is not TRANSITIONS["planar"].manifold:  # the body moves already
+    if isinstance(start.mean, RigidState):  # the body moves already
         direction = jnp.array([np.cos(START[2]), np.sin(START[2]), 0.0])
         moving = RigidState(start.mean.T_world_body, jnp.concatenate([SPEED * direction, jnp.array([0.0, 0.0, RATE])]))
         start = type(start)(moving, start.covariance, manifold)
@@ -97,18 +104,20 @@ def off(belief, k: float) -> tuple[float, float]:
 
 @every
 def test_a_body_is_followed(name: str, kind: str) -> None:
-    """Within 2 cm and 2 degrees of the arc after six steps; the belief is a density that can be drawn from.
+    """See :func:`follow`; Euler's steps along an arc, which no image corrects, are allowed twice as much."""
+    allowed = 2.0 if FILTERS[name].blind and kind == "rigid" else 1.0
+    follow(name, TRANSITIONS[kind], lambda k: control(kind, k), allowed)
 
-    Euler's steps along an arc, which no image corrects, are allowed twice as much.
-    """
-    tracker, prior = make(name, kind)
-    assert tracker.transition is TRANSITIONS[kind]
+
+def follow(name: str, transition: Transition, told: Callable[[int], jax.Array], allowed: float = 1.0) -> None:
+    """Within 2 cm and 2 degrees of the arc after six steps; the belief is a density that can be drawn from."""
+    tracker, prior = made(name, transition)
+    assert tracker.transition is transition
     state = tracker.init(prior, see(0), jax.random.key(0))
     for k in range(STEPS):
-        state, info = tracker.step(state, control(kind, k), see(k + 1), DT)
+        state, info = tracker.step(state, told(k), see(k + 1), DT)
         assert info.status is Status.OK, f"step {k}: {info.status.message}"
     metres, radians = off(info.belief, STEPS)
-    allowed = 2.0 if FILTERS[name].blind and kind == "rigid" else 1.0
     assert metres < 0.02 * allowed
     assert radians < np.radians(2.0) * allowed
     covariance = np.asarray(info.belief.covariance, float)
@@ -118,7 +127,7 @@ def test_a_body_is_followed(name: str, kind: str) -> None:
     drawn = posterior.belief.sample(jax.random.key(1), 64)
     log_q = np.asarray(posterior.belief.log_prob(drawn), float)
     assert np.isfinite(log_q).all()
-    n = len(TRANSITIONS[kind].manifold.turns)
+    n = len(transition.manifold.turns)
     # E[-log q] of a Gaussian: its entropy, up to the curvature of small turns and 64 draws
     assert abs(-log_q.mean() - float(posterior.belief.entropy())) < 5.0 * np.sqrt(0.5 * n / 64) + 0.05
 

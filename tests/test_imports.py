@@ -74,14 +74,6 @@ FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout
 Graph = dict[str, set[str]]
 
 
-class RunTimeOnly(ast.NodeTransformer):
-    """Drops what stands under ``if TYPE_CHECKING``: types may name each other in both directions."""
-
-    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
-        self.generic_visit(node)
-        return node.orelse if "TYPE_CHECKING" in ast.dump(node.test) else node
-
-
 def find_modules(folder: Path) -> dict[str, Path]:
     """Dotted name -> file of every module of the package in ``folder``, through the committed links."""
     found = {}
@@ -113,13 +105,11 @@ def imported_names(tree: ast.AST, module: str, is_package: bool, known: set[str]
                 yield node.args[0].value
 
 
-def import_graph(modules: dict[str, Path], run_time_only: bool = False) -> Graph:
-    """Module -> names it imports; with ``run_time_only`` without those that only a type checker reads."""
+def import_graph(modules: dict[str, Path]) -> Graph:
+    """Module -> names it imports, those that only a type checker reads included."""
     graph = {}
     for name, path in modules.items():
-        tree: ast.AST = ast.parse(path.read_text())
-        if run_time_only:
-            tree = RunTimeOnly().visit(tree)
+        tree = ast.parse(path.read_text())
         graph[name] = set(imported_names(tree, name, path.name == "__init__.py", set(modules)))
     return graph
 
@@ -190,7 +180,7 @@ def test_imports_flow_one_way():
 
 
 def test_no_import_cycle():
-    assert cycle(import_graph(MODULES, run_time_only=True)) == []
+    assert cycle(import_graph(MODULES)) == []
 
 
 def test_tests_import_the_package_by_its_name():
@@ -242,12 +232,14 @@ def test_a_bad_module_is_found(tmp_path, file, source, complaint):
 
 
 def test_a_cycle_is_found(tmp_path):
-    """Lazy imports close a cycle too; an import for the type checker alone does not."""
+    """Lazy imports close a cycle too, and so do imports for the type checker alone."""
     package = tmp_path / "pkg"
     package.mkdir()
     (package / "a.py").write_text("from pkg import b")
     (package / "b.py").write_text("def later():\n    from pkg.c import x")
     (package / "c.py").write_text("from . import a")
-    assert set(cycle(import_graph(find_modules(package), run_time_only=True))) == {"pkg.a", "pkg.b", "pkg.c"}
+    assert set(cycle(import_graph(find_modules(package)))) == {"pkg.a", "pkg.b", "pkg.c"}
     (package / "c.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from . import a")
-    assert cycle(import_graph(find_modules(package), run_time_only=True)) == []
+    assert set(cycle(import_graph(find_modules(package)))) == {"pkg.a", "pkg.b", "pkg.c"}
+    (package / "c.py").write_text("")
+    assert cycle(import_graph(find_modules(package))) == []

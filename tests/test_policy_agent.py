@@ -25,6 +25,7 @@ from vssm_gym.eval.config import SweepConfig, check_names, load_config
 from vssm_gym.eval.imagined import real_return
 from vssm_gym.eval.sweep import config_hash
 from vssm_gym.inference.status import Status
+from vssm_gym.transition import MotionNoise, Planar
 
 ROBOT = HolonomicRobot()
 SPEC = PolicySpec(
@@ -76,6 +77,7 @@ def context(width: int = 160, **changes: Any) -> AgentContext:
         "body_length": ROBOT.body_length,
         "success_radius": 0.4,
         "noise": (0.0, 0.0),
+        "transition": Planar(MotionNoise(0.0, 0.0)),
     }
     return AgentContext(**(told | changes))
 
