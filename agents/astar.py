@@ -15,6 +15,7 @@ class AStarAgent:
     name = "astar"
     robot = "holonomic"
     task = "pointgoal"
+    navigation = CONFIG
     needs_pose = False
     needs_map = True
 

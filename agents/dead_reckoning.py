@@ -15,6 +15,7 @@ class DeadReckoningAgent:
     name = "dead_reckoning"
     robot = "holonomic"
     task = "pointgoal"
+    navigation = CONFIG
     needs_pose = False
     needs_map = True
 

@@ -15,6 +15,7 @@ class NoMapAgent:
     name = "no_map"
     robot = "holonomic"
     task = "pointgoal"
+    navigation = CONFIG
     needs_pose = False
     needs_map = True
 

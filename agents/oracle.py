@@ -16,6 +16,7 @@ class OracleAgent:
     name = "oracle"
     robot = "holonomic"
     task = "pointgoal"
+    navigation = CONFIG
     needs_pose = True
     needs_map = True
 

@@ -1,5 +1,8 @@
 """Every agent by name; the command line, sweeps and tests read this table and nothing else."""
 
+from dataclasses import replace
+from typing import Any
+
 from vssm_gym.agents.astar import AStarAgent
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.candidate_random import CandidateRandomAgent
@@ -25,6 +28,8 @@ from vssm_gym.agents.vi_ipopt import ViIpoptAgent
 from vssm_gym.agents.vi_mpc import ViMpcAgent
 from vssm_gym.agents.vi_mpc_tracked import ViMpcTrackedAgent
 from vssm_gym.agents.vi_mppi import ViMppiAgent
+from vssm_gym.errors import InputError
+from vssm_gym.planning.planners import find_planner
 
 AGENTS: dict[str, type[Agent]] = {
     agent.name: agent
@@ -55,11 +60,30 @@ AGENTS: dict[str, type[Agent]] = {
 }
 
 
+WITH = "+"  # between a navigating agent and its planner: ``astar+theta_star``
+
+
 def agent_type(name: str) -> type[Agent]:
-    """The class of an agent of the table, or of ``policy:FILE``."""
-    return PolicyAgent if name.startswith(PREFIX) else AGENTS[name]
+    """The class of an agent of the table, whichever planner it has, or of ``policy:FILE``.
+
+    Raises:
+        InputError: a planner that nobody registered, or of an agent that takes none.
+    """
+    if name.startswith(PREFIX):
+        return PolicyAgent
+    base, named, planner = name.partition(WITH)
+    if named:
+        takers = [agent for agent, kind in AGENTS.items() if hasattr(kind, "navigation")]
+        if base not in takers:
+            raise InputError("agent", name, f"a planner after one of {', '.join(takers)}")
+        find_planner(planner)
+    return AGENTS[base]
 
 
 def make_agent(name: str) -> Agent:
-    """An agent of the table, or the policy of a file (``policy:FILE``)."""
-    return PolicyAgent(name.removeprefix(PREFIX)) if name.startswith(PREFIX) else AGENTS[name]()
+    """An agent of the table, with another planner (``astar+theta_star``), or the policy of a file (``policy:FILE``)."""
+    kind: Any = agent_type(name)
+    if name.startswith(PREFIX):
+        return kind(name.removeprefix(PREFIX))
+    planner = name.partition(WITH)[2]
+    return kind(replace(kind.navigation, planner=planner)) if planner else kind()

@@ -36,7 +36,8 @@ def _task_ids(value: Any) -> Any:
 class SweepConfig(BaseModel):
     """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
 
-    ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry or ``policy:FILE``; a
+    ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry, also with a planner
+    (``astar+theta_star``), or ``policy:FILE``; a
     relative path starts at the folder of the YAML file.
     ``voxel`` (m) is the cell size of the maps that agents are given; ``map_poses`` says whether their images were taken
     where the recording has them or where PRISM estimates them. ``explore`` is for Explore alone.
@@ -109,12 +110,13 @@ def check_environments(config: SweepConfig, source: object) -> None:
 def check_names(config: SweepConfig, source: object) -> None:
     """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
     # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
-    from vssm_gym.agents.registry import AGENTS, agent_type
+    from vssm_gym.agents.registry import AGENTS, WITH, agent_type
 
     check_environments(config, source)
     spec, course = COURSES[config.env[0]], course_of(config.env[0])
     policies = [name for name in config.agents if name.startswith(POLICY)]
-    types = {name: agent_type(name) for name in (*AGENTS, *policies)}
+    planned = [name for name in config.agents if name.partition(WITH)[0] in AGENTS and name not in AGENTS]
+    types = {name: agent_type(name) for name in (*AGENTS, *policies, *planned)}
     able = sorted(
         name for name, agent in types.items() if agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK)
     )

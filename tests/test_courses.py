@@ -12,7 +12,8 @@ from box_rooms import two_rooms
 
 import vssm_gym  # noqa: F401  (registers the ids)
 from vssm_gym.agents.base import ANY_TASK
-from vssm_gym.agents.registry import AGENTS
+from vssm_gym.agents.oracle import OracleAgent
+from vssm_gym.agents.registry import AGENTS, make_agent
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.scene import save_scene
 from vssm_gym.errors import InputError
@@ -21,6 +22,7 @@ from vssm_gym.eval.courses import COURSES, Course, course_of, view_of
 from vssm_gym.eval.report_view import View
 from vssm_gym.eval.rows import FILE, read_rows
 from vssm_gym.eval.sweep import config_hash
+from vssm_gym.planning.planners import PLANNERS
 
 CHECKOUT = Path(__file__).parents[1]
 BASELINES = CHECKOUT / "eval" / "baselines"
@@ -128,3 +130,22 @@ def test_more_tasks_than_a_maze_has_are_refused(tmp_path):
     course = course_of("vssm_gym/LidarMaze-v0")
     with pytest.raises(InputError, match=r"tasks: expected numbers below \d+, as many as the maze has"):
         course.write_tasks(course.load("rooms-v1"), 10_000, tmp_path / "tasks.json")
+
+
+def test_a_navigating_agent_takes_another_planner_by_name(tmp_path):
+    """It is an agent of its own in rows and tables, and plans with what it names."""
+    for planner in PLANNERS:
+        agent = make_agent(f"oracle+{planner}")
+        navigator = agent.act.__self__
+        assert navigator._plan is PLANNERS[planner]
+        assert navigator._config.stop_margin == OracleAgent.navigation.stop_margin  # all else is the agent's own
+    text = "scenes: oak\nagents: [astar, astar+theta_star]\ntasks: 1\n"
+    (tmp_path / "sweep.yaml").write_text(text)
+    assert load_config(tmp_path / "sweep.yaml").agents == ("astar", "astar+theta_star")
+    for name, message in (
+        ("astar+magic", "planner: expected one of"),
+        ("random+astar", "a planner after one of astar"),
+    ):
+        (tmp_path / "sweep.yaml").write_text(text.replace("astar+theta_star", name))
+        with pytest.raises(InputError, match=message):
+            load_config(tmp_path / "sweep.yaml")
