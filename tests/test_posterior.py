@@ -264,7 +264,7 @@ def test_a_belief_that_is_none_is_refused(tmp_path: Path, storage: str, name: st
     header = header_of(path)
     field, value = CHANGES[name]
     with_header(path, header | {"belief": header["belief"] | {field: value}})
-    assert_refused(path, "belief")
+    assert_refused(path, f"belief.{field}")
 
 
 def test_a_later_version_is_refused(tmp_path: Path) -> None:
