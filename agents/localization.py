@@ -5,7 +5,7 @@ map, alignment to the previous camera image (TNP-SM: its tracker and the baselin
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -87,7 +87,7 @@ class FilteredPose:
         std = 0.0 if self._entry.blind else START_STD
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
         prior = Posterior(start, context.map if self._entry.needs_map else None)
-        image = observe(observation["rgb"], observation["depth"])
+        image = self._image(observation)
         self._state = self._filter.init(prior, image, jax.random.key(0))
         self._filter.step(self._state, jnp.zeros(len(context.limits)), image, self._dt)
         return localization(start, Status.OK)
@@ -95,9 +95,12 @@ class FilteredPose:
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
         """One step of the filter."""
         control = jnp.asarray(command, jnp.float32)
-        image = observe(observation["rgb"], observation["depth"])
-        self._state, info = self._filter.step(self._state, control, image, self._dt)
+        self._state, info = self._filter.step(self._state, control, self._image(observation), self._dt)
         return localization(info.belief, info.status)
+
+    def _image(self, observation: Observation) -> Any:
+        """What the filter looks at; None for one that looks at nothing."""
+        return None if self._entry.blind else observe(observation["rgb"], observation["depth"])
 
 
 def rig_of(context: AgentContext) -> Rig:

@@ -87,7 +87,8 @@ class Posterior(eqx.Module):
         mean = [numbers(leaf) for leaf in jax.tree.leaves(self.belief.mean)]
         belief = {"manifold": name, "mean": mean, "covariance": numbers(self.belief.covariance)}  # type: ignore[attr-defined]
         if self.map is not None:
-            self.map.save(path, **metadata, belief=belief)
+            readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.readings)]
+            self.map.save(path, **metadata, belief=belief, readings=readings)
             return
         header = {"format": FORMAT, "version": VERSION, **metadata, "belief": belief}
         with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -112,14 +113,22 @@ class Posterior(eqx.Module):
         form = manifold.resting(jnp.eye(4))
         leaves, n = jax.tree.leaves(form), len(manifold.turns)
         shapes = [leaf.shape for leaf in leaves]
-        mean = _arrays(path, "mean", stored.get("mean"), shapes)
-        (covariance,) = _arrays(path, "covariance", [stored.get("covariance")], [(n, n)])
+        mean = _arrays(path, "belief.mean", stored.get("mean"), shapes)
+        (covariance,) = _arrays(path, "belief.covariance", [stored.get("covariance")], [(n, n)])
         P = np.asarray(covariance, np.float64)
         rounding = 1e-5 * np.abs(P).max()
         if np.abs(P - P.T).max() > rounding or np.linalg.eigvalsh(P).min() < -rounding:
             raise InputError(path, "belief.covariance", "a symmetric matrix without negative eigenvalues")
         belief = GaussianBelief(jax.tree.unflatten(jax.tree.structure(form), mean), covariance, manifold)
-        return cls(belief, VoxelMap.load(path) if header["format"] == map_file.FORMAT else None)
+        R = np.asarray(manifold.pose(belief.mean), np.float64)[:3, :3]
+        if np.abs(R - _rotation(R)).max() > 1e-3:
+            raise InputError(path, "belief.mean", "a pose whose 3x3 part is a rotation")
+        if header["format"] == FORMAT:
+            return cls(belief, None)
+        readings = _arrays(path, "readings", header.get("readings", jax.tree.leaves(ONE_READING)), [()] * 3)
+        if not all(float(std) > 0.0 for std in readings):
+            raise InputError(path, "readings", "standard deviations above 0")
+        return cls(belief, VoxelMap.load(path), Readings(*(float(std) for std in readings)))
 
 
 def map_entropy(m: VoxelMap) -> float:
@@ -146,6 +155,15 @@ def _log_normal(off: Array, variance: Array) -> Array:
     return -0.5 * jnp.sum(jnp.where(varies, off**2 / safe + jnp.log(2.0 * jnp.pi * safe), 0.0))
 
 
+def _rotation(R: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a matrix; zeros where there is none."""
+    try:
+        U, _, V = np.linalg.svd(R)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(R)
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+
+
 def _manifold(belief: Belief) -> Any:
     return belief.manifold if isinstance(belief, GaussianBelief) else None
 
@@ -157,5 +175,5 @@ def _arrays(path: str | Path, field: str, values: Any, shapes: list[tuple[int, .
     except (TypeError, ValueError, OverflowError):
         arrays = []
     if [a.shape for a in arrays] != shapes or not all(np.isfinite(a).all() for a in arrays):
-        raise InputError(path, f"belief.{field}", f"finite numbers of shapes {shapes}")
+        raise InputError(path, field, f"finite numbers of shapes {shapes}")
     return [jnp.asarray(a) for a in arrays]

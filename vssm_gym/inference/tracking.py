@@ -151,7 +151,7 @@ class DeadReckoning:
 
     transition: Transition
 
-    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> GaussianBelief:
+    def init(self, prior: Posterior, image: RGBD | None, key: PRNGKeyArray) -> GaussianBelief:
         """Return the prior's belief; neither image nor map is looked at.
 
         Raises:
@@ -162,7 +162,7 @@ class DeadReckoning:
         return prior.belief
 
     def step(
-        self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+        self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
     ) -> tuple[GaussianBelief, FilterInfo]:
         """Predict; see :class:`Filter`."""
         belief = clock("track", _predicted(self.transition, state, control, seconds(dt)))
