@@ -14,12 +14,13 @@ OUT ?= out/demo
 CANDIDATES := python3.11 python3.12 python3.13 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow lint format install clean
+.PHONY: help demo test test-slow additions lint format install clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
 	@echo "make test       the test suite without the slow tests (WORKERS=$(WORKERS) processes)"
 	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims"
+	@echo "make additions  take out a sensor, a metric, a planner, a robot in turn: the rest must pass"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
 	@echo "make clean      remove .venv, caches and build products"
@@ -53,6 +54,9 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
+
+additions: $(STAMP)
+	$(BIN)/python tests/remove_additions.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check
