@@ -1,8 +1,11 @@
 """What holds for every sensor of the registry on every environment that takes sensors, and for the list of them."""
 
+import gc
 import pickle
 import warnings
+import weakref
 from importlib import import_module
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,10 +24,18 @@ from vssm_gym.errors import InputError
 SMALL = {"camera": {"width": 32, "height": 24}, "noise": "mid", "sensor_noise": "kinect"}
 SCENES = {"CarNav": yard(3.0, 3.0)}
 ROOMS = two_rooms()
+
+
+def loaded(path: str) -> Any:
+    """The object at ``module:name``."""
+    module, name = path.split(":")
+    return getattr(import_module(module), name)
+
+
 TAKE_SENSORS = [
     name
-    for name, (module, cls, _) in ENVIRONMENTS.items()
-    if "sensors" in keywords_of(getattr(import_module(f"vssm_gym.envs.{module}"), cls))
+    for name, spec in ENVIRONMENTS.items()
+    if hasattr(loaded(spec.env), "passes_to") and "sensors" in keywords_of(loaded(spec.env))
 ]
 WORLDS = [(name, {}) for name in TAKE_SENSORS] + [("vssm_gym/CarNav-v0", {"physics": "bullet"})]
 IDS = ["-".join([name.split("/")[1], *more.values()]) for name, more in WORLDS]
@@ -141,24 +152,26 @@ def test_an_unknown_field_and_a_sensor_that_is_listed_twice_are_refused(sensor):
         parse_sensors("test", [sensor, SENSORS[sensor]()])
 
 
-def zero() -> np.ndarray:
-    return np.zeros(1, np.float32)
+class Teller:
+    """An environment that tells how often it was asked."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def tell(self) -> np.ndarray:
+        self.asked += 1
+        return np.full(1, float(self.asked), np.float32)
 
 
 def test_two_sensors_of_one_key_are_refused():
-    space = gym.spaces.Box(0.0, 1.0, (1,), np.float32)
+    space, tell = gym.spaces.Box(0.0, 1.0, (1,), np.float32), Teller().tell
     with pytest.raises(InputError, match="'a' would be measured twice"):
-        SensorSuite("test", [Told("a", space, zero), Told("b", space, zero), Told("a", space, zero)])
+        SensorSuite("test", [Told(key, space, tell) for key in "aba"])
 
 
 def test_a_suite_measures_once_a_pose_and_hands_out_copies():
-    counted = []
-
-    def tell() -> np.ndarray:
-        counted.append(1)
-        return np.full(1, float(len(counted)), np.float32)
-
-    suite: SensorSuite[None] = SensorSuite("test", [Told("a", gym.spaces.Box(0.0, 9.0, (1,), np.float32), tell)])
+    teller, space = Teller(), gym.spaces.Box(0.0, 9.0, (1,), np.float32)
+    suite: SensorSuite[None] = SensorSuite("test", [Told("a", space, teller.tell)])
     suite.begin(None)
     for _ in range(3):
         suite.look(None)
@@ -167,3 +180,19 @@ def test_a_suite_measures_once_a_pose_and_hands_out_copies():
     suite.moved()
     suite.look(None)
     assert suite.reading("a") == 2.0
+
+
+def test_what_is_told_keeps_no_environment_in_memory():
+    """A closed environment is gone with its last name, not when the garbage collector comes."""
+    gc.collect()
+    gc.disable()
+    try:
+        for name, more in WORLDS:
+            env = gym.make(name, **settings(name, more, sensors=[*SENSORS]))
+            env.reset(seed=0)
+            gone = weakref.ref(env.unwrapped)
+            env.close()
+            del env
+            assert gone() is None, name
+    finally:
+        gc.enable()
