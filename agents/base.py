@@ -35,7 +35,8 @@ class AgentContext:
         start_pose: ``(3,)`` x (m), y (m), heading (rad) in the map frame.
         body_length: diameter of the robot's footprint, or length of the car's, metres.
         success_radius: a stop within this distance of the goal succeeds, metres; a car only has to come so near.
-        noise: standard deviations of the execution noise: turn (rad), step (m).
+        noise: standard deviations of a holonomic robot's execution noise: turn (rad), step (m); zeros of another's,
+            which only ``transition`` tells.
         transition: how the robot believes that it moves; its controls are the agent's commands.
         car: the car's measures; None for another robot.
     """

@@ -88,8 +88,9 @@ class FilteredPose:
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
         prior = Posterior(start, context.map if self._entry.needs_map else None)
         image = self._image(observation)
-        self._state = self._filter.init(prior, image, jax.random.key(0))
-        self._filter.step(self._state, jnp.zeros(len(context.limits)), image, self._dt)
+        begin = lambda: self._filter.init(prior, image, jax.random.key(0))
+        self._filter.step(begin(), jnp.zeros(len(context.limits)), image, self._dt)
+        self._state = begin()
         return localization(start, Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:

@@ -133,14 +133,19 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     motion = Planar(MotionNoise(jnp.float32(noise[0]), jnp.float32(noise[1])))
     recompiled = counter.count - before
 
-    def step(i: int, tracker: Any) -> Any:
+    def begun(i: int, tracker: Any) -> Any:
         start = jnp.asarray(np.asarray(_planar(frames[i][1]), np.float32))
         prior = Posterior(planar_belief(start, 1e-6 * jnp.eye(3)), m)
-        state = tracker.init(prior, frames[i][0], jax.random.key(0))
-        control = jnp.asarray(controls[i + 1], jnp.float32)
-        return tracker.step(state, control, frames[i + 1][0], env.robot.dt)[0].past
+        return tracker.init(prior, frames[i][0], jax.random.key(0))
 
-    in_map, by_frames = partial(step, tracker=MapTracker(rig, motion)), partial(step, tracker=FrameTracker(rig, motion))
+    def step(i: int, tracker: Any, states: list[Any]) -> Any:
+        control = jnp.asarray(controls[i + 1], jnp.float32)
+        return tracker.step(states[i], control, frames[i + 1][0], env.robot.dt)[0].past
+
+    in_map, by_frames = (
+        partial(step, tracker=tracker, states=[begun(i, tracker) for i in range(TIMED + 1)])
+        for tracker in (MapTracker(rig, motion), FrameTracker(rig, motion))
+    )
     jax.block_until_ready((in_map(0), by_frames(0)))
     before = counter.count
     rows.append(("tracker step, image at hand", median_ms(by_frames, TIMED), "ms", AIMS["tracker"]))

@@ -24,8 +24,6 @@ from vssm_gym.voxel_map import VoxelMap
 
 __all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
-# What agents that track are told of how the car strays from the bicycle in a step: rad and m.
-STRAYS = (0.02, 0.01)
 MOVING = 0.05  # m/s, of a command: slower is standing, for the count of direction changes
 
 
@@ -72,7 +70,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         car.length,
         info["start_pose"],
         success_radius=REACHED,
-        noise=STRAYS,
+        noise=(0.0, 0.0),
         voxel_map=voxel_map,
         camera=body.camera,
         K=info["K"],

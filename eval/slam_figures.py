@@ -45,6 +45,8 @@ class Display:
             off = np.linalg.norm(run.poses[truth.rows, :3, 3] - truth.T_world_cam[:, :3, 3], axis=-1)
             errors = np.stack([run.times[truth.rows], off], axis=-1)
             return cls(truth.T_truth_world, "the ground truth's frame, after SE(3) alignment", truth.positions, errors)
+        if run.T_level_world is not None:
+            return cls(run.T_level_world, "the map's frame", None, None)
         if sequence.T_body_cam is not None:
             return cls(sequence.T_body_cam, "the first frame's body frame", None, None)
         T = np.eye(4)

@@ -141,7 +141,7 @@ def summarise(
         "map": {
             "cells": int(np.prod(run.map.shape)),
             "shape": list(run.map.shape),
-            "voxel": options.voxel,
+            "voxel": round(float(run.map.voxel_size), 6),
             "storage": "dense" if table is None else "block-sparse",
             "blocks_forgotten": sum(frame.left_window for frame in frames),
         },
@@ -151,9 +151,10 @@ def summarise(
 
 
 def _config(options: SlamOptions) -> dict[str, Any]:
-    """The options as JSON, those of another method left out."""
+    """Return the options as JSON, those that another method has left out."""
+    unused = {"voxel", "extent", "samples"} if options.method == "tracker" else set[str]()
     shown = asdict(options) | {"size": "x".join(map(str, options.size)), "map": options.map and options.map.name}
-    return {name: value for name, value in shown.items() if value is not None}
+    return {name: value for name, value in shown.items() if value is not None and name not in unused}
 
 
 def notices(run: SlamRun) -> tuple[str, ...]:

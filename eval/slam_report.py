@@ -61,9 +61,9 @@ def page(
         _image(path_picture, "image/svg+xml", "trajectory from above and from the side"),
         _errors(stats["errors"]),
         "<h2>Velocity</h2>",
-        "<p class=note>In the map's frame: x to the right, y down and z ahead of the first camera. The band is 1.96 "
-        "stds to either side; the truth is the mean velocity since the frame before, which is what the filter "
-        f"estimates. Lost frames have none.{_in_band(stats['calibration'])}</p>",
+        "<p class=note>In the map's frame; a new map's has x to the right, y down and z ahead of the first camera. The "
+        "band is 1.96 stds to either side; the truth is the mean velocity since the frame before, which is what the "
+        f"filter estimates. Lost frames have none.{_in_band(stats['calibration'])}</p>",
         _image(states.velocity(run, truth), "image/webp", "velocity over time with its band"),
         "<h2>Uncertainty of the pose</h2>",
         "<p class=note>Std of the pose in the camera's own axes: how well each image fixes it in what was mapped so "

@@ -31,7 +31,7 @@ from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import MapTracker
 from vssm_gym.posterior import Posterior
 from vssm_gym.transition import RIGID
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.voxel_map import VoxelMap, read_metadata
 
 START_STD = 0.3  # m, rad: how well the tracker's start in a map is known
 PATIENCE = 3  # frames that may not fit the first one before the map starts anew
@@ -109,6 +109,9 @@ class SlamOptions:
             raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
+        if self.imu and self.method == "tracker":
+            expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
+            raise InputError("slam", "imu", expected)
         if self.start is not None and self.method != "tracker":
             raise InputError("slam", "start", "a pose in a map, with method tracker: a new map begins at the camera")
         if self.start is not None and not (
@@ -134,6 +137,11 @@ class SlamOptions:
         return round(self.extent / self.voxel) ** 3
 
     @property
+    def T_level_world(self) -> Float[np.ndarray, "4 4"] | None:
+        """The world turned so that z is up, as that of ``map build`` is; None where only a camera tells."""
+        return np.eye(4) if self.map is not None and "belief" not in read_metadata(self.map) else None
+
+    @property
     def tracking(self) -> TrackingConfig:
         """Of the pose."""
         return TrackingConfig(align=DEPTHS[self.depth].align, solver=self.solver)
@@ -141,7 +149,7 @@ class SlamOptions:
     def filter(self, camera: Camera) -> Prism | MapTracker:
         """Return the filter of the method for images of a camera that somebody holds."""
         if self.method == "tracker":
-            return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth)
+            return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth, self.render_width)
         kind = DEPTHS[self.depth]
         update = MapUpdateConfig(max_depth=self.max_depth, truncation=kind.truncation)
         config = PrismConfig(
@@ -173,7 +181,7 @@ class TrackedFrame:
 
     index: int  # in the sequence
     time: float  # s, of its colour image
-    T_world_cam: Float[np.ndarray, "4 4"]  # float64; the world is the first camera's frame
+    T_world_cam: Float[np.ndarray, "4 4"]  # float64; the world is the first camera's frame, or the tracker's map's
     status: Status
     inlier_share: float | None
     coverage: float | None
@@ -202,6 +210,7 @@ class SlamRun:
     posterior: Posterior  # after the last frame
     reader: FrameReader  # of the frames as the filter saw them
     notices: tuple[str, ...]  # what was wrong with the input and what was done about it
+    T_level_world: Float[np.ndarray, "4 4"] | None  # the world turned so that z is up; None: unknown
 
     @property
     def map(self) -> VoxelMap:
@@ -271,8 +280,8 @@ def run_slam(
 ) -> SlamRun:
     """Track and map a sequence, frame by frame.
 
-    The world is the first camera's frame and the map a cube around it. Frames before the first one that can be read
-    are lost, and so are those before a new start: see ``_Tracker``.
+    The world is the first camera's frame and the map a cube around it; of the tracker it is its map's. Frames before
+    the first one that can be read are lost, and so are those before a new start: see ``_Tracker``.
 
     Args:
         sequence: the recording.
@@ -305,7 +314,7 @@ def run_slam(
         share = f"{options.tracking.min_reading:.0%}"
         raise InputError(sequence.root, "depth", f"a frame with readings at {share} of its pixels; none has")
     notices = (*sequence.notices, *reader.notices, *tracker.notices)
-    return SlamRun(tuple(frames), tracker.filter.posterior(tracker.state), reader, notices)
+    return SlamRun(tuple(frames), tracker.filter.posterior(tracker.state), reader, notices, options.T_level_world)
 
 
 class _Stages:

@@ -17,7 +17,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval import trajectory
 from vssm_gym.eval.slam_run import Progress, SlamOptions, SlamRun, run_slam
 from vssm_gym.eval.studies import Study, labelled
-from vssm_gym.inference.prism import tracking_factor
+from vssm_gym.inference.localise import tracking_factor
 from vssm_gym.viz import pictures
 
 LEAST = 3  # frames; fewer positions cannot be aligned

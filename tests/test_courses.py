@@ -139,13 +139,14 @@ def test_a_navigating_agent_takes_another_planner_by_name(tmp_path):
         navigator = agent.act.__self__
         assert navigator._plan is PLANNERS[planner]
         assert navigator._config.stop_margin == OracleAgent.navigation.stop_margin  # all else is the agent's own
-    text = "scenes: oak\nagents: [astar, astar+theta_star]\ntasks: 1\n"
+    other = f"astar+{list(PLANNERS)[-1]}"
+    text = f"scenes: oak\nagents: [astar, {other}]\ntasks: 1\n"
     (tmp_path / "sweep.yaml").write_text(text)
-    assert load_config(tmp_path / "sweep.yaml").agents == ("astar", "astar+theta_star")
+    assert load_config(tmp_path / "sweep.yaml").agents == ("astar", other)
     for name, message in (
         ("astar+magic", "planner: expected one of"),
         ("random+astar", "a planner after one of astar"),
     ):
-        (tmp_path / "sweep.yaml").write_text(text.replace("astar+theta_star", name))
+        (tmp_path / "sweep.yaml").write_text(text.replace(other, name))
         with pytest.raises(InputError, match=message):
             load_config(tmp_path / "sweep.yaml")

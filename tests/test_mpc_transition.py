@@ -46,8 +46,8 @@ class WithArray(Unicycle):
 
 def test_by_default_the_cars_own_bicycle():
     problem = MpcProblem(Car(wheelbase=0.2), CONFIG)
-    assert isinstance(problem.transition, Bicycle)
-    assert problem.transition.wheelbase == 0.2
+    assert isinstance(problem.motion, Bicycle)
+    assert problem.motion.wheelbase == 0.2
     assert problem == MpcProblem(Car(wheelbase=0.2), CONFIG)
     assert hash(problem) == hash(MpcProblem(Car(wheelbase=0.2), CONFIG))
     assert problem != MpcProblem(Car(wheelbase=0.2), CONFIG, Unicycle())

@@ -9,6 +9,7 @@ STREAMS = ("scene", "task", "dynamics", "sensors")
 # Children of the seed that have a number. A stream of any other name is the child of its name, so that it is the same
 # whatever else there is. The scanner of the robots and the IMU of the multirotor are never in one environment.
 _NUMBERS = {"scene": 0, "task": 1, "dynamics": 2, "sensors": 3, "lidar": 4, "imu": 4}
+_NAMED = 6  # the child whose children are the streams without a number
 
 
 def seeded_streams(seed: int | None, names: tuple[str, ...] = STREAMS) -> dict[str, np.random.Generator]:
@@ -18,4 +19,4 @@ def seeded_streams(seed: int | None, names: tuple[str, ...] = STREAMS) -> dict[s
 
 
 def _key(name: str) -> tuple[int, ...]:
-    return (_NUMBERS[name],) if name in _NUMBERS else (len(_NUMBERS), zlib.crc32(name.encode()))
+    return (_NUMBERS[name],) if name in _NUMBERS else (_NAMED, zlib.crc32(name.encode()))

@@ -18,6 +18,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
+from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.errors import InputError
 
@@ -197,9 +198,9 @@ def _of(path: str) -> Callable[..., StagedVectorEnv]:
     return partial(StagedVectorEnv, make)
 
 
-pointnav = _of("vssm_gym.envs.pointnav:PointNavEnv")
-imagenav = _of("vssm_gym.envs.imagenav:ImageNavEnv")
-flight = _of("vssm_gym.envs.flight:FlightEnv")
-lidar_maze = _of("vssm_gym.envs.lidar_maze:LidarMazeEnv")
-carnav = _of("vssm_gym.envs.carnav:CarNavEnv")
-explore = _of("vssm_gym.envs.explore:ExploreEnv")
+def __getattr__(name: str) -> Callable[..., StagedVectorEnv]:
+    """The vector entry point that a row of the environments' table calls ``name``."""
+    for spec in ENVIRONMENTS.values():
+        if spec.vector == f"{__name__}:{name}":
+            return _of(spec.env)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

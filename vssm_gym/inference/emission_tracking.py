@@ -62,7 +62,7 @@ class EmissionTracker:
             raise InputError(
                 "EmissionTracker", "transition", "one whose state is a pose: planar, bicycle, differential"
             )
-        return TrackerState(begin(prior.belief, image, self.rig), prior.map, None, False, key)
+        return TrackerState(begin(prior.belief, image, self.rig), prior.map, None, False, key, prior.readings)
 
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -79,7 +79,7 @@ class EmissionTracker:
 
     def posterior(self, state: TrackerState) -> Posterior:
         """Return ``q(z_t)`` with the fixed map."""
-        return Posterior(state.past.belief, state.map)
+        return Posterior(state.past.belief, state.map, state.readings)
 
 
 @partial(jax.jit, static_argnums=5)

@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import inverse
 from vssm_gym.inference import keyframes, process_noise
-from vssm_gym.inference.alignment import AlignInfo, luminance
+from vssm_gym.inference.alignment import AlignInfo, luminance, shrink_camera, shrink_rgbd
 from vssm_gym.inference.anchor import Anchor
 from vssm_gym.inference.camera_filter import (
     Past,
@@ -109,6 +110,17 @@ def readable(image: RGBD, config: TrackingConfig) -> bool:
     return float(jnp.mean(image.hit)) >= config.min_reading
 
 
+def tracking_factor(camera: Camera, track_width: int | None) -> int:
+    """Return by how much images of ``camera`` are shrunk to about ``track_width`` pixels for tracking; None: not."""
+    return 1 if track_width is None else max(1, round(camera.width / track_width))
+
+
+def shrunk(image: RGBD, rig: Rig, track_width: int | None) -> tuple[RGBD, Rig]:
+    """Return an image and its rig at tracking size."""
+    factor = tracking_factor(rig.camera, track_width)
+    return _shrink(image, factor), Rig(shrink_camera(rig.camera, factor), rig.T_body_cam)
+
+
 def seconds(dt: float) -> Float[Array, ""]:
     """Return the length of a step as the compiled functions take it.
 
@@ -179,3 +191,4 @@ def _without_image(
 
 
 _expose = jax.jit(expose)
+_shrink = jax.jit(shrink_rgbd, static_argnums=1)

@@ -23,18 +23,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from vssm_gym.camera import Camera
 from vssm_gym.emission import RGBD
+from vssm_gym.emission_uncertainty import Readings
 from vssm_gym.errors import InputError
 from vssm_gym.geometry import se3_exp
 from vssm_gym.inference import anchor, drift, keyframes, map_update, recentre
-from vssm_gym.inference.alignment import luminance, shrink_camera, shrink_rgbd
+from vssm_gym.inference.alignment import luminance
 from vssm_gym.inference.anchor import Anchor
 from vssm_gym.inference.camera_filter import Past, begin, expected_pose
 from vssm_gym.inference.exposure import expose
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.keyframes import Keyframes
-from vssm_gym.inference.localise import Wayback, localise, readable, seconds
+from vssm_gym.inference.localise import Wayback, localise, readable, seconds, shrunk
 from vssm_gym.inference.prism_config import HAND, HAND_HELD, PrismConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.posterior import Posterior
@@ -53,6 +53,7 @@ class PrismState(eqx.Module):
     drift: Float[Array, "6 6"]  # covariance of the map's frame around the body in the world, tangent of the world
     lost: bool  # the last image did not fit
     key: PRNGKeyArray
+    readings: Readings  # of the posterior
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Prism:
         if config.recovery is not None:
             kept = keyframes.remember(keyframes.empty(view.camera), T, luminance(small.rgb), view.camera)
         against = clock("anchor", anchor.take(m, T, small, view.camera, config.update.max_depth, config.samples > 1))
-        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key)
+        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key, prior.readings)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -152,16 +153,15 @@ class Prism:
         if alone or status is Status.RECOVERED or moved_on:
             against = clock("anchor", anchor.take(m, T, small, view.camera, max_depth, config.samples > 1))
         info = FilterInfo(status, drift.in_world(past.belief, drifted), located.agreement, dropped)
-        return PrismState(m, past, against, kept, drifted, False, key), info
+        return PrismState(m, past, against, kept, drifted, False, key, state.readings), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``, the state against the map: without the drift of the map's frame in the world."""
-        return Posterior(state.past.belief, state.map)
+        return Posterior(state.past.belief, state.map, state.readings)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
         """The image and its rig at tracking size."""
-        factor = tracking_factor(self.rig.camera, self.config.track_width)
-        return _shrink(image, factor), Rig(shrink_camera(self.rig.camera, factor), self.rig.T_body_cam)
+        return shrunk(image, self.rig, self.config.track_width)
 
     def _mapped(self, m: VoxelMap, image: RGBD, past: Past, key: Array) -> VoxelMap:
         """Step 5, at the pose's mean or in expectation over its samples."""
@@ -170,11 +170,6 @@ class Prism:
             return map_update.update(m, image.depth, image.rgb, past.T_world_cam, camera, config.update)
         poses = _draw_poses(past.belief, self.rig, key, config.samples)
         return map_update.update_expected(m, image.depth, image.rgb, poses, camera, config.update)
-
-
-def tracking_factor(camera: Camera, track_width: int) -> int:
-    """Return by how much images of ``camera`` are shrunk to about ``track_width`` pixels for tracking."""
-    return max(1, round(camera.width / track_width))
 
 
 @partial(jax.jit, static_argnums=3)
@@ -191,6 +186,5 @@ def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -
     return posterior.manifold.pose(posterior.mean) @ se3_exp(errors) @ rig.T_body_cam
 
 
-_shrink = jax.jit(shrink_rgbd, static_argnums=1)
 _expose = jax.jit(expose)
 _shift = jax.jit(recentre.shift_to_centre)

@@ -19,7 +19,7 @@ class PrismConfig:
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
     recovery: RecoveryConfig | None = field(default_factory=RecoveryConfig)  # None: wait where the body is expected
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty also widens the residuals
-    track_width: int = 160  # pixels: images are shrunk to about this for tracking; the map takes them whole
+    track_width: int | None = 160  # pixels, of the images that are tracked; the map takes them whole; None: whole too
     anchor_distance: float = 0.15  # m and
     anchor_angle: float = 0.15  # rad: the anchor serves until the camera is farther from it than either
     window_margin: float | None = 0.25  # of the map's edge: beyond it from the middle the window follows; None: never
@@ -33,4 +33,4 @@ class PrismConfig:
 HAND_HELD = PrismConfig()
 # For a robot whose commands are known. An image that does not fit leaves the map as it is, and the pose follows the
 # commands; the next ones are compared with the map where the robot is expected to be, until one fits.
-ROBOT = PrismConfig(tracking=COMMANDED, recovery=None, window_margin=None)
+ROBOT = PrismConfig(tracking=COMMANDED, recovery=None, window_margin=None, track_width=None)

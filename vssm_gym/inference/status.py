@@ -28,6 +28,6 @@ class Status(IntEnum):
 _MESSAGES = {
     Status.OK: "ok",
     Status.RECOVERED: "found again: the image fits the map at a pose other than the expected one",
-    Status.LOST: "lost track: the image fits neither the map nor the last image",
+    Status.LOST: "lost track: the image does not fit what it is compared with",
     Status.NO_READING: "no depth reading, or next to none: nothing to align",
 }

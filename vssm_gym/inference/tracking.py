@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.emission import MAX_DEPTH, RGBD
+from vssm_gym.emission_uncertainty import Readings
 from vssm_gym.errors import InputError
 from vssm_gym.inference import anchor, keyframes
 from vssm_gym.inference.alignment import AlignConfig, luminance
@@ -21,7 +22,7 @@ from vssm_gym.inference.anchor import Anchor
 from vssm_gym.inference.camera_filter import COMMANDED, Past, TrackingConfig, begin, expected_pose
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.keyframes import Keyframes
-from vssm_gym.inference.localise import Wayback, localise, search, seconds
+from vssm_gym.inference.localise import Wayback, localise, search, seconds, shrunk
 from vssm_gym.inference.recovery import RecoveryConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.posterior import Posterior
@@ -41,6 +42,7 @@ class TrackerState(eqx.Module):
     keyframes: Keyframes | None  # None: nothing is kept to recover from
     lost: bool  # the last image did not fit
     key: PRNGKeyArray  # of a solver that draws; the same at every step
+    readings: Readings  # of the posterior
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ class MapTracker:
     config: TrackingConfig = ROBOT
     recovery: RecoveryConfig | None = None  # None: wait where the transition leads
     max_depth: float = MAX_DEPTH  # m, of the rendering
+    track_width: int | None = None  # pixels: images are shrunk to about this; None: not
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
         """Return the prior's belief with the image seen there; its map is shared, not consumed.
@@ -61,18 +64,19 @@ class MapTracker:
         """
         if prior.map is None:
             raise InputError("MapTracker.init", "prior", "a learned map to track in")
-        past, kept, lost = begin(prior.belief, image, self.rig), None, False
+        image, rig = shrunk(image, self.rig, self.track_width)
+        past, kept, lost = begin(prior.belief, image, rig), None, False
         if self.recovery is not None:
             # Where the start is known roughly only: the first image is aligned to the map around it.
-            kept, camera = keyframes.empty(self.rig.camera), self.rig.camera
+            kept, camera = keyframes.empty(rig.camera), rig.camera
             wayback = Wayback(prior.map, kept, self.max_depth, self.recovery)
             starts = past.T_world_cam[None]
-            found = search(starts, self.transition.manifold, image, self.rig, self.config, wayback)
+            found = search(starts, self.transition.manifold, image, rig, self.config, wayback)
             lost = found is None
             if found is not None:
                 past = found.past
                 kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
-        return TrackerState(past, prior.map, kept, lost, key)
+        return TrackerState(past, prior.map, kept, lost, key, prior.readings)
 
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -81,26 +85,26 @@ class MapTracker:
         # The rendering is a compiled call of its own: in one with the alignment, the compiler fuses the renderer into
         # each of the many places that read its image and computes it again there.
         assert state.map is not None
-        h, kept, camera = seconds(dt), state.keyframes, self.rig.camera
-        T_expected = expected_pose(self.transition, state.past.belief, control, h, self.rig)
+        h, kept = seconds(dt), state.keyframes
+        image, rig = shrunk(image, self.rig, self.track_width)
+        camera = rig.camera
+        T_expected = expected_pose(self.transition, state.past.belief, control, h, rig)
         against = anchor.rendered(state.map, T_expected, camera, self.max_depth)
         wayback = None
         if kept is not None and self.recovery is not None:
             wayback = Wayback(state.map, kept, self.max_depth, self.recovery)
         moved = (self.transition, control, h)
-        located = localise(
-            state.past, *moved, against, image, self.rig, state.key, self.config, state.lost, wayback, clock
-        )
+        located = localise(state.past, *moved, against, image, rig, state.key, self.config, state.lost, wayback, clock)
         past, status = located.past, located.status
         if kept is not None and status.fits:
             kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
-        return TrackerState(past, state.map, kept, not status.fits, state.key), FilterInfo(
+        return TrackerState(past, state.map, kept, not status.fits, state.key, state.readings), FilterInfo(
             status, past.belief, located.agreement
         )
 
     def posterior(self, state: TrackerState) -> Posterior:
         """Return ``q(z_t)`` with the fixed map."""
-        return Posterior(state.past.belief, state.map)
+        return Posterior(state.past.belief, state.map, state.readings)
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,7 @@ class FrameTracker:
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
         """Return the prior's belief with the image seen there; a map is not looked at."""
-        return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key)
+        return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key, prior.readings)
 
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -136,7 +140,7 @@ class FrameTracker:
         belief = replace(step, covariance=_carried(self.transition, belief, control, h) + step.covariance)
         past = replace(located.past, belief=belief, image=image)
         fits = located.status.fits
-        return TrackerState(past, None, None, not fits, state.key), FilterInfo(
+        return TrackerState(past, None, None, not fits, state.key, state.readings), FilterInfo(
             located.status, belief, located.agreement
         )
 

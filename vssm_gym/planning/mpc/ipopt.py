@@ -209,9 +209,9 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
 
 def _bicycle(problem: MpcProblem) -> Bicycle:
     """Return the problem's transition, the one law that is spelled in CasADi here; an error for another one."""
-    if not isinstance(problem.transition, Bicycle):
-        raise InputError("Ipopt", "problem.transition", f"a Bicycle; found {type(problem.transition).__name__}")
-    return problem.transition
+    if not isinstance(problem.motion, Bicycle):
+        raise InputError("Ipopt", "problem.transition", f"a Bicycle; found {type(problem.motion).__name__}")
+    return problem.motion
 
 
 def _bounds(problem: MpcProblem, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,7 +28,7 @@ class Plans(NamedTuple):
 
 def rollout(problem: MpcProblem, state: Float[Array, "3"], controls: Float[Array, "*batch time 2"]) -> Array:
     """Return ``z_1 .. z_T``, ``(*batch, time, 3)``; headings are wrapped or not, as the transition leaves them."""
-    return problem.transition.mean_path(state, controls, problem.car.dt)
+    return problem.motion.mean_path(state, controls, problem.car.dt)
 
 
 def footprint_clearance(problem: MpcProblem, fields: Fields, states: Float[Array, "*batch 3"]) -> Array:

@@ -87,23 +87,26 @@ class MpcProblem:
     Attributes:
         car: footprint, limits of the two controls and length of a step.
         config: what the controller may do and what it is charged for.
-        transition: of planar poses under those controls; by default the car's bicycle. Its fields are numbers.
+        transition: of planar poses under those controls; None: the car's bicycle. Its fields are numbers.
     """
 
     car: Car = field(default_factory=Car)
     config: MpcConfig = field(default_factory=MpcConfig)
-    transition: Transition = None  # type: ignore[assignment]  # the car's, filled in below
+    transition: Transition | None = None
 
     def __post_init__(self) -> None:
-        if self.transition is None:
-            object.__setattr__(self, "transition", Bicycle(wheelbase=self.car.wheelbase))
-        if self.transition.manifold != PLANAR:
+        if self.motion.manifold != PLANAR:
             raise InputError("MpcProblem", "transition", f"one of planar poses; found {self.transition!r:.80}")
         try:
-            hash(self.transition)
+            hash(self.motion)
         except TypeError:
             expected = "a transition whose fields are numbers, not arrays: compiled code is kept for each"
             raise InputError("MpcProblem", "transition", expected) from None
+
+    @property
+    def motion(self) -> Transition:
+        """The transition that plans are rolled out by."""
+        return Bicycle(wheelbase=self.car.wheelbase) if self.transition is None else self.transition
 
     @property
     def discs(self) -> tuple[np.ndarray, float]:
