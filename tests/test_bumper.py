@@ -25,7 +25,7 @@ FRONT, LEFT, REAR, RIGHT = range(4)
 
 def closed(bearings: list[float], sectors: int = 4) -> list[int]:
     """Switches that obstacles in these directions close."""
-    body = GroundBody(np.zeros(3), np.eye(4), 0.2, np.array(bearings, float))
+    body = GroundBody.at(np.zeros(3), np.eye(4), 0.2, np.array(bearings, float))
     sensor = BumperSensor(BumperConfig(sectors))
     reading = sensor.measure(body)["bumper"]
     assert sensor.spaces["bumper"].contains(reading)

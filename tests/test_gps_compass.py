@@ -29,7 +29,7 @@ poses = st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-mat
 
 
 def body(planar: np.ndarray) -> GroundBody:
-    return GroundBody(np.asarray(planar, float), np.eye(4), 0.2, np.zeros(0))
+    return GroundBody.at(np.asarray(planar, float), np.eye(4), 0.2)
 
 
 def measured(start: np.ndarray, now: np.ndarray, noise: str | GpsCompassNoise = "none", seed: int = 0) -> np.ndarray:

@@ -35,6 +35,7 @@ class BulletCar:
     A pickled car goes on from the same poses and velocities, to rounding: those caches are not part of its state.
     """
 
+    feels = True  # whether contacts are kept for :meth:`contact_bearings`
     _bearings: list[float]  # of obstacles touched in the last drive, rad
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
@@ -65,6 +66,7 @@ class BulletCar:
             "velocity": p.getBaseVelocity(self._body, physicsClientId=client),
             "joints": [p.getJointState(self._body, j, physicsClientId=client)[:2] for j in range(6)],
             "bearings": self._bearings,
+            "feels": self.feels,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -74,7 +76,7 @@ class BulletCar:
         p.resetBaseVelocity(self._body, *state["velocity"], physicsClientId=client)
         for j, (angle, speed) in enumerate(state["joints"]):
             p.resetJointState(self._body, j, angle, speed, physicsClientId=client)
-        self._bearings = state["bearings"]
+        self._bearings, self.feels = state["bearings"], state["feels"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
@@ -219,9 +221,10 @@ class BulletCar:
                 for contact in p.getContactPoints(self._body, linkIndexA=-1, physicsClientId=client):
                     if contact[8] <= 0.0:  # the distance: Bullet keeps points before they touch
                         touched.add(contact[2])
-                        _, rotation = self._where()
-                        outwards = -np.array(contact[7]) @ rotation  # the normal points to the chassis
-                        self._bearings.append(math.atan2(outwards[1], outwards[0]))
+                        if self.feels:
+                            _, rotation = self._where()
+                            outwards = -np.array(contact[7]) @ rotation  # the normal points to the chassis
+                            self._bearings.append(math.atan2(outwards[1], outwards[0]))
         return tuple(dict.fromkeys(self._names[body] for body in sorted(touched)))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:

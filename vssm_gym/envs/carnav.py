@@ -110,6 +110,7 @@ class CarNavEnv(StagedEnv):
         self.parallel = self.sensors.parallel
         self.sampler = car_sampler_of(self.apartment, self.car)
         self.body = _make_body(physics, self.apartment, self.car)
+        self.body.feels = self.sensors.feels
         self._goal_distance = self.sampler.goal_distance() if reward == "dense" else None
         self.action_space, self.observation_space = self._action_space(), gym.spaces.Dict(self.sensors.spaces())
 
@@ -142,7 +143,7 @@ class CarNavEnv(StagedEnv):
         """The true state of the car, for its sensors; not for agents."""
         if self._body is None:
             contacts = self.body.contact_bearings()
-            self._body = GroundBody(self.planar, self.car.T_body_cam, self.car.dt, contacts)
+            self._body = GroundBody.at(self.planar, self.car.T_body_cam, self.car.dt, contacts)
         return self._body
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:

@@ -20,7 +20,7 @@ from vssm_gym.envs.mazes import ROBOT, load_maze
 from vssm_gym.envs.planar import clearance, slide
 from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.envs.scene import Apartment
-from vssm_gym.envs.sensors.base import GroundBody, Sensor
+from vssm_gym.envs.sensors.base import HasPlanar, Sensor
 from vssm_gym.envs.sensors.lidar import LidarConfig, LidarNoise
 from vssm_gym.envs.sensors.maze_scan import MazeScan
 from vssm_gym.envs.sensors.pose import PoseSensor
@@ -95,7 +95,7 @@ class LidarMazeEnv(StagedEnv):
             np.array([-turn, 0.0, 0.0], np.float32), np.array([turn, step, 1.0], np.float32)
         )
         scanner = LidarConfig(beams=beams, max_range=LONGEST, noise=range_noise(sensor_noise))
-        sensors: list[Sensor[GroundBody]] = [MazeScan(scanner, self.maze.rectangles)]
+        sensors: list[Sensor[HasPlanar]] = [MazeScan(scanner, self.maze.rectangles)]
         if task == "navigate":
             sensors.append(Told("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
         if observe_pose:
@@ -127,7 +127,7 @@ class LidarMazeEnv(StagedEnv):
         self.task = task
         self.planar = np.array(self.task.start, dtype=np.float64)
         self.path_length, self._path = 0.0, [self.planar[:2]]
-        self.sensors.begin(self._body())
+        self.sensors.begin(self)
         self.objective.begin(self.task)
         info = self._info(np.zeros(2), collision=False) | {"task": self.task, "start_pose": self.planar.copy()}
         self._outcome = 0.0, False, info
@@ -155,7 +155,7 @@ class LidarMazeEnv(StagedEnv):
 
     def look(self) -> None:
         """Let the sensors measure at the robot's pose; once, however often it is asked for."""
-        self.sensors.look(self._body())
+        self.sensors.look(self)
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """The last stage: what Gymnasium's ``step`` returns; ``reset`` returns its first and last."""
@@ -180,10 +180,6 @@ class LidarMazeEnv(StagedEnv):
         for column, row in self._plan.pixels(ends[ranges > 0.0]):
             pen.ellipse((column - 2.0, row - 2.0, column + 2.0, row + 2.0), fill=_RAY)
         return np.asarray(image)
-
-    def _body(self) -> GroundBody:
-        """The true state of the robot, for its sensors; the maze does not say where it was touched."""
-        return GroundBody(self.planar, self.robot.T_body_cam, self.robot.dt, contacts=np.zeros(0))
 
     def _goal(self) -> np.ndarray:
         """What the robot is told."""

@@ -20,7 +20,7 @@ from vssm_gym.envs.scenery import scenery_of
 from vssm_gym.envs.sensor_noise import SensorNoise
 from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
-from vssm_gym.envs.sensors.base import GroundBody, Sensor, SensorConfig
+from vssm_gym.envs.sensors.base import NOTHING_FELT, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
@@ -82,10 +82,12 @@ class Simulation:
         mounted: list[Sensor[GroundBody]] = [config.mount(self.scenery) for config in carried]
         oracle = [PoseSensor()] if observe_pose else []
         self.sensors = SensorSuite("environment", [RGBDSensor(self.scenery, seen), *mounted, *oracle])
+        self.world.feels = self.sensors.feels
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
         self._K, self._T_body_cam = self.camera.K, self.robot.T_body_cam
+        self._named, self._bounds = (*self.robot.commands, "stop"), self.robot.bounds  # of an action
         self._body: GroundBody | None = None  # the robot as it is, for the sensors
         self._plan: TopDown | None = None
 
@@ -113,8 +115,8 @@ class Simulation:
     def body(self) -> GroundBody:
         """The true state of the robot, for its sensors; not for agents."""
         if self._body is None:
-            contacts = self.world.contact_bearings()
-            self._body = GroundBody(self.planar, self._T_body_cam, self.robot.dt, contacts)
+            contacts = self.world.contact_bearings() if self.world.feels else NOTHING_FELT
+            self._body = GroundBody.at(self.planar, self._T_body_cam, self.robot.dt, contacts)
         return self._body
 
     @property
@@ -154,8 +156,8 @@ class Simulation:
 
         Raises :class:`InputError` for anything but finite numbers, one for each of the commands and ``stop``.
         """
-        values = parse_action(action, (*self.robot.commands, "stop"))
-        return np.clip(values[:-1], *self.robot.bounds), bool(values[-1] > 0.5)
+        values = parse_action(action, self._named)
+        return np.clip(values[:-1], *self._bounds), bool(values[-1] > 0.5)
 
     def look(self) -> None:
         """Let the sensors measure the robot's surroundings; once a pose, however often it is asked for."""

@@ -118,6 +118,7 @@ def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
 class MujocoCar:
     """A :class:`~vssm_gym.envs.car_body.CarBody` in MuJoCo; one object is one simulation, for one thread."""
 
+    feels = True  # whether contacts are kept for :meth:`contact_bearings`
     _bearings: list[np.ndarray]  # of obstacles touched in the last drive, rad, one array a substep
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
@@ -137,10 +138,16 @@ class MujocoCar:
     def __getstate__(self) -> dict[str, Any]:
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return {"apartment": self.apartment, "car": self.car, "state": state, "bearings": self._bearings}
+        return {
+            "apartment": self.apartment,
+            "car": self.car,
+            "state": state,
+            "bearings": self._bearings,
+            "feels": self.feels,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.apartment, self.car = state["apartment"], state["car"]
+        self.apartment, self.car, self.feels = state["apartment"], state["car"], state["feels"]
         self._build()
         mujoco.mj_setState(self.model, self.data, state["state"], _STATE)
         self._bearings = state["bearings"]
@@ -166,7 +173,7 @@ class MujocoCar:
                     boxes = self._box_of_geom[data.contact.geom]
                     met = boxes.max(axis=1).tolist()
                     touched.update(met)
-                    if max(met) >= 0:  # not the floor alone; the contacts' body is that of the substep's begin
+                    if self.feels and max(met) >= 0:  # not the floor alone; the body is that of the substep's begin
                         which, R_world_body = np.array(met) >= 0, data.xmat[self._body]
                         self._bearings.append(bearings(boxes[which], data.contact.frame[which, :3], R_world_body))
         return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(touched - {-1})))

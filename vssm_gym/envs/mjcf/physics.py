@@ -86,6 +86,8 @@ def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
 class World:
     """The robot among the apartment's boxes; one object is one simulation, for one thread."""
 
+    feels = True  # whether contacts are kept for :meth:`contact_bearings`; it costs a quarter of a step in contact
+
     def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.apartment, self.robot = apartment, robot
         self._build()
@@ -102,11 +104,11 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def __getstate__(self) -> dict[str, Any]:
-        state = {"apartment": self.apartment, "robot": self.robot, "planar": self.pose()}
+        state = {"apartment": self.apartment, "robot": self.robot, "planar": self.pose(), "feels": self.feels}
         return state | {"touched": self._touched, "meetings": self._meetings}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.apartment, self.robot = state["apartment"], state["robot"]
+        self.apartment, self.robot, self.feels = state["apartment"], state["robot"], state["feels"]
         self._build()
         self.reset(state["planar"])
         self._touched, self._meetings = state["touched"], state["meetings"]
@@ -152,10 +154,13 @@ class World:
             qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
             step(model, data)
             if data.ncon:
-                geoms_met = data.contact.geom.copy()  # the array is a view of memory that the next substep reuses
-                pairs.add(geoms_met.tobytes())
-                # Contacts are those of the substep's begin, and so is the body's pose; qpos is that of its end.
-                self._meetings.append((geoms_met, data.contact.frame[:, :3].copy(), data.xmat[self._body].copy()))
+                met = data.contact.geom
+                pairs.add(met.tobytes())
+                if self.feels:
+                    # Copied: the arrays are views of memory that the next substep reuses. Contacts are those of the
+                    # substep's begin, and so is the body's pose; qpos is that of its end.
+                    normals = data.contact.frame[:, :3].copy()
+                    self._meetings.append((met.copy(), normals, data.xmat[self._body].copy()))
         geoms = np.frombuffer(b"".join(pairs), dtype=np.int32)
         self._touched = set(self._box_of_geom[geoms].tolist()) - {-1}
         return bool(self._touched)

@@ -7,9 +7,7 @@ they say. Each draws its noise from a stream of its own, so that adding or remov
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -20,6 +18,8 @@ from vssm_gym.envs.scenery import Scenery
 from vssm_gym.geometry import planar_to_matrix
 
 EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
+
+NOTHING_FELT = np.zeros(0)  # no contact
 
 Body = TypeVar("Body", contravariant=True)
 
@@ -38,6 +38,10 @@ class Sensor(Protocol[Body]):
     @property
     def parallel(self) -> bool:
         """Whether sensors of several robots may measure at once, in threads of one process."""
+
+    @property
+    def feels(self) -> bool:
+        """Whether it reads the body's contacts, which the simulator keeps only then."""
 
     def seed(self, rng: np.random.Generator) -> None:
         """Switch the sensor on, with this stream of random numbers; a seeded reset does so."""
@@ -59,24 +63,30 @@ class SensorConfig(Protocol):
         """Build the sensor in a scene."""
 
 
-@dataclass(frozen=True)
-class GroundBody:
+class GroundBody(NamedTuple):
     """The true state of a robot on the floor at one moment. It is ground truth: sensors read it, agents never do."""
 
     planar: PlanarPose  # (x, y, heading), m and rad, world
-    T_body_cam: Matrix4
+    T_world_body: Matrix4  # on the floor
+    T_world_cam: Matrix4
     dt: float  # s since the measurement before
-    contacts: Float[np.ndarray, "n"]  # bearings of obstacles that pressed against it in the last step, rad, from body x
+    contacts: Float[np.ndarray, "n"]  # bearings of obstacles that pressed against it in the last step, rad, where felt
 
-    @cached_property
-    def T_world_body(self) -> Matrix4:
-        """Pose of the body on the floor."""
-        return planar_to_matrix(self.planar)
+    @classmethod
+    def at(
+        cls, planar: PlanarPose, T_body_cam: Matrix4, dt: float, contacts: Float[np.ndarray, "n"] = NOTHING_FELT
+    ) -> "GroundBody":
+        """Return the state of a robot with a camera at ``T_body_cam``."""
+        T_world_body = planar_to_matrix(planar)
+        return cls(planar, T_world_body, T_world_body @ T_body_cam, dt, contacts)
 
-    @cached_property
-    def T_world_cam(self) -> Matrix4:
-        """Pose of the camera."""
-        return self.T_world_body @ self.T_body_cam
+
+class HasPlanar(Protocol):
+    """Whatever stands on a floor."""
+
+    @property
+    def planar(self) -> PlanarPose:
+        """``(x, y, heading)``, m and rad, world."""
 
 
 class HasPose(Protocol):

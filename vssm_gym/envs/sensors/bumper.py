@@ -38,6 +38,7 @@ class BumperSensor:
 
     stream = "bumper"
     parallel = True
+    feels = True
 
     def __init__(self, config: BumperConfig) -> None:
         self.config = config

@@ -43,6 +43,7 @@ class ImuSensor:
 
     stream = "imu"
     parallel = True
+    feels = False
 
     def __init__(self, noise: ImuNoise, substeps: int) -> None:
         self.noise = noise
@@ -70,6 +71,7 @@ class FlightPoseSensor:
 
     stream = "pose"
     parallel = True
+    feels = False
 
     def __init__(self) -> None:
         self.spaces: dict[str, gym.Space[Any]] = {

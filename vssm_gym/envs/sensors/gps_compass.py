@@ -73,6 +73,7 @@ class GpsCompassSensor:
 
     stream = "gps_compass"
     parallel = True
+    feels = False
 
     def __init__(self, config: GpsCompassConfig) -> None:
         self.config = config

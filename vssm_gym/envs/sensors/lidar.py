@@ -108,6 +108,7 @@ class LidarSensor:
     """
 
     stream = "lidar"
+    feels = False
 
     def __init__(self, config: LidarConfig, scenery: Scenery) -> None:
         self.config, self._lidar = config, Lidar(config, scenery.tracer)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.envs.planar import scan
-from vssm_gym.envs.sensors.base import GroundBody
+from vssm_gym.envs.sensors.base import HasPlanar
 from vssm_gym.envs.sensors.lidar import LidarConfig, measured
 
 
@@ -21,6 +21,7 @@ class MazeScan:
 
     stream = "sensors"
     parallel = True
+    feels = False
 
     def __init__(self, config: LidarConfig, rectangles: Float[np.ndarray, "m 6"]) -> None:
         self.config, self._rectangles = config, rectangles
@@ -32,10 +33,10 @@ class MazeScan:
         """Draw errors from this stream."""
         self._rng = rng
 
-    def begin(self, body: GroundBody) -> None:
+    def begin(self, body: HasPlanar) -> None:
         """Go on as before."""
 
-    def measure(self, body: GroundBody) -> dict[str, np.ndarray]:
+    def measure(self, body: HasPlanar) -> dict[str, np.ndarray]:
         """Scan once from the robot's centre."""
         assert self._rng is not None
         ranges = scan(body.planar[None], self._rectangles, self.config.beams)[0]

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.envs.sensors.base import EXTENT, GroundBody
+from vssm_gym.envs.sensors.base import EXTENT, HasPlanar
 
 ANYWHERE = np.array([[-EXTENT, -EXTENT, -np.pi], [EXTENT, EXTENT, np.pi]])  # m, m, rad
 
@@ -20,6 +20,7 @@ class PoseSensor:
 
     stream = "pose"
     parallel = True
+    feels = False
 
     def __init__(self, bounds: Float[np.ndarray, "2 3"] = ANYWHERE) -> None:
         self.spaces: dict[str, gym.Space[Any]] = {"pose": gym.spaces.Box(*bounds.astype(np.float32))}
@@ -27,9 +28,9 @@ class PoseSensor:
     def seed(self, rng: np.random.Generator) -> None:
         """Nothing is random."""
 
-    def begin(self, body: GroundBody) -> None:
+    def begin(self, body: HasPlanar) -> None:
         """Nothing is kept."""
 
-    def measure(self, body: GroundBody) -> dict[str, np.ndarray]:
+    def measure(self, body: HasPlanar) -> dict[str, np.ndarray]:
         """Return the pose as it is."""
         return {"pose": body.planar.astype(np.float32)}

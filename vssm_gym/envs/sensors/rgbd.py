@@ -23,6 +23,7 @@ class RGBDSensor:
     """
 
     stream = "sensors"
+    feels = False
 
     def __init__(self, scenery: Scenery, noise: SensorNoise) -> None:
         self.scenery, self.noise = scenery, noise

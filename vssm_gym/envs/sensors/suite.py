@@ -55,6 +55,11 @@ class SensorSuite(Generic[Body]):
         """Whether several robots may look at once, in threads of one process."""
         return all(sensor.parallel for sensor in self._sensors)
 
+    @property
+    def feels(self) -> bool:
+        """Whether any of them reads contacts."""
+        return any(sensor.feels for sensor in self._sensors)
+
     def seed(self, streams: Mapping[str, np.random.Generator]) -> None:
         """Switch every sensor on, each with its stream."""
         for sensor in self._sensors:

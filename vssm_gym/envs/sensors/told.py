@@ -20,6 +20,7 @@ class Told:
 
     stream = "told"
     parallel = True
+    feels = False
 
     def __init__(self, key: str, space: gym.Space[Any], tell: Callable[[], Any]) -> None:
         self.spaces: dict[str, gym.Space[Any]] = {key: space}
