@@ -111,5 +111,8 @@ def rig_of(context: AgentContext) -> Rig:
 
 def localization(belief: GaussianBelief, status: Status) -> Localization:
     """Return a planar belief as agents use it."""
-    std = np.sqrt(np.diag(np.asarray(world_covariance(belief), np.float64)))
-    return Localization(np.asarray(belief.mean, np.float64), std, status)
+    mean, covariance = jax.device_get(_in_world(belief))
+    return Localization(mean.astype(np.float64), np.sqrt(np.diag(covariance.astype(np.float64))), status)
+
+
+_in_world = jax.jit(lambda belief: (belief.mean, world_covariance(belief)))

@@ -94,6 +94,7 @@ class Tracked(eqx.Module):
     """What an image says."""
 
     belief: GaussianBelief  # q_t(z)
+    T_world_cam: Float[Array, "4 4"]  # at its mean
     laplace: Float[Array, "p p"]  # as the past's, this image included
     predicted: GaussianBelief  # with the transition's whole noise: where the body may be at all
     unrest: process_noise.Level
@@ -125,8 +126,7 @@ def begin(prior: Belief, image: RGBD, rig: Rig) -> Past:
     if not isinstance(prior, GaussianBelief):
         raise InputError("filter.init", "prior", f"a GaussianBelief over the state; found {type(prior).__name__}")
     p = prior.manifold.twists.shape[1]
-    T_world_cam = prior.manifold.pose(prior.mean) @ rig.T_body_cam
-    return Past(prior, jnp.zeros((p, p)), process_noise.full(), image, T_world_cam)
+    return Past(prior, jnp.zeros((p, p)), process_noise.full(), image, camera_pose(prior, rig))
 
 
 def camera_twists(manifold: Manifold, rig: Rig) -> Float[Array, "6 p"]:
@@ -225,7 +225,8 @@ def track(
     if config.adaptive:
         noise = transition.noise_covariance(past.belief.mean, control, dt)[:p, :p]
         unrest = process_noise.adapt(past.unrest, moved, pose_covariance, laplace, dt, noise, manifold)
-    return Tracked(posterior, smoothed, possible, unrest, T_world_turned, brightness, agreement, fits)
+    T_world_cam = manifold.pose(posterior.mean) @ rig.T_body_cam
+    return Tracked(posterior, T_world_cam, smoothed, possible, unrest, T_world_turned, brightness, agreement, fits)
 
 
 def _start(

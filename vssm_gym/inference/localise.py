@@ -90,7 +90,7 @@ def localise(
     if tracked.fits:
         if config.exposure:
             image = _expose(image, tracked.gain)
-        now = Past(tracked.belief, tracked.laplace, tracked.unrest, image, camera_pose(tracked.belief, rig))
+        now = Past(tracked.belief, tracked.laplace, tracked.unrest, image, tracked.T_world_cam)
         return Located(Status.OK, now, tracked.gain, tracked.agreement)
     readings = readable(image, config)
     if readings and wayback is not None:
@@ -118,6 +118,8 @@ def tracking_factor(camera: Camera, track_width: int | None) -> int:
 def shrunk(image: RGBD, rig: Rig, track_width: int | None) -> tuple[RGBD, Rig]:
     """Return an image and its rig at tracking size."""
     factor = tracking_factor(rig.camera, track_width)
+    if factor == 1:
+        return image, rig
     return _shrink(image, factor), Rig(shrink_camera(rig.camera, factor), rig.T_body_cam)
 
 

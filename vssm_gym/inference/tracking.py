@@ -7,6 +7,7 @@ track is detected and said; the belief then follows the transition until images 
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -19,10 +20,19 @@ from vssm_gym.errors import InputError
 from vssm_gym.inference import anchor, keyframes
 from vssm_gym.inference.alignment import AlignConfig, luminance
 from vssm_gym.inference.anchor import Anchor
-from vssm_gym.inference.camera_filter import COMMANDED, Past, TrackingConfig, begin, expected_pose
+from vssm_gym.inference.camera_filter import (
+    COMMANDED,
+    Past,
+    Tracked,
+    TrackingConfig,
+    begin,
+    camera_pose,
+    expected_pose,
+    track,
+)
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.keyframes import Keyframes
-from vssm_gym.inference.localise import Wayback, localise, search, seconds, shrunk
+from vssm_gym.inference.localise import Wayback, localise, readable, search, seconds, shrunk
 from vssm_gym.inference.recovery import RecoveryConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.posterior import Posterior
@@ -132,17 +142,18 @@ class FrameTracker:
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
         """Align the image to the one before; see :class:`Filter`."""
-        h, belief = seconds(dt), state.past.belief
-        known, against = _from_frame(state.past, self.rig)
-        moved = (self.transition, control, h)
-        located = localise(known, *moved, against, image, self.rig, state.key, self.config, state.lost, None, clock)
-        step = located.past.belief
-        belief = replace(step, covariance=_carried(self.transition, belief, control, h) + step.covariance)
-        past = replace(located.past, belief=belief, image=image)
-        fits = located.status.fits
-        return TrackerState(past, None, None, not fits, state.key, state.readings), FilterInfo(
-            located.status, belief, located.agreement
+        h = seconds(dt)
+        tracked, carried = clock(
+            "track",
+            _track_from_frame(state.past, self.transition, control, h, image, self.rig, state.key, self.config),
         )
+        fits = bool(tracked.fits)
+        status = Status.OK if fits else Status.LOST if readable(image, self.config) else Status.NO_READING
+        belief = carried if fits else _predicted(self.transition, state.past.belief, control, h)
+        T_world_cam = tracked.T_world_cam if fits else camera_pose(belief, self.rig)
+        past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
+        info = FilterInfo(status, belief, tracked.agreement)
+        return TrackerState(past, None, None, not fits, state.key, state.readings), info
 
     def posterior(self, state: TrackerState) -> Posterior:
         """Return ``q(z_t)``; there is no map."""
@@ -177,13 +188,25 @@ class DeadReckoning:
         return Posterior(state, None)
 
 
-@jax.jit
-def _from_frame(past: Past, rig: Rig) -> tuple[Past, Anchor]:
-    """The past as if its pose were known, and its image as the reference."""
+@partial(jax.jit, static_argnums=7)
+def _track_from_frame(
+    past: Past,
+    transition: Transition,
+    control: Array,
+    dt: Array,
+    image: RGBD,
+    rig: Rig,
+    key: Array,
+    config: TrackingConfig,
+) -> tuple[Tracked, GaussianBelief]:
+    """The step as if the pose before it were known, and the belief that it leads to: covariances add up."""
     belief = past.belief
     known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
-    return known, Anchor(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
+    against = Anchor(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
+    tracked = track(known, transition, control, dt, against, image, rig, key, config)
+    step = tracked.belief
+    carried = transition.predict(belief, control, dt, 0.0).covariance
+    return tracked, replace(step, covariance=carried + step.covariance)
 
 
-_carried = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt, 0.0).covariance)
 _predicted = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))
