@@ -193,8 +193,9 @@ def _header(stats: dict[str, Any]) -> str:
         "run": f"{stats['run_s']:.1f} s",
         "images": stats["config"]["size"],
         "rate": f"{stats['config']['rate']:g} Hz at most",
-        "voxel": f"{stats['config']['voxel']:g} m",
-        "grid": f"{stats['config']['extent']:g} m",
+        "method": stats["config"]["method"],
+        "voxel": f"{stats['map']['voxel']:g} m",
+        "grid": " x ".join(f"{stats['map']['voxel'] * n:.3g}" for n in stats["map"]["shape"]) + " m",
         "solver": stats["config"]["solver"],
         "version": stats["version"],
     }

@@ -115,6 +115,61 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     assert (out / "trajectory.txt").read_bytes() == before
 
 
+@pytest.fixture(scope="module")
+def learned(recording, tmp_path_factory) -> Path:
+    """The posterior that a run over the recording leaves."""
+    run = run_slam(load_sequence(recording), SlamOptions(size=(80, 60), voxel=0.08, extent=6.4))
+    path = tmp_path_factory.mktemp("learned") / "room.npz"
+    run.posterior.save(path)
+    return path
+
+
+def test_the_tracker_locates_a_camera_in_a_map_that_is_known(vssm, recording, learned, tmp_path):
+    """From a start that is 15 cm and 5 degrees off; the map stays as it is, and the outputs are those of PRISM."""
+    start = "0.1,-0.1,0.05,0.02,0.0436,0,0.9988"
+    options = ("--method", "tracker", "--map", learned, "--start", start)
+    code, printed, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options)
+    assert code == 0, err
+    assert names(tmp_path / "out") == FILES and " 0 lost" in printed
+    _, poses = poses_of(tmp_path / "out" / "trajectory.txt")
+    expected = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])
+    assert np.linalg.norm(poses[:, :3, 3] - expected[:, :3, 3], axis=1).max() < 0.02
+    kept, given = VoxelMap.load(tmp_path / "out" / "map.npz"), VoxelMap.load(learned)
+    np.testing.assert_array_equal(np.asarray(kept.occupancy), np.asarray(given.occupancy))
+    np.testing.assert_array_equal(np.asarray(kept.occupancy_precision), np.asarray(given.occupancy_precision))
+    stats = json.loads((tmp_path / "out" / "stats.json").read_text())
+    assert stats["config"]["method"] == "tracker" and stats["config"]["map"] == learned.name
+    assert stats["map"]["voxel"] == pytest.approx(0.08)
+
+
+def test_a_tracker_that_starts_elsewhere_is_lost_and_says_so(vssm, recording, learned, tmp_path):
+    """Where the map ends nothing fits: every frame is lost."""
+    options = ("--method", "tracker", "--map", learned, "--start", "50,0,0,0,0,0,1")
+    code, printed, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options)
+    assert code == 0, err
+    assert f"{FRAMES} lost" in printed
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--method", "tracker"], "map: expected a map file with method tracker"),
+        (["--map", "{map}"], "map: expected a map file with method tracker, and none"),
+        (["--start", "0,0,0,0,0,0,1"], "start: expected a pose in a map"),
+        (["--method", "tracker", "--map", "{map}", "--start", "1,2"], "start: expected x,y,z,qx,qy,qz,qw"),
+        (["--method", "tracker", "--map", "{map}", "--start", "a"], "start: expected numbers"),
+        (["--method", "tracker", "--map", "{map}", "--imu"], "imu: expected False with method tracker"),
+        (["--method", "tracker", "--map", "nowhere.npz"], "an existing map file"),
+    ],
+)
+def test_a_tracker_that_cannot_be_is_one_line(vssm, recording, learned, tmp_path, options, message):
+    told = [word.format(map=learned) for word in options]
+    code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *told)
+    assert code == 2
+    assert message in err and err.strip().count("\n") == 0
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_lost_frame_is_said_to_be_lost_and_leaves_the_map_alone(vssm, tmp_path):
     """Without ground truth: the report says that too, and nothing is measured against it."""
     source = write_sequence(tmp_path / "room", strange=6)
