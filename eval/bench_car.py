@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
-import jax.numpy as jnp
 import numpy as np
 import shapely
 
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.agents.critic import Critic
 from vssm_gym.agents.vi_mpc import PROBLEM
+from vssm_gym.arc import poses_after, turn_of
 from vssm_gym.car import Car
 from vssm_gym.envs.apartment import Apartment
 from vssm_gym.envs.car_task_sets import make_car_tasks
@@ -30,6 +30,7 @@ from vssm_gym.envs.solids import footprint
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench_envs import steps_a_second
 from vssm_gym.eval.bench_speed import CompileCounter
+from vssm_gym.geometry import wrap_angle
 from vssm_gym.planning.footprint import Arena
 from vssm_gym.planning.footprint_levels import FootprintLevels
 from vssm_gym.planning.hybrid_astar import plan
@@ -39,7 +40,6 @@ from vssm_gym.planning.mpc.mppi import Mppi
 from vssm_gym.planning.mpc.problem import MpcSolver
 from vssm_gym.planning.mpc.random_search import RandomSearch
 from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, solve
-from vssm_gym.transition import Bicycle
 
 SCENE = "arena"
 CELL = 0.035  # m
@@ -245,8 +245,10 @@ def _next(waiting: Iterator[CarTask], critic: Critic, planar: np.ndarray) -> tup
 def _driven(planar: np.ndarray, control: np.ndarray, rng: np.random.Generator, car: Car) -> np.ndarray:
     """The arc of a command that is carried out with small errors."""
     errors = rng.normal(size=2) * (SPEED_ERROR * abs(control[0]), STEERING_ERROR)
-    after = Bicycle(wheelbase=car.wheelbase).mean(jnp.asarray(planar), jnp.asarray(control + errors), car.dt)
-    return np.asarray(after, np.float64)
+    speed, steering = control + errors
+    x, y, heading = planar
+    after = poses_after(heading, speed * car.dt, turn_of(speed * car.dt, steering, car.wheelbase), x, y)
+    return np.array([*after[:2], wrap_angle(after[2])])
 
 
 def _row(what: str, values: Sequence[float], unit: str, aim: float | None, facts: dict[str, Any]) -> Row:
