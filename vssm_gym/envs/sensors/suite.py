@@ -78,7 +78,9 @@ class SensorSuite(Generic[Body]):
     def look(self, body: Body) -> None:
         """Let every sensor measure, unless they have done so since the robot moved."""
         if self._readings is None:
-            self._readings = {k: value for sensor in self._sensors for k, value in sensor.measure(body).items()}
+            self._readings = {}
+            for sensor in self._sensors:
+                self._readings |= sensor.measure(body)
 
     def reading(self, key: str) -> np.ndarray:
         """The latest reading of one key; not to be changed."""
