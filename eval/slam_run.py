@@ -109,6 +109,8 @@ class SlamOptions:
             raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
+        if self.map is not None:
+            read_metadata(self.map)  # a file that is no map is said before the sequence is read
         if self.imu and self.method == "tracker":
             expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
             raise InputError("slam", "imu", expected)

@@ -169,6 +169,14 @@ def test_time_must_pass(name: str, kind: str, dt: float) -> None:
         tracker.step(state, control(kind, 0), see(1), dt)
 
 
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_control_of_another_transition_is_refused(name: str) -> None:
+    tracker, prior = make(name, "planar")
+    state = tracker.init(prior, see(0), jax.random.key(0))
+    with pytest.raises(InputError, match="control: expected the 3 numbers of Planar's controls"):
+        tracker.step(state, jnp.zeros(4), see(1), DT)
+
+
 @pytest.mark.parametrize("name", [name for name, entry in FILTERS.items() if entry.needs_map or entry.maps])
 def test_a_filter_that_needs_a_map_says_so(name: str) -> None:
     tracker, prior = make(name, "planar")

@@ -27,6 +27,7 @@ class Unicycle(Transition):
     rate: float = 4.0
 
     manifold = PLANAR
+    controls = 2
     commanded = True
 
     def mean(self, state: Array, control: Array, dt: float | Array) -> Array:

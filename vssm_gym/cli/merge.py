@@ -7,7 +7,9 @@ import tyro
 
 
 def merge(
-    folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SHARD")],
+    folders: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SHARD [SHARD ...]", help_behavior_hint="")
+    ],
     out: Path,
 ) -> None:
     """Merge the folders of `sweep --shard I/N` into the one that the whole sweep would have left.
@@ -15,7 +17,7 @@ def merge(
     Every shard has to be there and finished. Nothing is written otherwise.
 
     Args:
-        folders: of all shards, in any order.
+        folders: the folders of all shards, in any order.
         out: new or empty folder.
     """
     import sys

@@ -20,7 +20,7 @@ from vssm_gym.inference.adam import AdamConfig, minimise
 from vssm_gym.inference.alignment import AlignInfo, agreement, make_observed, make_reference, score, stride
 from vssm_gym.inference.camera_filter import begin, camera_twists
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
-from vssm_gym.inference.localise import seconds
+from vssm_gym.inference.localise import checked, seconds
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import ROBOT, TrackerState, TrackingConfig
 from vssm_gym.posterior import Posterior
@@ -69,7 +69,8 @@ class EmissionTracker:
     ) -> tuple[TrackerState, FilterInfo]:
         """Follow the gradient through the renderer; see :class:`Filter`."""
         assert state.map is not None
-        predicted = _predict(self.transition, state.past.belief, control, seconds(dt))
+        told = checked(self.transition, control), seconds(dt)
+        predicted = _predict(self.transition, state.past.belief, *told)
         T_world_cam = _descend(predicted, image, state.map, self.rig, state.key, self.config)
         rendered = emission.render(state.map, T_world_cam, self.rig.camera)
         belief, fits, fit = clock("track", _judge(predicted, rendered, T_world_cam, image, self.rig, self.config))

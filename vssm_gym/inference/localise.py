@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.camera import Camera
@@ -164,6 +165,18 @@ def search(
         image = _expose(image, attempt.gain)
     now = Past(belief, covariance, process_noise.full(), image, camera_pose(belief, rig))
     return Located(Status.RECOVERED, now, attempt.gain, attempt.agreement)
+
+
+def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, "m"]:
+    """Return a control of the transition.
+
+    Raises:
+        InputError: it has not as many numbers as the transition's controls.
+    """
+    if np.shape(control) != (transition.controls,):
+        expected = f"the {transition.controls} numbers of {type(transition).__name__}'s controls"
+        raise InputError("filter.step", "control", f"{expected}; found shape {np.shape(control)}")
+    return control
 
 
 def _starts(

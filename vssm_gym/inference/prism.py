@@ -34,7 +34,7 @@ from vssm_gym.inference.camera_filter import Past, begin, expected_pose
 from vssm_gym.inference.exposure import expose
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.keyframes import Keyframes
-from vssm_gym.inference.localise import Wayback, localise, readable, seconds, shrunk
+from vssm_gym.inference.localise import Wayback, checked, localise, readable, seconds, shrunk
 from vssm_gym.inference.prism_config import HAND, HAND_HELD, PrismConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.posterior import Posterior
@@ -112,14 +112,16 @@ class Prism:
         alone = state.lost and config.recovery is None  # nothing is searched: the image must fit where it is expected
         max_depth = config.update.max_depth
         if alone:
-            T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
+            T_expected = expected_pose(
+                self.transition, state.past.belief, checked(self.transition, control), seconds(dt), view
+            )
             against = anchor.rendered(state.map, T_expected, view.camera, max_depth)
         if config.recovery is not None and state.keyframes is not None:
             wayback = Wayback(state.map, state.keyframes, max_depth, config.recovery)
         located = localise(
             state.past,
             self.transition,
-            control,
+            checked(self.transition, control),
             seconds(dt),
             against,
             small,

@@ -32,7 +32,7 @@ from vssm_gym.inference.camera_filter import (
 )
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.keyframes import Keyframes
-from vssm_gym.inference.localise import Wayback, localise, readable, search, seconds, shrunk
+from vssm_gym.inference.localise import Wayback, checked, localise, readable, search, seconds, shrunk
 from vssm_gym.inference.recovery import RecoveryConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.posterior import Posterior
@@ -95,7 +95,7 @@ class MapTracker:
         # The rendering is a compiled call of its own: in one with the alignment, the compiler fuses the renderer into
         # each of the many places that read its image and computes it again there.
         assert state.map is not None
-        h, kept = seconds(dt), state.keyframes
+        h, control, kept = seconds(dt), checked(self.transition, control), state.keyframes
         image, rig = shrunk(image, self.rig, self.track_width)
         camera = rig.camera
         T_expected = expected_pose(self.transition, state.past.belief, control, h, rig)
@@ -142,7 +142,7 @@ class FrameTracker:
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
         """Align the image to the one before; see :class:`Filter`."""
-        h = seconds(dt)
+        h, control = seconds(dt), checked(self.transition, control)
         tracked, carried = clock(
             "track",
             _track_from_frame(state.past, self.transition, control, h, image, self.rig, state.key, self.config),
@@ -180,7 +180,7 @@ class DeadReckoning:
         self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
     ) -> tuple[GaussianBelief, FilterInfo]:
         """Predict; see :class:`Filter`."""
-        belief = clock("track", _predicted(self.transition, state, control, seconds(dt)))
+        belief = clock("track", _predicted(self.transition, state, checked(self.transition, control), seconds(dt)))
         return belief, FilterInfo(Status.OK, belief)
 
     def posterior(self, state: GaussianBelief) -> Posterior:

@@ -23,6 +23,7 @@ class Transition(eqx.Module):
     """
 
     manifold: eqx.AbstractClassVar[Manifold]  # the space of its states
+    controls: eqx.AbstractClassVar[int]  # numbers in a control
     commanded: eqx.AbstractClassVar[bool]  # whether a control says where the body goes: prediction needs no image
 
     @abc.abstractmethod

@@ -59,6 +59,7 @@ class Bicycle(Transition):
     wheelbase: Float[Array, ""] | float = 0.26  # m, of the QCar
 
     manifold = PLANAR
+    controls = 2
     commanded = True
 
     def mean(

@@ -44,6 +44,7 @@ class DifferentialDrive(Transition):
     skid: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
 
     manifold = PLANAR
+    controls = 2
     commanded = True
 
     def mean(

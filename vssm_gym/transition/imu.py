@@ -40,6 +40,7 @@ class Imu(Transition):
     noise: ImuNoise = ImuNoise()
 
     manifold = RIGID
+    controls = 6
     commanded = False  # velocity errors grow without bound: an image must come soon
 
     def mean(self, state: RigidState, control: Float[Array, "*batch 6"], dt: float | Array) -> RigidState:

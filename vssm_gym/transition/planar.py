@@ -35,6 +35,7 @@ class Planar(Transition):
     slip: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
 
     manifold = PLANAR
+    controls = 3
     commanded = True
 
     def mean(

@@ -75,6 +75,7 @@ class Rigid(Transition):
     velocity_first: bool = eqx.field(static=True, default=True)  # the new velocity moves the pose (PRISM) or the old
 
     manifold = RIGID
+    controls = 6
     commanded = False
 
     def mean(self, state: RigidState, control: Float[Array, "*batch 6"], dt: float | Array) -> RigidState:
