@@ -104,7 +104,7 @@ class Prism:
         Raises:
             InputError: ``dt`` is not above 0.
         """
-        config = self.config
+        config, control = self.config, checked(self.transition, control)
         small, view = self._shrunk(image)
         key, solving, mapping = jax.random.split(state.key, 3)
         state = eqx.tree_at(lambda s: s.key, state, key)
@@ -112,16 +112,14 @@ class Prism:
         alone = state.lost and config.recovery is None  # nothing is searched: the image must fit where it is expected
         max_depth = config.update.max_depth
         if alone:
-            T_expected = expected_pose(
-                self.transition, state.past.belief, checked(self.transition, control), seconds(dt), view
-            )
+            T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
             against = anchor.rendered(state.map, T_expected, view.camera, max_depth)
         if config.recovery is not None and state.keyframes is not None:
             wayback = Wayback(state.map, state.keyframes, max_depth, config.recovery)
         located = localise(
             state.past,
             self.transition,
-            checked(self.transition, control),
+            control,
             seconds(dt),
             against,
             small,
