@@ -143,11 +143,16 @@ def test_the_tracker_locates_a_camera_in_a_map_that_is_known(vssm, recording, le
 
 
 def test_a_tracker_that_starts_elsewhere_is_lost_and_says_so(vssm, recording, learned, tmp_path):
-    """Where the map ends nothing fits: every frame is lost."""
+    """Where the map ends nothing fits; recovery then tries the map's origin, where the camera is."""
     options = ("--method", "tracker", "--map", learned, "--start", "50,0,0,0,0,0,1")
     code, printed, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options)
     assert code == 0, err
-    assert f"{FRAMES} lost" in printed
+    assert "1 lost, 1 found again" in printed
+    stats = json.loads((tmp_path / "out" / "stats.json").read_text())
+    assert [frame["index"] for frame in stats["lost"]] == [0]
+    _, poses = poses_of(tmp_path / "out" / "trajectory.txt")
+    expected = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])
+    assert np.linalg.norm(poses[1:, :3, 3] - expected[1:, :3, 3], axis=1).max() < 0.02
 
 
 @pytest.mark.parametrize(
