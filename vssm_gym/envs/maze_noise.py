@@ -2,7 +2,7 @@
 
 Motion errs as :func:`vssm_gym.envs.robots.execute` says, ranges as :mod:`vssm_gym.envs.sensors.lidar` does, here
 with a width that does not grow with the range: that Gaussian is the emission which the thesis' spatial
-model assumes (SPEC 11).
+model assumes (DVBF-LM).
 """
 
 import math
