@@ -53,7 +53,7 @@ def made_up_run(sequence, frames: int, seed: int = 0, **changes) -> SlamRun:
         made.append(replace(frame, **changes.get(f"at_{k}", {})))
     m = VoxelMap.cube((0.0, 0.0, 0.0), 6.4, 0.08)
     belief = rigid_belief(RigidState(jnp.eye(4), jnp.zeros(6)), jnp.diag(jnp.asarray(STD**2, jnp.float32)))
-    return SlamRun(tuple(made), Posterior(belief, m), FrameReader(sequence, (80, 60)), ())
+    return SlamRun(tuple(made), Posterior(belief, m), FrameReader(sequence, (80, 60)), (), None)
 
 
 @pytest.fixture(scope="module")

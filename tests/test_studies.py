@@ -129,7 +129,7 @@ def calibrated_run(frames: int, scale: float = 1.0) -> tuple[SlamRun, SimpleName
         tracked.append(frame(i, T_world_cam=truth[i] @ tangent(e[:6]), velocity=velocity[i] + e[6:],
                              covariance=A @ A.T / scale))  # fmt: skip
     recorded = SimpleNamespace(root=Path("room"), truth=(times, T_world_first @ np.stack(truth)))
-    return SlamRun(tuple(tracked), None, None, ()), recorded
+    return SlamRun(tuple(tracked), None, None, (), None), recorded
 
 
 @pytest.mark.parametrize("scale", [1.0, 4.0])
