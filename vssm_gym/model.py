@@ -138,15 +138,7 @@ def rollout(
         The futures. Images are the emission's means; :mod:`vssm_gym.predictive` adds its noise.
     """
     by_start, by_step, by_map = jax.random.split(key, 3)
-    started = belief.sample(by_start, samples)
-
-    def step(state, now):
-        key, control = now
-        state = model.transition.sample(key, state, jnp.broadcast_to(control, (samples, *control.shape)), dt)
-        return state, state
-
-    _, states = jax.lax.scan(step, started, (jax.random.split(by_step, len(controls)), controls))
-    states = jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), states)
+    states = model.transition.sample_paths(by_step, belief.sample(by_start, samples), controls, dt)
     if images == "none":
         return Rollouts(states, None)
 

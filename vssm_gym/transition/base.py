@@ -1,6 +1,7 @@
 """``p(z' | z, u)``: what every transition offers filters, rollouts, planners and imagined environments."""
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -80,15 +81,18 @@ class Transition(eqx.Module):
 
         Every sequence of controls starts at the one ``state``.
         """
-
-        def step(state, control):
-            state = self.mean(state, control, dt)
-            return state, state
-
-        path = lambda controls: jax.lax.scan(step, state, controls)[1]
+        path = lambda controls: _path(lambda z, u: self.mean(z, u, dt), state, controls)
         for _ in range(controls.ndim - 2):
             path = jax.vmap(path)
         return path(controls)
+
+    def sample_paths(self, key: PRNGKeyArray, states: Any, controls: Float[Array, "time m"], dt: float | Array) -> Any:
+        """Draw ``z_1..z_T ~ prod_t p(z_t | z_t-1, u_t)`` from each of a batch of states, axes ``(batch, time, ...)``."""
+        batch = jax.tree.leaves(states)[0].shape[0]
+        repeated = jnp.broadcast_to(controls[:, None], (len(controls), batch, *controls.shape[1:]))
+        step = lambda z, now: self.sample(now[0], z, now[1], dt)
+        paths = _path(step, states, (jax.random.split(key, len(controls)), repeated))
+        return jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), paths)
 
     def _every_covariance(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Array:
         """:meth:`noise_covariance` of each state of a batch."""
@@ -96,3 +100,13 @@ class Transition(eqx.Module):
         for _ in range(control.ndim - 1):
             one = jax.vmap(one)
         return one(state, control)
+
+
+def _path(step: Callable[[Any, Any], Any], state: Any, inputs: Any) -> Any:
+    """Return ``z_t = step(z_t-1, input_t)`` for every t, along the leading axis."""
+
+    def advance(state, now):
+        state = step(state, now)
+        return state, state
+
+    return jax.lax.scan(advance, state, inputs)[1]
