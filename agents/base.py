@@ -10,9 +10,9 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from vssm_gym.car import Car
-from vssm_gym.transition.base import Transition
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.geometry.car import Car
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.transition.base import Transition
 
 Observation: TypeAlias = Mapping[str, np.ndarray]
 

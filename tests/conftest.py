@@ -26,17 +26,14 @@ FORGET_ABOVE = 4e9  # bytes of a test process
 
 # Annotated shapes and dtypes of these modules are checked at every call (STYLE 2). Simulation and planning are left
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
-CHECKED = [
-    *("geometry", "camera", "compaction", "block_table", "empty_space", "map_file", "voxel_map", "emission"),
-    *("emission_uncertainty", "transition", "posterior", "model", "predictive", "inference"),
-]
+CHECKED = ["geometry.transforms", "geometry.camera", "maps", "model", "inference"]
 
 already_imported = [name for name in CHECKED if f"vssm_gym.{name}" in sys.modules]
 if already_imported:
     raise RuntimeError(f"imported before the shape checks were installed: {already_imported}")
 install_import_hook([f"vssm_gym.{name}" for name in CHECKED], "beartype.beartype")
 
-from vssm_gym.cli.cache import use_compilation_cache
+from vssm_gym.cli.shared.cache import use_compilation_cache
 
 use_compilation_cache()  # one compilation of a jitted function serves every later run and both xdist workers
 

@@ -30,30 +30,34 @@ class Addition:
     rows: dict[str, str] = field(default_factory=dict)
 
 
-SENSORS, METRICS = "vssm_gym/envs/sensors/registry.py", "eval/metric_registry.py"
+SENSORS, METRICS = "vssm_gym/envs/sensors/registry.py", "eval/metrics/registry.py"
 DRIVE = r"Differential|WheelNoise|DIFFERENTIAL"
 ADDITIONS = {
     "gps_compass": Addition(
-        ("vssm_gym/envs/sensors/gps_compass.py", "tests/test_gps_compass.py"), {SENSORS: r"gps_compass|GpsCompass"}
+        ("vssm_gym/envs/sensors/gps_compass.py", "tests/envs/sensors/test_gps_compass.py"),
+        {SENSORS: r"gps_compass|GpsCompass"},
     ),
-    "bumper": Addition(("vssm_gym/envs/sensors/bumper.py", "tests/test_bumper.py"), {SENSORS: r"bumper|Bumper"}),
+    "bumper": Addition(
+        ("vssm_gym/envs/sensors/bumper.py", "tests/envs/sensors/test_bumper.py"), {SENSORS: r"bumper|Bumper"}
+    ),
     "collision_rate": Addition(
-        ("eval/collision_rate.py", "tests/test_collision_rate.py"), {METRICS: r"collision_rate|COLLISION_RATE"}
+        ("eval/metrics/collision_rate.py", "tests/eval/test_collision_rate.py"),
+        {METRICS: r"collision_rate|COLLISION_RATE"},
     ),
     "theta_star": Addition(
-        ("vssm_gym/planning/grid_search/theta_star.py", "tests/test_theta_star.py"),
+        ("vssm_gym/planning/grid_search/theta_star.py", "tests/planning/test_theta_star.py"),
         {"vssm_gym/planning/planners.py": r"theta_star"},
     ),
     "differential_drive": Addition(
         (
-            "vssm_gym/transition/differential.py",
+            "vssm_gym/model/transition/differential.py",
             "vssm_gym/envs/robots/differential.py",
-            "tests/test_differential.py",
+            "tests/model/test_differential.py",
         ),
         {
-            "vssm_gym/transition/__init__.py": DRIVE,
+            "vssm_gym/model/transition/__init__.py": DRIVE,
             "vssm_gym/envs/robots/registry.py": DRIVE,
-            "eval/agent_context.py": DRIVE,
+            "eval/protocols/agent_context.py": DRIVE,
         },
     ),
 }

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import vssm_gym
-from vssm_gym.camera import Camera
+from vssm_gym.geometry.camera import Camera
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())

@@ -52,14 +52,14 @@ def bench(
 
     from rich.console import Console
 
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.config import DEFAULT_VOXEL
-    from vssm_gym.eval.destinations import check_at_least, check_folder
-    from vssm_gym.eval.maps import ensure_map, map_hash
-    from vssm_gym.eval.version import package_version
+    from vssm_gym.eval.sweep.config import DEFAULT_VOXEL
     from vssm_gym.files import atomic_write
+    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.slam.map_building import ensure_map, map_hash
+    from vssm_gym.version import package_version
 
     count = DEFAULT_TRIALS.get(suite, 1) if trials is None else trials
     scene = DEFAULT_SCENE.get(suite, "oak") if scene is None else scene
@@ -71,23 +71,23 @@ def bench(
     recording = None if sequence is None else load_sequence(sequence)
     with progress_bars() as progress:
         if recording is not None:
-            from vssm_gym.eval.bench_slam import compare
+            from vssm_gym.eval.bench.slam import compare
 
             result = compare(recording, trials=count, progress=progress)
         elif suite == "envs":
-            from vssm_gym.eval.bench_envs import measure
+            from vssm_gym.eval.bench.envs import measure
 
             result = measure(scene=scene, seed=seed, progress=progress)
         elif suite == "soak":
-            from vssm_gym.eval.soak import soak
+            from vssm_gym.eval.bench.soak import soak
 
             result = soak(steps=count, seed=seed, progress=progress)
         elif suite == "car":
-            from vssm_gym.eval.bench_car import measure as measure_car
+            from vssm_gym.eval.bench.car import measure as measure_car
 
             result = measure_car(scene=scene, steps=count, seed=seed, progress=progress)
         elif suite == "information":
-            from vssm_gym.eval.bench_information import measure as measure_information
+            from vssm_gym.eval.bench.information import measure as measure_information
 
             check_at_least("bench", "trials", count, 5)  # that can be ranked
             result = measure_information(scene=scene, candidates=count, seed=seed, progress=progress)
@@ -108,14 +108,14 @@ def _on_a_map(
     suite: str, scene: str, map_file: Path, trials: int, workers: int, seed: int, progress: Any
 ) -> dict[str, Any]:
     if suite == "speed":
-        from vssm_gym.eval.bench_speed import speed
+        from vssm_gym.eval.bench.speed import speed
 
         return speed(scene, map_file, seed=seed, progress=progress)
     if suite == "rl":
-        from vssm_gym.eval.bench_rl import measure
+        from vssm_gym.eval.bench.rl import measure
 
         return measure(scene, map_file, steps=trials, seed=seed, progress=progress)
-    from vssm_gym.eval import bench_tracking
+    from vssm_gym.eval.bench import tracking as bench_tracking
 
     run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
     return run(scene, map_file, trials=trials, workers=workers, seed=seed, progress=progress)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from vssm_gym.eval.learning_curves import Speed
+    from vssm_gym.training.learning_curves import Speed
 
 
 def curves(
@@ -30,7 +30,7 @@ def curves(
     from rich.console import Console
     from rich.table import Table
 
-    from vssm_gym.eval.learning_curves import SHARES, write_curves
+    from vssm_gym.training.learning_curves import SHARES, write_curves
 
     found = write_curves(runs, out, seed, minutes)
     table = Table(title="time until success was, medians over seeds", title_justify="left", box=None)

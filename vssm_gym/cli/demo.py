@@ -15,10 +15,10 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
         seed: of the drive that the map is learned from.
     """
     from vssm_gym import eval as evaluation
-    from vssm_gym.cli.console import print_results, progress_bars
-    from vssm_gym.eval.config import load_config
-    from vssm_gym.eval.report import write_report
-    from vssm_gym.eval.sweep import check_arguments, run_sweep
+    from vssm_gym.cli.shared.console import print_results, progress_bars
+    from vssm_gym.eval.report.page import write_report
+    from vssm_gym.eval.sweep.config import load_config
+    from vssm_gym.eval.sweep.runner import check_arguments, run_sweep
 
     config = load_config(Path(evaluation.__file__).parent / "configs" / "demo.yaml")
     if not resume:

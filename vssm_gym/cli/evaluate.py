@@ -38,14 +38,14 @@ def evaluate(
     from rich.console import Console
     from rich.table import Table
 
-    from vssm_gym.cli.console import print_notices, progress_bars
+    from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.destinations import check_at_least
-    from vssm_gym.eval.policy_evaluation import METRICS, evaluate_policy
+    from vssm_gym.output_folders import check_at_least
+    from vssm_gym.training.evaluation import METRICS, evaluate_policy
 
     check_at_least("evaluate", "tasks", tasks, 1)
     if video is not None:
-        from vssm_gym.eval.video import check_writer
+        from vssm_gym.eval.video.writer import check_writer
 
         if not 0 <= video < tasks:
             raise InputError("evaluate", "video", f"a task from 0 to {tasks - 1}; found {video}")
@@ -78,8 +78,8 @@ def evaluate(
     if found.notice:
         print(f"nothing imagined: {found.notice}")
     if video is not None:
-        from vssm_gym.eval.policy_recording import record_both
-        from vssm_gym.eval.policy_video import write_video
+        from vssm_gym.training.recording import record_both
+        from vssm_gym.training.video import write_video
 
         path = out / f"task-{video}.mp4"
         with progress_bars() as progress:

@@ -31,13 +31,13 @@ def explore(
         steps: of 0.2 s, after which time is out.
         seed: of the noise and of the agent.
     """
-    from vssm_gym.cli.console import print_notices, progress_bars
+    from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.config import SweepConfig, check_names
-    from vssm_gym.eval.destinations import check_at_least, check_folder
-    from vssm_gym.eval.episodes import ExploreSettings
-    from vssm_gym.eval.explore_run import explore as run
-    from vssm_gym.eval.video import check_writer
+    from vssm_gym.eval.episodes.identity import ExploreSettings
+    from vssm_gym.eval.sweep.config import SweepConfig, check_names
+    from vssm_gym.eval.video.explorer_run import explore as run
+    from vssm_gym.eval.video.writer import check_writer
+    from vssm_gym.output_folders import check_at_least, check_folder
 
     for field, value, least in (("start", start, 0), ("steps", steps, 1), ("seed", seed, 0)):
         check_at_least("explore", field, value, least)

@@ -14,7 +14,7 @@ from typing import Any
 from tyro.conf import FlagCreatePairsOff
 from tyro.extras import SubcommandApp
 
-from vssm_gym.cli.cache import use_compilation_cache
+from vssm_gym.cli.shared.cache import use_compilation_cache
 from vssm_gym.errors import InputError
 
 # In the order of use: the file of this folder and the function in it; a dictionary holds commands of its own.

@@ -21,12 +21,12 @@ def build(
         poses: at which images enter the map: recorded (ground truth), or as PRISM estimates them from a survey's images
             and commands.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.cli.slam import print_warnings
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.destinations import check_file
-    from vssm_gym.eval.maps import build_map
+    from vssm_gym.output_folders import check_file
+    from vssm_gym.slam.map_building import build_map
 
     if not 0.0 < voxel <= 0.5:
         raise InputError("map build", "voxel", f"a cell size in (0, 0.5] m, found {voxel}")
@@ -60,12 +60,12 @@ def export(
         height: of the robot, metres: obstacles above it are left out of the ROS map.
     """
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.destinations import check_folder
     from vssm_gym.files import atomic_write
+    from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+    from vssm_gym.output_folders import check_folder
     from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, write_ros_map
     from vssm_gym.viz.glb import write_glb
     from vssm_gym.viz.mesh import surface_mesh, write_ply
-    from vssm_gym.voxel_map import VoxelMap, read_metadata
 
     check_folder(out)
     if out.exists() and any(out.iterdir()):

@@ -22,8 +22,8 @@ def merge(
     """
     import sys
 
-    from vssm_gym.cli.console import print_results
-    from vssm_gym.eval.merge import merge_sweeps
+    from vssm_gym.cli.shared.console import print_results
+    from vssm_gym.eval.sweep.merge import merge_sweeps
 
     merged = merge_sweeps(folders, out)
     print_results(merged.log)

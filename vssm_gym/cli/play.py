@@ -35,12 +35,12 @@ def play(
     import gymnasium as gym
 
     import vssm_gym  # noqa: F401  (registers the environments)
-    from vssm_gym.cli.console import print_notices
-    from vssm_gym.cli.play_session import DRIVES, Session
     from vssm_gym.cli.record import camera_of
-    from vssm_gym.cli.terminal import check_terminal, whole_terminal
+    from vssm_gym.cli.shared.console import print_notices
+    from vssm_gym.cli.shared.play_session import DRIVES, Session
+    from vssm_gym.cli.shared.terminal import check_terminal, whole_terminal
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.output_folders import check_at_least, check_folder
 
     name = env.removeprefix("vssm_gym/")
     if name not in DRIVES:

@@ -52,11 +52,11 @@ def record(
         size: WIDTHxHEIGHT of the images.
         seed: of the path and of all noise.
     """
-    from vssm_gym.cli.console import print_notices, progress_bars
+    from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.data import flights, recording
-    from vssm_gym.envs import sensor_noise as sensors
+    from vssm_gym.envs.sensors import rgbd_noise as sensors
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.destinations import check_at_least, check_folder
+    from vssm_gym.output_folders import check_at_least, check_folder
 
     check_at_least("record", "seed", seed, 0)
     check_folder(out)

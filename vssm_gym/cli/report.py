@@ -18,6 +18,6 @@ def report(
         out: file to write instead of DIR/report.html, in a folder that exists.
         seed: of the bootstrap resampling behind the intervals.
     """
-    from vssm_gym.eval.report import write_report
+    from vssm_gym.eval.report.page import write_report
 
     print(write_report(folder, seed, out))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from vssm_gym.envs.apartment import Apartment
+    from vssm_gym.envs.scenes.apartment import Apartment
 
 
 def preview(
@@ -22,7 +22,7 @@ def preview(
         height: of the picture, pixels.
     """
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.destinations import check_file
+    from vssm_gym.output_folders import check_file
 
     if not 120 <= height <= 4320:
         raise InputError("scene preview", "height", f"120 to 4320 pixels; found {height}")
@@ -58,16 +58,16 @@ def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"]
         seed: the same seed gives the same apartment.
         size: small (1 to 3 rooms), medium or large.
     """
-    from vssm_gym.envs.generator import generate as generated
-    from vssm_gym.eval.destinations import check_at_least
+    from vssm_gym.envs.scenes.generator import generate as generated
+    from vssm_gym.output_folders import check_at_least
 
     check_at_least("scene generate", "seed", seed, 0)
     _write("scene generate", out, lambda: generated(seed, size))
 
 
 def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
-    from vssm_gym.envs.scene import save_scene
-    from vssm_gym.eval.destinations import check_file
+    from vssm_gym.envs.scenes.scene import save_scene
+    from vssm_gym.output_folders import check_file
 
     check_file(out)
     _check_ending(command, out, ".json")
@@ -81,8 +81,8 @@ def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
 
 def _load(scene: str) -> "Apartment":
     """The scene of a name or file, mazes too; what its warnings say is printed with its notes."""
-    from vssm_gym.envs.mazes import FOLDER, MAZES
-    from vssm_gym.envs.scene import load_scene
+    from vssm_gym.envs.scenes.scene import load_scene
+    from vssm_gym.envs.tasks.mazes import FOLDER, MAZES
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -108,9 +108,9 @@ def _draw(apartment: "Apartment", path: Path, height: int) -> None:
 
 def _summary(apartment: "Apartment") -> str:
     """What is in the scene, and where the robot of its size can be in it."""
-    from vssm_gym.envs.free_space import FreeSpace
-    from vssm_gym.envs.mazes import ROBOT, is_maze
     from vssm_gym.envs.robots import HolonomicRobot
+    from vssm_gym.envs.scenes.free_space import FreeSpace
+    from vssm_gym.envs.tasks.mazes import ROBOT, is_maze
 
     robot = ROBOT if is_maze(apartment) else HolonomicRobot()
     space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from vssm_gym.eval.slam_run import TrackedFrame
+    from vssm_gym.slam.run import TrackedFrame
 
 INTRINSICS = "fx,fy,cx,cy[,k1,k2,p1,p2,k3]"
 WARNINGS = 5  # printed; stats.json has all
@@ -63,8 +63,8 @@ def slam(
         viewer: show the run as it happens in rerun (the extra vssm-gym[viz]).
     """
     from vssm_gym.data.sequences import load_sequence
-    from vssm_gym.eval import slam_output
-    from vssm_gym.eval.slam_run import SlamOptions
+    from vssm_gym.slam import output as slam_output
+    from vssm_gym.slam.run import SlamOptions
     from vssm_gym.viz.stream import open_viewer
 
     options = SlamOptions(

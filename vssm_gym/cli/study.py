@@ -25,13 +25,13 @@ def map_update(
         frames: used at most, spread over the sequence; every tenth is held out.
         voxel: size of a cell, metres.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.cli.slam import _size
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
-    from vssm_gym.eval import study_map_update
-    from vssm_gym.eval.destinations import check_at_least, check_folder
-    from vssm_gym.eval.studies import write_study
+    from vssm_gym.eval.studies import map_update as study_map_update
+    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.output_folders import check_at_least, check_folder
 
     check_at_least("study", "frames", frames, 20)
     if not 0.0 < voxel <= 0.5:
@@ -67,12 +67,12 @@ def resolution(
         size: WIDTHxHEIGHT that images are resized to.
         rate: frames a second at most.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.cli.slam import _size
     from vssm_gym.data.sequences import load_sequence
-    from vssm_gym.eval import study_resolution
-    from vssm_gym.eval.destinations import check_at_least, check_folder
-    from vssm_gym.eval.studies import write_study
+    from vssm_gym.eval.studies import resolution as study_resolution
+    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.output_folders import check_at_least, check_folder
 
     check_at_least("study", "seeds", seeds, 1)
     cells, widths = _numbers("voxels", voxels, float), _numbers("render-widths", render_widths, int)
@@ -96,11 +96,11 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
         out: folder for the results.
         rate: frames a second at most.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
-    from vssm_gym.eval import study_runtime
-    from vssm_gym.eval.destinations import check_folder
-    from vssm_gym.eval.studies import write_study
+    from vssm_gym.eval.studies import runtime as study_runtime
+    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.output_folders import check_folder
 
     check_folder(out)
     recording = load_sequence(sequence)
@@ -131,13 +131,13 @@ def calibration(
         voxel: size of a cell, metres.
         extent: edge of the cube that is mapped around the first camera, metres.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.cli.slam import _size
     from vssm_gym.data.sequences import load_sequence
-    from vssm_gym.eval import study_calibration
-    from vssm_gym.eval.destinations import check_folder
-    from vssm_gym.eval.slam_run import SlamOptions
-    from vssm_gym.eval.studies import write_study
+    from vssm_gym.eval.studies import calibration as study_calibration
+    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.output_folders import check_folder
+    from vssm_gym.slam.run import SlamOptions
 
     options = SlamOptions(size=_size(size), rate=rate, voxel=voxel, extent=extent)
     check_folder(out)
@@ -181,12 +181,12 @@ def flight(
         imu: whether the IMU drives the filter's prior, in place of constant velocity.
         seeds: flights of each kind, with other gusts and noises.
     """
-    from vssm_gym.cli.console import progress_bars
+    from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.cli.slam import _size
-    from vssm_gym.eval import study_flight
-    from vssm_gym.eval.destinations import check_at_least, check_folder
-    from vssm_gym.eval.slam_run import SlamOptions
-    from vssm_gym.eval.studies import write_study
+    from vssm_gym.eval.studies import flight as study_flight
+    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.slam.run import SlamOptions
 
     check_at_least("study", "seeds", seeds, 1)
     options = SlamOptions(

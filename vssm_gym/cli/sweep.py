@@ -28,10 +28,10 @@ def sweep(
         shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` puts them together.
         seed: of the drives that maps are learned from; episodes take theirs from the configuration's seeds.
     """
-    from vssm_gym.cli.console import print_notices, print_results, progress_bars
-    from vssm_gym.eval.config import load_config
-    from vssm_gym.eval.shards import Shard
-    from vssm_gym.eval.sweep import run_sweep
+    from vssm_gym.cli.shared.console import print_notices, print_results, progress_bars
+    from vssm_gym.eval.sweep.config import load_config
+    from vssm_gym.eval.sweep.runner import run_sweep
+    from vssm_gym.eval.sweep.shards import Shard
 
     part = None if shard is None else Shard.parse(shard)
     checked = load_config(config)

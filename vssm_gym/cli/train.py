@@ -28,9 +28,9 @@ def train(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from vssm_gym.eval.destinations import check_at_least
-    from vssm_gym.eval.training import PROGRESS, run_training
-    from vssm_gym.eval.training_config import load_training
+    from vssm_gym.output_folders import check_at_least
+    from vssm_gym.training.config import load_training
+    from vssm_gym.training.train import PROGRESS, run_training
 
     if seed is not None:
         check_at_least("train", "seed", seed, 0)

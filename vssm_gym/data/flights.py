@@ -12,9 +12,9 @@ from vssm_gym.data.recording import Progress, check_new, folder_for
 from vssm_gym.data.sequences import SequenceWriter, imu_line
 from vssm_gym.envs.flight import FlightEnv
 from vssm_gym.envs.flight_body import Follower
-from vssm_gym.envs.reference_flights import Yaw
-from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.tasks.reference_flights import Yaw
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 

@@ -18,11 +18,11 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.geodesic import Geodesics
-from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import R_BODY_CAM
+from vssm_gym.geometry.transforms import R_BODY_CAM
 
 PERSON = 1.8  # m, height of what must not be touched
 BODIES = (0.35, 0.3, 0.25, 0.2, 0.15, 0.1)  # m, radii tried in this order: the first with which no room is cut off

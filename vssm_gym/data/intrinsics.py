@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vssm_gym.camera import Camera
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
 
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
 

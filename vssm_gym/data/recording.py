@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from vssm_gym.camera import Camera
 from vssm_gym.data.handheld import walk
 from vssm_gym.data.sequences import SequenceWriter
 from vssm_gym.envs.pointnav import PointNavEnv
-from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.sensor_noise import NoisySensor
-from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
+from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import CameraConfig, make_camera
+from vssm_gym.envs.sensors.rgbd_noise import NoisySensor
+from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as noise_model
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.streams import seeded_streams
-from vssm_gym.envs.survey import Waypoint, survey_route
-from vssm_gym.envs.tasks import TaskSampler
+from vssm_gym.envs.tasks.navigation import TaskSampler
+from vssm_gym.envs.tasks.survey import Waypoint, survey_route
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
-from vssm_gym.geometry import R_BODY_CAM
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much

@@ -13,29 +13,29 @@ import gymnasium as gym
 import numpy as np
 import shapely
 
-from vssm_gym.axes import Matrix4, PlanarPose
-from vssm_gym.car import Car
-from vssm_gym.envs.car_body import PHYSICS, CarBody
-from vssm_gym.envs.car_noise import CarActuators, CarNoise, car_noise
-from vssm_gym.envs.car_picture import draw_run
-from vssm_gym.envs.car_tasks import REACHED, TARGETS, CarTask, Targets, car_sampler_of
-from vssm_gym.envs.mjcf import MujocoCar
-from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.scenery import scenery_of
-from vssm_gym.envs.sensor_noise import SensorNoise
-from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
+from vssm_gym.envs.phased import Report, StagedEnv
+from vssm_gym.envs.physics import MujocoCar
+from vssm_gym.envs.rendering.car_picture import draw_run
+from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.robots.car_body import PHYSICS, CarBody
+from vssm_gym.envs.robots.car_noise import CarActuators, CarNoise, car_noise
+from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.sensors.base import EXTENT, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
+from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as sensor_noise_of
+from vssm_gym.envs.sensors.shared_renderer import scenery_of
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.told import Told
-from vssm_gym.envs.staged import Report, StagedEnv
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.tasks.car import REACHED, TARGETS, CarTask, Targets, car_sampler_of
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.car import Car
 
 MAX_ACCELERATION = 2.0  # m/s^2, of control="acceleration"
 STEP_COST, TOUCH_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
@@ -310,7 +310,7 @@ class CarNavEnv(StagedEnv):
 
 def _make_body(physics: str, apartment: Apartment, car: Car) -> CarBody:
     if physics == "bullet":
-        from vssm_gym.envs.bullet_car import BulletCar  # an extra
+        from vssm_gym.envs.physics.bullet_car import BulletCar  # an extra
 
         return BulletCar(apartment, car)
     return MujocoCar(apartment, car)

@@ -1,8 +1,8 @@
 """Explore: a noisy holonomic robot with an RGB-D camera sees as much of an unknown apartment as it can (SPEC 8).
 
 It acts ``(turn, o, s, stop)`` at 5 Hz like PointNav's robot; its pose is observed unless that is switched off. Reward
-and score are the coverage of what a robot of its size could see at all (:mod:`vssm_gym.envs.coverage`). The tables of
-observation, action, reward and termination are in ``docs/envs/explore.md``.
+and score are the coverage of what a robot of its size could see at all (:mod:`vssm_gym.envs.tasks.coverage`). The
+tables of observation, action, reward and termination are in ``docs/envs/explore.md``.
 """
 
 from typing import Any, Literal
@@ -10,13 +10,13 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.axes import PlanarPose
-from vssm_gym.envs.coverage import Coverage
+from vssm_gym.envs.phased import Report, StagedEnv
 from vssm_gym.envs.simulation import Simulation
-from vssm_gym.envs.staged import Report, StagedEnv
-from vssm_gym.envs.tasks import MARGIN
+from vssm_gym.envs.tasks.coverage import Coverage
+from vssm_gym.envs.tasks.navigation import MARGIN
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import PlanarPose
 
 STEP_COST, COVERAGE_REWARD = 0.005, 10.0
 

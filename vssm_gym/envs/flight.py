@@ -13,27 +13,27 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flight_noise, fly
-from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.imu import GRAVITY, ImuNoise
-from vssm_gym.envs.imu import imu_noise as imu_model
-from vssm_gym.envs.mjcf import FlightWorld
-from vssm_gym.envs.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
-from vssm_gym.envs.scene import Apartment, load_scene
-from vssm_gym.envs.scenery import scenery_of
-from vssm_gym.envs.sensor_noise import SensorNoise
-from vssm_gym.envs.sensor_noise import sensor_noise as noise_model
+from vssm_gym.envs.phased import StagedEnv
+from vssm_gym.envs.physics import FlightWorld
+from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.sensors.base import EXTENT, Sensor
 from vssm_gym.envs.sensors.flight import FlightPoseSensor, FlyingBody, ImuSensor
+from vssm_gym.envs.sensors.imu import GRAVITY, ImuNoise
+from vssm_gym.envs.sensors.imu import imu_noise as imu_model
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
+from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as noise_model
+from vssm_gym.envs.sensors.shared_renderer import scenery_of
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.told import Told
-from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.tasks.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import matrix_to_planar
+from vssm_gym.geometry.transforms import matrix_to_planar
 
 SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
 SLOWEST, FASTEST = 0.2, 20.0  # m/s that may be asked for; where the rotors are too weak for it, less

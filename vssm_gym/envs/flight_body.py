@@ -17,12 +17,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.axes import Matrix4
-from vssm_gym.envs.imu import GRAVITY
 from vssm_gym.envs.presets import Presets
-from vssm_gym.envs.reference_flights import ReferenceFlight, attitude
+from vssm_gym.envs.sensors.imu import GRAVITY
+from vssm_gym.envs.tasks.reference_flights import ReferenceFlight, attitude
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import R_BODY_CAM
+from vssm_gym.geometry.axes import Matrix4
+from vssm_gym.geometry.transforms import R_BODY_CAM
 
 
 @dataclass(frozen=True)

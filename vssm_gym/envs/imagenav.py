@@ -9,11 +9,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.phased import Report, StagedEnv
 from vssm_gym.envs.pointnav import PointNavEnv
+from vssm_gym.envs.rendering.topdown import PICTURE, beside_plan
 from vssm_gym.envs.sensors.told import Told
-from vssm_gym.envs.staged import Report, StagedEnv
-from vssm_gym.envs.topdown import PICTURE, beside_plan
-from vssm_gym.geometry import planar_to_matrix
+from vssm_gym.geometry.transforms import planar_to_matrix
 
 HEADINGS = 8  # directions, evenly spread, in which a goal image may look
 OPEN = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place

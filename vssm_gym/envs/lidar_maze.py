@@ -1,8 +1,8 @@
 """LidarMaze: a noisy disc with a laser scanner drives through a maze of the unit square (SPEC 11).
 
 The plane has no physics beyond contact, so no simulator stands behind it: rays and sliding discs are solved exactly
-(:mod:`vssm_gym.envs.planar`). The robot acts ``(turn, s, stop)``, strays from every command by seeded noise, and sees
-ranges only. The tables of observation, action, reward and termination are in ``docs/envs/lidar_maze.md``.
+(:mod:`vssm_gym.envs.physics.planar`). The robot acts ``(turn, s, stop)``, strays from every command by seeded noise,
+and sees ranges only. The tables of observation, action, reward and termination are in ``docs/envs/lidar_maze.md``.
 """
 
 import math
@@ -13,25 +13,25 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image, ImageDraw
 
-from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.maze_noise import motion_noise, range_noise
-from vssm_gym.envs.maze_objectives import Approach, Coverage
-from vssm_gym.envs.mazes import ROBOT, load_maze
-from vssm_gym.envs.planar import clearance, slide
+from vssm_gym.envs.phased import StagedEnv
+from vssm_gym.envs.physics.planar import clearance, slide
+from vssm_gym.envs.rendering.topdown import TopDown
 from vssm_gym.envs.robots import ExecutionNoise, execute
-from vssm_gym.envs.scene import Apartment
+from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.sensors.base import HasPlanar, Sensor
 from vssm_gym.envs.sensors.lidar import LidarConfig, LidarNoise
 from vssm_gym.envs.sensors.maze_scan import MazeScan
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.told import Told
-from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet, checked_set
-from vssm_gym.envs.topdown import TopDown
+from vssm_gym.envs.tasks.maze_objectives import Approach, Coverage
+from vssm_gym.envs.tasks.mazes import ROBOT, load_maze
+from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import PlanarPose
 
 LONGEST = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
 STEP_COST, SUCCESS_REWARD = 0.001, 1.0

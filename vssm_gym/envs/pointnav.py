@@ -11,14 +11,14 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.axes import PlanarPose
+from vssm_gym.envs.phased import StagedEnv
 from vssm_gym.envs.sensors.base import EXTENT
 from vssm_gym.envs.sensors.told import Told
 from vssm_gym.envs.simulation import Simulation
-from vssm_gym.envs.staged import StagedEnv
-from vssm_gym.envs.tasks import SUCCESS, Task, TaskSet, checked_set
+from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import PlanarPose
 
 STEP_COST, SUCCESS_REWARD = 0.01, 2.5
 

@@ -7,14 +7,14 @@ import shapely
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
-from vssm_gym.axes import Matrix4
-from vssm_gym.envs.apartment import Apartment
-from vssm_gym.envs.free_space import FreeSpace
-from vssm_gym.envs.mazes import is_maze
-from vssm_gym.envs.raycast import RaycastCamera
+from vssm_gym.envs.rendering.raycast import RaycastCamera
+from vssm_gym.envs.rendering.topdown import TopDown
 from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.sensors import CameraConfig
-from vssm_gym.envs.topdown import TopDown
+from vssm_gym.envs.tasks.mazes import is_maze
+from vssm_gym.geometry.axes import Matrix4
 
 EYE = 1.4  # m, height of the preview's camera
 DOWN = math.radians(12.0)  # its pitch: furniture stands below the eye

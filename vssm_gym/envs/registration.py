@@ -19,12 +19,11 @@ class EnvironmentSpec:
         vector: ``module:factory`` of many at once.
         max_episode_steps: steps after which an episode is truncated (``gym.make(..., max_episode_steps=N)`` overrides
             it); None where it ends by itself.
-        robot: what agents must drive to run there (:mod:`vssm_gym.agents.base`).
-        task: what they must be made for.
-        physics: simulators that a sweep may choose from.
-        course: module that sets, runs and judges the episodes of a sweep (:class:`vssm_gym.eval.courses.Course`); None
+        robot: what agents must drive to run there (:mod:`vssm_gym.agents.base`). task: what they must be made for.
+        physics: simulators that a sweep may choose from. course: module that sets, runs and judges the episodes of a
+        sweep (:class:`vssm_gym.eval.protocols.registry.Course`); None
             where no sweep runs.
-        view: ``module:name`` of what its report shows (:class:`vssm_gym.eval.report_view.View`); None likewise.
+        view: ``module:name`` of what its report shows (:class:`vssm_gym.eval.report.view.View`); None likewise.
     """
 
     id: str
@@ -47,8 +46,8 @@ _ROWS = (
         robot="holonomic",
         task="pointgoal",
         physics=("mujoco",),
-        course="vssm_gym.eval.pointnav_course",
-        view="vssm_gym.eval.report_view:POINTNAV_VIEW",
+        course="vssm_gym.eval.protocols.pointnav",
+        view="vssm_gym.eval.report.view:POINTNAV_VIEW",
     ),
     EnvironmentSpec(
         id="vssm_gym/ImageNav-v0",
@@ -58,8 +57,8 @@ _ROWS = (
         robot="holonomic",
         task="imagegoal",
         physics=("mujoco",),
-        course="vssm_gym.eval.pointnav_course",  # PointNav's tasks, whose goal is shown instead of told
-        view="vssm_gym.eval.report_view:POINTNAV_VIEW",
+        course="vssm_gym.eval.protocols.pointnav",  # PointNav's tasks, whose goal is shown instead of told
+        view="vssm_gym.eval.report.view:POINTNAV_VIEW",
     ),
     EnvironmentSpec(
         id="vssm_gym/Explore-v0",
@@ -69,8 +68,8 @@ _ROWS = (
         robot="holonomic",
         task="explore",
         physics=("mujoco",),
-        course="vssm_gym.eval.explore_course",
-        view="vssm_gym.eval.report_explore:EXPLORE_VIEW",
+        course="vssm_gym.eval.protocols.explore",
+        view="vssm_gym.eval.report.explore:EXPLORE_VIEW",
     ),
     EnvironmentSpec(
         id="vssm_gym/LidarMaze-v0",
@@ -80,8 +79,8 @@ _ROWS = (
         robot="disc",
         task="pointgoal",
         physics=("none",),
-        course="vssm_gym.eval.lidar_maze_course",
-        view="vssm_gym.eval.report_lidar_maze:LIDAR_MAZE_VIEW",
+        course="vssm_gym.eval.protocols.lidar_maze",
+        view="vssm_gym.eval.report.lidar_maze:LIDAR_MAZE_VIEW",
     ),
     EnvironmentSpec(
         id="vssm_gym/Flight-v0",
@@ -97,8 +96,8 @@ _ROWS = (
         robot="car",
         task="pointgoal",
         physics=("mujoco", "bullet"),
-        course="vssm_gym.eval.carnav_course",
-        view="vssm_gym.eval.report_car:CAR_VIEW",
+        course="vssm_gym.eval.protocols.carnav",
+        view="vssm_gym.eval.report.car:CAR_VIEW",
     ),
     # Imagined: it takes a map instead of a scene, and its vector environment is one compiled step.
     EnvironmentSpec(

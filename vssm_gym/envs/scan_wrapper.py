@@ -1,4 +1,4 @@
-"""Depth images as the scans of :mod:`vssm_gym.scan`, for one environment and for vector environments."""
+"""Depth images as the scans of :mod:`vssm_gym.geometry.scan`, for one environment and for vector environments."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from gymnasium.vector.utils import batch_space
 
 from vssm_gym.envs.wrappers import Observation
 from vssm_gym.errors import InputError
-from vssm_gym.scan import BEAMS, MAX_DEPTH, scan_of
+from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH, scan_of
 
 
 class ScanObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):

@@ -11,25 +11,25 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.axes import Matrix4, PlanarPose
-from vssm_gym.envs.mjcf import World
+from vssm_gym.envs.physics import World
+from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.robots.registry import ROBOTS
-from vssm_gym.envs.scene import load_scene
-from vssm_gym.envs.scenery import scenery_of
-from vssm_gym.envs.sensor_noise import SensorNoise
-from vssm_gym.envs.sensor_noise import sensor_noise as sensor_noise_of
+from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.sensors.base import NOTHING_FELT, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
+from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as sensor_noise_of
+from vssm_gym.envs.sensors.shared_renderer import scenery_of
 from vssm_gym.envs.sensors.suite import SensorSuite
-from vssm_gym.envs.stage import stage_of
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.tasks.scene_cache import stage_of
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import Matrix4, PlanarPose
 
 
 class Simulation:

@@ -1,9 +1,9 @@
 """Many environments in one process: all move, then all look at once, in as many threads as there are cores.
 
 ``gym.make_vec("vssm_gym/PointNav-v0", num_envs=16)`` gives this. Environments of one scene share its renderer and its
-free space (:mod:`vssm_gym.envs.scenery`, :mod:`vssm_gym.envs.stage`). Episodes restart as Gymnasium's
-``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its action and returns the next
-episode's first observation with reward 0.
+free space (:mod:`vssm_gym.envs.sensors.shared_renderer`, :mod:`vssm_gym.envs.tasks.scene_cache`). Episodes restart
+as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its action and
+returns the next episode's first observation with reward 0.
 """
 
 import os
@@ -18,8 +18,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
+from vssm_gym.envs.phased import StagedEnv
 from vssm_gym.envs.registration import ENVIRONMENTS
-from vssm_gym.envs.staged import StagedEnv
 from vssm_gym.errors import InputError
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import PlanarPose
 
 MAX_DEPTH = 5.0  # m: across most rooms; what is further away looks alike to a policy
 FAR = 2000.0 * np.sqrt(2.0)  # m: coordinates are bounded by 1000 m

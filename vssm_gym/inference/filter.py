@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from vssm_gym.camera import Camera
-from vssm_gym.emission import RGBD
-from vssm_gym.inference.alignment import AlignInfo
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.alignment.residuals import AlignInfo
 from vssm_gym.inference.status import Status
-from vssm_gym.posterior import Posterior
-from vssm_gym.transition.base import Transition
-from vssm_gym.transition.belief import GaussianBelief
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
 
 Clock = Callable[[str, Any], Any]  # given the name and the outcome of each stage, returns the outcome; for timing
 

@@ -4,15 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from vssm_gym.inference.camera_filter import TrackingConfig
-from vssm_gym.inference.emission_tracking import TRACKER_ADAM, EmissionTracker
 from vssm_gym.inference.filter import Filter, Rig
-from vssm_gym.inference.prism import Prism
-from vssm_gym.inference.prism_config import HAND_HELD
-from vssm_gym.inference.prism_config import ROBOT as ROBOT_PRISM
-from vssm_gym.inference.recovery import RecoveryConfig
-from vssm_gym.inference.tracking import ROBOT, DeadReckoning, FrameTracker, MapTracker
-from vssm_gym.transition.base import Transition
+from vssm_gym.inference.prism.config import HAND_HELD
+from vssm_gym.inference.prism.config import ROBOT as ROBOT_PRISM
+from vssm_gym.inference.prism.filter import Prism
+from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM, EmissionTracker
+from vssm_gym.inference.tracking.map_tracker import ROBOT, DeadReckoning, FrameTracker, MapTracker
+from vssm_gym.inference.tracking.recovery import RecoveryConfig
+from vssm_gym.model.transition.base import Transition
 
 
 class FilterEntry(NamedTuple):

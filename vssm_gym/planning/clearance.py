@@ -14,9 +14,9 @@ from typing import TypeAlias
 import numpy as np
 from numba import njit
 
-from vssm_gym.columns import KNOWN_SHARE, level_distance, observed_columns
 from vssm_gym.errors import InputError
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.maps.columns import KNOWN_SHARE, level_distance, observed_columns
+from vssm_gym.maps.voxel_map import VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
 ROUNDING = 1e-6  # cells: the world coordinates of a border cell, taken back to the grid, still lie on it

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from vssm_gym.block_table import BLOCK
+from vssm_gym.maps.block_table import BLOCK
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.planning.clearance import KNOWN_SHARE, ClearanceMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
-from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
 
 PAD = 5.0  # m around what is known: unknown space to look into
 

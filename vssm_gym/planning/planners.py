@@ -1,7 +1,7 @@
 """Planners of a disc by name: ``(start, goal, space, radius, ...) -> PlanResult``.
 
-An agent takes one as an argument. A new planner is one file and one row of :data:`PLANNERS`; ``tests/test_planners.py``
-holds every row to the protocol on every kind of space.
+An agent takes one as an argument. A new planner is one file and one row of :data:`PLANNERS`;
+``tests/planning/test_planners.py`` holds every row to the protocol on every kind of space.
 """
 
 from typing import Protocol
@@ -9,9 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.planning import astar
 from vssm_gym.planning.clearance import Space
-from vssm_gym.planning.grid_search import theta_star
+from vssm_gym.planning.grid_search import astar, theta_star
 from vssm_gym.planning.result import PlanResult
 
 
@@ -19,8 +18,8 @@ class Planner(Protocol):
     """A path of a disc through a space, or the reason why there is none; metres, world frame.
 
     The path is a polyline from the start on which the space leaves the disc ``radius + margin`` everywhere. A start
-    that has less room is left along a ramp (:func:`vssm_gym.planning.grid_search.need.needed`). The same question has
-    the same answer.
+    that has less room is left along a ramp (:func:`vssm_gym.planning.grid_search.clearance_requirement.needed`). The
+    same question has the same answer.
     """
 
     def __call__(

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from vssm_gym.geometry import wrap_angle
+from vssm_gym.geometry.transforms import wrap_angle
 
 REACHED = 0.02  # m: a bend so near is passed; the path's end is driven to however near it is
 

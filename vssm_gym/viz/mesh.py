@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from skimage.measure import marching_cubes
 
-from vssm_gym.block_table import BLOCK
-from vssm_gym.emission import KNOWN_SHARE
 from vssm_gym.files import atomic_write
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.maps.block_table import BLOCK
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import KNOWN_SHARE
 
 
 @dataclass(frozen=True)

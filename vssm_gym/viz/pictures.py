@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 
-from vssm_gym.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
+from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 
 CUT_HEIGHT = 1.2  # m: above tables, below door lintels and wall cupboards
 CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # what the cut goes through: walls, tall furniture

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from vssm_gym.axes import Matrix4
-from vssm_gym.camera import Camera
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import Matrix4
+from vssm_gym.geometry.camera import Camera
 from vssm_gym.viz.mesh import Mesh
 
 HOW = "rerun: pip install 'vssm-gym[viz]'"

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from vssm_gym.axes import Matrix4, PlanarPose
-from vssm_gym.geometry import R_BODY_CAM
+from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.transforms import R_BODY_CAM
 
 
 class Robot(Protocol):

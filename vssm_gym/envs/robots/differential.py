@@ -5,7 +5,7 @@
 
 The errors of the wheels are independent. Noise acts only on a wheel that is driven and never reverses it; a wheel at
 rest stays. The law is the NumPy twin of
-:meth:`vssm_gym.transition.differential.DifferentialDrive.executed`; a test holds them together.
+:meth:`vssm_gym.model.transition.differential.DifferentialDrive.executed`; a test holds them together.
 """
 
 import math
@@ -15,11 +15,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vssm_gym.axes import Matrix4, PlanarPose
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.robots.base import camera_ahead
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import wrap_angle
+from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.transforms import wrap_angle
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vssm_gym.axes import Matrix4, PlanarPose
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.robots.base import camera_ahead
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import wrap_angle
+from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.transforms import wrap_angle
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng:
 
     ``e_a ~ N(0, noise.turn^2)``, ``e_s ~ N(0, noise.step^2)``; the same ``e_a`` serves both lines. Noise acts only
     where the robot tries to move, and never reverses a motion. The law is the NumPy twin of what
-    :meth:`vssm_gym.transition.planar.Planar.executed` is in JAX; a test holds them together.
+    :meth:`vssm_gym.model.transition.planar.Planar.executed` is in JAX; a test holds them together.
 
     Args:
         planar: ``(x, y, heading)`` before the step, m and rad.

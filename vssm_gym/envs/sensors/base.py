@@ -13,9 +13,9 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.axes import Matrix4, PlanarPose
-from vssm_gym.envs.scenery import Scenery
-from vssm_gym.geometry import planar_to_matrix
+from vssm_gym.envs.sensors.shared_renderer import Scenery
+from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.transforms import planar_to_matrix
 
 EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
 

@@ -13,8 +13,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.scenery import Scenery
 from vssm_gym.envs.sensors.base import GroundBody
+from vssm_gym.envs.sensors.shared_renderer import Scenery
 from vssm_gym.errors import InputError
 
 

@@ -8,14 +8,14 @@ from typing import Protocol
 
 import numpy as np
 
-from vssm_gym.axes import Matrix4
-from vssm_gym.camera import Camera
-from vssm_gym.envs.mjcf import FlightWorld, World
+from vssm_gym.envs.physics import FlightWorld, World
+from vssm_gym.envs.physics.tracing import EmbreeTracer, MujocoTracer, Tracer
 from vssm_gym.envs.presets import Presets
-from vssm_gym.envs.raycast import RaycastCamera
-from vssm_gym.envs.solids import SolidBox
-from vssm_gym.envs.tracing import EmbreeTracer, MujocoTracer, Tracer
+from vssm_gym.envs.rendering.raycast import RaycastCamera
+from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import Matrix4
+from vssm_gym.geometry.camera import Camera
 
 RENDERERS = ("raycast", "gl")
 
@@ -75,7 +75,7 @@ def make_camera(boxes: Sequence[SolidBox], config: CameraConfig, renderer: str =
     if renderer not in RENDERERS:
         raise InputError("camera", "renderer", f"one of {', '.join(map(repr, RENDERERS))}; found {renderer!r}")
     if renderer == "gl":
-        from vssm_gym.envs.mjcf.gl import GlCamera  # most never draw with it
+        from vssm_gym.envs.physics.gl_camera import GlCamera  # most never draw with it
 
         return GlCamera(boxes, config.intrinsics())
     return RaycastCamera(boxes, config.intrinsics())

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.axes import Matrix4
-from vssm_gym.envs.imu import ImuNoise, NoisyImu
 from vssm_gym.envs.sensors.base import EXTENT
+from vssm_gym.envs.sensors.imu import ImuNoise, NoisyImu
+from vssm_gym.geometry.axes import Matrix4
 
 
 @dataclass(frozen=True)

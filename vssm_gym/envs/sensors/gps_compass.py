@@ -19,12 +19,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorObservationWrapper
 
-from vssm_gym.axes import PlanarPose
 from vssm_gym.envs.presets import Presets
-from vssm_gym.envs.scenery import Scenery
 from vssm_gym.envs.sensors.base import EXTENT, GroundBody
+from vssm_gym.envs.sensors.shared_renderer import Scenery
 from vssm_gym.errors import InputError
-from vssm_gym.geometry import wrap_angle
+from vssm_gym.geometry.axes import PlanarPose
+from vssm_gym.geometry.transforms import wrap_angle
 
 FARTHEST = 4.0 * EXTENT  # m, bound of a coordinate: a scene's diagonal, in any direction, and its error
 

@@ -1,6 +1,7 @@
 """Scan with a planar laser: ranges to the first box along a fan of beams, and how a real scanner misreads them.
 
-The law of the errors is that of every scanner here, the mazes' too (:mod:`vssm_gym.envs.maze_noise` has their levels).
+The law of the errors is that of every scanner here, the mazes' too (:mod:`vssm_gym.envs.maze_noise` has their
+levels).
 
     a_k = fov ((k + 1/2) / beams - 1/2)        direction of beam k, counter-clockwise from the robot's x axis, rad
     r'  = r + e,  e ~ N(0, sigma(r)^2),        sigma(r) = floor + growth r
@@ -20,12 +21,12 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.axes import Matrix4
+from vssm_gym.envs.physics.tracing import Tracer
 from vssm_gym.envs.presets import Presets
-from vssm_gym.envs.scenery import Scenery
 from vssm_gym.envs.sensors.base import HasPose
-from vssm_gym.envs.tracing import Tracer
+from vssm_gym.envs.sensors.shared_renderer import Scenery
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import Matrix4
 
 
 @dataclass(frozen=True)

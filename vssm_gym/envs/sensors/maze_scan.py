@@ -1,4 +1,4 @@
-"""Scan a maze: the exact ranges of :func:`vssm_gym.envs.planar.scan`, measured by the law of every scanner here."""
+"""Scan a maze: the exact ranges of :func:`vssm_gym.envs.physics.planar.scan`, measured by the law of every scanner."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.envs.planar import scan
+from vssm_gym.envs.physics.planar import scan
 from vssm_gym.envs.sensors.base import HasPlanar
 from vssm_gym.envs.sensors.lidar import LidarConfig, measured
 

@@ -1,7 +1,8 @@
 """Measure colour and depth with a robot's RGB-D camera.
 
-The renderer is shared (:mod:`vssm_gym.envs.scenery`); the sensor owns its noise and its random stream. It goes on from
-episode to episode, as a real one whose exposure does not start anew, until a seed switches it on again.
+The renderer is shared (:mod:`vssm_gym.envs.sensors.shared_renderer`); the sensor owns its noise and its random
+stream. It goes on from episode to episode, as a real one whose exposure does not start anew, until a seed switches it
+on again.
 """
 
 from typing import Any
@@ -9,9 +10,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.scenery import Scenery
-from vssm_gym.envs.sensor_noise import NoisySensor, SensorNoise
 from vssm_gym.envs.sensors.base import EXTENT, HasCamera
+from vssm_gym.envs.sensors.rgbd_noise import NoisySensor, SensorNoise
+from vssm_gym.envs.sensors.shared_renderer import Scenery
 
 
 class RGBDSensor:

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from vssm_gym.envs.car_noise import CarNoise, car_noise
 from vssm_gym.envs.robots import ExecutionNoise, execution_noise
+from vssm_gym.envs.robots.car_noise import CarNoise, car_noise
 from vssm_gym.envs.sensors import CameraConfig, camera_config
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError

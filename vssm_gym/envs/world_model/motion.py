@@ -1,11 +1,12 @@
 """How imagined robots move: the model's transitions under the real environments' noise, many robots at once.
 
-Holonomic: the mean of :class:`~vssm_gym.transition.planar.Planar` for the control that its noise makes of the command.
+Holonomic: the mean of :class:`~vssm_gym.model.transition.planar.Planar` for the control that its noise makes of the
+command.
 
-Car: the mean of :class:`~vssm_gym.transition.bicycle.Bicycle` for what servos make of the command. A servo lags,
+Car: the mean of :class:`~vssm_gym.model.transition.bicycle.Bicycle` for what servos make of the command. A servo lags,
 ``v' = a + (v - a) exp(-dt / lag)``, after ``a = gain u (1 + jitter e)``; the arc is that of the mean over the step.
-Gain and trim are the car's own, drawn with the episode (:mod:`vssm_gym.envs.car_noise`). Left out, and so part of what
-imagination misses: backlash, droop, the servo's fastest rate, and tyres that slip.
+Gain and trim are the car's own, drawn with the episode (:mod:`vssm_gym.envs.robots.car_noise`). Left out, and so part
+of what imagination misses: backlash, droop, the servo's fastest rate, and tyres that slip.
 """
 
 from typing import NamedTuple
@@ -13,11 +14,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.car import Car
-from vssm_gym.envs.world_model.ground import Ground, fits, slide
-from vssm_gym.geometry import wrap_angle
-from vssm_gym.transition.bicycle import Bicycle
-from vssm_gym.transition.planar import Planar
+from vssm_gym.envs.world_model.collision_map import Ground, fits, slide
+from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.model.transition.bicycle import Bicycle
+from vssm_gym.model.transition.planar import Planar
 
 # The car's footprint as discs along its middle, each over a third of its length
 DISCS = 3

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vssm_gym.envs.topdown import PICTURE
-from vssm_gym.envs.world_model.ground import Ground
+from vssm_gym.envs.rendering.topdown import PICTURE
+from vssm_gym.envs.world_model.collision_map import Ground
 
 FREE, BLOCKED, UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)
 PATH, ROBOT, GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)

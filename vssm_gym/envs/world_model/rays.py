@@ -2,7 +2,7 @@
 
 Along a ray ``p(d) = c + d t`` (d in metres of z-depth) the emission takes samples at ``d_k = k e``, e = 0.4 voxels,
 finds the first ``k > 1`` whose occupancy is above zero and puts the surface where the linear interpolation of samples
-``k - 1`` and ``k`` crosses zero (:mod:`vssm_gym.emission`). Here the same ``k`` is found by sphere tracing. A
+``k - 1`` and ``k`` crosses zero (:mod:`vssm_gym.model.emission`). Here the same ``k`` is found by sphere tracing. A
 *piece* is the region between neighbouring nodes, of which ``fine`` lie to a cell; a multilinear field is largest at the
 corners of a piece, so that a piece without a corner above zero is certified to be free.
 
@@ -24,9 +24,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
-from vssm_gym.compaction import first_set
-from vssm_gym.emission import STEP, TAU
-from vssm_gym.voxel_map import PRIOR_OCCUPANCY_MEAN
+from vssm_gym.maps.compaction import first_set
+from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_MEAN
+from vssm_gym.model.emission import STEP, TAU
 
 HIT = float(1 << 20)  # added to the sample of a hit; no ray has as many samples, and float32 counts to 2^24
 FIRST = 2.0  # the first sample that can hit

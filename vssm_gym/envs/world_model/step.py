@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.car import Car
+from vssm_gym.envs.world_model.goal_distance import BEYOND
 from vssm_gym.envs.world_model.motion import Moved, believed, drive_car, drive_holonomic
-from vssm_gym.envs.world_model.ways import BEYOND
 from vssm_gym.envs.world_model.world import Robot, World
-from vssm_gym.transition import Bicycle, MotionNoise, Planar
+from vssm_gym.geometry.car import Car
+from vssm_gym.model.transition import Bicycle, MotionNoise, Planar
 
 _NORMALS = 5  # a step: two of the motion, three of the estimate
 

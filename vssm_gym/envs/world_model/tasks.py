@@ -1,8 +1,8 @@
 """Tasks in the belief's free space: a pool of starts and goals, drawn once by the rules of the real tasks.
 
-Start and goal are free with a margin and observed, more than APART body lengths from each other and connected by a
-way of at least SHORTEST m (SPEC 6; :mod:`vssm_gym.envs.tasks`, and :mod:`vssm_gym.envs.car_tasks` for the car). Goals
-are few, because each has a distance field; starts are as many as there are tasks.
+Start and goal are free with a margin and observed, more than APART body lengths from each other and connected by a way
+of at least SHORTEST m (SPEC 6; :mod:`vssm_gym.envs.tasks.navigation`, and :mod:`vssm_gym.envs.tasks.car` for the car).
+Goals are few, because each has a distance field; starts are as many as there are tasks.
 """
 
 from typing import Any, NamedTuple
@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vssm_gym.envs.tasks import MARGIN
+from vssm_gym.envs.tasks.navigation import MARGIN
 from vssm_gym.envs.world_model.config import SOURCE, Imagination
-from vssm_gym.envs.world_model.ways import BEYOND, Lattice, Ways
+from vssm_gym.envs.world_model.goal_distance import BEYOND, Lattice, Ways
 from vssm_gym.errors import InputError
 
 _ATTEMPTS = 64  # draws of a whole pool before giving up

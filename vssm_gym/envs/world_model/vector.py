@@ -2,7 +2,7 @@
 
 Episodes restart as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its
 action and returns the next episode's first observation with reward 0. ``reset(options={"reset_mask": mask})`` restarts
-some at once, as :class:`vssm_gym.agents.sb3.SB3VecEnv` does. Observations are read-only views of what was computed,
+some at once, as :class:`vssm_gym.training.sb3.SB3VecEnv` does. Observations are read-only views of what was computed,
 without copies, and stay as they are.
 """
 
@@ -15,22 +15,22 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from vssm_gym.car import Car
 from vssm_gym.envs.sensors.base import EXTENT
 from vssm_gym.envs.validation import choose
+from vssm_gym.envs.world_model.batch_slices import Crew
 from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
-from vssm_gym.envs.world_model.crew import Crew
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.world import build_world, robot_of
 from vssm_gym.envs.wrappers import FAR
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.car import Car
 
 
 class WorldModelVectorEnv(VectorEnv):
     """``num_envs`` robots in the belief of one map; see the module, and ``docs/envs/world_model_nav.md`` for keywords.
 
     Args:
-        map: a map file's path, or a :class:`~vssm_gym.voxel_map.VoxelMap`.
+        map: a map file's path, or a :class:`~vssm_gym.maps.voxel_map.VoxelMap`.
         num_envs: how many.
         max_episode_steps: steps after which an episode is truncated; -1 for none.
         render_mode: ``rgb_array`` or None.

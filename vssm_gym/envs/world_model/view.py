@@ -4,8 +4,8 @@
 
 Depths are z-depths, m; 0 = no reading. The camera stands upright, so a ray of the horizontal plane stays at its height:
 the trilinear field there is bilinear in x and y, and a scan in that slice is what the emission renders, as far as its
-table of lines tells (:mod:`vssm_gym.envs.world_model.lines`). Images are traced in the box of the map that was observed
-at all, exactly.
+table of lines tells (:mod:`vssm_gym.envs.world_model.scan_table`). Images are traced in the box of the map that was
+observed at all, exactly.
 """
 
 import equinox as eqx
@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vssm_gym.camera import Camera
-from vssm_gym.emission import STEP
-from vssm_gym.envs.world_model.columns import Columns
+from vssm_gym.envs.world_model.column_bounds import Columns
 from vssm_gym.envs.world_model.config import BEAMS
-from vssm_gym.envs.world_model.lines import Lines, scan_depths
 from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, crossing, narrowed, rays_of, surface
-from vssm_gym.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.envs.world_model.scan_table import Lines, scan_depths
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.model.emission import STEP
 
 SLICE_FINE, BOX_FINE = 4, 1  # pieces a cell
 AT_ONCE = 4  # robots whose images are traced together on a CPU: their rays fit its cache

@@ -9,24 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vssm_gym.car import Car
-from vssm_gym.emission_uncertainty import sample_map
-from vssm_gym.envs.car_tasks import APART as CAR_APART
-from vssm_gym.envs.car_tasks import GOAL_MARGIN, REACHED
 from vssm_gym.envs.carnav import STEP_COST as CAR_STEP_COST
 from vssm_gym.envs.carnav import SUCCESS_REWARD as CAR_SUCCESS_REWARD
 from vssm_gym.envs.carnav import TOUCH_COST
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.tasks import APART, SHORTEST, SUCCESS
+from vssm_gym.envs.tasks.car import APART as CAR_APART
+from vssm_gym.envs.tasks.car import GOAL_MARGIN, REACHED
+from vssm_gym.envs.tasks.navigation import APART, SHORTEST, SUCCESS
+from vssm_gym.envs.world_model.collision_map import Ground
 from vssm_gym.envs.world_model.config import SOURCE, Imagination, noise_parameters
-from vssm_gym.envs.world_model.ground import Ground
+from vssm_gym.envs.world_model.goal_distance import Lattice, Ways
 from vssm_gym.envs.world_model.motion import disc_radius
 from vssm_gym.envs.world_model.tasks import Fit, Pool, draw_tasks
 from vssm_gym.envs.world_model.view import View
-from vssm_gym.envs.world_model.ways import Lattice, Ways
 from vssm_gym.errors import InputError
-from vssm_gym.voxel_map import VoxelMap
+from vssm_gym.geometry.car import Car
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission_uncertainty import sample_map
 
 UNKNOWN_COST = 0.05  # of a step in space that nothing observed, with unknown="penalised"
 

@@ -2,8 +2,8 @@
 
     free cells, seeds, goal's disc  --search-->  nodes  --to the goal, taut-->  path, cost, status
 
-A search runs over the cells of a clearance grid, joined to 16 neighbours (:mod:`vssm_gym.grid_graph`). The robot may
-stand closer to an obstacle than a planner would ever go: what is asked then grows from what it has.
+A search runs over the cells of a clearance grid, joined to 16 neighbours (:mod:`vssm_gym.geometry.grid_graph`). The
+robot may stand closer to an obstacle than a planner would ever go: what is asked then grows from what it has.
 """
 
 import math
@@ -16,9 +16,9 @@ from numba import njit
 
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import Space, bilinear, on_grid
-from vssm_gym.planning.grid_search.need import Need, need_at, needed, segment_free
+from vssm_gym.planning.grid_search.clearance_requirement import Need, need_at, needed, segment_free
+from vssm_gym.planning.grid_search.path_shortening import pull_taut
 from vssm_gym.planning.result import PlanResult, PlanStatus
-from vssm_gym.planning.taut import pull_taut
 
 ESCAPE_DEPTH = 0.15  # m inside an obstacle from which a planner still tries to leave; deeper means a lost estimate
 NODE_REACH = 0.75  # cells: some node lies so near to any point

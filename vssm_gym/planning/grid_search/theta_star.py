@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numba import njit
 
-from vssm_gym.grid_graph import LENGTHS, MOVES, edge_free
+from vssm_gym.geometry.grid_graph import LENGTHS, MOVES, edge_free
 from vssm_gym.planning.clearance import Space
-from vssm_gym.planning.grid_search.need import Need, segment_free
+from vssm_gym.planning.grid_search.clearance_requirement import Need, segment_free
+from vssm_gym.planning.grid_search.heap import pop, sift_up
 from vssm_gym.planning.grid_search.query import FOUND, NO_PATH, TIME_OUT, answer
-from vssm_gym.planning.heap import pop, sift_up
 from vssm_gym.planning.result import PlanResult
 
 

@@ -7,7 +7,7 @@ Discs on the centre line alone reach 6 cm beyond the bumpers, so a plan would st
 
 import numpy as np
 
-from vssm_gym.car import Car
+from vssm_gym.geometry.car import Car
 
 
 def cover(car: Car, rows: int, columns: int) -> tuple[np.ndarray, float]:

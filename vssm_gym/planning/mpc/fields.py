@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from vssm_gym.car import Car
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.car import Car
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.value_iteration import CostToGo
 

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array
 
 from vssm_gym.errors import InputError
+from vssm_gym.model.transition import Bicycle
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.candidates import FIXED, propose
 from vssm_gym.planning.mpc.fields import FieldCache, Fields
@@ -33,7 +34,6 @@ from vssm_gym.planning.mpc.symbols import bicycle_step, spline
 from vssm_gym.planning.mpc.verdict import Verdict, judge, to_result
 from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
 from vssm_gym.planning.value_iteration import CostToGo
-from vssm_gym.transition import Bicycle
 
 CANDIDATES = 4 * FIXED  # to find a start among
 STARTS = 3  # the last plan and the best of the candidates, of which IPOPT gets one

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from vssm_gym.geometry import wrap_angle
+from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.problem import MpcProblem
 

@@ -15,14 +15,14 @@ from typing import Protocol
 
 import numpy as np
 
-from vssm_gym.car import Car
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.car import Car
+from vssm_gym.model.transition import Bicycle, Transition
+from vssm_gym.model.transition.manifold import PLANAR
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.cover import cover
 from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import CostToGo
-from vssm_gym.transition import Bicycle, Transition
-from vssm_gym.transition.manifold import PLANAR
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from vssm_gym.planning.mpc.windows import SUPPORT
 
 
 def bicycle_step(ca: Any, states: Any, controls: Any, dt: float, wheelbase: float) -> Any:
-    """Return states a step later, ``(3, n)`` symbols: the twin in CasADi of :meth:`vssm_gym.transition.Bicycle.mean`.
+    """Return states a step later, ``(3, n)`` symbols: CasADi's twin of :meth:`vssm_gym.model.transition.Bicycle.mean`.
 
     Args:
         ca: the module ``casadi``.

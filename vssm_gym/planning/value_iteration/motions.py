@@ -4,8 +4,8 @@
 
 The sharpest arc is driven at full lock, which fixes the length: ``length = max(b) (2 pi / n_headings) turning_radius``.
 A motion that starts at a cell centre with a heading of the grid ends with a heading of the grid, so only x and y of the
-successor lie between grid points. The poses are those of the bicycle in NumPy (:mod:`vssm_gym.arc`), not in JAX: their
-cells decide which poses are neighbours, so even the last bit of a heading of the grid matters.
+successor lie between grid points. The poses are those of the bicycle in NumPy (:mod:`vssm_gym.geometry.arc`), not in
+JAX: their cells decide which poses are neighbours, so even the last bit of a heading of the grid matters.
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from vssm_gym.arc import poses_after
-from vssm_gym.car import Car
 from vssm_gym.errors import InputError
-from vssm_gym.planning.footprint import cells_under, dilate, heading_grid
+from vssm_gym.geometry.arc import poses_after
+from vssm_gym.geometry.car import Car
+from vssm_gym.planning.car.footprint import cells_under, dilate, heading_grid
 
 MAX_MOTIONS = 31  # one bit each in a signed word of 32 bits
 

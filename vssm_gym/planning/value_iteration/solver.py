@@ -12,9 +12,9 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
-from vssm_gym.car import Car
 from vssm_gym.errors import InputError
-from vssm_gym.planning.footprint import Arena, collides, heading_grid, rectangle_collisions
+from vssm_gym.geometry.car import Car
+from vssm_gym.planning.car.footprint import Arena, collides, heading_grid, rectangle_collisions
 from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import sweeps
 from vssm_gym.planning.value_iteration.cost_to_go import CostToGo

@@ -1,0 +1,81 @@
+"""``greedy``: descends the cost-to-go of ``vi_mpc`` by single arcs, without a horizon: what the critic alone is worth.
+
+u = argmin_u |s| / l + gamma^(|s| / l) J(z exp(arc(u)))       s: length of the arc, l: of one motion of J
+"""
+
+from typing import Any
+
+import numpy as np
+
+from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.localization import TruePose
+from vssm_gym.geometry.arc import poses_after, turn_of
+from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.planning.car.footprint import Arena, collides
+from vssm_gym.planning.value_iteration import CostToGo
+
+STEERINGS = 11
+LENGTHS = (0.06, 0.12, 0.24)  # m, of the arcs
+PARTS = 4  # poses of an arc that are tested for collision
+PACE = 0.5  # of the greatest speed
+MARGIN = 0.01  # m around the footprint: the map's surfaces err
+
+
+class GreedyDescent:
+    """:class:`~vssm_gym.agents.shared.driver.Strategy`: the best arc, one step of it, and again."""
+
+    def __init__(self, arena: Arena, car: Car) -> None:
+        self._arena, self._car, self._critic = arena, car, Critic(arena, car)
+        steering = np.linspace(-car.max_steering, car.max_steering, STEERINGS)
+        lengths = np.array([sign * length for length in LENGTHS for sign in (1.0, -1.0)])
+        grid = np.meshgrid(lengths, steering, indexing="ij")
+        self._length, self._steering = (values.ravel() for values in grid)
+        self._value: CostToGo
+
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
+        """Value iteration to the target; the reason where the car cannot get there."""
+        result = self._critic.aim(planar, goal)
+        if result.cost_to_go is None:
+            return result.status.message
+        self._value = result.cost_to_go
+        return None
+
+    def step(self, planar: Any) -> Step:
+        """The free arc whose end is worth most, at half speed."""
+        poses = self._along(planar)
+        motions = np.abs(self._length) / self._value.motion_length
+        cost = motions + self._value.gamma**motions * np.asarray(self._value.at(poses[:, -1]))
+        here = float(self._value.at(planar))
+        if here <= 0.0:
+            return Step(np.zeros(2), "at the target")
+        for best in np.argsort(cost):
+            if not any(collides(self._arena, pose, self._car, MARGIN) for pose in poses[best]):
+                speed = np.sign(self._length[best]) * min(
+                    PACE * self._car.max_speed, abs(self._length[best]) / self._car.dt
+                )
+                return Step(np.array([speed, self._steering[best]]), "descends", poses[best, :, :2])
+        return Step(np.zeros(2), "stands: every arc touches something")
+
+    def _along(self, planar: np.ndarray) -> Any:
+        """Poses of every arc, ``(arcs, PARTS, 3)``."""
+        s = self._length[:, None] * np.arange(1, PARTS + 1) / PARTS
+        turn = turn_of(s, self._steering[:, None], self._car.wheelbase)
+        poses = poses_after(planar[2], s, turn, planar[0], planar[1])
+        poses[..., 2] = wrap_angle(poses[..., 2])
+        return poses
+
+
+class GreedyAgent:
+    """Greedy descent on the cost-to-go; the pose is observed."""
+
+    name = "greedy"
+    robot = "car"
+    task = "pointgoal"
+    needs_pose = True
+    needs_map = True
+
+    def __init__(self) -> None:
+        driver = Driver(TruePose(), GreedyDescent)
+        self.reset, self.act = driver.reset, driver.act

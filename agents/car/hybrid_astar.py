@@ -1,0 +1,78 @@
+"""``hybrid_astar``: the classical way. Hybrid A* with Reeds-Shepp curves on the learned map, then pure pursuit.
+
+Plans once a target, and again where the car has left its plan or ended beside the target; reads the true pose.
+"""
+
+import itertools
+import math
+
+import numpy as np
+
+from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.localization import TruePose
+from vssm_gym.geometry.car import Car
+from vssm_gym.planning.car.footprint import Arena
+from vssm_gym.planning.car.footprint_levels import FootprintLevels
+from vssm_gym.planning.car.hybrid_astar import CarPlan, plan
+from vssm_gym.planning.car.pursuit import Drive
+from vssm_gym.planning.result import PlanStatus
+
+EXPANSIONS = 300_000  # of a search: a count, not a time, so that runs repeat exactly on any machine
+MARGINS = (0.02, 0.0)  # m around the footprint, tried in turn
+ASTRAY = 0.08  # m from the plan
+TURNED = 0.4  # rad off the plan's heading
+# Around the target, inside its region, where the car fits by a map that is rounded to cells: m, m, rad.
+OFFSETS = np.array([[0.0, 0.0, 0.0], *itertools.product((-0.04, 0.0, 0.04), (-0.04, 0.0, 0.04), (-0.1, 0.0, 0.1))])
+
+
+class HybridPursuit:
+    """:class:`~vssm_gym.agents.shared.driver.Strategy`: plan a drive, follow it, plan again where that fails."""
+
+    def __init__(self, arena: Arena, car: Car) -> None:
+        grid = arena.occupied, arena.origin, arena.resolution
+        self._car, self._progress = car, 0.0
+        self._levels = [FootprintLevels.from_occupied(*grid, car, margin=margin) for margin in MARGINS]
+
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
+        """Plan; the planner's reason where it finds no drive."""
+        self._goal = goal
+        result = self._plan(planar)
+        return None if result.found else result.status.message
+
+    def step(self, planar: np.ndarray) -> Step:
+        """Follow the drive, from a new plan where the old one was left or ended elsewhere."""
+        following = self._drive.follow(planar, self._progress, self._car)
+        astray = following.deviation > ASTRAY or abs(following.heading_error) > TURNED
+        if following.done or astray:
+            result = self._plan(planar)
+            if not result.found:
+                return Step(np.zeros(2), f"stands: {result.status.message}")
+            following = self._drive.follow(planar, 0.0, self._car)
+        self._progress = following.progress
+        return Step(following.control, "follows its drive", self._drive.poses[:, :2])
+
+    def _plan(self, planar: np.ndarray) -> CarPlan:
+        """The first drive found: to the target with room to spare, without, then to poses around it."""
+        for goal in self._goal + OFFSETS[:, : len(self._goal)]:
+            for levels in self._levels:
+                result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=EXPANSIONS)
+                if result.found:
+                    self._drive, self._progress = Drive(result.poses, result.gears), 0.0
+                    return result
+            if result.status is not PlanStatus.GOAL_BLOCKED:
+                return result
+        return result
+
+
+class HybridAStarAgent:
+    """Hybrid A* and pure pursuit; the pose is observed."""
+
+    name = "hybrid_astar"
+    robot = "car"
+    task = "pointgoal"
+    needs_pose = True
+    needs_map = True
+
+    def __init__(self) -> None:
+        driver = Driver(TruePose(), HybridPursuit)
+        self.reset, self.act = driver.reset, driver.act

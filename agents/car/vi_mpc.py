@@ -1,0 +1,63 @@
+"""``vi_mpc``: value iteration as critic, model-predictive control as actor, on the learned map.
+
+The cost-to-go of the target is computed once; every step then solves a short-horizon problem that ends in it. The
+solver here is random search refined by an augmented Lagrangian, as published; reads the true pose (an MDP).
+"""
+
+import numpy as np
+
+from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.localization import TruePose
+from vssm_gym.geometry.car import Car
+from vssm_gym.planning.car.footprint import Arena
+from vssm_gym.planning.mpc import safety
+from vssm_gym.planning.mpc.problem import MpcConfig, MpcProblem, MpcSolver
+from vssm_gym.planning.mpc.random_search import RandomSearch
+from vssm_gym.planning.value_iteration import CostToGo
+
+# Latencies are reported; simulation waits, so that runs repeat exactly.
+# Learned surfaces are off by up to 2 cm, and the car strays from its plan by as much in a second or two.
+PROBLEM = MpcProblem(Car(), MpcConfig(margin=0.03, comfort=0.08, deadline=np.inf))
+
+
+class ValueMpc:
+    """:class:`~vssm_gym.agents.shared.driver.Strategy`: the cost-to-go of the target, and a solver on top of it."""
+
+    def __init__(self, arena: Arena, car: Car, solver: MpcSolver) -> None:
+        self._arena, self._critic, self._solver = arena, Critic(arena, car), solver
+        self._value: CostToGo
+        self._memory = safety.init(np.zeros(2))
+        safety.prepare(solver.problem)
+
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
+        """Value iteration to the target; the reason where the car cannot get there."""
+        self._memory = safety.init(control)
+        result = self._critic.aim(planar, goal)
+        if result.cost_to_go is None:
+            return result.status.message
+        self._value = result.cost_to_go
+        return None
+
+    def step(self, planar: np.ndarray) -> Step:
+        """Plan over the horizon; what is safe where there is no plan."""
+        problem, clearance, memory = self._solver.problem, self._arena.clearance, self._memory
+        result = self._solver.plan(planar, self._value, clearance, memory.resume, memory.control)
+        self._memory, action = safety.step(problem, memory, result, planar, clearance)
+        status = action.kind.message if result.usable else f"{action.kind.message} ({result.status.message})"
+        return Step(action.control, status, result.states[:, :2])
+
+
+class ViMpcAgent:
+    """Value iteration and random search with an augmented Lagrangian; the pose is observed."""
+
+    name = "vi_mpc"
+    robot = "car"
+    task = "pointgoal"
+    needs_pose = True
+    needs_map = True
+
+    def __init__(self) -> None:
+        solver = RandomSearch(PROBLEM)
+        driver = Driver(TruePose(), lambda arena, car: ValueMpc(arena, car, solver))
+        self.reset, self.act = driver.reset, driver.act

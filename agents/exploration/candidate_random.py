@@ -1,0 +1,77 @@
+"""``candidate_random``: the candidates of ``mi_explorer``, one of them at random: what choosing by information adds.
+
+goal ~ U({q : A(q) >= least area, q not visited})          A: expected unknown area in sight of a candidate, m^2
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vssm_gym.agents.exploration.mi_explorer import NEAR
+from vssm_gym.agents.shared.explorer import Explorer
+from vssm_gym.agents.shared.strategy import Choice, Situation, around
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.exploration.building_prior import expected_surfaces
+from vssm_gym.planning.exploration.candidates import candidates
+
+
+@dataclass(frozen=True)
+class CandidateRandomConfig:
+    """Settings of ``candidate_random``: the candidates are those of ``mi_explorer``."""
+
+    spacing: float = 0.5  # m between candidates
+    hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
+    least_area: float = 0.05  # m^2 of unknown space in sight
+
+
+class RandomCandidate:
+    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: any candidate; it is gone to before another is drawn."""
+
+    def __init__(self, config: CandidateRandomConfig) -> None:
+        self._config = config
+
+    def reset(self, seed: int) -> None:
+        """Draws follow from ``seed``."""
+        self._rng = np.random.default_rng(seed)
+        self._goal: np.ndarray | None = None
+        self._visited: list[np.ndarray] = []  # goals that were reached, m
+
+    def choose(self, situation: Situation) -> Choice | None:
+        """The goal of before until it is reached, then another; None where there is none."""
+        if situation.arrived and self._goal is not None:
+            if math.hypot(*(self._goal - situation.planar[:2])) < NEAR:
+                self._visited.append(self._goal)
+            self._goal = None
+        c = self._config
+        hazard = expected_surfaces(situation.roadmap.plan, *c.hazard)
+        found = candidates(
+            situation.roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=situation.dismissed
+        )
+        visited = np.reshape(self._visited, (-1, 2))
+        gap = np.linalg.norm(found.xy[:, None] - visited[None], axis=-1)
+        xy = found.xy[gap.min(axis=1, initial=np.inf) >= NEAR]  # what those still promise is not to be seen from there
+        if not len(xy):
+            return None
+        if self._goal is None or not situation.roadmap.reaches(self._goal):
+            self._goal = xy[self._rng.integers(len(xy))]
+        return Choice(self._goal, around(situation.planar[2]), None, f"to one of {len(xy)} candidates")
+
+
+class CandidateRandomAgent:
+    """Random candidates; the pose is observed."""
+
+    name = "candidate_random"
+    robot = "holonomic"
+    task = "explore"
+    needs_pose = True
+    needs_map = False
+
+    def __init__(self, config: CandidateRandomConfig | None = None) -> None:
+        self._explorer = Explorer(RandomCandidate(config or CandidateRandomConfig()))
+        self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._explorer.map

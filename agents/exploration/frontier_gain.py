@@ -1,0 +1,67 @@
+"""``frontier_gain``: drives to the frontier that shows most for the way (Gonzalez-Banos and Latombe 2002).
+
+goal = argmax_f A(f) exp(-lambda d(f))          A: unknown area in sight of the goal, m^2; d: length of the way, m
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vssm_gym.agents.shared.explorer import Explorer
+from vssm_gym.agents.shared.strategy import Choice, Situation, around
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.exploration.frontier import frontiers, seen_unknown
+
+
+@dataclass(frozen=True)
+class FrontierGainConfig:
+    """Settings of ``frontier_gain``."""
+
+    decay: float = 0.2  # lambda, 1/m, as published
+    hazard: float = 0.0  # 1/m, of surfaces in unknown space
+
+
+class FrontierGain:
+    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: gain against cost."""
+
+    def __init__(self, config: FrontierGainConfig) -> None:
+        self._config = config
+
+    def reset(self, seed: int) -> None:
+        """Nothing here is random."""
+
+    def choose(self, situation: Situation) -> Choice | None:
+        """The frontier of the greatest utility."""
+        plan = situation.roadmap.plan
+        found = frontiers(plan, situation.roadmap.distance, dismissed=situation.dismissed)
+        if not found:
+            return None
+        seen = seen_unknown(plan, np.array([frontier.goal for frontier in found]), self._config.hazard)
+        area = seen.sum(axis=1) * plan.resolution**2
+        away = np.array([frontier.distance for frontier in found])
+        k = int(np.argmax(area * np.exp(-self._config.decay * away)))
+        best = found[k]
+        dx, dy = best.xy.mean(axis=0) - best.goal
+        heading = math.atan2(dy, dx)
+        status = f"to {area[k]:.1f} m^2 at {away[k]:.1f} m, the best of {len(found)} frontiers"
+        return Choice(best.goal, (heading, *around(heading)), best.xy, status)
+
+
+class FrontierGainAgent:
+    """Frontier exploration by gain and cost; the pose is observed."""
+
+    name = "frontier_gain"
+    robot = "holonomic"
+    task = "explore"
+    needs_pose = True
+    needs_map = False
+
+    def __init__(self, config: FrontierGainConfig | None = None) -> None:
+        self._explorer = Explorer(FrontierGain(config or FrontierGainConfig()))
+        self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._explorer.map

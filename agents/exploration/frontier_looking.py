@@ -1,0 +1,63 @@
+"""``frontier_looking``: ``frontier_gain`` that also turns around on its way, once in every metre.
+
+goal = argmax_f A(f) exp(-lambda d(f)), and a whole turn wherever the last one was ``every`` metres away. Turning costs
+time and no way: what an explorer gains by looking aside as it goes, without any idea of what there is to see.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
+from vssm_gym.agents.shared.explorer import Explorer
+from vssm_gym.agents.shared.strategy import Choice, Situation, around
+from vssm_gym.maps.voxel_map import VoxelMap
+
+
+@dataclass(frozen=True)
+class FrontierLookingConfig:
+    """Settings of ``frontier_looking``."""
+
+    every: float = 1.0  # m between turns
+    frontiers: FrontierGainConfig = field(default_factory=FrontierGainConfig)
+
+
+class LookingFrontier:
+    """:class:`~vssm_gym.agents.shared.strategy.Strategy`: gain against cost, and turns on the way."""
+
+    def __init__(self, config: FrontierLookingConfig) -> None:
+        self._config, self._frontiers = config, FrontierGain(config.frontiers)
+
+    def reset(self, seed: int) -> None:
+        """Nothing here is random."""
+        self._turned: np.ndarray | None = None
+
+    def choose(self, situation: Situation) -> Choice | None:
+        """A turn where one is due, else the frontier of the greatest utility."""
+        choice, xy = self._frontiers.choose(situation), situation.planar[:2]
+        if self._turned is None or situation.arrived:  # a look around has just ended
+            self._turned = xy.copy()
+        if choice is None or math.hypot(*(xy - self._turned)) < self._config.every:
+            return choice
+        self._turned = xy.copy()
+        return Choice(None, around(float(situation.planar[2])), None, "turns around on its way")
+
+
+class FrontierLookingAgent:
+    """Frontier exploration by gain and cost with turns on the way; the pose is observed."""
+
+    name = "frontier_looking"
+    robot = "holonomic"
+    task = "explore"
+    needs_pose = True
+    needs_map = False
+
+    def __init__(self, config: FrontierLookingConfig | None = None) -> None:
+        self._explorer = Explorer(LookingFrontier(config or FrontierLookingConfig()))
+        self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._explorer.map

@@ -1,0 +1,35 @@
+"""``mi_explorer_tracked``: ``mi_explorer`` that is told its start and from then on sees RGB-D images only (SPEC 8).
+
+``q(M, z_t | x_<=t, u_<t)`` is PRISM's on the floor; what a view would tell of the own pose, ``1/2 log det(I + S F)``,
+counts beside what it would teach the map.
+"""
+
+from vssm_gym.agents.exploration.mi_explorer import MiExplorerConfig, MutualInformation, Tour
+from vssm_gym.agents.shared.explorer import Explorer
+from vssm_gym.agents.shared.mapping import MapAndPose
+from vssm_gym.maps.voxel_map import VoxelMap
+
+
+class MiExplorerTrackedAgent:
+    """Exploration by mutual information; map and pose are estimated together."""
+
+    name = "mi_explorer_tracked"
+    robot = "holonomic"
+    task = "explore"
+    needs_pose = False
+    needs_map = False
+
+    def __init__(self, config: MiExplorerConfig | None = None) -> None:
+        self._strategy = MutualInformation(config or MiExplorerConfig())
+        self._explorer = Explorer(self._strategy, MapAndPose())
+        self.reset, self.act = self._explorer.reset, self._explorer.act
+
+    @property
+    def tour(self) -> Tour | None:
+        """What the last choice of a place was made from; None before there was one."""
+        return self._strategy.tour
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._explorer.map

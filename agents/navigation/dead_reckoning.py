@@ -1,0 +1,24 @@
+"""``dead_reckoning``: integrate the commands, plan with A* on the learned map (TNP-SM, "dynamics").
+
+It plans in the same map as ``astar`` and looks at no image at all.
+"""
+
+from vssm_gym.agents.shared.localization import FilteredPose
+from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+
+CONFIG = NavigationConfig()
+
+
+class DeadReckoningAgent:
+    """Localises by its own commands, plans in the map."""
+
+    name = "dead_reckoning"
+    robot = "holonomic"
+    task = "pointgoal"
+    navigation = CONFIG
+    needs_pose = False
+    needs_map = True
+
+    def __init__(self, config: NavigationConfig = CONFIG) -> None:
+        navigator = Navigator(FilteredPose("dead_reckoning"), config)
+        self.reset, self.act = navigator.reset, navigator.act

@@ -1,0 +1,24 @@
+"""``no_map``: align each image to the one before, plan with A* on the learned map (TNP-SM, "no map").
+
+It plans in the same map as ``astar`` but never compares an image with it, so its errors add up.
+"""
+
+from vssm_gym.agents.shared.localization import FilteredPose
+from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+
+CONFIG = NavigationConfig()
+
+
+class NoMapAgent:
+    """Localises against the previous image, plans in the map."""
+
+    name = "no_map"
+    robot = "holonomic"
+    task = "pointgoal"
+    navigation = CONFIG
+    needs_pose = False
+    needs_map = True
+
+    def __init__(self, config: NavigationConfig = CONFIG) -> None:
+        navigator = Navigator(FilteredPose("frames"), config)
+        self.reset, self.act = navigator.reset, navigator.act

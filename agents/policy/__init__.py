@@ -1,0 +1,1 @@
+"""Trained policies as agents: the agent, its files and its features."""

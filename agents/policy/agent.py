@@ -1,0 +1,110 @@
+"""``policy:FILE``: a trained policy drives; its pose is tracked in the learned map (SPEC 10). Docs: ``docs/rl.md``.
+
+    z_t by the tracker of ``astar``;   command = policy(scan of the depth image, goal and pose as z_t has them)
+
+It stops where ``astar`` would: within the success radius, less a margin for the estimate's uncertainty. Training ends
+episodes on arrival instead, so the goal is shown farther by that margin: the rim it learned to reach is where it stops.
+"""
+
+import math
+import time
+
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Decision, Observation
+from vssm_gym.agents.policy import features as policy_input
+from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.shared.localization import FilteredPose, Localization
+from vssm_gym.agents.shared.navigator import NavigationConfig
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.scan import BEAMS, scan_of
+
+CONFIG = NavigationConfig()  # of stopping
+SAME_ANGLE = 0.01  # rad, by which the camera's angle may differ from the scan's in training
+
+
+class PolicyAgent:
+    """Localises against the map and does what a policy file says; deterministic.
+
+    Args:
+        policy: of a file, or the file's path.
+
+    Raises:
+        InputError: at construction, what :func:`vssm_gym.agents.policy.file.load` says; at reset, a robot or camera
+            that is not the one it was trained for.
+    """
+
+    name = "policy"  # an instance has its file's
+    robot = "holonomic"
+    task = "pointgoal"
+    needs_pose = False
+    needs_map = True
+
+    def __init__(self, policy: policy_file.Policy | str) -> None:
+        self.policy = policy_file.loaded(policy) if isinstance(policy, str) else policy
+        self.name = self.policy.spec.name
+        self._localizer = FilteredPose("tracker")
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode; nothing here is random, so ``seed`` changes nothing."""
+        self._check(context, observation)
+        self._context = context
+        self._command: np.ndarray | None = None
+        self._estimate = self._localizer.reset(context, observation)
+        spec = self.policy.spec
+        self._seen = np.zeros((spec.frames, policy_input.size_of(spec.parts)), np.float32)
+
+    def act(self, observation: Observation) -> Decision:
+        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        began = time.perf_counter()
+        if self._command is not None:
+            self._estimate = self._localizer.update(self._command, observation)
+        estimate, tracked = self._estimate, time.perf_counter()
+        rim = stop_radius(self._context.success_radius, estimate)
+        goal = policy_input.relative(estimate.planar, observation["goal"], self._context.success_radius - rim)
+        stop = goal[0] <= self._context.success_radius
+        self._look(observation, goal, estimate)
+        command = np.zeros(3) if stop else self.policy(self._seen.reshape(-1))
+        self._command = sent = np.asarray(command, np.float32)
+        latency = {"tracking": tracked - began, "control": time.perf_counter() - tracked}
+        status = f"{'arrived' if stop else 'driving'}; localization: {estimate.status}"
+        action = np.array([*sent, float(stop)], np.float32)
+        return Decision(action, estimate.planar.copy(), status, latency)
+
+    def _look(self, observation: Observation, goal: np.ndarray, estimate: Localization) -> None:
+        spec = self.policy.spec
+        shown = {
+            "scan": scan_of(observation["depth"], spec.max_depth),
+            "goal": goal,
+            "pose": estimate.planar,
+            "pose_std": body_std(estimate),
+        }
+        self._seen = np.roll(self._seen, -1, axis=0)
+        self._seen[-1] = policy_input.features(shown, spec.parts)
+
+    def _check(self, context: AgentContext, observation: Observation) -> None:
+        spec, width = self.policy.spec, observation["depth"].shape[-1]
+        if not np.allclose(context.limits, spec.high, atol=1e-6):
+            found = f"found {np.round(context.limits, 4).tolist()}"
+            raise InputError(spec.name, "limits", f"a robot with {np.round(spec.high, 4).tolist()} a step; {found}")
+        hfov = 2.0 * math.atan(0.5 * width / float(context.K[0, 0]))
+        if width < BEAMS or abs(hfov - spec.hfov) > SAME_ANGLE:
+            found = f"found {width} pixels, {math.degrees(hfov):.1f}"
+            expected = f"at least {BEAMS} pixels wide, {math.degrees(spec.hfov):.1f} degrees; {found}"
+            raise InputError(spec.name, "camera", expected)
+        if not math.isclose(context.success_radius, spec.success_radius, rel_tol=1e-6):
+            expected = f"{spec.success_radius:g} m; found {context.success_radius:g}"
+            raise InputError(spec.name, "success_radius", expected)
+
+
+def body_std(estimate: Localization) -> np.ndarray:
+    """``(3,)`` standard deviations forward, to the left (m) and of the turn (rad), x and y taken as independent."""
+    c, s = math.cos(estimate.planar[2]), math.sin(estimate.planar[2])
+    x, y, turn = estimate.std
+    return np.array([math.hypot(c * x, s * y), math.hypot(s * x, c * y), turn])
+
+
+def stop_radius(success_radius: float, estimate: Localization) -> float:
+    """Distance to the goal (m) at which a stop is safe for the uncertainty of the estimate, as ``astar`` judges it."""
+    spread = float(np.max(estimate.std[:2]))
+    return max(CONFIG.least_radius, success_radius - CONFIG.stop_margin - CONFIG.stop_sigmas * spread)

@@ -1,0 +1,83 @@
+"""What a policy's network is shown of an observation: one vector of numbers of the order of one, the same in training,
+in imagination and on the robot.
+
+    scan   64: n(d) = h / (h + d), h = 0.5 m: 1 at a wall, 0 where nothing was read
+    goal    4: cos, sin of the bearing; d / 10 m; n(d)
+    pose   44: cos, sin of the heading; cos, sin of the goal's direction in the map frame; waves of (x, y), of the goal
+               waves(p) = [sin, cos](2 pi p / L) for L = 32, 16, 8, 4, 2 m, along x and along y
+    pose_std 3: of the estimate's error, forward and to the left in decimetres, turn in tenths of a radian
+
+The pose is the estimated one. Waves let a small network draw fine distinctions between places ("random Fourier
+features", Tancik et al., 2020; here with fixed lengths), which from x and y alone takes it far longer to learn.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.geometry.scan import BEAMS
+
+NEAR = 0.5  # m, where a distance counts half
+FAR = 10.0  # m, of the order of an apartment
+WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m
+SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3}
+"""Numbers that each part of an observation becomes; their order is that of the vector."""
+
+
+def size_of(parts: Sequence[str]) -> int:
+    """Length of the vector."""
+    return sum(SIZES[part] for part in parts)
+
+
+def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Float[np.ndarray, "*batch features"]:
+    """The vector of an observation, float32.
+
+    Args:
+        observation: ``scan (*batch, 64)`` z-depths in m, 0 = no reading; ``goal (*batch, 3)`` distance in m, cos and
+            sin of the bearing; ``pose (*batch, 3)`` x, y (m), heading (rad), map frame; ``pose_std (*batch, 3)``
+            forward, left (m), turn (rad). Those of ``parts`` are read, and with the pose the goal, too.
+        parts: some of SIZES, in any order.
+    """
+    makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std}
+    made = [makers[part](observation) for part in SIZES if part in parts]
+    return np.concatenate(made, axis=-1).astype(np.float32)
+
+
+def relative(pose: Float[np.ndarray, "3"], goal: Float[np.ndarray, "2"], farther: float = 0.0) -> np.ndarray:
+    """``(distance + farther, cos, sin of the bearing)`` float64 of a point from a pose, both in the map frame."""
+    away = np.asarray(goal, np.float64) - pose[:2]
+    bearing = np.arctan2(away[1], away[0]) - pose[2]
+    return np.array([np.hypot(away[0], away[1]) + farther, np.cos(bearing), np.sin(bearing)])
+
+
+def _nearness(distance: np.ndarray) -> np.ndarray:
+    return NEAR / (NEAR + distance)
+
+
+def _scan(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    scan = observation["scan"]
+    return np.where(scan > 0.0, _nearness(scan), 0.0)
+
+
+def _goal(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    goal = observation["goal"]
+    distance = goal[..., :1]
+    return np.concatenate([goal[..., 1:], distance / FAR, _nearness(distance)], axis=-1)
+
+
+def _pose(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    goal, pose = observation["goal"], observation["pose"]
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    direction = np.stack([c * goal[..., 1] - s * goal[..., 2], s * goal[..., 1] + c * goal[..., 2]], axis=-1)
+    there = pose[..., :2] + goal[..., :1] * direction
+    return np.concatenate([np.stack([c, s], axis=-1), direction, _waves(pose[..., :2]), _waves(there)], axis=-1)
+
+
+def _pose_std(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    return 10.0 * observation["pose_std"]
+
+
+def _waves(xy: np.ndarray) -> np.ndarray:
+    phase = (2.0 * np.pi * xy[..., None] / WAVES).reshape(*xy.shape[:-1], -1)
+    return np.concatenate([np.sin(phase), np.cos(phase)], axis=-1)

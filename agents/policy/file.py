@@ -1,0 +1,211 @@
+"""Policy files: a deterministic policy's network as numbers and JSON, in an ``.npz`` without pickle.
+
+    h_0 = features,   h_i = f(W_i h_i-1 + b_i),   a = squash(W_n h_n-1 + b_n) in [-1, 1]^3,
+    command = low + (a + 1) / 2 (high - low) = (turn rad, o rad, s m)
+
+``f`` is tanh or ReLU, ``squash`` clips (PPO, cloning) or is tanh (SAC). Reading one executes nothing that it holds, and
+needs NumPy only: neither torch nor stable-baselines3. A file is written whole or not at all, and named in results by
+its policy's name and the first hex digits of its SHA-256.
+"""
+
+import hashlib
+import io
+import json
+import sys
+import zipfile
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.agents.policy.features import SIZES, size_of
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+
+FORMAT, VERSION = "vssm_gym.Policy", 1
+PREFIX = "policy:"  # of agents' names that are a policy's file
+HASH_DIGITS = 8
+ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+SQUASHES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """What a policy's numbers mean.
+
+    Attributes:
+        name: what tables call it.
+        parts: of the observation that it sees (:mod:`vssm_gym.agents.policy.features`).
+        frames: vectors of the last steps that it sees at once, oldest first, zeros before the first.
+        hidden: widths of the hidden layers.
+        activation: ``f``.
+        squash: of the last layer.
+        low, high: commands at a = -1 and a = 1: turn (rad), direction (rad), step (m).
+        max_depth: m, beyond which a scan reads nothing.
+        hfov: rad, angle of the scan.
+        success_radius: m, of the task that it was trained for.
+        trained: how: algorithm, environment, steps, seconds, hashes. Only shown.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    frames: int
+    hidden: tuple[int, ...]
+    activation: str
+    squash: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    max_depth: float
+    hfov: float
+    success_radius: float
+    trained: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """(outputs, inputs) of each layer."""
+        widths = [self.frames * size_of(self.parts), *self.hidden, len(self.low)]
+        return [(n, m) for m, n in pairwise(widths)]
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A specification and its layers ``(W_i, b_i)``, float32."""
+
+    spec: PolicySpec
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+    def __call__(self, vectors: Float[np.ndarray, "*batch frames_features"]) -> Float[np.ndarray, "*batch 3"]:
+        """Commands for stacked feature vectors."""
+        x = vectors
+        for i, (weight, bias) in enumerate(self.layers):
+            x = x @ weight.T + bias
+            last = i == len(self.layers) - 1
+            x = SQUASHES[self.spec.squash](x) if last else ACTIVATIONS[self.spec.activation](x)
+        low, high = np.array(self.spec.low), np.array(self.spec.high)
+        return low + 0.5 * (x + 1.0) * (high - low)
+
+
+def save(path: Path, policy: Policy) -> None:
+    """Write a policy; equal policies give equal files."""
+    header = {"format": FORMAT, "version": VERSION, **asdict(policy.spec)}
+    arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
+    for i, (weight, bias) in enumerate(policy.layers):
+        arrays |= {f"weight{i}": weight.astype(np.float32), f"bias{i}": bias.astype(np.float32)}
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def load(path: str | Path) -> Policy:
+    """Read and check a policy file.
+
+    Raises:
+        InputError: no such file, another format or version, a field or an array that does not fit.
+    """
+    return _parsed(path)[0]
+
+
+def loaded(path: str) -> Policy:
+    """The same, read once a process: what is driven is what rows are signed with, whatever is written meanwhile."""
+    return _read(path)[0]
+
+
+def label(path: str | Path) -> str:
+    """``NAME@HASH``: what rows, tables and reports call the policy of a file."""
+    policy, digest = _read(str(path))
+    return f"{policy.spec.name}@{digest[:HASH_DIGITS]}"
+
+
+def agent_label(agent: str) -> str:
+    """The label of ``policy:PATH``; another agent's name as it is."""
+    return label(agent.removeprefix(PREFIX)) if agent.startswith(PREFIX) else agent
+
+
+def policy_at(agent: str, folder: Path) -> str:
+    """``policy:PATH`` with a relative path taken from ``folder``; another agent's name as it is."""
+    if not agent.startswith(PREFIX):
+        return agent
+    return PREFIX + str((folder / agent.removeprefix(PREFIX)).resolve())
+
+
+@lru_cache(maxsize=64)
+def _read(path: str) -> tuple[Policy, str]:
+    return _parsed(path)
+
+
+def _parsed(path: str | Path) -> tuple[Policy, str]:
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(path, "file", "a policy file (.npz); `vssm-gym train` makes one") from error
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        header = json.loads(arrays.pop("header").tobytes().decode())
+        found = header.pop("format"), header.pop("version")
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+        raise InputError(path, "file", "a policy file (.npz); `vssm-gym train` makes one") from error
+    if found != (FORMAT, VERSION):
+        raise InputError(path, "version", f"{FORMAT} version {VERSION}; found {found[0]} version {found[1]}")
+    spec = _spec(path, header)
+    return Policy(spec, _layers(path, spec, arrays)), hashlib.sha256(data).hexdigest()
+
+
+def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
+    names = {one.name for one in fields(PolicySpec)}
+    if set(header) != names:
+        raise InputError(path, "header", f"the fields {', '.join(sorted(names))}; found {', '.join(sorted(header))}")
+    tuples = {name: tuple(header[name]) for name in ("parts", "hidden", "low", "high") if _is_list(header[name])}
+    checks = {
+        "name": isinstance(header["name"], str) and bool(header["name"]),
+        "parts": _is_list(header["parts"])
+        and "goal" in header["parts"]
+        and all(_one_of(part, SIZES) for part in header["parts"]),
+        "frames": _whole(header["frames"], 64),
+        "hidden": _is_list(header["hidden"]) and all(_whole(width, 4096) for width in header["hidden"]),
+        "activation": _one_of(header["activation"], ACTIVATIONS),
+        "squash": _one_of(header["squash"], SQUASHES),
+        "low": _is_list(header["low"]) and len(header["low"]) == 3 and all(map(_finite, header["low"])),
+        "high": _is_list(header["high"]) and len(header["high"]) == 3 and all(map(_finite, header["high"])),
+        "max_depth": _finite(header["max_depth"]) and header["max_depth"] > 0.0,
+        "hfov": _finite(header["hfov"]) and 0.0 < header["hfov"] < np.pi,
+        "success_radius": _finite(header["success_radius"]) and header["success_radius"] > 0.0,
+        "trained": isinstance(header["trained"], dict),
+    }
+    for name, fits in checks.items():
+        if not fits:
+            raise InputError(path, name, f"what `vssm-gym train` writes there; found {header[name]!r:.80}")
+    return PolicySpec(**(header | tuples))
+
+
+def _layers(
+    path: str | Path, spec: PolicySpec, arrays: dict[str, np.ndarray]
+) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    layers = []
+    for i, shape in enumerate(spec.shapes):
+        for name, expected in ((f"weight{i}", shape), (f"bias{i}", shape[:1])):
+            array = arrays.get(name, np.zeros(0))
+            if array.shape != expected or array.dtype != np.float32 or not np.isfinite(array).all():
+                raise InputError(path, name, f"finite float32 of shape {expected}; found {array.dtype} {array.shape}")
+        layers.append((arrays[f"weight{i}"], arrays[f"bias{i}"]))
+    return tuple(layers)
+
+
+def _one_of(value: Any, known: Collection[str]) -> bool:
+    return isinstance(value, str) and value in known
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list)
+
+
+def _whole(value: Any, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

@@ -1,0 +1,110 @@
+"""The driver that the car's agents share: localise -> plan on the learned map -> command.
+
+Agents differ in how they localise and in their :class:`Strategy`. The map is static, so the floor plan that strategies
+work on is made once a map; a target that no way leads to is refused before the car moves.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Decision, Observation
+from vssm_gym.agents.shared.localization import Localizer
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.car import Car
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.car.footprint import Arena, Unknown, plan_of
+
+RESOLUTION = 0.035  # m, cells of the floor plan
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a strategy does now.
+
+    Attributes:
+        control: ``(2,)`` speed (m/s) and steering (rad).
+        status: one readable line.
+        plan: ``(n, 2)`` positions of the rear axle still to be driven, m; None without a plan.
+    """
+
+    control: np.ndarray
+    status: str
+    plan: np.ndarray | None = None
+
+
+class Strategy(Protocol):
+    """How a car gets to targets in one floor plan."""
+
+    def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
+        """Turn to a new target, ``(x, y)`` or ``(x, y, heading)``; the reason where no way leads there, else None.
+
+        ``control`` is what the car executes as the target changes: it may be moving.
+        """
+        ...
+
+    def step(self, planar: np.ndarray) -> Step:
+        """The command of this step, from the newest estimate ``(x, y, heading)``."""
+        ...
+
+
+class Driver:
+    """Drives to ``observation["goal"]`` by the pose that a localizer estimates.
+
+    Args:
+        localizer: where the car is.
+        make: a strategy for a floor plan and a car.
+        unknown: what of the map's unseen space counts as occupied: see :func:`plan_of`.
+    """
+
+    def __init__(self, localizer: Localizer, make: Callable[[Arena, Car], Strategy], unknown: Unknown = "mean") -> None:
+        self._localizer, self._make, self._unknown = localizer, make, unknown
+        self._map: VoxelMap | None = None
+        self._strategy: Strategy  # for that map, kept over episodes
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode; all that is random in a strategy is seeded by itself, so ``seed`` changes nothing."""
+        if context.map is None or context.car is None:
+            missing = "map" if context.map is None else "car"
+            raise InputError("AgentContext", missing, "a learned map and a car: this agent plans a car's way in a map")
+        if context.map is not self._map:
+            arena = plan_of(context.map, self._unknown, RESOLUTION)
+            self._strategy, self._map = self._make(arena, context.car), context.map
+        self._car = context.car
+        self._command = np.zeros(2)
+        self._fresh = True
+        self._estimate = self._localizer.reset(context, observation)
+        self._begin(observation["goal"])
+        if self._refused is None:  # compiled here, so that no step's latency holds it
+            self._strategy.step(self._estimate.planar)
+            self._begin(observation["goal"])
+
+    def act(self, observation: Observation) -> Decision:
+        """The next command from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        began = time.perf_counter()
+        if not self._fresh:
+            self._estimate = self._localizer.update(self._command, observation)
+        self._fresh = False
+        tracked = time.perf_counter()
+        if not np.array_equal(observation["goal"], self._goal):
+            self._begin(observation["goal"])
+        planned = time.perf_counter()
+        if self._refused is not None:
+            step = Step(np.zeros(2), self._refused)
+        else:
+            step = self._strategy.step(self._estimate.planar)
+        self._command = self._car.clip(step.control)
+        ended = time.perf_counter()
+        latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
+        status = f"{step.status}; localization: {self._estimate.status}"
+        action = self._command.astype(np.float32)
+        pose = self._estimate.planar.copy()
+        return Decision(action, pose, status, latency, step.plan, gives_up=self._refused is not None)
+
+    def _begin(self, goal: np.ndarray) -> None:
+        self._goal = np.array(goal)
+        goal = self._goal.astype(np.float64)
+        self._refused = self._strategy.begin(self._estimate.planar, goal, self._command)

@@ -1,0 +1,254 @@
+"""The driver that all explorers share: update the map -> read its floor plan -> choose where to go -> follow.
+
+Explorers differ in their :class:`Strategy`, and in their mapper: the pose is observed (SPEC 8) or estimated. The map
+is the agent's own. Every episode begins with a look around. A choice is made anew every ``replan_steps``, when it is
+carried out or has become pointless, and when something unforeseen stands in its way. A robot that lost track turns on
+the spot until an image fits its map again. How ways are driven, and what a robot does that cannot take a step, is in
+:mod:`vssm_gym.agents.shared.following`.
+"""
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
+from vssm_gym.agents.shared.following import Follower, FollowingConfig, Refusals, Way, to_more_room
+from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.agents.shared.mapping import MapAtObservedPose, Mapper
+from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
+from vssm_gym.agents.shared.strategy import Choice, Situation, Strategy, around
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.exploration.candidates import Roadmap
+from vssm_gym.planning.exploration.frontier import frontier_cells
+from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.planners import Planner, find_planner
+
+ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
+ALIGNED = 0.12  # rad, the same of a look
+HELD_STEPS = 8  # that making room may take beyond the usual, half a turn included
+FULL = "finished: the map has no room for more"
+
+
+@dataclass(frozen=True)
+class ExploringConfig:
+    """How ways are planned, how often to choose, and when to stop; lengths in metres."""
+
+    planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
+    margins: tuple[float, ...] = (0.08, 0.03)  # clearance of a way beyond the robot's radius: the first that leads on
+    replan_steps: int = 5
+    known_share: float = 0.8  # of a target's frontier cells, after which it is pointless to go there
+    max_failures: int = 25  # steps in a row without a way or a step to take, after which the robot is boxed in
+    max_lost: int = 64  # steps in a row without an image that fits: two whole turns
+    following: FollowingConfig = field(default_factory=FollowingConfig)
+
+
+class Explorer:
+    """Drives where its strategy chooses until that finds nothing left, then stops."""
+
+    def __init__(
+        self,
+        strategy: Strategy,
+        mapper: Mapper | None = None,
+        config: ExploringConfig | None = None,
+        own: OwnMapConfig | None = None,
+    ) -> None:
+        self._strategy, self._mapper = strategy, mapper or MapAtObservedPose()
+        self._config, self._own_config = config or ExploringConfig(), own or OwnMapConfig()
+        self._plan_path = find_planner(self._config.planner)
+        self._own: OwnMap
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief over the apartment, world frame."""
+        return self._own.map
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode in a world of which nothing is known.
+
+        A step and a choice are made and dropped, so that compiling is no part of any step's latency.
+        """
+        self._context, self._follower = context, Follower.of(context, self._config.following)
+        self._begin(observation, seed)
+        self._own.take(np.zeros(3), observation)
+        self._choose(self._own.estimate, self._own.plan())
+        self._begin(observation, seed)
+
+    def _begin(self, observation: Observation, seed: int) -> None:
+        self._own = OwnMap(self._context, self._mapper, self._own_config, observation)
+        self._strategy.reset(seed)
+        heading = float(self._own.estimate.planar[2])
+        self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
+        self._sent: np.ndarray | None = None  # the last command; the first observation is in the map already
+        self._way: Way | None = None  # to the choice's goal; None at it
+        self._arrived, self._failed = True, ""
+        self._age = self._failures = self._lost = 0
+        self._refusals = Refusals()
+        self._dismissed: list[np.ndarray] = []
+
+    def act(self, observation: Observation) -> Decision:
+        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        began = time.perf_counter()
+        if self._sent is not None:
+            self._own.take(self._sent, observation)
+        estimate = self._own.estimate
+        mapped = time.perf_counter()
+        self._lost = self._lost + 1 if not estimate.status.fits else 0
+        if self._lost:
+            command, activity, stop = self._search(estimate)
+            planned = mapped
+        else:
+            finished = FULL if self._own.is_full else self._plan(estimate)
+            planned = time.perf_counter()
+            command, activity, stop = self._drive(estimate.planar, finished)
+        ended = time.perf_counter()
+        self._sent = command
+        latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
+        action = np.array([*command, float(stop)], np.float32)
+        path = None if self._way is None else self._way.path
+        return Decision(action, estimate.planar.copy(), activity, latency, path)
+
+    def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
+        """A turn on the spot, where the last image did not fit: command, activity, whether to stop."""
+        self._choice = self._way = None
+        if self._lost > self._config.max_lost:
+            return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
+        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
+
+    def _plan(self, estimate: Localization) -> str | None:
+        """Keep to the choice or choose anew; the reason where nothing is left to do."""
+        planar, floor = estimate.planar, self._own.plan()
+        self._age += 1
+        self._near = floor.clearance(planar[:2], 1.2)
+        if self._done(planar):
+            self._close(self._left(floor))
+        if self._pointless(floor) or self._stale(planar, self._near):
+            self._choice = None
+        if self._choice is not None and self._way is not None:
+            self._way = self._follower.pulled(self._way, planar)
+            if self._way is None:
+                self._choice = None
+        return self._choose(estimate, floor) if self._choice is None else None
+
+    def _drive(self, planar: np.ndarray, finished: str | None) -> tuple[np.ndarray, str, bool]:
+        """The next command of the choice, the activity and whether to stop."""
+        if finished:
+            return np.array(STOP_COMMAND), finished, True
+        command, activity = self._command(planar, self._near)
+        if self._failures > self._config.max_failures:
+            return np.array(STOP_COMMAND), "boxed in: no step leads out", True
+        return command, activity, False
+
+    def _done(self, planar: np.ndarray) -> bool:
+        """Whether the choice is carried out: the robot is there and has looked where it wanted to."""
+        if self._choice is None:
+            return False
+        if self._way is not None and math.hypot(*(self._way.path[-1] - planar[:2])) <= ARRIVED:
+            self._way = None
+        looks = list(self._choice.looks)
+        while looks and self._way is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
+            looks.pop(0)
+        self._choice = replace(self._choice, looks=tuple(looks))
+        return self._way is None and not looks
+
+    def _left(self, floor: FloorPlan) -> np.ndarray:
+        """Which cells of the choice's target are frontiers still, ``(n, 2)`` m."""
+        target = None if self._choice is None else self._choice.target
+        if target is None:
+            return np.empty((0, 2))
+        cell = np.clip(floor.index(target), 0, np.array(floor.cells.shape) - 1)
+        return target[frontier_cells(floor.cells)[cell[:, 0], cell[:, 1]]]
+
+    def _pointless(self, floor: FloorPlan) -> bool:
+        """Whether what the choice is about has been seen meanwhile."""
+        choice = self._choice
+        if choice is None or choice.target is None:
+            return False
+        return len(self._left(floor)) <= (1.0 - self._config.known_share) * len(choice.target)
+
+    def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
+        """Whether the way is to be chosen anew: by the clock, or because it is not free any more."""
+        if self._choice is None or self._way is None:
+            return False  # looks are carried out to their end
+        return self._age >= self._config.replan_steps or self._follower.blocked(self._way, planar, near)
+
+    def _choose(self, estimate: Localization, floor: FloorPlan) -> str | None:
+        """Choose and plan the way; the reason where nothing is left to do."""
+        self._age, self._way = 0, None
+        radius, planar, std = self._follower.radius, estimate.planar, self._ahead(estimate.std)
+        reached, failed, least = 0, "", 0.5 * self._config.margins[-1]
+        for margin in self._config.margins:
+            roadmap = Roadmap.of(floor, planar[:2], radius + margin)
+            reached = int(np.isfinite(roadmap.distance).sum())
+            dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
+            own = self._own
+            situation = Situation(own.map, roadmap, planar, std, own.camera, own.T_body_cam, dismissed, self._arrived)
+            choice = self._strategy.choose(situation)
+            if choice is None:
+                continue
+            self._choice, self._arrived = choice, False
+            if choice.goal is None:
+                return None
+            # The roadmap's edges are looked at less closely than a planner's: a way may need less room than was asked.
+            for tight in (margin, max(0.5 * margin, least), least):
+                result = self._plan_path(
+                    planar, choice.goal, roadmap.clearance, radius, margin=tight, goal_radius=ARRIVED
+                )
+                if result.found:
+                    self._way = Way(result.path, roadmap.clearance, tight) if len(result.path) > 1 else None
+                    return None
+            failed = result.status.message
+        if failed:
+            self._failures, self._failed = self._failures + 1, failed
+            self._give_up()
+            return None
+        room = reached * floor.resolution**2
+        return "finished: nothing left to gain" if room > math.pi * radius**2 else "boxed in: no free place to go"
+
+    def _ahead(self, std: np.ndarray) -> np.ndarray:
+        """The pose's standard deviations after as many steps as there are between choices; zeros where it is seen."""
+        turn, step = self._context.noise
+        grown = np.sqrt(std**2 + self._config.replan_steps * np.array([step, step, turn]) ** 2)
+        return np.where(std > 0.0, grown, 0.0)
+
+    def _close(self, vain: np.ndarray) -> None:
+        """The choice is done with; ``vain`` ``(n, 2)``, m, is what is unknown still: not to be seen from there."""
+        if len(vain):
+            self._dismissed.append(vain)
+        self._choice, self._arrived = None, True
+
+    def _give_up(self) -> None:
+        """The robot does not get to where it wanted to."""
+        choice = self._choice
+        parts = [] if choice is None else [a.reshape(-1, 2) for a in (choice.goal, choice.target) if a is not None]
+        self._close(np.concatenate(parts) if parts else np.empty((0, 2)))
+
+    def _command(self, planar: np.ndarray, near: ClearanceMap) -> tuple[np.ndarray, str]:
+        """One step along the path, or one turn towards the next look."""
+        limits = self._context.limits
+        choice = self._choice
+        if choice is None:  # no way after all
+            return np.array([limits[0], 0.0, 0.0]), self._failed
+        if self._way is not None:
+            command = self._follower.step(self._way, planar, near, self._failures)
+            if np.any(command != 0.0):
+                self._failures = 0 if command[2] > 0.0 else self._failures
+                return command, choice.status
+            self._held_up(self._way, planar, near)
+            return np.array([limits[0], 0.0, 0.0]), "held up"
+        if not choice.looks:
+            return np.array(STOP_COMMAND), choice.status
+        turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
+        return np.array([turn, 0.0, 0.0]), choice.status
+
+    def _held_up(self, way: Way, planar: np.ndarray, near: ClearanceMap) -> None:
+        """No step may be taken along the way: make room for another one, or choose anew from here."""
+        self._failures += 1
+        if self._refusals.add(planar[:2]):
+            self._give_up()
+        self._choice, self._way = None, to_more_room(way, planar, near)
+        if self._way is not None:
+            self._choice, self._age = Choice(self._way.path[-1], (), None, "makes room"), -HELD_STEPS

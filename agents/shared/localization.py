@@ -1,0 +1,118 @@
+"""Localizers: what an agent believes about where it is, ``update(command, observation) -> Localization``.
+
+The true pose (oracles only), or the belief of any filter over the pose: integrated commands, alignment to the learned
+map, alignment to the previous camera image (TNP-SM: its tracker and the baselines it is compared with).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.inference.status import Status
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import GaussianBelief, planar_belief, world_covariance
+
+START_STD = 1e-3  # m, rad: how well a robot that looks at images knows its start
+
+
+@dataclass(frozen=True)
+class Localization:
+    """A Gaussian belief over the planar pose, as agents use it.
+
+    Attributes:
+        planar: ``(3,)`` mean x, y (m), heading (rad), float64, map frame.
+        std: ``(3,)`` standard deviations of x, y (m) and heading (rad).
+        status: of the filter's last step.
+    """
+
+    planar: np.ndarray
+    std: np.ndarray
+    status: Status
+
+
+class Localizer(Protocol):
+    """Estimates the pose from the agent's own commands and observations."""
+
+    def reset(self, context: AgentContext, observation: Observation) -> Localization:
+        """Start at ``context.start_pose``, with the first observation seen from there."""
+        ...
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """The belief after ``command`` ``(turn, o, s)`` was sent and ``observation`` came back."""
+        ...
+
+
+class TruePose:
+    """The simulator's pose, read from ``observation["pose"]``: for the oracle only."""
+
+    def reset(self, context: AgentContext, observation: Observation) -> Localization:
+        """The true pose of the first observation."""
+        return self._read(observation)
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """The true pose, whatever was commanded."""
+        return self._read(observation)
+
+    def _read(self, observation: Observation) -> Localization:
+        if "pose" not in observation:
+            raise InputError("observation", "pose", "the true pose: make the environment with observe_pose=True")
+        return Localization(np.asarray(observation["pose"], np.float64), np.zeros(3), Status.OK)
+
+
+class FilteredPose:
+    """The belief of a filter over the pose, with the filter's own motion model and camera (TNP-SM).
+
+    Args:
+        name: of a filter of :data:`vssm_gym.inference.registry.FILTERS`: ``tracker`` in the learned map, ``frames``
+            against the previous image, ``dead_reckoning`` by the commands alone, ``emission`` through the renderer.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._entry = FILTERS[name]
+
+    def reset(self, context: AgentContext, observation: Observation) -> Localization:
+        """Start the filter; one step is computed and dropped, so that compiling it delays no later one."""
+        if self._entry.needs_map and context.map is None:
+            raise InputError("AgentContext", "map", "a learned map: this localizer tracks in one")
+        self._dt = context.dt
+        self._filter = self._entry.make(rig_of(context), context.transition)
+        std = 0.0 if self._entry.blind else START_STD
+        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
+        prior = Posterior(start, context.map if self._entry.needs_map else None)
+        image = self._image(observation)
+        begin = lambda: self._filter.init(prior, image, jax.random.key(0))
+        self._filter.step(begin(), jnp.zeros(len(context.limits)), image, self._dt)
+        self._state = begin()
+        return localization(start, Status.OK)
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """One step of the filter."""
+        control = jnp.asarray(command, jnp.float32)
+        self._state, info = self._filter.step(self._state, control, self._image(observation), self._dt)
+        return localization(info.belief, info.status)
+
+    def _image(self, observation: Observation) -> Any:
+        """What the filter looks at; None for one that looks at nothing."""
+        return None if self._entry.blind else observe(observation["rgb"], observation["depth"])
+
+
+def rig_of(context: AgentContext) -> Rig:
+    """Return the camera on the robot's body."""
+    return Rig.of(Camera.from_matrix(context.K, *context.camera), context.T_body_cam)
+
+
+def localization(belief: GaussianBelief, status: Status) -> Localization:
+    """Return a planar belief as agents use it."""
+    mean, covariance = jax.device_get(_in_world(belief))
+    return Localization(mean.astype(np.float64), np.sqrt(np.diag(covariance.astype(np.float64))), status)
+
+
+_in_world = jax.jit(lambda belief: (belief.mean, world_covariance(belief)))

@@ -1,0 +1,100 @@
+"""Mappers: how an explorer's images get into its own map, and where it believes to be meanwhile.
+
+Two settings, one interface: the pose is observed (thesis 5.6.2), or PRISM estimates it together with the map.
+"""
+
+from dataclasses import replace
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.agents.shared.localization import START_STD, Localization, TruePose, localization, rig_of
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.inference.filter import observe
+from vssm_gym.inference.mapping.map_update import update
+from vssm_gym.inference.mapping.observation import MapUpdateConfig
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.inference.status import Status
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import GaussianBelief, planar_belief
+
+
+class Mapper(Protocol):
+    """Builds the map and says where the robot is in it."""
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief, world frame; valid until the next image."""
+        ...
+
+    def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
+        """Begin with the first observation, seen from ``context.start_pose``; ``prior`` is consumed."""
+        ...
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """The belief after ``command`` ``(turn, o, s)`` was sent and ``observation`` came back."""
+        ...
+
+
+class MapAtObservedPose:
+    """``q(M | x_<=t, z_<=t)``: the closed-form update at ``observation["pose"]``."""
+
+    def __init__(self) -> None:
+        self._pose, self._config = TruePose(), MapUpdateConfig()
+        self.map: VoxelMap
+
+    def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
+        """The first image in the empty map."""
+        self.map, self._T_body_cam = prior, np.asarray(context.T_body_cam, np.float64)
+        self._camera = Camera.from_matrix(context.K, *context.camera)
+        return self._take(self._pose.reset(context, observation), observation)
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """One more image, whatever was commanded."""
+        return self._take(self._pose.update(command, observation), observation)
+
+    def _take(self, at: Localization, observation: Observation) -> Localization:
+        T_world_cam = jnp.asarray(planar_to_matrix(at.planar) @ self._T_body_cam, jnp.float32)
+        depth = jnp.asarray(observation["depth"], jnp.float32)
+        rgb = jnp.asarray(observation["rgb"], jnp.float32) / 255.0
+        self.map = update(self.map, depth, rgb, T_world_cam, self._camera, self._config)
+        return at
+
+
+class MapAndPose:
+    """``q(M, z_t | x_<=t, u_<t)`` by PRISM with the robot's motion model; nothing but the start is known.
+
+    An image that does not fit is not put into the map; the status says so until one fits again.
+    """
+
+    def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
+        """The first image at the known start; what a lost robot does is compiled here, so that it delays no step."""
+        rig = rig_of(context)
+        image = observe(observation["rgb"], observation["depth"])
+        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), START_STD**2 * jnp.eye(3))
+        self._filter, self._dt = FILTERS["prism"].make(rig, context.transition), context.dt
+        self._state = self._filter.init(Posterior(start, prior), image, jax.random.key(0))
+        # An image without depth fits nothing, so the map stays as it is.
+        dark = observe(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))
+        lost = replace(self._state, lost=True)
+        self._filter.step(lost, jnp.zeros(len(context.limits)), dark, self._dt)
+        return localization(start, Status.OK)
+
+    @property
+    def map(self) -> VoxelMap:
+        """``q_t(M)``."""
+        return self._state.map
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """One step of the filter; the pose is against the map, whose own frame may have drifted."""
+        image = observe(observation["rgb"], observation["depth"])
+        control = jnp.asarray(command, jnp.float32)
+        self._state, info = self._filter.step(self._state, control, image, self._dt)
+        belief = self._filter.posterior(self._state).belief
+        assert isinstance(belief, GaussianBelief)
+        return localization(belief, info.status)

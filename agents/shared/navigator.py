@@ -1,0 +1,231 @@
+"""The navigator that the planning agents share: localise -> plan -> steer -> decide to stop.
+
+Agents differ in how they localise and in nothing else, as published (TNP-SM): each gives its localizer to a
+:class:`Navigator`. The planner is any of :mod:`vssm_gym.planning.planners`, A* by default. The map is static, so its
+clearance is computed once a map, and the planner runs once a goal; after that each step pulls what is left of the plan
+taut from the newest estimate, and the planner runs again only where that fails.
+"""
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
+from vssm_gym.agents.shared.localization import Localization, Localizer
+from vssm_gym.errors import InputError
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.grid_search.clearance_requirement import needed
+from vssm_gym.planning.grid_search.path_shortening import tighten
+from vssm_gym.planning.planners import Planner, find_planner
+from vssm_gym.planning.pursuit import steer
+from vssm_gym.planning.result import PlanResult
+
+
+@dataclass(frozen=True)
+class NavigationConfig:
+    """How carefully to plan, when to stop, when to call the robot stuck; lengths in metres."""
+
+    planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
+    heights: tuple[float, float] = (0.08, 0.5)  # of the robot's body above the floor, whose noise stays below
+    resolution: float = 0.025  # of the clearance grid
+    # Extra clearance of a plan: with room to spare; as the robot fits; tighter, since walls are learned with an error.
+    margins: tuple[float, float, float] = (0.03, 0.0, -0.03)
+    tight_share: float = 0.9  # the tight plan is taken where it is shorter than this share of the one with room
+    slack: float = 0.015  # less clearance is asked while following than while planning: small errors replan nothing
+    stop_margin: float = 0.01  # inside the success radius: what the estimate's covariance does not know of
+    stop_sigmas: float = 2.5  # further inside, in standard deviations of the estimated position
+    least_radius: float = 0.05  # never drive closer to the goal than this, however uncertain
+    landing: float = 0.002  # the path ends so far inside the stop radius: a step that falls short costs another one
+    stuck_way: float = 0.4  # of driving commands, over which progress is judged
+    stuck_share: float = 0.35  # of it that the estimate moved; less means that something holds the robot
+    felt_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
+    max_failures: int = 12  # steps without any plan after which the robot stops and says why
+
+
+@dataclass
+class _Task:
+    """What the navigator remembers about the present goal."""
+
+    goal: np.ndarray
+    path: np.ndarray | None = None  # (n, 2) what is left of the plan, from the last estimate
+    margin: float = 0.0  # m, extra clearance of the plan
+    rim: float = 0.0  # m, radius of the goal region where the plan could not lead to a safer one
+    failures: int = 0  # steps in a row without a plan
+    before: np.ndarray | None = None  # xy where the last driving command was given
+    driven: deque[tuple[float, float]] = field(default_factory=deque)  # m asked and m moved, by the last such commands
+
+
+class Navigator:
+    """Drives to ``observation["goal"]`` by the pose that a localizer estimates, then stops."""
+
+    def __init__(self, localizer: Localizer, config: NavigationConfig) -> None:
+        self._localizer, self._config = localizer, config
+        self._plan = find_planner(config.planner)
+        self._map: VoxelMap | None = None
+        self._static: ClearanceMap  # of that map, kept over episodes
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode; nothing here is random, so ``seed`` changes nothing.
+
+        A plan is made and dropped, so that compiling is no part of any latency and the first step's own plan is.
+        """
+        if context.map is None:
+            raise InputError("AgentContext", "map", "a learned map: this agent plans in one")
+        if context.map is not self._map:
+            low, high = self._config.heights
+            self._static = ClearanceMap.from_voxel_map(context.map, low, high, self._config.resolution)
+            self._map = context.map
+        self._context = context
+        self._command: np.ndarray | None = None
+        self._estimate = self._localizer.reset(context, observation)
+        self._begin(observation["goal"])
+        for _ in range(2):  # to plan, and to follow the plan
+            self._follow(self._estimate)
+        self._begin(observation["goal"])
+
+    def act(self, observation: Observation) -> Decision:
+        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        began = time.perf_counter()
+        if self._command is not None:
+            self._estimate = self._localizer.update(self._command, observation)
+        estimate = self._estimate
+        tracked = time.perf_counter()
+        if not np.array_equal(observation["goal"], self._task.goal):
+            self._begin(observation["goal"])
+        activity, stop, command = self._decide(estimate)
+        planned = time.perf_counter()
+        if command is None:
+            assert self._task.path is not None
+            command = steer(estimate.planar, self._task.path, self._context.limits)
+        self._remember(estimate, command)
+        ended = time.perf_counter()
+        latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
+        action = np.array([*command, float(stop)], np.float32)
+        status = f"{activity}; localization: {estimate.status}"
+        return Decision(action, estimate.planar.copy(), status, latency, self._task.path)
+
+    def _begin(self, goal: np.ndarray) -> None:
+        """A new task: nothing planned, and nothing felt on the way."""
+        self._task, self._clearance = _Task(np.array(goal, np.float64)), self._static
+
+    def _decide(self, estimate: Localization) -> tuple[str, bool, np.ndarray | None]:
+        """What to do now: the activity's name, whether to stop, and the command where it is not to follow the path."""
+        task, still = self._task, np.array(STOP_COMMAND)
+        stuck = self._stuck(estimate)
+        if stuck:
+            self._feel_obstacle(estimate)
+        distance = math.hypot(*(estimate.planar[:2] - task.goal))
+        if distance <= self._stop_radius(estimate):
+            return "arrived", True, still
+        failure = self._follow(estimate)
+        if distance <= task.rim + self._config.landing and task.path is not None:
+            return "arrived, as near as a path leads", True, still
+        if failure is None:
+            return ("stuck: leaving" if stuck else "driving"), False, None
+        task.failures += 1
+        if task.failures > self._config.max_failures:
+            return f"gave up: {failure.status.message}", True, still
+        # Nothing new is learned by standing still: looking around may correct the estimate that no path starts from.
+        return f"looking around: {failure.status.message}", False, np.array([self._context.limits[0], 0.0, 0.0])
+
+    def _stop_radius(self, estimate: Localization) -> float:
+        """Distance to the goal (m) at which a stop is safe for the uncertainty of the estimate."""
+        c = self._config
+        spread = float(np.max(estimate.std[:2]))
+        return max(c.least_radius, self._context.success_radius - c.stop_margin - c.stop_sigmas * spread)
+
+    def _follow(self, estimate: Localization) -> PlanResult | None:
+        """Bring the task's path up to date; None, or the planner's last answer where there is no path."""
+        task, c = self._task, self._config
+        target = self._stop_radius(estimate) - c.landing
+        if task.path is not None:
+            radius = max(target, task.rim)
+            path = self._extended(task.path, radius)
+            if path is not None:
+                points = np.concatenate([estimate.planar[None, :2], path[1:]])
+                asked = needed(self._clearance, points[0], self._radius + task.margin - c.slack)
+                path = tighten(self._clearance, points, task.goal, radius, asked)
+            task.path = path
+        return self._replan(estimate, target) if task.path is None else None
+
+    def _extended(self, path: np.ndarray, radius: float) -> np.ndarray | None:
+        """The path, led on straight to the goal's disc where that has shrunk since; None where it cannot be."""
+        offset = path[-1] - self._task.goal
+        away = math.hypot(*offset)
+        if away <= radius + 1e-9:
+            return path
+        end = self._task.goal + offset * (radius / away)
+        between = np.linspace(path[-1], end, 2 + int((away - radius) / self._clearance.resolution))
+        asked = self._radius + self._task.margin - self._config.slack
+        return np.concatenate([path, [end]]) if self._clearance.at(between).min() >= asked else None
+
+    def _replan(self, estimate: Localization, target: float) -> PlanResult | None:
+        """Plan with room to spare, and as tightly as the robot fits: the tight path is taken where it is much shorter.
+
+        Where neither exists: tighter than it fits, since a learned wall may stand too far out; then to all of the
+        success region; then without the obstacles that were felt.
+        """
+        c, task = self._config, self._task
+        rim = self._context.success_radius - 2.0 * c.landing
+        wide, tight, squeezed = c.margins
+
+        def attempt(clearance: ClearanceMap, margin: float, radius: float) -> PlanResult:
+            return self._plan(estimate.planar, task.goal, clearance, self._radius, margin=margin, goal_radius=radius)
+
+        def adopt(result: PlanResult, clearance: ClearanceMap, margin: float, radius: float) -> None:
+            self._clearance, task.failures = clearance, 0
+            task.path, task.margin, task.rim = result.path, margin, radius if radius > target else 0.0
+
+        spare = attempt(self._clearance, wide, target)
+        close = attempt(self._clearance, tight, target)
+        if spare.found and close.cost >= c.tight_share * spare.cost:
+            adopt(spare, self._clearance, wide, target)
+            return None
+        if close.found:
+            adopt(close, self._clearance, tight, target)
+            return None
+        last = close
+        for settings in (
+            (self._clearance, squeezed, target),
+            (self._clearance, squeezed, rim),
+            (self._static, tight, target),
+            (self._static, squeezed, rim),
+        ):
+            last = attempt(*settings)
+            if last.found:
+                adopt(last, *settings)
+                return None
+        task.path = None
+        return last
+
+    @property
+    def _radius(self) -> float:
+        return 0.5 * self._context.body_length
+
+    def _remember(self, estimate: Localization, command: np.ndarray) -> None:
+        self._command = np.asarray(command, np.float32)
+        self._task.before = estimate.planar[:2].copy() if command[2] > 0.0 else None
+
+    def _stuck(self, estimate: Localization) -> bool:
+        """Whether the last driving commands moved the estimate by much less than they asked."""
+        task, c = self._task, self._config
+        if task.before is not None and self._command is not None:
+            task.driven.append((float(self._command[2]), math.hypot(*(estimate.planar[:2] - task.before))))
+        asked, moved = (sum(values) for values in zip(*task.driven, strict=True)) if task.driven else (0.0, 0.0)
+        while task.driven and asked - task.driven[0][0] >= c.stuck_way:
+            asked, moved = asked - task.driven[0][0], moved - task.driven[0][1]
+            task.driven.popleft()
+        return asked >= c.stuck_way and moved < c.stuck_share * asked
+
+    def _feel_obstacle(self, estimate: Localization) -> None:
+        """Assume an obstacle where the robot's front touches; the plan is made anew around it."""
+        heading = estimate.planar[2]
+        front = self._radius + self._config.felt_radius
+        centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
+        self._clearance = self._clearance.with_obstacle(centre, self._config.felt_radius)
+        self._task.path = None
+        self._task.driven.clear()

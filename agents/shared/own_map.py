@@ -1,0 +1,106 @@
+"""What an explorer knows of its surroundings: the map that it builds, where its body has been, what it saw close by.
+
+The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Three masks over its
+columns stand beside it: a body disproves whatever is believed to stand where it is; the ring around it, which the
+camera looks over, is free where nothing was seen; and a thin leg, which averages away in cells wider than it, is
+remembered as it was seen from nearby.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.agents.shared.mapping import Mapper
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.floor_plan import FloorPlan
+
+
+@dataclass(frozen=True)
+class OwnMapConfig:
+    """Extent of the map and heights of the body; lengths in metres."""
+
+    voxel: float = 0.07
+    extent: float = 36.0  # along x and y, the start in its middle: the apartment's size is not known
+    levels: tuple[float, float] = (-0.35, 3.2)  # heights that the map covers
+    slots: int = 8000  # blocks with storage, 100 MB: five apartments of 100 m^2
+    heights: tuple[float, float] = (0.08, 0.5)  # of the body above the floor, whose noise stays below
+    ring: float = 0.08  # around where the body has been: free where nothing was seen, since the camera looks above it
+    close_range: float = 2.0  # within which what is seen at the body's height is remembered as it is
+    close_low: float = 0.025  # above the floor: where that begins
+
+
+class OwnMap:
+    """The belief of one episode; see the module."""
+
+    def __init__(self, context: AgentContext, mapper: Mapper, config: OwnMapConfig, observation: Observation) -> None:
+        """From the first observation, seen from ``context.start_pose``."""
+        self.config, self._mapper = config, mapper
+        self.camera = Camera.from_matrix(context.K, *context.camera)
+        self.T_body_cam = np.asarray(context.T_body_cam, np.float64)
+        self.radius = 0.5 * context.body_length
+        low, high = config.levels
+        n, nz = round(config.extent / config.voxel), round((high - low) / config.voxel)
+        corner = np.asarray(context.start_pose, np.float64)[:2] - 0.5 * config.voxel * (n - 1)
+        prior = VoxelMap.prior(np.array([*corner, low]), config.voxel, (n, n, nz), slots=config.slots)
+        shape = prior.shape[:2]
+        self._corner = np.asarray(prior.origin, np.float64)[:2]
+        self._body, self._near = np.zeros(shape, bool), np.zeros(shape, bool)
+        self._seen = np.zeros(shape, np.int16)
+        self._rays = np.asarray(self.camera.rays(), np.float64)[::2, ::2]
+        self.estimate = mapper.reset(prior, context, observation)
+        self._mark(observation)
+
+    @property
+    def map(self) -> VoxelMap:
+        """The belief, world frame; valid until the next observation."""
+        return self._mapper.map
+
+    @property
+    def is_full(self) -> bool:
+        """Whether something was seen that found no room in the map any more."""
+        table = self.map.table
+        return table is not None and int(table.refused) > 0
+
+    def take(self, command: np.ndarray, observation: Observation) -> None:
+        """Take up what was seen after ``command`` ``(turn, o, s)``; ``estimate`` says from where."""
+        self.estimate = self._mapper.update(command, observation)
+        if self.estimate.status.fits:
+            self._mark(observation)
+
+    def _mark(self, observation: Observation) -> None:
+        """What the body and a look from close by say."""
+        planar = self.estimate.planar
+        depth = np.asarray(observation["depth"], np.float32)
+        self._stand(planar[:2])
+        self._notice(depth[::2, ::2], planar_to_matrix(planar) @ self.T_body_cam)
+
+    def plan(self) -> FloorPlan:
+        """The floor plan of the present belief."""
+        low, high = self.config.heights
+        return FloorPlan.of(self.map, low, high, self._body, self._near, self._seen >= 2)
+
+    def _stand(self, xy: np.ndarray) -> None:
+        """The body is here."""
+        reach = self.radius + self.config.ring
+        first = np.floor((xy - reach - self._corner) / self.config.voxel).astype(int)
+        size = int(2.0 * reach / self.config.voxel) + 2
+        window = tuple(slice(max(0, f), max(0, f + size)) for f in first)
+        x, y = (self._corner[a] + self.config.voxel * np.arange(w.start, w.stop) - xy[a] for a, w in enumerate(window))
+        away = np.hypot(x[:, None], y[None, :])[: self._body[window].shape[0], : self._body[window].shape[1]]
+        self._body[window] |= away <= self.radius
+        self._near[window] |= away <= reach
+
+    def _notice(self, depth: np.ndarray, T_world_cam: np.ndarray) -> None:
+        """Count readings at the body's height nearby; readings of a noisy camera err with the square of the depth."""
+        c = self.config
+        p_world = (self._rays * depth[..., None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+        floor = c.close_low + 0.01 * depth**2
+        held = (depth > 0.05) & (depth < c.close_range) & (p_world[..., 2] > floor) & (p_world[..., 2] < c.heights[1])
+        cell = np.floor((p_world[held][:, :2] - self._corner) / c.voxel + 0.5).astype(int)
+        cell = cell[np.all((cell >= 0) & (cell < self._seen.shape), axis=1)]
+        number, count = np.unique(cell[:, 0] * self._seen.shape[1] + cell[:, 1], return_counts=True)
+        flat = self._seen.reshape(-1)
+        flat[number] = np.minimum(flat[number] + np.minimum(count, 2), 100)

@@ -1,0 +1,1 @@
+"""Benchmarks: ``vssm-gym bench``."""

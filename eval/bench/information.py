@@ -1,0 +1,158 @@
+"""``bench information``: what an imagined step costs, and how well its gain ranks candidates (SPEC 8).
+
+Maps of a scene are learned from the first looks of a survey, at true poses and without noise. Candidates are short
+ways through free space that starts where a map already knows it. Each estimate is compared with the gain by all pixels
+and cells, and with what the true images at the same poses then give.
+"""
+
+import os
+import platform
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import spearmanr
+
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.sensors import CameraConfig, SceneCamera, make_camera
+from vssm_gym.envs.tasks.survey import survey_route
+from vssm_gym.errors import InputError
+from vssm_gym.eval.bench.speed import CompileCounter
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
+from vssm_gym.inference.mapping.map_update import update
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.planning.exploration.information import InformationConfig, entropy, expected_gain
+from vssm_gym.planning.exploration.information.information_sum import gains
+from vssm_gym.planning.exploration.information.observed import Grid, observed
+
+VOXEL = 0.07  # m
+MARGIN = 0.25  # m of the map beyond floor and ceiling
+VIEWPOINTS = (1, 4, 12)  # of the survey, that the maps have seen
+HEADINGS = 8  # looks at a viewpoint
+STEPS = 5  # of a candidate
+TURN, STEP = 0.5, 0.25  # rad and m a step, at most
+AIM_MS, AIM_RANK = 3.0, 0.95
+ALL = InformationConfig(pixels=None, every=1)
+# Configuration, and surfaces expected in a metre of unknown space, 1/m.
+ESTIMATES = {
+    "default": (InformationConfig(), 0.0),
+    "300 pixels": (InformationConfig(pixels=300), 0.0),
+    "4,800 pixels": (InformationConfig(pixels=4800), 0.0),
+    "19,200 pixels": (InformationConfig(pixels=None), 0.0),
+    "default, every cell": (InformationConfig(every=1), 0.0),
+    "all pixels and cells": (ALL, 0.0),
+    "default, rays end at 4 m": (InformationConfig(max_depth=4.0), 0.0),
+    "default, ground and 2 m of unknown": (InformationConfig(ground=0.0), 0.5),
+    "default, 4 samples of the map": (InformationConfig(samples=4), 0.0),
+}
+
+Progress = Callable[[str, int, int], None]
+
+
+def measure(*, scene: str, candidates: int, seed: int, progress: Progress | None = None) -> dict[str, Any]:
+    """Times and rank correlations of every estimate, on maps of growing extent.
+
+    Args:
+        scene: built-in name or path.
+        candidates: trajectories that are ranked on each map.
+        seed: of the survey and of the candidates.
+        progress: told ("measuring", estimates, of how many).
+
+    Returns:
+        ``rows`` of ``map`` (images in it), ``entropy`` (nats), ``what``, ``ms`` (a step), ``rank`` (Spearman's, with
+        all pixels and cells), ``rank_true`` (with the true images' gain), ``ratio`` (median of estimate over truth);
+        ``recompilations`` in calls with other candidates; the machine and its load before.
+
+    Raises:
+        InputError: a scene without known free space to start from.
+    """
+    apartment, robot = load_scene(scene), HolonomicRobot()
+    eye = make_camera(apartment.boxes(), CameraConfig())
+    machine = {"cores": os.cpu_count(), "processor": platform.machine(), "load": round(os.getloadavg()[0], 1)}
+    rng, rows, recompilations = np.random.default_rng(seed), [], 0
+    looks = survey_looks(apartment, robot, seed)
+    for i, viewpoints in enumerate(VIEWPOINTS):
+        m = learned(apartment, eye, looks[: viewpoints * HEADINGS])
+        T = candidate_trajectories(m, apartment, robot, candidates, rng)
+        exact, truth = expected_gain(m, T, eye.camera, ALL).total, true_gain(m, T, eye)
+        for j, (what, (config, hazard)) in enumerate(ESTIMATES.items()):
+            gain, ms, compiled = timed(m, T, eye.camera, config, hazard)
+            rank, rank_true = (float(spearmanr(gain, other).statistic) for other in (exact, truth))
+            ratio = float(np.median(gain / truth))
+            row = {"map": min(viewpoints * HEADINGS, len(looks)), "entropy": entropy(m), "what": what, "ms": ms}
+            rows.append(row | {"rank": rank, "rank_true": rank_true, "ratio": ratio})
+            recompilations += compiled
+            if progress:
+                progress("measuring", i * len(ESTIMATES) + j + 1, len(VIEWPOINTS) * len(ESTIMATES))
+    eye.close()
+    found = {"scene": scene, "candidates": candidates, "steps": STEPS, "cells": int(np.prod(m.shape)), "rows": rows}
+    return found | {"aims": (AIM_MS, AIM_RANK), "recompilations": recompilations, "machine": machine}
+
+
+def survey_looks(apartment: Apartment, robot: HolonomicRobot, seed: int) -> np.ndarray:
+    """Camera poses ``(looks, 4, 4)``: around at every viewpoint of a survey, in its order."""
+    places = [(w.x, w.y) for w in survey_route(apartment, robot, seed) if w.turn_around]
+    turns = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
+    return np.stack([planar_to_matrix(np.array([x, y, a])) @ robot.T_body_cam for x, y in places for a in turns])
+
+
+def learned(apartment: Apartment, eye: SceneCamera, looks: np.ndarray) -> VoxelMap:
+    """The map after these looks, over the whole apartment."""
+    corners = np.concatenate([np.array(room.polygon) for room in apartment.rooms])
+    low = np.append(corners.min(axis=0), 0.0) - MARGIN
+    high = np.append(corners.max(axis=0), apartment.ceiling_height) + MARGIN
+    x, y, z = (int(n) for n in np.ceil((high - low) / VOXEL) + 1)
+    m = VoxelMap.prior(low, VOXEL, (x, y, z))
+    for T in looks:
+        rgb, depth = eye.render(T)
+        colour = jnp.asarray(rgb, jnp.float32) / 255.0
+        m = update(m, jnp.asarray(depth), colour, jnp.asarray(T, jnp.float32), eye.camera, ALL.update)
+    return m
+
+
+def candidate_trajectories(
+    m: VoxelMap, apartment: Apartment, robot: HolonomicRobot, n: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Camera poses ``(n, STEPS, 4, 4)``: from known free places, turning as they go and halting before obstacles."""
+    space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
+    xy = space.sample(rng, 50 * n)
+    eyes = np.column_stack([xy, np.full(len(xy), robot.camera_height)])
+    xy = xy[np.asarray(m.precision(jnp.asarray(eyes, jnp.float32)))[:, 0] > OBSERVED_PRECISION][:n]
+    if len(xy) < n:
+        raise InputError(apartment.name, "floor", f"known free space around the survey's start for {n} candidates")
+    heading = rng.uniform(-np.pi, np.pi, n)
+    turn, poses = rng.uniform(-TURN, TURN, n), []
+    for _ in range(STEPS):
+        poses.append(planar_to_matrix(np.column_stack([xy, heading])) @ robot.T_body_cam)
+        heading = wrap_angle(heading + turn)
+        ahead = xy + STEP * np.column_stack([np.cos(heading), np.sin(heading)])
+        xy = np.where(space.contains(ahead)[:, None], ahead, xy)
+    return np.stack(poses, axis=1)
+
+
+def true_gain(m: VoxelMap, T_world_cam: np.ndarray, eye: SceneCamera) -> np.ndarray:
+    """What the true images of the trajectories give, nats: the same sum over the cells that they observe."""
+    views = T_world_cam.reshape(-1, 4, 4)
+    depth = np.stack([eye.render(T)[1] for T in views])
+    seen = observed(depth, views, eye.camera, Grid.of(m), ALL.update, ALL.every)
+    paths = np.arange(len(views)).reshape(T_world_cam.shape[:2])
+    return gains(m, seen, paths, ALL.update.std**-2, ALL.every, ALL.known)[:, -1]
+
+
+def timed(
+    m: VoxelMap, T: np.ndarray, camera: Camera, config: InformationConfig, hazard: float
+) -> tuple[np.ndarray, float, int]:
+    """Gains of the trajectories, milliseconds a step, and what was compiled after a first call with fewer of them."""
+    expected_gain(m, T[:3], camera, config, hazard=hazard)
+    counter, seconds = CompileCounter(), []
+    for _ in range(3):
+        began = time.perf_counter()
+        found = expected_gain(m, T, camera, config, hazard=hazard)
+        seconds.append(time.perf_counter() - began)
+    return found.total, 1e3 * float(np.median(seconds)) / found.along.size, counter.count

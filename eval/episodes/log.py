@@ -1,0 +1,123 @@
+"""``episodes.jsonl``: one JSON object a line, one line an episode; the line is on disk before the next episode starts.
+
+A process that is killed while it writes leaves at most one unfinished last line. Opening the log drops that line, and
+only that line; anything else that cannot be read is an error, never silently skipped. Each row is held to the schema of
+:mod:`vssm_gym.eval.episodes.row` when it is written and when it is read.
+"""
+
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import ValidationError
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
+from vssm_gym.eval.episodes.row import KEY, checked, written
+
+FILE = "episodes.jsonl"
+
+
+def episode_key(row: Mapping[str, Any]) -> tuple:
+    """The identity of an episode among all others of a sweep."""
+    return tuple(row[name] for name in KEY)
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Every finished episode of a log, in the order of writing; an unfinished last line is ignored.
+
+    Rows that leave out what all of the sweep's rows share are completed from the ``sweep.json`` beside the log.
+
+    Raises:
+        InputError: the file is missing, a line is not an episode, or an episode appears twice.
+    """
+    if not path.is_file():
+        raise InputError(path, "file", "an episode log; `vssm-gym sweep` writes one")
+    return _parse(path, _whole_lines(path.read_bytes()))
+
+
+def _whole_lines(data: bytes) -> bytes:
+    """The log up to the last line that ended; a crash of the machine may also leave a last line of zeros."""
+    whole = data[: data.rfind(b"\n") + 1]
+    last = whole[:-1].rpartition(b"\n")[2]
+    return whole[: len(whole) - len(last) - 1] if b"\0" in last else whole
+
+
+def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    seen: dict[tuple, int] = {}
+    manifest: dict[str, Any] | None = None
+    for number, line in enumerate(data.splitlines(), start=1):
+        try:
+            row = json.loads(line)
+            if not isinstance(row, dict):
+                raise TypeError(f"found {type(row).__name__}")
+        except (ValueError, TypeError) as error:
+            raise InputError(path, f"line {number}", f"one episode as JSON ({error})") from error
+        if missing := [name for name in KEY if name not in row]:
+            if not (path.parent / MANIFEST).is_file():
+                expected = f"one episode as JSON with {', '.join(KEY)}; there is no {missing[0]}"
+                raise InputError(path, f"line {number}", expected)
+            manifest = manifest or read_manifest(path.parent / MANIFEST)
+            row = completed(row, manifest)
+        try:
+            row = checked(row)
+        except ValidationError as error:
+            problem = error.errors()[0]
+            field = ".".join(str(part) for part in problem["loc"])
+            expected = f"one episode as JSON; {field}: {problem['msg'].removeprefix('Input should be ')}"
+            raise InputError(path, f"line {number}", expected) from error
+        key = episode_key(row)
+        if key in seen:
+            raise InputError(path, f"line {number}", f"each episode once; it repeats line {seen[key]}")
+        seen[key] = number
+        rows.append(row)
+    return rows
+
+
+def line_of(row: dict[str, Any]) -> bytes:
+    """The line of a log that holds a row."""
+    return json.dumps(row, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+class EpisodeLog:
+    """The one writer of a log. ``rows`` are the episodes that it holds, those of an earlier process included.
+
+    An exclusive lock keeps a second sweep from writing the same episodes again; the system releases it with the
+    process, however the process ends.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("ab")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._file.close()
+            raise InputError(path, "file", "no other sweep writing it at the same time") from error
+        whole = _whole_lines(path.read_bytes())
+        try:
+            self.rows = _parse(path, whole)
+        except InputError:
+            self._file.close()
+            raise
+        self._file.truncate(len(whole))
+
+    def append(self, row: dict[str, Any]) -> None:
+        """Add one finished episode; it survives a power cut once this returns.
+
+        Raises ValueError for what is no row of the schema; nothing is written then.
+        """
+        row = written(row)
+        self._file.write(line_of(row))
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self.rows.append(row)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()

@@ -1,0 +1,1 @@
+"""Metrics of episodes and maps, their registry, and means with intervals."""

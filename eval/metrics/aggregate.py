@@ -1,0 +1,132 @@
+"""Means over tasks with 95 % intervals, and paired differences between agents (SPEC 12).
+
+The unit that is resampled is the *task*: episodes of one task under several seeds share their start, goal and
+corridor and are not independent, so they enter and leave a resample together (a cluster bootstrap).
+"""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.row import KEY
+
+Row = Mapping[str, Any]  # one episode, as `vssm_gym.eval.sweep.runner` writes it
+
+RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
+# What an episode shares with its pair.
+CONDITION = tuple(name for name in KEY if name not in ("task", "seed", "agent"))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its 95 % percentile interval; NaN bounds where fewer than two tasks leave nothing to resample."""
+
+    mean: float
+    low: float
+    high: float
+    tasks: int  # independent clusters behind the mean
+    episodes: int
+
+    def text(self, digits: int = 2) -> str:
+        """``mean [low, high]``; a dash where there is no interval."""
+        if not np.isfinite(self.mean):
+            return "-"
+        mean, low, high = (f"{value:z.{digits}f}" for value in (self.mean, self.low, self.high))  # z: no "-0.00"
+        return f"{mean} [{low}, {high}]" if np.isfinite(self.low) else f"{mean} [-]"
+
+
+def bootstrap_mean(values: Sequence[float], tasks: Sequence[Hashable], seed: int = 0) -> Interval:
+    """``mean(x)`` and the 2.5 % and 97.5 % quantiles of ``sum_c w_c S_c / sum_c w_c n_c``, w ~ Multinomial(C, 1/C).
+
+    Args:
+        values: one number an episode.
+        tasks: the task of each episode; those of one task are resampled together (S_c their sum, n_c their count).
+        seed: of the resampling; equal seeds give equal intervals.
+
+    Returns:
+        The :class:`Interval`; its mean is NaN when ``values`` is empty.
+    """
+    if len(values) != len(tasks):
+        raise ValueError(f"{len(values)} values for {len(tasks)} tasks")
+    if not len(values):
+        return Interval(np.nan, np.nan, np.nan, 0, 0)
+    x = np.asarray(values, dtype=np.float64)
+    cluster_of: dict[Hashable, int] = {}
+    cluster = np.array([cluster_of.setdefault(task, len(cluster_of)) for task in tasks])
+    sums, counts = np.bincount(cluster, weights=x), np.bincount(cluster)
+    if len(cluster_of) < 2:
+        return Interval(float(x.mean()), np.nan, np.nan, 1, len(x))
+    weights = _resamples(len(cluster_of), seed)
+    means = (weights @ sums) / (weights @ counts)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return Interval(float(x.mean()), float(low), float(high), len(cluster_of), len(x))
+
+
+@lru_cache(maxsize=8)
+def _resamples(clusters: int, seed: int) -> np.ndarray:
+    """``(resamples, clusters)`` how often each cluster is drawn; one set serves every metric of a table."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, clusters]))
+    return rng.multinomial(clusters, np.full(clusters, 1.0 / clusters), size=RESAMPLES).astype(np.float64)
+
+
+def task_key(row: Row) -> tuple[str, int]:
+    """What makes two episodes runs of one task: the apartment's content and the task's number."""
+    return str(row["scene_hash"]), int(row["task"])
+
+
+def mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
+    """The interval of ``metric`` over the tasks of ``rows``; episodes that lack it (None) are left out."""
+    present = [row for row in rows if row.get(metric) is not None]
+    return bootstrap_mean([float(row[metric]) for row in present], [task_key(row) for row in present], seed)
+
+
+def paired_difference(
+    rows: Iterable[Row], metric: str, agent: str, reference: str, seed: int = 0, by: str = "agent"
+) -> Interval:
+    """``mean(agent - reference)`` over episodes that both ran on the same condition, task and seed, with its interval.
+
+    The episode seed does not depend on the agent, so both met the same task and the same noise stream: the difference
+    is far tighter than that of two independent means. Episodes without a partner are left out.
+
+    Args:
+        by: the field whose two values are compared, all others equal; ``"physics"`` compares two simulators.
+
+    Raises:
+        InputError: the two share no episode.
+    """
+    return bootstrap_mean(*paired_values(rows, metric, agent, reference, by), seed)
+
+
+def paired_values(
+    rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent"
+) -> tuple[list[float], list[Hashable]]:
+    """``first - second`` of every episode that both ran, and its task; raises like :func:`paired_difference`."""
+    rows = list(rows)
+    of_first, of_second = _by_episode(rows, metric, by, first), _by_episode(rows, metric, by, second)
+    shared = [key for key in of_first if key in of_second]
+    if not shared:
+        both = "agents" if by == "agent" else by
+        raise InputError("paired difference", f"{first} - {second}", f"episodes of both {both} that have {metric}")
+    return [of_first[key][0] - of_second[key][0] for key in shared], [of_first[key][1] for key in shared]
+
+
+def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[tuple, tuple[float, Hashable]]:
+    """Episode (all that identifies it but ``by``) to its value and task, where ``by`` is ``value``."""
+    same = [name for name in (*CONDITION, "agent") if name != by]
+    return {
+        (*(row[name] for name in same), row["task"], row["seed"]): (float(row[metric]), task_key(row))
+        for row in rows
+        if row[by] == value and row.get(metric) is not None
+    }
+
+
+def group_rows(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
+    """Rows by the values of the fields ``by``, in the order in which the groups first appear."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(str(row[name]) for name in by), []).append(row)
+    return groups

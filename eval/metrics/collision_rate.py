@@ -1,0 +1,14 @@
+"""Collisions by the metre: how roughly a robot drives, whatever the length of its path."""
+
+from vssm_gym.eval.metrics.metric import Metric, Row
+
+
+def collision_rate(row: Row) -> float | None:
+    """``collisions / path_length``: steps in contact for each metre driven; None for a robot that did not move."""
+    contacts, path = row.get("collisions"), row.get("path_length")
+    if contacts is None or not path:
+        return None
+    return contacts / path
+
+
+COLLISION_RATE = Metric(collision_rate, "collisions / m", 2, "lower", ("navigation", "explore"))

@@ -1,0 +1,76 @@
+"""Shares of episodes (reached, touched) with 95 % intervals that hold for rare events too.
+
+A bootstrap of zeros says [0, 0], however few they are. Here 0 of n leaves room for about 3.7 / n. The unit is the task,
+as in :mod:`vssm_gym.eval.metrics.aggregate`: n tasks with several episodes each count as n trials whose successes are
+the tasks' mean shares, which is exact for one episode a task and on the safe side for more.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import brentq
+
+from vssm_gym.eval.metrics.aggregate import Interval, Row, paired_values, task_key
+
+TAIL = 0.025
+
+
+def clopper_pearson(k: float, n: int) -> tuple[float, float]:
+    """The shares p of which neither ``P(X >= k | n, p)`` nor ``P(X <= k | n, p)`` is below 2.5 %, X binomial.
+
+    Never covers less than 95 % (Clopper and Pearson, 1934). ``k`` in [0, n] may be a fraction; ``n`` >= 1.
+    """
+    low = float(stats.beta.ppf(TAIL, k, n - k + 1)) if k > 0 else 0.0
+    high = float(stats.beta.ppf(1.0 - TAIL, k + 1, n - k)) if k < n else 1.0
+    return low, high
+
+
+def tango(gained: float, lost: float, n: int) -> tuple[float, float]:
+    """The differences ``d`` of paired shares with ``|b - c - n d| <= 1.96 sqrt(n (2 q + d (1 - d)))``.
+
+    Of n pairs ``b = gained`` hold only for the first and ``c = lost`` only for the second; ``q`` is the most likely
+    share of the latter were ``d`` true (Tango, 1998). No disagreement in n pairs leaves room for 3.8 / (n + 3.8).
+    """
+    z = float(stats.norm.ppf(1.0 - TAIL))
+
+    def score(d: float) -> float:
+        linear, constant = (2 * n - gained + lost) * d - gained - lost, -lost * d * (1.0 - d)
+        q = (np.sqrt(max(linear**2 - 8.0 * n * constant, 0.0)) - linear) / (4.0 * n)
+        return (gained - lost - n * d) / np.sqrt(max(n * (2.0 * q + d * (1.0 - d)), 1e-12))
+
+    # The score falls with d, and is 0 at the estimate.
+    middle, edge = (gained - lost) / n, 1.0 - 1e-9
+    low = brentq(lambda d: score(d) - z, -edge, middle) if middle > -edge and score(-edge) > z else -1.0
+    high = brentq(lambda d: score(d) + z, middle, edge) if middle < edge and score(edge) < -z else 1.0
+    return float(low), float(high)
+
+
+def percent(rows: Iterable[Row], metric: str) -> Interval:
+    """The share of episodes where the boolean ``metric`` holds, in %, with the interval of Clopper and Pearson."""
+    by_task: dict[object, list[float]] = {}
+    for row in rows:
+        if row.get(metric) is not None:
+            by_task.setdefault(task_key(row), []).append(float(row[metric]))
+    values = [value for task in by_task.values() for value in task]
+    if not values:
+        return Interval(np.nan, np.nan, np.nan, 0, 0)
+    share, n = float(np.mean(values)), len(by_task)
+    low, high = clopper_pearson(share * n, n)
+    return Interval(100.0 * share, 100.0 * low, 100.0 * high, n, len(values))
+
+
+def paired_percent(rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent") -> Interval:
+    """``first - second`` in points of % over episodes that both ran, with the interval of Tango.
+
+    Raises like :func:`vssm_gym.eval.metrics.aggregate.paired_difference`.
+    """
+    differences, tasks = paired_values(rows, metric, first, second, by)
+    n = len(set(tasks))
+    weight = n / len(differences)
+    low, high = tango(weight * _count(differences, 1.0), weight * _count(differences, -1.0), n)
+    return Interval(100.0 * float(np.mean(differences)), 100.0 * low, 100.0 * high, n, len(differences))
+
+
+def _count(differences: Sequence[float], sign: float) -> int:
+    return int(np.count_nonzero(np.asarray(differences) == sign))

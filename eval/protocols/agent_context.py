@@ -1,0 +1,113 @@
+"""What an agent is told before it starts, built in one place: nothing of the scene."""
+
+from functools import singledispatch
+from typing import Any, Protocol
+
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext
+from vssm_gym.envs.robots.differential import DifferentialRobot
+from vssm_gym.geometry.car import Car
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
+from vssm_gym.model.transition.differential import DifferentialDrive, WheelNoise
+
+
+class Body(Protocol):
+    """What contexts read of a robot."""
+
+    @property
+    def T_body_cam(self) -> np.ndarray:
+        """``(4, 4)`` pose of the camera in the body frame, m."""
+        ...
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Largest values of a command."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Seconds a step."""
+        ...
+
+
+# How a real car strays from the bicycle in 0.1 s: 3 degrees of steering, a tenth of its speed, and tyres that slip.
+CAR_STRAYS = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
+
+
+@singledispatch
+def believed_motion(body: Any, noise: tuple[float, float]) -> Transition:
+    """Return how a robot believes that it moves; unless its kind is registered here, as a holonomic one does.
+
+    Args:
+        body: the robot.
+        noise: standard deviations that it is told of its execution.
+    """
+    return Planar(MotionNoise(*noise))
+
+
+believed_motion.register(Car, lambda body, noise: Bicycle(CAR_STRAYS, body.wheelbase))
+believed_motion.register(DifferentialRobot, lambda body, noise: DifferentialDrive(WheelNoise(*noise), body.track))
+
+
+def context_of(
+    body: Body,
+    length: float,
+    start_pose: np.ndarray,
+    *,
+    success_radius: float,
+    noise: tuple[float, float],
+    voxel_map: VoxelMap | None = None,
+    camera: Any = None,
+    K: np.ndarray | None = None,
+    limits: np.ndarray | None = None,
+) -> AgentContext:
+    """The context of a robot.
+
+    Args:
+        body: its measures; a :class:`Car` is told to the agent as a whole.
+        length: diameter of the robot's footprint, or length of the car's, m.
+        start_pose: ``(3,)`` x, y (m), heading (rad).
+        success_radius: m, around the goal; 0 where there is none.
+        noise: standard deviations of the execution noise that the agent is told, rad and m.
+        voxel_map: the learned map, None for an agent that needs none.
+        camera: width and height in pixels; None without one.
+        K: ``(3, 3)`` of the camera, pixels; None without one.
+        limits: of a command, where not all of the body's.
+    """
+    return AgentContext(
+        K=np.eye(3) if K is None else np.array(K),
+        camera=(0, 0) if camera is None else (camera.width, camera.height),
+        T_body_cam=body.T_body_cam,
+        limits=body.limits if limits is None else limits,
+        dt=body.dt,
+        map=voxel_map,
+        start_pose=np.array(start_pose),
+        body_length=length,
+        success_radius=success_radius,
+        noise=noise,
+        transition=believed_motion(body, noise),
+        car=body if isinstance(body, Car) else None,
+    )
+
+
+def context_in(
+    world: Any,
+    info: dict[str, Any],
+    voxel_map: VoxelMap | None,
+    noise: tuple[float, float],
+    limits: np.ndarray | None = None,
+) -> AgentContext:
+    """The context of a round robot in a world that was just reset; ``info`` is what its reset returned."""
+    return context_of(
+        world.robot,
+        world.robot.body_length,
+        info["start_pose"],
+        success_radius=getattr(world, "success_radius", 0.0),  # an explorer has no goal
+        noise=noise,
+        voxel_map=voxel_map,
+        camera=getattr(world, "camera", None),  # a scanner's robot has none
+        K=info.get("K"),
+        limits=limits,
+    )

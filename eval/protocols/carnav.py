@@ -1,0 +1,157 @@
+"""CarNav in a sweep: a chain of target poses, its environment, and one episode of it."""
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.agents.base import Agent, Decision
+from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.envs.tasks import car_sets as car_task_sets
+from vssm_gym.envs.tasks.car import ALIGNED, REACHED, CarTask
+from vssm_gym.envs.tasks.car_sets import CarTaskSet
+from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.metrics.failure import failure_reason
+from vssm_gym.eval.metrics.navigation import episode_metrics
+from vssm_gym.eval.protocols.agent_context import context_of
+from vssm_gym.eval.protocols.episode import estimates_of, latency_of, thinned, trace_of
+from vssm_gym.eval.protocols.shared import conditions, keep_or_write, load, notice, scene_names, tasks_in, world
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.car import reeds_shepp
+
+__all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
+
+MOVING = 0.05  # m/s, of a command: slower is standing, for the count of direction changes
+
+
+def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
+    """Write a chain of ``n`` test targets of a scene to a file; one that is there and as long is kept."""
+    make = partial(car_task_sets.make_car_tasks, apartment, n)
+    keep_or_write(apartment, n, path, car_task_sets.load, make, car_task_sets.save)
+
+
+def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
+    """Run one episode; returns its measured fields of a row."""
+    tasks = tasks_in(task_file, CarTaskSet)
+    env = world(
+        episode.condition,
+        physics=episode.condition.physics,
+        observe_pose=agent.needs_pose,
+        images=not agent.needs_pose,  # who sees the pose needs no images, and rendering takes half of the time
+    )
+    seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
+    return run_episode(env, agent, tasks.tasks[episode.task], seed=seed, voxel_map=voxel_map)
+
+
+def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_map: VoxelMap | None) -> dict[str, Any]:
+    """Run ``agent`` on ``task`` until the car is there, time is out, or the agent refuses it.
+
+    Args:
+        env: CarNav with its time limit; the pose is observed if and only if the agent needs it.
+        agent: any agent of the registry that drives a car; it is reset here.
+        task: start and target pose.
+        seed: of the environment's streams and, mixed, of the agent; the same for every agent.
+        voxel_map: the learned map.
+
+    Returns:
+        The metrics of :func:`episode_metrics`, with the length of the shortest Reeds-Shepp curve into the target's
+        region, obstacles apart, as ``geodesic``; ``touches`` (times the car came to touch something), ``touched``,
+        ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``, ``status``, latencies, ``trace`` (its
+        ``poses`` with headings).
+    """
+    observation, info = env.reset(seed=seed, options={"task": task})
+    body: Any = env.unwrapped
+    car = body.car
+    context = context_of(
+        car,
+        car.length,
+        info["start_pose"],
+        success_radius=REACHED,
+        noise=(0.0, 0.0),
+        voxel_map=voxel_map,
+        camera=body.camera,
+        K=info["K"],
+    )
+    agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
+    poses, contacts, speeds = [body.planar], [], []
+    decisions: list[Decision] = []
+    seconds: list[float] = []
+    ended = False
+    while not ended:
+        began = time.perf_counter()
+        decision = agent.act(observation)
+        seconds.append(time.perf_counter() - began)
+        decisions.append(decision)
+        if decision.gives_up:
+            break
+        observation, _, terminated, truncated, info = env.step(decision.action)
+        ended = terminated or truncated
+        poses.append(body.planar)
+        contacts.append(bool(info["collision"]))
+        speeds.append(float(info["control"][0]))
+
+    path, goal, contact = np.array(poses), np.array(task.goal), np.array(contacts, dtype=bool)
+    estimates = estimates_of(decisions, stopped=decisions[-1].gives_up)
+    estimates = None if estimates is None else estimates[: len(path)]
+    success = bool(info.get("success", False))
+    radius = car.turning_radius
+    metrics = episode_metrics(
+        success=success,
+        geodesic=shortest_curve(np.array(task.start), goal, radius),
+        remaining=0.0 if success else shortest_curve(path[-1], goal, radius),
+        positions=path[:, :2],
+        goal=goal[:2],
+        contacts=contact,
+        estimates=estimates,
+    )
+    failure = failure_reason(
+        stopped=False,
+        statuses=[decision.status for decision in decisions],
+        positions=path[:, :2],
+        estimates=estimates,
+        goal=goal[:2],
+        contacts=contact,
+        body_length=context.body_length,
+    )
+    if decisions[-1].gives_up:
+        failure = f"planner: {decisions[-1].status}"
+    return {
+        **metrics,
+        "touches": int(info["touches"]),
+        "touched": bool(info["touches"]),
+        "seconds": round(len(contacts) * context.dt, 3),
+        "direction_changes": direction_changes(np.array(speeds)),
+        "heading_error": task.turn(path[-1]),
+        "failure": None if success else failure,
+        "status": decisions[-1].status,
+        "latency": latency_of(decisions, seconds),
+        "end_on": "reach",
+        "tracer": body.renderer_name,
+        "success_radius": context.success_radius,
+        "goal": [float(v) for v in goal],
+        "trace": {**trace_of(path[:, :2], estimates, contact), "poses": thinned(path)},
+    }
+
+
+def shortest_curve(start: np.ndarray, goal: np.ndarray, radius: float) -> float:
+    """Length (m) of the shortest Reeds-Shepp curve from a pose into a target's region: to 4 mm, no car drives less.
+
+    Over a lattice of the region; at least a millimetre, so that ratios stay finite.
+    """
+    r, angle = np.meshgrid(np.array([0.0, 0.5, 1.0]) * REACHED, np.linspace(-np.pi, np.pi, 13)[:-1], indexing="ij")
+    offsets = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+    turns = np.linspace(-ALIGNED, ALIGNED, 5) if len(goal) == 3 else np.linspace(-np.pi, np.pi, 25)[:-1]
+    heading = goal[2] if len(goal) == 3 else 0.0
+    places = np.concatenate([goal[:2] + offsets], axis=0)
+    goals = np.array([(*place, heading + turn) for place in places for turn in turns])
+    starts = np.broadcast_to(start, goals.shape)
+    return max(1e-3, float(reeds_shepp.length(starts, goals, radius).min()))
+
+
+def direction_changes(speeds: np.ndarray) -> int:
+    """How often a drive turns from forwards to backwards or the other way, standing in between or not."""
+    signs = np.sign(speeds[np.abs(speeds) > MOVING])
+    return int(np.count_nonzero(np.diff(signs)))

@@ -1,0 +1,179 @@
+"""One episode of one agent: the loop that hands observations to the agent, and the truth to nobody but the metrics."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.agents.base import Agent, Decision, Observation
+from vssm_gym.envs.tasks.navigation import Task, TaskSampler
+from vssm_gym.eval.metrics.failure import failure_reason
+from vssm_gym.eval.metrics.navigation import episode_metrics
+from vssm_gym.eval.protocols.agent_context import context_in
+from vssm_gym.maps.voxel_map import VoxelMap
+
+TRACE_POINTS = 80  # of a path kept in a row, enough for a picture
+TRACE_CONTACTS = 30
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a run as a spectator sees it: the agent has taken up the image and decided, nothing has moved yet.
+
+    Attributes:
+        number: steps before it.
+        seconds: since the start.
+        planar: ``(3,)`` true x, y (m), heading (rad).
+        observation: what the agent saw.
+        info: the environment's, of the same moment.
+        decision: the agent's.
+    """
+
+    number: int
+    seconds: float
+    planar: np.ndarray
+    observation: Observation
+    info: dict[str, Any]
+    decision: Decision
+
+
+Spectator: TypeAlias = Callable[[Step], None]
+
+
+def run_episode(
+    env: gym.Env,
+    sampler: TaskSampler,
+    agent: Agent,
+    task: Task,
+    *,
+    seed: int,
+    voxel_map: VoxelMap | None,
+    noise: tuple[float, float],
+    limits: np.ndarray | None = None,
+    spectator: Spectator | None = None,
+) -> dict[str, Any]:
+    """Run ``agent`` on ``task`` until it stops or time is out.
+
+    Args:
+        env: PointNav, ImageNav or LidarMaze with its time limit; it shows the pose only to an agent that needs it.
+        sampler: of the environment's scene, for the way that is left at the end.
+        agent: any agent of the registry; it is reset here.
+        task: start and goal.
+        seed: of the environment's streams and, mixed, of the agent; the same for every agent.
+        voxel_map: the learned map, None for an agent that needs none.
+        noise: standard deviations of the execution noise that the agent is told, rad and m.
+        limits: of the agent's commands, where not all of the robot's.
+        spectator: shown every step, in order; what it does takes none of the agent's time.
+
+    Returns:
+        The metrics of :func:`episode_metrics`, ``failure`` (None on success), the agent's last ``status``, latency
+        percentiles by stage in seconds, and the downsampled ``trace``: plain JSON values.
+    """
+    observation, info = env.reset(seed=seed, options={"task": task})
+    world: Any = env.unwrapped
+    world = getattr(world, "navigation", world)  # ImageNav moves, rewards and ends as the PointNav that it holds
+    context = context_in(world, info, voxel_map, noise, limits)
+    agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
+
+    positions = [np.array(world.planar[:2])]
+    contacts: list[bool] = []
+    decisions: list[Decision] = []
+    seconds: list[float] = []
+    ended = False
+    while not ended:
+        began = time.perf_counter()
+        decision = agent.act(observation)
+        seconds.append(time.perf_counter() - began)
+        if spectator is not None:
+            driven = len(contacts) * context.dt
+            spectator(Step(len(contacts), driven, np.array(world.planar), observation, info, decision))
+        observation, _, stopped, truncated, info = env.step(decision.action)
+        ended = stopped or truncated
+        decisions.append(decision)
+        positions.append(np.array(world.planar[:2]))
+        contacts.append(bool(info["collision"]))
+
+    path, goal, contact = np.array(positions), np.array(task.goal), np.array(contacts)
+    estimates = estimates_of(decisions, stopped)
+    success = bool(info.get("success", False))
+    metrics = episode_metrics(
+        success=success,
+        geodesic=task.geodesic,
+        remaining=0.0 if success else _remaining(sampler, path[-1], goal, context.success_radius),
+        positions=path,
+        goal=goal,
+        contacts=contact,
+        estimates=estimates,
+    )
+    failure = failure_reason(
+        stopped=stopped,
+        statuses=[decision.status for decision in decisions],
+        positions=path,
+        estimates=estimates,
+        goal=goal,
+        contacts=contact,
+        body_length=context.body_length,
+    )
+    return {
+        **metrics,
+        "failure": None if success else failure,
+        "status": decisions[-1].status,
+        "latency": latency_of(decisions, seconds),
+        "end_on": world.end_on,
+        "tracer": getattr(world, "renderer_name", "none"),
+        "success_radius": context.success_radius,
+        "goal": [float(v) for v in goal],
+        "trace": trace_of(path, estimates, contact),
+    }
+
+
+def estimates_of(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
+    """The agent's positions at reset and after every step; None if it never gave one.
+
+    A decision's estimate is of the time before its action. After the last action the agent is not asked again: a stop
+    moves nothing, so its estimate stays; after a time-out it is unknown.
+    """
+    if all(decision.pose is None for decision in decisions):
+        return None
+    unknown = np.full(2, np.nan)
+    known = [unknown if decision.pose is None else np.asarray(decision.pose, float)[:2] for decision in decisions]
+    return np.array([*known, known[-1] if stopped else unknown])
+
+
+def _remaining(sampler: TaskSampler, position: np.ndarray, goal: np.ndarray, success_radius: float) -> float:
+    """Metres of way from a true position to the success region; contacts may leave the robot a hair inside a wall."""
+    return sampler.geodesics.length(sampler.space.nearest(position), goal, success_radius)
+
+
+def latency_of(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[str, dict[str, float]]:
+    """50 % and 95 % points of every stage that the agent reports, and of the whole decision, seconds."""
+    stages = {stage: [d.latency[stage] for d in decisions if stage in d.latency] for stage in decisions[0].latency}
+    return {
+        stage: {"p50": round(float(np.quantile(values, 0.5)), 6), "p95": round(float(np.quantile(values, 0.95)), 6)}
+        for stage, values in {**stages, "total": list(seconds)}.items()
+    }
+
+
+def trace_of(
+    positions: np.ndarray, estimates: np.ndarray | None, contacts: np.ndarray
+) -> dict[str, list[list[float]] | None]:
+    """True and estimated path at the same few times, and some of the places of contact, to the millimetre."""
+    known = np.arange(len(positions))
+    if estimates is not None:
+        known = known[np.isfinite(estimates).all(axis=1)]
+    touched = positions[1:][contacts]
+    return {
+        "true": thinned(positions[known]),
+        "estimate": None if estimates is None else thinned(estimates[known]),
+        "contacts": thinned(touched, TRACE_CONTACTS),
+    }
+
+
+def thinned(points: np.ndarray, limit: int = TRACE_POINTS) -> list[list[float]]:
+    """At most ``limit`` of the points, first and last among them."""
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(limit, len(points))).round().astype(int))
+    return points[chosen].round(3).tolist()

@@ -1,0 +1,165 @@
+"""One run of one explorer: the loop that hands it observations, and the truth to nobody but the metrics (SPEC 8).
+
+A run goes on until the agent stops or time is out, whatever it has covered: an episode that ended at 99 % would cut the
+entropy of the fastest explorer short.
+"""
+
+import time
+from functools import lru_cache
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vssm_gym.agents.base import Agent, Decision
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.tasks.scene_cache import Stage
+from vssm_gym.eval.metrics.exploration import GOAL, Recorder
+from vssm_gym.eval.metrics.failure import lost_track, stuck_at
+from vssm_gym.eval.metrics.navigation import location_errors, path_length
+from vssm_gym.eval.metrics.surfaces import Surface, completeness, mesh_quality, observable_surface
+from vssm_gym.eval.protocols.agent_context import context_in
+from vssm_gym.eval.protocols.episode import Spectator, Step, estimates_of, latency_of, thinned, trace_of
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.exploration.information import entropy
+
+JUDGED = 4000  # points of the surface that completeness is sampled by along a run
+TRACE_POINTS = 300  # of a path kept in a row: explorers drive far
+
+
+def map_of(agent: Agent) -> VoxelMap | None:
+    """The belief of an agent that keeps one (``agent.map``), else None."""
+    return getattr(agent, "map", None)
+
+
+def run_episode(
+    env: gym.Env, agent: Agent, start: Float[np.ndarray, "3"], *, seed: int, spectator: Spectator | None = None
+) -> dict[str, Any]:
+    """Let ``agent`` explore from ``start`` until it stops or time is out.
+
+    Args:
+        env: Explore with its time limit and without another end; the pose is observed if the agent needs it.
+        agent: any agent; it is reset here and is given no map.
+        start: x, y (m), heading (rad).
+        seed: of the environment's streams and, mixed, of the agent; the same for every agent.
+        spectator: shown every step, in order; what it does takes none of the agent's time.
+
+    Returns:
+        ``metres_50, _90, _95, _99`` and ``seconds_...`` (None: the run ended before), ``coverage``, ``entropy`` (nats,
+        relative to the prior) and ``completeness`` at its end (None without a map), ``curve`` of these, the mesh's
+        ``accuracy, accurate_5cm, completion, complete_5cm`` (m and shares), ``success`` (90 %), ``stopped`` (by the
+        agent), ``path_length``, ``seconds``, ``steps``, ``collisions`` (steps in contact), ``touched``, location
+        errors, ``failure``, ``status``, latencies, ``budget`` (what the time limit allows), ``trace``.
+    """
+    observation, info = env.reset(seed=seed, options={"start": start})
+    world: Any = env.unwrapped
+    context = context_in(world, info, None, (world.noise.turn, world.noise.step))
+    surface = _surface(world.simulation.stage)
+    judged = _thinned(surface)
+    agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
+
+    def measure() -> tuple[float | None, float | None]:
+        m = map_of(agent)
+        return (None, None) if m is None else (entropy(m), completeness(m, judged))
+
+    recorder = Recorder(measure)
+    positions: list[np.ndarray] = [world.planar[:2]]
+    contacts: list[bool] = []
+    decisions: list[Decision] = []
+    seconds: list[float] = []
+    stopped = truncated = False
+    while not (stopped or truncated):
+        began = time.perf_counter()
+        decision = agent.act(observation)
+        seconds.append(time.perf_counter() - began)
+        decisions.append(decision)
+        # The agent's map now holds what coverage counts: the image of this step, not yet that of the next.
+        driven = len(contacts) * context.dt
+        recorder.see(info["path_length"], driven, info["coverage"])
+        if spectator is not None:
+            spectator(Step(len(contacts), driven, np.array(world.planar), observation, info, decision))
+        observation, _, stopped, truncated, info = env.step(decision.action)
+        positions.append(world.planar[:2])
+        contacts.append(bool(info["collision"]))
+    recorder.see(info["path_length"], (len(contacts) - stopped) * context.dt, info["coverage"], last=True)
+
+    path, contact = np.array(positions), np.array(contacts, dtype=bool)
+    estimates = estimates_of(decisions, stopped)
+    statuses = [decision.status for decision in decisions]
+    coverage, final = float(info["coverage"]), map_of(agent)
+    success = 100.0 * coverage >= GOAL - 1e-9
+    why = None if success else _failure(statuses, stopped, coverage, path, estimates, contact, context.body_length)
+    quality = {} if final is None else mesh_quality(final, surface, world.simulation.scenery.boxes)
+    curve = recorder.curve
+    return {
+        "success": success,
+        **recorder.row(),
+        "coverage": coverage,
+        "entropy": curve["entropy"][-1],
+        "completeness": curve["completeness"][-1],
+        **quality,
+        "path_length": path_length(path),
+        "seconds": curve["seconds"][-1],
+        "steps": len(contacts),
+        "stopped": bool(stopped),
+        "collisions": int(contact.sum()),
+        "touched": bool(contact.any()),
+        **location_errors(path, estimates),
+        "budget": _budget(env, world.robot),
+        "failure": why,
+        "status": statuses[-1],
+        "latency": latency_of(decisions, seconds),
+        "end_on": "stop",
+        "tracer": world.renderer_name,
+        "trace": {
+            **trace_of(path, None, contact),
+            "true": thinned(path, TRACE_POINTS),
+            "reached": {str(s): _place(path, at[0]) for s, at in recorder.reached.items()},
+        },
+    }
+
+
+def _failure(
+    statuses: list[str],
+    stopped: bool,
+    coverage: float,
+    path: np.ndarray,
+    estimates: np.ndarray | None,
+    contacts: Bool[np.ndarray, "steps"],
+    body_length: float,
+) -> str:
+    """Why a run ended below :data:`GOAL`; what stands before the colon is the kind it is counted by."""
+    reached = f"{100.0 * coverage:.0f} % covered"
+    if lost := lost_track(statuses, path, estimates, contacts, body_length):
+        return f"{lost}, {reached}"
+    kind, _, detail = statuses[-1].partition(": ")
+    if stopped and kind in ("lost", "boxed in"):
+        return f"{kind}: {detail}, {reached}"
+    if stopped:
+        return f"stopped early: {reached}, {statuses[-1]}"
+    if stuck := stuck_at(path, contacts, body_length):
+        return f"{stuck}, {reached}"
+    return f"time out: {reached} after {len(path) - 1} steps"
+
+
+def _budget(env: gym.Env, robot: HolonomicRobot) -> dict[str, float]:
+    """What the time limit allows: steps, seconds, and the metres that the robot can drive in them."""
+    steps = int(env.get_wrapper_attr("_max_episode_steps"))
+    return {"steps": steps, "seconds": round(steps * robot.dt, 3), "metres": round(steps * robot.max_step, 3)}
+
+
+def _place(path: np.ndarray, metres: float) -> list[float]:
+    """Where the path has the length ``metres``, to the millimetre."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return path[np.argmin(np.abs(along - metres))].round(3).tolist()
+
+
+@lru_cache(maxsize=1)
+def _surface(stage: Stage) -> Surface:
+    return observable_surface(stage)
+
+
+@lru_cache(maxsize=1)
+def _thinned(surface: Surface) -> Surface:
+    return surface.thinned(JUDGED)

@@ -1,0 +1,74 @@
+"""LidarMaze in a sweep: the mazes' own frozen tasks, the environment, and one episode of it."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.agents.base import Agent
+from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE
+from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.envs.tasks import navigation as task_sets
+from vssm_gym.envs.tasks.mazes import MAZES, ROBOT, Maze, load_maze
+from vssm_gym.envs.tasks.navigation import TaskSet
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.protocols.episode import run_episode
+from vssm_gym.eval.protocols.shared import keep_or_write, made, tasks_in
+from vssm_gym.maps.voxel_map import VoxelMap
+
+COMMAND = (0, 2)  # of the robot's limits: it turns and drives, and never sideways
+
+
+def scene_names() -> Sequence[str]:
+    """Names of the built-in mazes."""
+    return MAZES
+
+
+def conditions() -> Mapping[str, Sequence[str]]:
+    """What the lists of a configuration may hold; ranges are always cast as rays."""
+    return {"noise": tuple(MOTION_NOISE), "sensor_noise": tuple(RANGE_NOISE), "renderer": ("raycast",)}
+
+
+def load(scene: str) -> Apartment:
+    """The maze of a built-in name or of a file."""
+    return load_maze(scene).apartment
+
+
+def notice(apartment: Apartment) -> str:
+    """Nothing: what is wrong with a maze is refused when it is loaded."""
+    return ""
+
+
+def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
+    """Write the first ``n`` of a maze's tasks to a file; raises :class:`InputError` where the maze has fewer."""
+    keep_or_write(apartment, n, path, task_sets.load, partial(_first, apartment, n), task_sets.save)
+
+
+def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
+    """Run one episode; returns its measured fields of a row."""
+    c, tasks = episode.condition, tasks_in(task_file, TaskSet)
+    noise = MOTION_NOISE[c.noise]
+    return run_episode(
+        made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, observe_pose=agent.needs_pose),
+        _maze(c.scene).sampler,
+        agent,
+        tasks.tasks[episode.task],
+        seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
+        voxel_map=voxel_map,
+        noise=(noise.turn, noise.step),
+        limits=ROBOT.limits[list(COMMAND)],
+    )
+
+
+def _first(apartment: Apartment, n: int) -> TaskSet:
+    tasks = load_maze(apartment).tasks
+    if n > len(tasks.tasks):
+        raise InputError(apartment.name, "tasks", f"numbers below {len(tasks.tasks)}, as many as the maze has")
+    first = tasks.model_copy(update={"tasks": tasks.tasks[:n], "hash": ""})
+    return first.model_copy(update={"hash": first.content_hash()})
+
+
+@lru_cache(maxsize=1)
+def _maze(scene: str) -> Maze:
+    return load_maze(scene)

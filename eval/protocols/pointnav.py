@@ -1,0 +1,56 @@
+"""PointNav and ImageNav in a sweep: their tasks, their environment, and one episode of them.
+
+Both have the same frozen tasks; PointNav says where the goal is, ImageNav shows what is seen from there.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.agents.base import Agent
+from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
+from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.envs.tasks import navigation as task_sets
+from vssm_gym.envs.tasks.navigation import TaskSet
+from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.protocols.episode import Spectator, run_episode
+from vssm_gym.eval.protocols.shared import (
+    conditions,
+    keep_or_write,
+    load,
+    notice,
+    sampler_of,
+    scene_names,
+    tasks_in,
+    world,
+)
+from vssm_gym.maps.voxel_map import VoxelMap
+
+__all__ = ["conditions", "load", "notice", "run", "scene_names", "write_tasks"]
+
+
+def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
+    """Write the first ``n`` test tasks of a scene to a file; one that is there and holds them is kept."""
+    make = partial(task_sets.task_set, apartment, HolonomicRobot(), "test", n)
+    keep_or_write(apartment, n, path, task_sets.load, make, task_sets.save)
+
+
+def run(
+    episode: Episode,
+    agent: Agent,
+    task_file: Path,
+    voxel_map: VoxelMap | None,
+    spectator: Spectator | None = None,
+) -> dict[str, Any]:
+    """Run one episode; returns its measured fields of a row."""
+    tasks, noise = tasks_in(task_file, TaskSet), NOISE_LEVELS[episode.condition.noise]
+    return run_episode(
+        world(episode.condition, observe_pose=agent.needs_pose),
+        sampler_of(episode.condition.scene),
+        agent,
+        tasks.tasks[episode.task],
+        seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
+        voxel_map=voxel_map,
+        noise=(noise.turn, noise.step),
+        spectator=spectator,
+    )

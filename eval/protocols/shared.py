@@ -1,0 +1,93 @@
+"""What the courses share: scenes of apartments, task files, and worlds that are kept from one episode to the next.
+
+Episodes come condition by condition, so that a worker holds few of these at a time; nothing is loaded twice.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import gymnasium as gym
+
+from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.scene import Apartment, built_in_scenes, load_scene
+from vssm_gym.envs.sensors import RENDERERS
+from vssm_gym.envs.sensors.rgbd_noise import PRESETS
+from vssm_gym.envs.tasks.car_sets import CarTaskSet
+from vssm_gym.envs.tasks.navigation import TaskSampler, TaskSet, read
+from vssm_gym.eval.episodes.identity import Condition
+
+S = TypeVar("S", TaskSet, CarTaskSet)
+WORLD = ("scene", "noise", "sensor_noise", "renderer")  # the keywords that a condition gives to any apartment's world
+
+
+def scene_names() -> Sequence[str]:
+    """Names of the built-in apartments."""
+    return built_in_scenes()
+
+
+def conditions() -> Mapping[str, Sequence[str]]:
+    """What the lists of a configuration may hold in an apartment."""
+    return {"noise": tuple(NOISE_LEVELS), "sensor_noise": tuple(PRESETS), "renderer": tuple(RENDERERS)}
+
+
+def load(scene: str) -> Apartment:
+    """The apartment of a built-in name, of a seed or of a file."""
+    return load_scene(scene)
+
+
+def notice(apartment: Apartment) -> str:
+    """What is wrong with an apartment, or cut off in it for a robot on the floor; one line, or empty."""
+    robot = HolonomicRobot()
+    return FreeSpace.from_apartment(apartment, robot.radius, robot.height).notice(apartment.notes)
+
+
+def keep_or_write(
+    apartment: Apartment,
+    n: int,
+    path: Path,
+    load: Callable[[Path, Apartment], S],
+    make: Callable[[], S],
+    save: Callable[[S, Path], None],
+) -> None:
+    """Write the task set that ``make`` returns; a file that is there and holds ``n`` tasks of the scene is kept."""
+    if path.is_file() and len(load(path, apartment).tasks) >= n:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save(make(), path)
+
+
+def tasks_in(path: Path, kind: type[S]) -> S:
+    """The tasks of a file, read and verified once."""
+    tasks = _read(path, kind)
+    assert isinstance(tasks, kind)
+    return tasks
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path, kind: type[TaskSet] | type[CarTaskSet]) -> TaskSet | CarTaskSet:
+    return read(kind, path, None)
+
+
+@lru_cache(maxsize=1)
+def sampler_of(scene: str) -> TaskSampler:
+    """Free space and shortest paths of the holonomic robot in an apartment."""
+    return TaskSampler(load_scene(scene), HolonomicRobot())
+
+
+def world(condition: Condition, env: str | None = None, **keywords: Any) -> gym.Env:
+    """The environment of a condition in an apartment, or ``env`` in its place, made once with these keywords."""
+    shared = {name: getattr(condition, name) for name in WORLD}
+    return made(env or condition.env, **shared | keywords)
+
+
+def made(env: str, **keywords: Any) -> gym.Env:
+    """An environment with the sparse reward, made once with these keywords."""
+    return _made(env, tuple(sorted(keywords.items())))
+
+
+@lru_cache(maxsize=3)  # with and without the observed pose, and PointNav on an explorer's map
+def _made(env: str, keywords: tuple[tuple[str, Any], ...]) -> gym.Env:
+    return gym.make(env, **dict(keywords), reward="sparse", disable_env_checker=True)

@@ -1,0 +1,1 @@
+"""Reports of sweeps: one page, its tables and figures, and what each environment adds to it."""

@@ -1,0 +1,12 @@
+"""LidarMaze's part of a report: PointNav's, without learned maps; in the unit square centimetres matter."""
+
+from dataclasses import replace
+
+from vssm_gym.eval.report.view import POINTNAV_VIEW
+
+LIDAR_MAZE_VIEW = replace(
+    POINTNAV_VIEW,
+    conditions=("robot", "noise", "sensor_noise"),
+    drawn_on="without a map: the agents were given none",
+    numbers=lambda row: f"{row['steps']} steps, {row['path_length']:.2f} m of {row['geodesic']:.2f} m",
+)

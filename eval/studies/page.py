@@ -1,0 +1,78 @@
+"""What every study of ``vssm-gym study`` writes: its figures as JSON, one picture, one page that needs no other file.
+
+A study is one file ``study_NAME.py`` with ``run(...) -> Study``; the command line has one function for each.
+"""
+
+import json
+import os
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.files import atomic_write
+from vssm_gym.slam.map_building import Progress
+from vssm_gym.version import package_version
+from vssm_gym.viz import pictures
+from vssm_gym.viz.html import STYLE, html_table
+
+
+@dataclass(frozen=True)
+class Study:
+    """The outcome of a study, ready to be written."""
+
+    name: str  # of the files
+    question: str  # the page's heading
+    answer: str  # one paragraph, from the figures
+    header: tuple[str, ...]  # of the table
+    lines: Sequence[Sequence[str]]  # of the table, the first column being what is compared
+    picture: bytes  # SVG
+    setting: dict[str, Any]  # sequence, sizes, rates: what repeats the study
+    figures: dict[str, Any]  # every number behind table and picture
+    notes: tuple[str, ...] = field(default=())  # how it was measured, one paragraph each
+
+
+def labelled(progress: Progress | None, label: str) -> Progress | None:
+    """``progress`` told ``label`` instead of the stage: many runs of one kind have a bar each."""
+    return None if progress is None else lambda _, done, total: progress(label, done, total)
+
+
+def write_study(study: Study, out: Path) -> Path:
+    """Write ``NAME.json``, ``NAME.svg`` and ``NAME.html`` under ``out``, each whole or not at all; returns the page.
+
+    Args:
+        study: its outcome.
+        out: folder; an older outcome of the same study is replaced, nothing else.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    machine = {"cores": os.cpu_count(), "processor": platform.machine()}
+    stored = {"version": package_version(), "machine": machine, "setting": study.setting, "figures": study.figures}
+    files = {
+        "json": (json.dumps(stored, indent=1, allow_nan=False) + "\n").encode(),
+        "svg": study.picture,
+        "html": page(study, stored).encode(),
+    }
+    for suffix, content in files.items():
+        with atomic_write(out / f"{study.name}.{suffix}") as temporary:
+            temporary.write_bytes(content)
+    return out / f"{study.name}.html"
+
+
+def page(study: Study, stored: dict[str, Any]) -> str:
+    """The HTML page of a study."""
+    notes = "".join(f"<p class=note>{escape(note)}</p>" for note in study.notes)
+    return (
+        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>vssm-gym study: {escape(study.name)}</title>"
+        f"<meta name=viewport content='width=device-width'><style>{STYLE}</style></head><body>"
+        f"<h1>{escape(study.question)}</h1><p>{escape(study.answer)}</p>"
+        f"<img src='{pictures.data_url(study.picture, 'image/svg+xml')}' alt='{escape(study.question)}'>"
+        f"<div class=wide>{html_table(study.header, study.lines, 1)}</div>{notes}"
+        f"<details><summary>setting</summary><pre>{escape(_without_figures(stored))}</pre></details>"
+        "</body></html>\n"
+    )
+
+
+def _without_figures(stored: dict[str, Any]) -> str:
+    return json.dumps({name: value for name, value in stored.items() if name != "figures"}, indent=1)

@@ -1,0 +1,1 @@
+"""Sweeps: configurations, workers, shards, and the log of episodes."""

@@ -1,0 +1,143 @@
+"""A sweep's configuration: lists multiply into episodes, and every name is checked before anything runs (DESIGN)."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from vssm_gym.agents.base import ANY_TASK
+from vssm_gym.agents.policy.file import PREFIX as POLICY
+from vssm_gym.agents.policy.file import agent_label, policy_at
+from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings, scene_name
+from vssm_gym.eval.protocols.registry import COURSES, course_of
+from vssm_gym.yaml_file import Names, Seeds, as_tuple, read_yaml
+
+DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
+
+
+def _task_ids(value: Any) -> Any:
+    """``100`` is the first hundred test tasks, ``"20-39"`` those with these numbers (both included), a list itself."""
+    if isinstance(value, bool):
+        raise ValueError("a number of tasks, a range like 20-39 or a list of task numbers")
+    if isinstance(value, int):
+        return tuple(range(value))
+    if isinstance(value, str):
+        first, dash, last = value.partition("-")
+        if not (dash and first.strip().isdigit() and last.strip().isdigit()):
+            raise ValueError(f"a number of tasks, a range like 20-39 or a list of task numbers, found {value!r}")
+        return tuple(range(int(first), int(last) + 1))
+    return as_tuple(value)
+
+
+class SweepConfig(BaseModel):
+    """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
+
+    ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry, also with a planner
+    (``astar+theta_star``), or ``policy:FILE``; a
+    relative path starts at the folder of the YAML file.
+    ``voxel`` (m) is the cell size of the maps that agents are given; ``map_poses`` says whether their images were taken
+    where the recording has them or where PRISM estimates them. ``explore`` is for Explore alone.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
+
+    env: Names = ("vssm_gym/PointNav-v0",)
+    scenes: Names
+    agents: Names
+    robot: Names = ("holonomic",)
+    noise: Names = ("low",)
+    sensor_noise: Names = ("none",)
+    renderer: Names = ("raycast",)
+    physics: Names = ("mujoco",)
+    tasks: Annotated[Seeds, BeforeValidator(_task_ids)]
+    seeds: Seeds = (0,)
+    voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
+    map_poses: Literal["recorded", "estimated"] = "recorded"
+    explore: ExploreSettings | None = None
+
+
+def expand(config: SweepConfig) -> Iterator[Episode]:
+    """Every episode once; world by world, then task by task, so that a worker keeps its scene and map.
+
+    Agents vary fastest: a sweep that is stopped early still has the same tasks for every agent.
+    """
+    worlds = itertools.product(
+        config.scenes, config.env, config.robot, config.noise, config.sensor_noise, config.renderer, config.physics
+    )
+    for scene, env, robot, noise, sensor_noise, renderer, physics in worlds:
+        condition = Condition(env, scene, robot, noise, sensor_noise, renderer, physics)
+        for task, seed, agent in itertools.product(config.tasks, config.seeds, config.agents):
+            yield Episode(condition, task, seed, agent, config.explore)
+
+
+def load_config(path: Path) -> SweepConfig:
+    """Read and check a sweep's YAML.
+
+    Raises:
+        InputError: no such file, not YAML, a field that is unknown, missing or malformed, or a name nobody registered.
+    """
+    config = read_yaml(path, SweepConfig)
+    check_environments(config, path)
+    course = course_of(config.env[0])
+    scenes = tuple(
+        scene if scene in course.scene_names() or scene.startswith(PREFIX) else str((path.parent / scene).resolve())
+        for scene in config.scenes
+    )
+    agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
+    config = config.model_copy(update={"scenes": scenes, "agents": agents})
+    check_names(config, path)
+    return config
+
+
+def check_environments(config: SweepConfig, source: object) -> None:
+    """Raise :class:`InputError` unless its environments are those of one robot and one task, and sweeps know them."""
+    for env in config.env:
+        if env not in COURSES:
+            raise InputError(source, "env", f"one of {', '.join(COURSES)}; found {env!r}")
+    robots = tuple(dict.fromkeys(COURSES[env].robot for env in config.env))
+    if len(robots) > 1:
+        raise InputError(source, "env", f"environments of one robot; found {' and '.join(robots)}")
+    if len({COURSES[env].task for env in config.env}) > 1:
+        raise InputError(source, "env", f"environments of one task; found {' and '.join(config.env)}")
+    if config.explore is not None and COURSES[config.env[0]].task != "explore":
+        raise InputError(source, "explore", f"no such field with {config.env[0]}: only explorers have it")
+
+
+def check_names(config: SweepConfig, source: object) -> None:
+    """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
+    # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
+    from vssm_gym.agents.registry import AGENTS, WITH, agent_type
+
+    check_environments(config, source)
+    spec, course = COURSES[config.env[0]], course_of(config.env[0])
+    policies = [name for name in config.agents if name.startswith(POLICY)]
+    planned = [name for name in config.agents if name.partition(WITH)[0] in AGENTS and name not in AGENTS]
+    types = {name: agent_type(name) for name in (*AGENTS, *policies, *planned)}
+    able = sorted(
+        name for name, agent in types.items() if agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK)
+    )
+    if len({agent_label(name) for name in config.agents}) < len(config.agents):
+        raise InputError(source, "agents", "policies that differ from each other; two of these are the same")
+    known: dict[str, Sequence[str]] = {
+        "agents": able,
+        "robot": (spec.robot,),
+        **course.conditions(),
+        "physics": spec.physics,
+    }
+    for field, available in known.items():
+        for name in getattr(config, field):
+            if name not in available:
+                raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}")
+    if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
+        raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
+    names = course.scene_names()
+    for scene in config.scenes:
+        if scene.startswith(PREFIX):
+            parse_spec(scene)
+        elif scene not in names and not Path(scene).is_file():
+            expected = f"a built-in scene ({', '.join(names)}), {PREFIX}SEED or an existing file; found {scene!r}"
+            raise InputError(source, "scenes", expected)

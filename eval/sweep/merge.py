@@ -1,0 +1,131 @@
+"""``merge SHARD ... --out DIR``: the folders of all shards of a sweep as the one folder that the whole sweep leaves."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.log import FILE, episode_key, line_of, read_rows
+from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
+from vssm_gym.output_folders import check_folder
+
+TASKS, MAPS = "tasks", "maps"
+FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, beside its log and manifest
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What came of it.
+
+    Attributes:
+        log: the merged episodes.
+        notices: how the shards differ although they are of one sweep: versions, maps of one scene; one line each.
+    """
+
+    log: Path
+    notices: tuple[str, ...]
+
+
+def merge_sweeps(folders: Sequence[Path], out: Path) -> Merged:
+    """Merge the finished shards of one sweep into ``out``, which appears whole or not at all.
+
+    Where two shards hold the map or recording of one scene, that of the earlier shard is kept: rows say by ``map_hash``
+    which one their agents had.
+
+    Args:
+        folders: of ``vssm-gym sweep --shard I/N``, one for each I, in any order.
+        out: new or empty folder.
+
+    Raises:
+        InputError: a folder that holds no shard, one of another sweep, one given twice, one that has not ended; shards
+            that are missing; other tasks of the same scene; a folder that cannot be written.
+    """
+    check_folder(out)
+    if out.is_dir() and any(out.iterdir()):
+        raise InputError(out, "folder", "a new or empty folder")
+    shards = _ordered(folders)
+    rows = list(_rows(shards))
+    temporary = out.absolute().parent / f".{out.name}.{os.getpid()}.tmp"
+    try:
+        for folder in FOLDERS:
+            _copy([shard / folder for shard, _ in shards], temporary / folder)
+        temporary.mkdir(parents=True, exist_ok=True)
+        (temporary / FILE).write_bytes(b"".join(map(line_of, rows)))
+        whole = {name: value for name, value in shards[0][1].items() if name != "shard"} | {"episodes": len(rows)}
+        (temporary / MANIFEST).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+        if out.is_dir():
+            out.rmdir()
+        temporary.rename(out)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return Merged(out / FILE, tuple(_notices(shards)))
+
+
+def _ordered(folders: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
+    """Every shard of one sweep with its manifest, by its number."""
+    if not folders:
+        raise InputError("merge", "folders", "the folders of a sweep's shards")
+    found: dict[int, tuple[Path, dict[str, Any]]] = {}
+    first: dict[str, Any] = {}
+    for folder in folders:
+        manifest = read_manifest(folder / MANIFEST)
+        shard = manifest.get("shard")
+        if not isinstance(shard, dict) or not {"index", "of"} <= shard.keys():
+            raise InputError(folder / MANIFEST, "shard", "a shard's folder; `vssm-gym sweep --shard I/N` makes one")
+        first = first or manifest
+        if (manifest["config_hash"], shard["of"]) != (first["config_hash"], first["shard"]["of"]):
+            expected = f"{first['config_hash']} in {first['shard']['of']} shards, as {folders[0]}"
+            raise InputError(
+                folder / MANIFEST, "config_hash", f"{expected}; found {manifest['config_hash']} in {shard['of']}"
+            )
+        if shard["index"] in found:
+            both = f"each shard once; {found[shard['index']][0]} is shard {shard['index']}, too"
+            raise InputError(folder, "folder", both)
+        found[shard["index"]] = folder, manifest
+    of = first["shard"]["of"]
+    if missing := [str(i) for i in range(1, of + 1) if i not in found]:
+        raise InputError("merge", "folders", f"all {of} shards; {', '.join(missing)} of {of} missing")
+    return [found[i] for i in sorted(found)]
+
+
+def _rows(shards: Sequence[tuple[Path, dict[str, Any]]]) -> Iterator[dict[str, Any]]:
+    """The rows of all shards, none twice, none missing."""
+    seen: dict[tuple, Path] = {}
+    for folder, manifest in shards:
+        rows = read_rows(folder / FILE)
+        if len(rows) != manifest["episodes"]:
+            expected = f"{manifest['episodes']} episodes; it holds {len(rows)} (sweep --resume continues it)"
+            raise InputError(folder / FILE, "episodes", expected)
+        for row in rows:
+            if (key := episode_key(row)) in seen:
+                raise InputError(folder / FILE, "episodes", f"each episode in one shard; {seen[key]} holds {key}, too")
+            seen[key] = folder
+            yield row
+
+
+def _copy(sources: Sequence[Path], target: Path) -> None:
+    """What the folders hold, by name; the first of a name is kept. Tasks of one name have to be the same."""
+    for source in filter(Path.is_dir, sources):
+        target.mkdir(parents=True, exist_ok=True)
+        for path in sorted(source.iterdir()):
+            copy = target / path.name
+            if not copy.exists():
+                shutil.copytree(path, copy) if path.is_dir() else shutil.copy2(path, copy)
+            elif source.name == TASKS and path.read_bytes() != copy.read_bytes():
+                raise InputError(path, "file", "the same tasks in every shard")
+
+
+def _notices(shards: Sequence[tuple[Path, dict[str, Any]]]) -> Iterator[str]:
+    versions = list(dict.fromkeys(manifest["version"] for _, manifest in shards))
+    if len(versions) > 1:
+        yield f"shards were run by different versions: {', '.join(versions)}"
+    kept: dict[str, Path] = {}
+    for folder, _ in shards:
+        for path in sorted((folder / MAPS).glob("*.npz")):
+            first = kept.setdefault(path.name, path)
+            if first.read_bytes() != path.read_bytes():
+                yield f"the map {path} differs from {first}, which is kept; rows say by map_hash which one was used"

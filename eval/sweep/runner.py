@@ -1,0 +1,240 @@
+"""``sweep CONFIG --out DIR``: every episode of a configuration once, over worker processes, whatever interrupts it.
+
+The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, ``recordings/``, ``maps/`` and
+``episodes.jsonl``. Only this process writes them; a worker that dies takes nothing along but its own episode. Workers
+of explorers write whole files to ``explored/``: the maps that are left by the first run of each agent in each scene.
+"""
+
+import hashlib
+import json
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.agents.policy.file import agent_label
+from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.identity import Episode, scene_name
+from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key
+from vssm_gym.eval.episodes.manifest import MANIFEST
+from vssm_gym.eval.protocols.registry import COURSES, course_of
+from vssm_gym.eval.sweep import worker
+from vssm_gym.eval.sweep.config import SweepConfig, expand
+from vssm_gym.eval.sweep.shards import Shard
+from vssm_gym.files import atomic_write
+from vssm_gym.output_folders import check_at_least, check_folder
+from vssm_gym.slam.map_building import Progress, ensure_map, map_hash
+from vssm_gym.version import package_version
+
+
+def run_sweep(
+    config: SweepConfig,
+    out: Path,
+    *,
+    resume: bool = False,
+    workers: int = 2,
+    seed: int = 0,
+    shard: Shard | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Run what is not yet in ``out/episodes.jsonl``; returns that file.
+
+    Each row is on disk as soon as its episode ends. Ctrl-C lets the episodes that are running end (seconds), keeps them
+    and raises KeyboardInterrupt.
+
+    Args:
+        config: checked by :func:`vssm_gym.eval.sweep.config.load_config`.
+        out: new or empty folder, or with ``resume`` that of a sweep of the same configuration and seed.
+        resume: continue; with nothing there yet, begin.
+        workers: processes.
+        seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
+        shard: the part of the episodes to run; None: all of them.
+        progress: told ("recording" | "map" | "episodes", done, total).
+
+    Raises:
+        InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
+    """
+    check_arguments(out, workers, seed)
+    apartments = {scene: course_of(config.env[0]).load(scene) for scene in config.scenes}
+    hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
+    episodes = list(expand(config))
+    if shard is not None:
+        episodes = shard.part(episodes)
+    manifest = _manifest(config, apartments, seed, len(episodes), shard)
+    out.mkdir(parents=True, exist_ok=True)
+    with EpisodeLog(out / FILE) as log:
+        _claim(out, manifest, len(log.rows), resume)
+        done = {episode_key(row) for row in log.rows}
+        todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
+        for scene in dict.fromkeys(episode.condition.scene for episode in todo):
+            batch = [episode for episode in todo if episode.condition.scene == scene]
+            jobs = _jobs(batch, scene, out, config, manifest, progress)
+            worker.release_memory()
+            _run(jobs, log, workers, len(episodes), progress)
+    return out / FILE
+
+
+def check_arguments(out: Path, workers: int, seed: int) -> None:
+    """Raise :class:`InputError` for what no sweep can run with; nothing is written.
+
+    ``out`` may be new, empty, or a sweep's: that has a manifest, or no more than the log that is opened just before it.
+    """
+    check_at_least("sweep", "workers", workers, 1)
+    check_at_least("sweep", "seed", seed, 0)
+    check_folder(out)
+    if out.is_dir() and not (out / MANIFEST).is_file():
+        first = (FILE, f".{MANIFEST}.")  # the log, and a manifest that was being written
+        if not all(path.name.startswith(first) for path in out.iterdir()):
+            raise InputError(out, "folder", f"a new or empty folder, or that of a sweep, which has a {MANIFEST}")
+
+
+def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
+    """16 hex digits of what decides the results: configuration, scenes and policies (by content, not by path), seed."""
+    content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
+    content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
+    content["agents"] = [agent_label(agent) for agent in config.agents]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _manifest(
+    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Shard | None
+) -> dict[str, Any]:
+    hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
+    course = course_of(config.env[0])
+    shown = config.model_dump(mode="json") | {
+        "scenes": [scene_name(scene) for scene in config.scenes],
+        "agents": [agent_label(agent) for agent in config.agents],
+    }
+    return {
+        "config": shown,
+        "config_hash": config_hash(config, hashes, seed),
+        "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
+        "notices": {scene_name(scene): course.notice(apartment) for scene, apartment in apartments.items()},
+        "version": package_version(),
+        "seed": seed,
+        "episodes": episodes,
+        **({"shard": asdict(shard)} if shard else {}),
+    }
+
+
+def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None:
+    """Make ``out`` this sweep's folder, or say why it cannot be."""
+    path = out / MANIFEST
+    if rows and not resume:
+        raise InputError(out, "folder", f"a folder without episodes; it holds {rows} (--resume continues them)")
+    if rows:
+        try:
+            before = json.loads(path.read_text(encoding="utf-8"))
+            found, part = before["config_hash"], before.get("shard")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(path, "file", "the JSON that the sweep wrote, which says what its episodes are") from error
+        if found != manifest["config_hash"]:
+            expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
+            raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
+        if part != manifest.get("shard"):
+            raise InputError(path, "shard", f"{manifest.get('shard')}; found {part}: another shard, another folder")
+        return
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+
+
+def _jobs(
+    episodes: Sequence[Episode],
+    scene: str,
+    out: Path,
+    config: SweepConfig,
+    manifest: dict[str, Any],
+    progress: Progress | None,
+) -> list[worker.Job]:
+    """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
+    from vssm_gym.agents.registry import agent_type
+
+    apartment, map_file = course_of(config.env[0]).load(scene), None
+    task_files = {}
+    for env in dict.fromkeys(episode.condition.env for episode in episodes):
+        task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"
+        course_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
+    if any(agent_type(episode.agent).needs_map for episode in episodes):
+        map_file = ensure_map(
+            scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, progress=progress
+        )
+    with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
+    maps = {agent: with_map if agent_type(agent).needs_map else without for agent in config.agents}
+    signature = apartment.content_hash(), manifest["config_hash"], package_version()
+    return [
+        worker.Job(
+            episode,
+            *maps[episode.agent],
+            task_files[episode.condition.env],
+            *signature,
+            explored_file=_explored_file(episode, out, config),
+        )
+        for episode in episodes
+    ]
+
+
+def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | None:
+    """Where the map of an explorer's first run in each world is kept; None of other episodes."""
+    c = episode.condition
+    first = (episode.task, episode.seed) == (config.tasks[0], config.seeds[0])
+    if COURSES[c.env].task != "explore" or not first:
+        return None
+    world = (scene_name(c.scene), c.noise, c.sensor_noise, c.renderer, episode.agent)
+    return out / "explored" / f"{'-'.join(world)}.npz"
+
+
+def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, progress: Progress | None) -> None:
+    """All jobs of a scene over workers of its own, whose memory is free at its end; results are logged as they come.
+
+    One episode of each agent that uses the map goes first, one after the other in one worker: it compiles what the
+    others then find in the compilation cache. Two workers that compile at once take twice the time and memory.
+    """
+    first = list({job.episode.agent: job for job in reversed(jobs) if job.map_file}.values())[::-1]
+    futures: dict[Future, worker.Job] = {}
+    current = jobs[0]
+
+    def submit(job: worker.Job) -> Future:
+        future = pool.submit(worker.run, job)
+        futures[future] = job
+        return future
+
+    def keep(future: Future) -> None:
+        nonlocal current
+        current = futures[future]
+        row = future.result()
+        del futures[future]
+        log.append(row)
+        report()
+
+    def report() -> None:
+        if progress:
+            progress("episodes", len(log.rows), total)
+
+    report()
+    context = multiprocessing.get_context("spawn")
+    with worker.single_threaded_children():
+        pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=worker.initialise)
+        try:
+            for job in first:
+                keep(submit(job))
+            for future in as_completed([submit(job) for job in jobs if job not in first]):
+                keep(future)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=True, cancel_futures=True)
+            for future in list(futures):
+                if not future.cancelled() and future.exception() is None:
+                    keep(future)
+            raise
+        except BrokenProcessPool as error:
+            expected = "worker processes that live to the end; one was killed, perhaps for want of memory"
+            kept = f"{len(log.rows)} of {total} episodes are kept (--resume)"
+            raise InputError("sweep", "workers", f"{expected}; {kept}") from error
+        except Exception as error:
+            error.add_note(f"while running {current.episode}; what ended before is kept (--resume)")
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

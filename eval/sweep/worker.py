@@ -1,0 +1,132 @@
+"""What one worker process of a sweep does: hold a world, its map and the agents, and run episodes in them.
+
+Workers are spawned, single-threaded (two on two cores then do twice the work, and an episode's floating-point sums do
+not depend on how many workers there are), and keep what is expensive between episodes: nothing is compiled twice.
+"""
+
+import contextlib
+import ctypes
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vssm_gym.eval.episodes.identity import Episode
+from vssm_gym.eval.protocols.registry import course_of
+
+if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
+    from vssm_gym.agents.base import Agent
+    from vssm_gym.maps.voxel_map import VoxelMap
+
+# NPROC is what XLA's CPU client sizes its thread pool by.
+ONE_THREAD = {
+    "NPROC": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+    "MALLOC_ARENA_MAX": "1",  # compiler threads come and go: one heap serves them all instead of one each
+}
+
+
+_compiled: set[str] = set()  # agents that this process has run
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to run, and what a worker cannot know: where maps and tasks are, and what to sign the row with."""
+
+    episode: Episode
+    map_file: Path | None  # None for an agent that needs no map
+    map_hash: str | None
+    task_file: Path
+    scene_hash: str
+    config_hash: str
+    version: str
+    explored_file: Path | None = None  # where the map that an explorer leaves is kept
+
+
+@contextlib.contextmanager
+def single_threaded_children() -> Iterator[None]:
+    """Processes started within inherit variables that keep numerical libraries on one thread; this one is unchanged.
+
+    Libraries read them when they are loaded, long before a pool's initializer could run.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    flags = " ".join(filter(None, [before["XLA_FLAGS"], ONE_THREAD["XLA_FLAGS"]]))
+    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def initialise() -> None:
+    """First call in a worker: Ctrl-C is the parent's to handle, and a parent that dies takes its workers along."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _leave_with(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(1)
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Run one episode; returns its row, ready for the log."""
+    episode = job.episode
+    course, agent = course_of(episode.condition.env), _agent(episode.agent)
+    voxel_map = _map(job.map_file) if job.map_file else None
+    result = course.run(episode, agent, job.task_file, voxel_map)
+    if job.explored_file:
+        result["explored"] = _keep(agent, job)
+    signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}
+    if episode.agent not in _compiled:
+        _compiled.add(episode.agent)
+        release_memory()
+    return episode.identity(job.scene_hash) | signature | result
+
+
+def _keep(agent: "Agent", job: Job) -> str | None:
+    """Write the map that an agent has left; its file's name, None for an agent without."""
+    left: VoxelMap | None = getattr(agent, "map", None)
+    if left is None or job.explored_file is None:
+        return None
+    job.explored_file.parent.mkdir(parents=True, exist_ok=True)
+    left.save(job.explored_file, agent=job.episode.agent, scene_hash=job.scene_hash, package_version=job.version)
+    return job.explored_file.name
+
+
+def release_memory() -> None:
+    """Give freed memory back to the system, where the C library can: compiling leaves hundreds of megabytes behind."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+@cache
+def _agent(name: str) -> "Agent":
+    from vssm_gym.agents.registry import make_agent
+
+    return make_agent(name)
+
+
+@lru_cache(maxsize=1)
+def _map(path: Path) -> "VoxelMap":
+    from vssm_gym.maps.voxel_map import VoxelMap
+
+    return VoxelMap.load(path)

@@ -1,0 +1,74 @@
+"""One run of one explorer, kept whole: the row of a sweep, the map that it leaves, pictures and a video."""
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from vssm_gym.agents.registry import make_agent
+from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.eval.episodes.identity import scene_name
+from vssm_gym.eval.protocols import explore as explore_course
+from vssm_gym.eval.protocols.explore_episode import Step, map_of
+from vssm_gym.eval.sweep.config import SweepConfig, expand
+from vssm_gym.eval.sweep.runner import config_hash
+from vssm_gym.eval.video import pictures as explore_pictures
+from vssm_gym.eval.video.explorer import write_video
+from vssm_gym.eval.video.recording import Recording
+from vssm_gym.files import atomic_write
+from vssm_gym.slam.map_building import Progress
+from vssm_gym.version import package_version
+from vssm_gym.viz.mesh import surface_mesh
+from vssm_gym.viz.mesh_picture import mesh_picture
+
+DPI = 110
+
+
+def explore(config: SweepConfig, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Run the one episode of ``config`` and write the folder ``out``, which appears whole or not at all.
+
+    Args:
+        config: of Explore, with one scene, one agent, one of each condition, one task and one seed.
+        out: new or empty folder; see ``vssm-gym explore --help`` for what is in it.
+        progress: told ("exploring" | "video", done, total).
+
+    Returns:
+        The row of a sweep of ``config``.
+    """
+    (episode,) = expand(config)
+    apartment, agent = load_scene(episode.condition.scene), make_agent(episode.agent)
+    recording = Recording(agent)
+    limit = episode.explore.steps if episode.explore else 0
+
+    def see(step: Step) -> None:
+        recording(step)
+        if progress:
+            progress("exploring", step.number, limit)
+
+    with tempfile.TemporaryDirectory() as folder:
+        task_file = Path(folder) / "tasks.json"
+        explore_course.write_tasks(apartment, episode.task + 1, task_file)
+        result = explore_course.run(episode, agent, task_file, None, see)
+    if progress:
+        progress("exploring", limit, limit)
+    content, version = apartment.content_hash(), package_version()
+    hashed = config_hash(config, {episode.condition.scene: content}, 0)
+    signature = {"version": version, "config_hash": hashed, "map_hash": None}
+    row = episode.identity(content) | signature | result
+    explored = map_of(agent)
+    assert explored is not None  # every explorer of the registry keeps one
+    with atomic_write(out) as unfinished:
+        unfinished.mkdir()
+        text = json.dumps(row, allow_nan=False, indent=1) + "\n"
+        (unfinished / "run.json").write_text(text, encoding="utf-8")
+        explored.save(unfinished / "map.npz", agent=row["agent"], scene_hash=content, package_version=version)
+        choice = recording.choice()
+        if choice is not None:
+            explore_pictures.candidates(choice, recording).savefig(unfinished / "candidates.png", dpi=DPI)
+        explore_pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=DPI)
+        Image.fromarray(mesh_picture(surface_mesh(explored))).save(unfinished / "mesh.png")
+        title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
+        write_video(unfinished / "run.mp4", recording, title, progress)
+    return row

@@ -1,0 +1,152 @@
+"""``vssm-gym explore``: a run with all that shows it, and what it refuses before anything runs."""
+
+import importlib
+import json
+import sys
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+from PIL import Image
+
+from vssm_gym.agents.base import Decision
+from vssm_gym.agents.exploration.mi_explorer import Tour
+from vssm_gym.cli import main as main_module
+from vssm_gym.eval.protocols.explore_episode import Step
+from vssm_gym.eval.video import pictures as explore_pictures
+from vssm_gym.eval.video.recording import EVERY, Plan, Recording
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+
+STEPS = 41
+
+
+@pytest.fixture
+def vssm(monkeypatch, capsys):
+    """Runs the console script in this process: ``vssm("explore", ...) -> (exit code, stdout, stderr)``."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
+        code = main_module.main()
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.mark.slow
+def test_a_run_is_kept_with_all_that_shows_it(vssm, tmp_path):
+    pytest.importorskip("imageio_ffmpeg", reason="videos need the extra vssm-gym[viz]")
+    out = tmp_path / "seen"
+    asked = ("explore", "--scene", "procedural:10000:small", "--out", out, "--start", 3, "--steps", STEPS)
+    code, printed, _ = vssm(*asked)
+    assert code == 0
+    assert {path.name for path in out.iterdir()} == {
+        "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json",
+    }  # fmt: skip
+    for name in ("candidates.png", "run.png", "mesh.png"):
+        assert str(out / name) in printed
+        assert np.asarray(Image.open(out / name).convert("RGB")).std() > 5.0, name
+    with imageio.get_reader(out / "run.mp4") as video:
+        frames = [np.asarray(frame) for frame in video]
+    assert frames[0].shape == (720, 1280, 3)
+    assert len(frames) >= STEPS // EVERY
+    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0  # it moves
+    row = json.loads((out / "run.json").read_text())
+    assert (row["agent"], row["task"], row["steps"], row["scene"]) == (
+        "mi_explorer", 3, STEPS, "procedural-10000-small",
+    )  # fmt: skip
+    assert 0.0 < row["coverage"] <= 1.0
+    assert row["curve"]["entropy"][-1] < 0.0
+    assert not list(tmp_path.glob(".*"))
+    code, _, err = vssm(*asked)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "never overwritten" in err
+    assert vssm("map", "export", out / "map.npz", "--out", tmp_path / "exported")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--agent", "astar"), "explore: agents: expected one of candidate_random, "),
+        (("--agent", "nobody"), "mi_explorer"),
+        (("--scene", "nowhere"), "explore: scenes: expected a built-in scene"),
+        (("--noise", "loud"), "explore: noise: expected one of none, low, "),
+        (("--start", "100"), "explore: start: expected at most 99, found 100"),
+        (("--start", "-1"), "explore: start: "),
+        (("--steps", "0"), "explore: steps: expected at least 1, found 0"),
+        (("--seed", "-1"), "explore: seed: "),
+    ],
+)
+def test_what_cannot_be_explored_is_said_in_one_line(vssm, tmp_path, options, said):
+    code, out, err = vssm("explore", "--scene", "fern", "--out", tmp_path / "new", *options)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert said in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
+    known = importlib.import_module
+
+    def missing(name, *more):
+        if name == "imageio_ffmpeg":
+            raise ImportError("No module named 'imageio_ffmpeg'")
+        return known(name, *more)
+
+    monkeypatch.setattr("vssm_gym.eval.video.writer.importlib.import_module", missing)
+    code, _, err = vssm("explore", "--scene", "fern", "--out", tmp_path / "new")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "pip install 'vssm-gym[viz]'" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_keeps_its_place_in_a_larger_picture():
+    cells = np.array([[FREE, OCCUPIED, UNKNOWN], [FREE, FREE, OCCUPIED]], np.int8)
+    plan = Plan(cells, np.array([1.05, 2.05]), 0.1)
+    np.testing.assert_allclose(plan.bounds, [[1.0, 2.0], [1.2, 2.3]])
+    image = explore_pictures.plan_image(plan, np.array([[0.8, 1.9], [1.3, 2.4]]))
+    assert image.shape == (5, 5, 3)  # rows are y, upwards
+    free, occupied = (image == 255).all(axis=2), (image < 100).all(axis=2)
+    assert sorted(map(tuple, np.argwhere(free).tolist())) == [(1, 2), (1, 3), (2, 3)]
+    assert sorted(map(tuple, np.argwhere(occupied).tolist())) == [(2, 2), (3, 3)]
+
+
+class Tourist:
+    """Has a map of nothing, and tours as it is told."""
+
+    def __init__(self):
+        self.map = VoxelMap.prior(np.zeros(3), 0.1, (16, 16, 16))
+        self.tour = None
+
+
+def watched(choices):
+    """A recording of steps with these coverages, and how many places were chosen among just before (0: no choice)."""
+    agent = Tourist()
+    recording = Recording(agent)
+    for i, (coverage, places) in enumerate(choices):
+        if places:
+            agent.tour = Tour(np.zeros((places, 2)), np.ones(places), 0)
+        stop = float(i == len(choices) - 1)
+        decision = Decision(np.array([0.0, 0.0, 0.1, stop], np.float32), None, "")
+        info = {"coverage": coverage, "path_length": 0.1 * i}
+        seen = {"rgb": np.zeros((3, 4, 3), np.uint8)}
+        recording(Step(i, 0.2 * i, np.array([0.1 * i, 0.0, 0.0]), seen, info, decision))
+    return recording
+
+
+@pytest.mark.parametrize(
+    ("choices", "step"),
+    [
+        ([(0.1, 6), (0.3, 6), (0.35, 0), (0.5, 5), (0.6, 6), (0.7, 0)], 4),  # seen by the next moment
+        ([(0.1, 3), (0.3, 0), (0.5, 2), (0.6, 0), (0.7, 0)], 0),  # never so many: the one among most
+        ([(0.1, 0), (0.3, 0), (0.5, 0)], None),
+    ],
+)
+def test_the_choice_shown_is_an_early_one_among_several(choices, step):
+    recording = watched(choices)
+    choice = recording.choice()
+    assert (None if choice is None else round(choice.seconds / 0.2)) == step
+    assert len(recording.path) == len(choices)
+    assert recording.moments[-1].tour is None  # it has stopped
+    if choice is not None:
+        assert len(recording.driven(choice)) == step + 1

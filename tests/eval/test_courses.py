@@ -1,0 +1,151 @@
+"""The table of environments: its rows name what is there, and every environment with a course runs in a sweep."""
+
+import importlib
+import json
+import subprocess
+import sys
+
+import gymnasium as gym
+import pytest
+
+import vssm_gym  # noqa: F401  (registers the ids)
+from tests.helpers.box_rooms import two_rooms
+from tests.helpers.paths import CHECKOUT
+from vssm_gym.agents.base import ANY_TASK
+from vssm_gym.agents.navigation.oracle import OracleAgent
+from vssm_gym.agents.registry import AGENTS, make_agent
+from vssm_gym.envs.registration import ENVIRONMENTS
+from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.log import FILE, read_rows
+from vssm_gym.eval.protocols.registry import COURSES, Course, course_of, view_of
+from vssm_gym.eval.report.view import View
+from vssm_gym.eval.sweep.config import load_config
+from vssm_gym.eval.sweep.runner import config_hash
+from vssm_gym.planning.planners import PLANNERS
+
+BASELINES = CHECKOUT / "eval" / "baselines"
+
+
+def imported(name: str):
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_a_row_names_what_is_there(name):
+    spec = ENVIRONMENTS[name]
+    assert issubclass(imported(spec.env), gym.Env)
+    assert callable(imported(spec.vector))
+    assert gym.registry[name].max_episode_steps == spec.max_episode_steps
+    assert (spec.course is None) == (spec.view is None)
+
+
+@pytest.mark.parametrize("name", COURSES)
+def test_a_course_offers_what_the_protocol_says(name):
+    """And its environment has agents: a course that nobody can run is decoration."""
+    spec, course = COURSES[name], course_of(name)
+    offered = {method for method in vars(Course) if not method.startswith("_")}
+    assert {method for method in offered if callable(getattr(course, method, None))} == offered
+    assert isinstance(view_of(name), View)
+    assert {"noise", "sensor_noise", "renderer"} == course.conditions().keys()
+    assert course.scene_names()
+    assert any(agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK) for agent in AGENTS.values())
+
+
+def test_every_agent_has_a_course():
+    able = [(spec.robot, spec.task) for spec in COURSES.values()]
+    for agent in AGENTS.values():
+        assert any(agent.robot == robot and agent.task in (task, ANY_TASK) for robot, task in able), agent.name
+
+
+@pytest.mark.parametrize(("config", "folder"), [("car", "car"), ("car_baselines", "car_baselines")])
+def test_configurations_keep_their_hash(config, folder):
+    """A sweep that began before a field was added to configurations can still be resumed."""
+    manifest = json.loads((BASELINES / folder / "sweep.json").read_text())
+    checked = load_config(CHECKOUT / "eval" / "configs" / f"{config}.yaml")
+    assert config_hash(checked, manifest["scene_hashes"], manifest["seed"]) == manifest["config_hash"]
+
+
+def vssm(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command line in a process of its own."""
+    command = [sys.executable, "-c", "import sys; from vssm_gym.cli.main import main; sys.exit(main())"]
+    return subprocess.run(
+        [*command, *map(str, arguments)], capture_output=True, text=True, timeout=600, check=False, cwd=CHECKOUT
+    )
+
+
+MAZE = """env: vssm_gym/LidarMaze-v0
+robot: disc
+physics: none
+scenes: [pillars-v1, rooms-v1]
+agents: dist_bug
+tasks: [0, 7, 30]
+sensor_noise: [none, low]
+"""
+WANDERING = (
+    "env: vssm_gym/Explore-v0\nscenes: rooms.json\nagents: [random, random_walk]\ntasks: 1\nexplore: {steps: 30}\n"
+)
+IMAGES = "env: vssm_gym/ImageNav-v0\nscenes: rooms.json\nagents: random\ntasks: 2\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("text", "episodes"), [(MAZE, 12), (IMAGES, 2), (WANDERING, 2)])
+def test_a_sweep_runs_and_reports_from_end_to_end(tmp_path, text, episodes):
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    (tmp_path / "sweep.yaml").write_text(text)
+    swept = vssm("sweep", tmp_path / "sweep.yaml", "--out", tmp_path / "out")
+    assert swept.returncode == 0, swept.stderr
+    rows = read_rows(tmp_path / "out" / FILE)
+    assert len(rows) == episodes
+    env = rows[0]["env"]
+    assert all(f"{name}" in swept.stdout for name in view_of(env).summary)
+    if "Maze" in env:
+        assert sum(row["success"] for row in rows) >= 10  # measured: 12
+        assert all(row["location_error_mean"] is not None for row in rows)
+    else:
+        assert all(row["location_error_mean"] is None for row in rows if row["agent"] == "random")
+    reported = vssm("report", tmp_path / "out")
+    assert reported.returncode == 0, reported.stderr
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (("pillars-v1", "oak"), r"scenes: expected a built-in scene \(pillars-v1, "),
+        (("dist_bug", "random"), "agents: expected one of dist_bug; found 'random'"),
+        (("robot: disc", "robot: holonomic"), "robot: expected one of disc; found 'holonomic'"),
+        (("[none, low]", "kinect"), "sensor_noise: expected one of none, low, mid, high; found 'kinect'"),
+    ],
+)
+def test_a_maze_is_swept_by_its_own_names(tmp_path, changed, message):
+    (tmp_path / "sweep.yaml").write_text(MAZE.replace(*changed))
+    with pytest.raises(InputError, match=message):
+        load_config(tmp_path / "sweep.yaml")
+
+
+def test_more_tasks_than_a_maze_has_are_refused(tmp_path):
+    course = course_of("vssm_gym/LidarMaze-v0")
+    with pytest.raises(InputError, match=r"tasks: expected numbers below \d+, as many as the maze has"):
+        course.write_tasks(course.load("rooms-v1"), 10_000, tmp_path / "tasks.json")
+
+
+def test_a_navigating_agent_takes_another_planner_by_name(tmp_path):
+    """It is an agent of its own in rows and tables, and plans with what it names."""
+    for planner in PLANNERS:
+        agent = make_agent(f"oracle+{planner}")
+        navigator = agent.act.__self__
+        assert navigator._plan is PLANNERS[planner]
+        assert navigator._config.stop_margin == OracleAgent.navigation.stop_margin  # all else is the agent's own
+    other = f"astar+{list(PLANNERS)[-1]}"
+    text = f"scenes: oak\nagents: [astar, {other}]\ntasks: 1\n"
+    (tmp_path / "sweep.yaml").write_text(text)
+    assert load_config(tmp_path / "sweep.yaml").agents == ("astar", other)
+    for name, message in (
+        ("astar+magic", "planner: expected one of"),
+        ("random+astar", "a planner after one of astar"),
+    ):
+        (tmp_path / "sweep.yaml").write_text(text.replace(other, name))
+        with pytest.raises(InputError, match=message):
+            load_config(tmp_path / "sweep.yaml")

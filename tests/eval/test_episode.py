@@ -1,0 +1,234 @@
+"""One episode: what the harness measures is the simulator's truth, and each way to fail gets its own reason."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import shapely
+
+from tests.helpers.box_rooms import two_rooms
+from tests.helpers.planning_worlds import voxel_map
+from vssm_gym.agents.base import Decision
+from vssm_gym.agents.registry import AGENTS
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.tasks.navigation import TaskSampler
+from vssm_gym.eval.metrics.failure import failure_reason
+from vssm_gym.eval.protocols.episode import run_episode
+from vssm_gym.inference.status import Status
+from vssm_gym.planning.result import PlanStatus
+
+LIMIT = 40
+
+
+class Scripted:
+    """Repeats one command, says one status, and believes itself where ``pose`` says (a function of the start pose)."""
+
+    name, needs_pose, needs_map = "scripted", False, False
+
+    def __init__(self, command, stop_after=10**6, pose=None, status="driving"):
+        self.command, self.stop_after, self.pose, self.status = command, stop_after, pose, status
+        self.seen = []
+
+    def reset(self, context, observation, seed):
+        self.context, self.steps, self.seed = context, 0, seed
+        self.seen.append(set(observation))
+
+    def act(self, observation):
+        self.steps += 1
+        stop = float(self.steps > self.stop_after)
+        pose = None if self.pose is None else self.pose(self.context.start_pose, self.steps)
+        self.seen.append(set(observation))
+        return Decision(np.array([*self.command, stop], np.float32), pose, self.status, {"control": 0.002})
+
+
+@pytest.fixture(scope="module")
+def sampler():
+    return TaskSampler(two_rooms(), HolonomicRobot())
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = gym.make("vssm_gym/PointNav-v0", scene=two_rooms(), noise="none", max_episode_steps=LIMIT)
+    yield made
+    made.close()
+
+
+def moved(start, x, y):
+    return np.add(start, [x, y, 0.0])
+
+
+def run(env, sampler, agent, start=(1.0, 2.0, 0.0), goal=(5.0, 2.0), seed=0):
+    task = sampler.task(start, goal)
+    return run_episode(env, sampler, agent, task, seed=seed, voxel_map=None, noise=(0.0, 0.0))
+
+
+def test_success_and_its_numbers(env, sampler):
+    """Through the open door without noise: 4 m along y = 2 at 0.16 m a step, stopped 0.32 m from the goal."""
+    agent = Scripted((0.0, 0.0, 0.16), stop_after=23, pose=lambda start, n: moved(start, 0.16 * (n - 1), 0.03))
+    row = run(env, sampler, agent)
+    assert row["success"]
+    assert row["failure"] is None
+    assert row["path_length"] == pytest.approx(23 * 0.16, abs=1e-3)
+    assert row["geodesic"] == pytest.approx(3.6, abs=1e-3)
+    assert row["spl"] == row["soft_spl"] == pytest.approx(3.6 / 3.68, abs=1e-3)
+    assert row["distance_to_goal"] == pytest.approx(0.32, abs=1e-3)
+    assert (row["steps"], row["collisions"]) == (24, 0)
+    assert row["location_error_mean"] == pytest.approx(0.03, abs=1e-3)
+    assert row["location_error_final"] == pytest.approx(0.03, abs=1e-3)
+    assert row["latency"]["control"] == {"p50": 0.002, "p95": 0.002}
+    assert row["latency"]["total"]["p50"] > 0.0
+    true, estimate = np.array(row["trace"]["true"]), np.array(row["trace"]["estimate"])
+    np.testing.assert_allclose(estimate - true, np.broadcast_to([0.0, 0.03], true.shape), atol=2e-3)
+    assert row["trace"]["contacts"] == []
+    json.dumps(row, allow_nan=False)
+
+
+def test_the_agent_sees_observations_and_a_static_context_only(env, sampler):
+    agent = Scripted((0.0, 0.0, 0.1), stop_after=3)
+    run(env, sampler, agent, seed=3)
+    assert all(names == {"rgb", "depth", "goal"} for names in agent.seen)
+    assert agent.context.map is None
+    np.testing.assert_allclose(agent.context.start_pose, [1.0, 2.0, 0.0])
+    assert not any(isinstance(value, gym.Env) for value in vars(agent.context).values())
+    first = agent.seed
+    run(env, sampler, agent, seed=3)
+    assert agent.seed == first
+    run(env, sampler, agent, seed=4)
+    assert agent.seed != first
+
+
+def test_an_agent_that_stops_too_early_stopped_outside(env, sampler):
+    row = run(env, sampler, Scripted((0.0, 0.0, 0.16), stop_after=5))
+    assert row["failure"].startswith("stopped outside: 3.200 m")
+    assert row["spl"] == 0.0
+    assert row["soft_spl"] == pytest.approx(1.0 - 2.8 / 3.6, abs=1e-2)
+    assert row["location_error_mean"] is None
+    assert row["trace"]["estimate"] is None
+
+
+def test_an_agent_that_is_somewhere_else_lost_track(env, sampler):
+    drifting = Scripted((0.0, 0.0, 0.16), stop_after=20, pose=lambda start, n: moved(start, 0.16 * (n - 1), 0.06 * n))
+    row = run(env, sampler, drifting)
+    assert row["failure"].startswith("lost track: 1.26 m off at the end, more than 0.2 m since step 3")
+    assert row["failure"].endswith("unnoticed by the agent")
+    assert row["location_error_final"] == row["location_error_max"] == pytest.approx(1.26, abs=1e-3)
+
+
+def test_an_agent_at_a_wall_collided(env, sampler):
+    row = run(env, sampler, Scripted((0.0, 0.0, 0.16)), start=(1.0, 3.0, 0.0))
+    assert row["failure"].startswith("collision: stuck")
+    assert row["steps"] == LIMIT
+    assert row["collisions"] > 20
+    assert 1 <= len(row["trace"]["contacts"]) <= 30
+    assert row["trace"]["true"][-1] == pytest.approx([2.85, 3.0], abs=0.01)
+
+
+def test_an_agent_that_goes_in_circles_ran_out_of_time(env, sampler):
+    row = run(env, sampler, Scripted((0.2, 0.0, 0.05)))
+    assert row["failure"].startswith("time out")
+    assert row["steps"] == LIMIT
+
+
+def reason(**changes):
+    n = 30
+    facts = {
+        "stopped": True,
+        "statuses": ["driving; localization: ok"] * n,
+        "positions": np.zeros((n + 1, 2)),
+        "estimates": np.zeros((n + 1, 2)),
+        "goal": np.array([2.0, 0.0]),
+        "contacts": np.zeros(n, bool),
+        "body_length": 0.2,
+    }
+    return failure_reason(**(facts | changes))
+
+
+def test_the_planner_is_blamed_only_where_the_robot_knew_where_it_was():
+    gave_up = ["driving"] * 29 + ["gave up: no path: every free way from the start was searched; localization: ok"]
+    assert reason(statuses=gave_up).startswith("planner: gave up: no path")
+    lost = np.linspace([0.0, 0.0], [0.0, 1.0], 31)
+    assert reason(statuses=gave_up, estimates=lost).startswith("lost track: 1.00 m")
+
+
+@pytest.mark.parametrize("said", ["gave up", "looking around"])
+@pytest.mark.parametrize("status", [s for s in PlanStatus if s is not PlanStatus.FOUND])
+def test_whatever_the_planner_could_not_do_is_its_failure(said, status):
+    assert reason(statuses=[f"{said}: {status.message}; localization: ok"]).startswith(f"planner: {said}")
+    driving = reason(statuses=[f"{said}: {status.message}", "driving; localization: ok"])
+    assert driving.startswith("stopped outside")
+
+
+class Scrambled(gym.Wrapper):
+    """Replaces every value of ``info`` by noise, but for the start pose and the camera that agents are told."""
+
+    def __init__(self, env, seed):
+        super().__init__(env)
+        self.noise, self.actions = np.random.default_rng(seed), []
+
+    def _scramble(self, info):
+        told = {"K", "start_pose"}
+        drawn = {key: self.noise.normal(size=np.shape(value)) for key, value in info.items() if key not in told}
+        return {key: drawn.get(key, value) for key, value in info.items()}
+
+    def reset(self, **keywords):
+        observation, info = self.env.reset(**keywords)
+        return observation, self._scramble(info)
+
+    def step(self, action):
+        self.actions.append(action)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated, truncated, self._scramble(info)
+
+
+# Compiling a tracker takes more than 5 s.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("astar", "no_map") else name
+        for name, agent in AGENTS.items()
+        if agent.robot == "holonomic" and agent.task == "pointgoal"
+    ],
+)
+def test_no_agent_acts_on_what_info_says(name, sampler):
+    """Two runs whose infos have nothing in common, and the same actions to the last bit."""
+    agent, learned = AGENTS[name](), voxel_map(shapely.box(0.05, 0.05, 5.95, 3.95), [])
+    camera = CameraConfig(width=64, height=48)
+    made = gym.make(
+        "vssm_gym/PointNav-v0",
+        scene=two_rooms(),
+        noise="low",
+        max_episode_steps=6,
+        camera=camera,
+        observe_pose=agent.needs_pose,
+    )
+    actions = []
+    for seed in range(2):
+        env, task = Scrambled(made, seed), sampler.task((1.0, 1.0, 0.5), (2.6, 3.0))
+        run_episode(env, sampler, agent, task, seed=5, voxel_map=learned, noise=(0.05, 0.01))
+        actions.append(np.array(env.actions))
+    made.close()
+    assert len(actions[0]) == 6
+    assert np.abs(actions[0]).max() > 0.0
+    np.testing.assert_array_equal(*actions)
+
+
+def test_a_contact_before_the_error_grew_is_named_and_a_later_one_is_not():
+    estimates = np.zeros((31, 2))
+    estimates[20:] = 0.5
+    before, after = np.zeros(30, bool), np.zeros(30, bool)
+    before[17], after[25] = True, True
+    assert "since step 20, after a contact" in reason(estimates=estimates, contacts=before)
+    assert "after a contact" not in reason(estimates=estimates, contacts=after)
+
+
+def test_an_error_that_was_corrected_is_no_loss():
+    estimates = np.zeros((31, 2))
+    estimates[10:15] = 3.0
+    assert reason(estimates=estimates).startswith("stopped outside: 2.000 m")
+
+
+def test_a_tracker_that_says_so_noticed():
+    statuses = [f"driving; localization: {Status.LOST}"] * 30
+    assert reason(statuses=statuses, estimates=np.ones((31, 2))).endswith("which the agent noticed")

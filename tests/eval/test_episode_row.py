@@ -1,0 +1,113 @@
+"""Rows read back: what is written is read as it was, rows of earlier states too, and the committed ones in whole."""
+
+import json
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from tests.eval.report.test_report import episode as navigated
+from tests.eval.report.test_report_car import episode as driven
+from tests.helpers.explore_runs import run as explored
+from tests.helpers.paths import CHECKOUT
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.log import FILE, EpisodeLog, read_rows
+from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
+from vssm_gym.eval.episodes.row import FORMAT, KEY, EpisodeRow, checked
+
+BASELINES = sorted(path.parent for path in (CHECKOUT / "eval" / "baselines").glob("*/episodes.jsonl"))
+ROWS = {
+    "navigation": navigated("astar", 3, True),
+    "car": driven("dwa", "bullet", 1),
+    "explore": explored("walk", 20.0, navigation=1.0),
+}
+
+
+def values(field):
+    """Values of a field's type, by what the schema says of it; whole numbers where it asks for floats, too."""
+    if field.annotation in (str, str | None):
+        return st.text(max_size=8)
+    return st.from_type(field.annotation)
+
+
+rows = st.fixed_dictionaries(
+    {name: values(EpisodeRow.model_fields[name]) for name in (*KEY, "scene", "success") if name not in ("task", "seed")}
+    | {"task": st.integers(0, 10**6), "seed": st.integers(0, 2**32)},
+    optional={
+        "failure": st.none() | st.text(max_size=8),
+        "spl": st.none() | st.floats(0.0, 1.0) | st.integers(0, 1),
+        "path_length": st.none() | st.floats(0.0, 1e6),
+        "steps": st.none() | st.integers(0, 10**6),
+        "entropy": st.none() | st.floats(-1e9, 1e9),
+        "latency": st.dictionaries(
+            st.text(max_size=5), st.fixed_dictionaries({"p50": st.floats(0, 9), "p95": st.just(1)})
+        ),
+        "goal": st.lists(st.floats(-9, 9), min_size=2, max_size=3),
+        "trace": st.none()
+        | st.fixed_dictionaries(
+            {"true": st.lists(st.lists(st.floats(-9, 9), min_size=2, max_size=2), max_size=3)},
+            optional={"estimate": st.none(), "contacts": st.just([]), "reached": st.just({"50": [1.0, 2.0]})},
+        ),
+        "budget": st.just({"steps": 5, "seconds": 1.0}),
+    },
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(row=rows)
+def test_a_row_that_is_written_reads_back_equal(tmp_path, row):
+    """Absent fields stay absent, nulls stay null: a row says no more after it was read than before."""
+    (tmp_path / FILE).unlink(missing_ok=True)
+    with EpisodeLog(tmp_path / FILE) as log:
+        log.append(row)
+        assert log.rows == [{"format": FORMAT, **row}]
+    assert read_rows(tmp_path / FILE) == [{"format": FORMAT, **row}]
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_rows_of_every_kind_fit_the_schema(name):
+    assert checked(ROWS[name]) == ROWS[name]  # and rows from before the format was written do
+
+
+@pytest.mark.parametrize("folder", BASELINES, ids=lambda path: path.name)
+def test_committed_rows_are_read_in_whole(folder):
+    """What their files leave out is in ``sweep.json``; what they say themselves stands."""
+    rows, manifest = read_rows(folder / FILE), read_manifest(folder / MANIFEST)
+    lines = [json.loads(line) for line in (folder / FILE).read_text().splitlines()]
+    assert len(rows) == len(lines) > 0
+    config, hashes = manifest["config"], manifest["scene_hashes"]
+    for row, line in zip(rows, lines, strict=True):
+        assert row.items() >= line.items()
+        assert row.items() >= (manifest["common"] | line).items()
+        assert row["env"] == config["env"][0]
+        assert row["robot"] == config["robot"][0]
+        assert row["agent"] in config["agents"]
+        assert row["scene_hash"] == hashes[row["scene"]]
+
+
+def test_what_a_row_says_stands_before_what_all_share():
+    manifest = {
+        "config": {"env": ["a"], "noise": ["low", "mid"], "scenes": ["oak"]},
+        "common": {"seed": 1, "version": "1"},
+    }
+    whole = completed({"version": "2"}, manifest | {"scene_hashes": {"oak": "abc"}})
+    assert whole == {"env": "a", "scene": "oak", "scene_hash": "abc", "seed": 1, "version": "2"}
+    assert "noise" not in whole  # two values: nobody knows which
+
+
+def test_a_row_that_cannot_be_completed_is_named(tmp_path):
+    manifest = {"config": {"env": ["a"]}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
+    (tmp_path / FILE).write_text('{"task": 1, "success": true}\n')
+    with pytest.raises(InputError, match="line 1: expected one episode as JSON; scene: Field required"):
+        read_rows(tmp_path / FILE)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [({"spl": 1.5}, "spl"), ({"success": 1}, "success"), ({"steps": "9"}, "steps"), ({"trace": {"tru": []}}, "trace")],
+)
+def test_what_is_no_row_is_not_written(tmp_path, change, field):
+    with EpisodeLog(tmp_path / FILE) as log, pytest.raises(ValueError, match=field):
+        log.append(ROWS["navigation"] | change)
+    assert (tmp_path / FILE).read_bytes() == b""

@@ -1,0 +1,83 @@
+"""Every metric of the registry on stored rows: it agrees with what the row stores, and tables show each one."""
+
+import math
+
+import pytest
+
+from tests.eval.test_episode_row import BASELINES, ROWS
+from vssm_gym.eval.episodes.log import FILE, read_rows
+from vssm_gym.eval.metrics import navigation as metrics
+from vssm_gym.eval.metrics.registry import METRICS, measured, shown_in
+from vssm_gym.eval.protocols.registry import COURSES, view_of
+from vssm_gym.eval.report.tables import Measures, results
+
+STORED = {folder.name: read_rows(folder / FILE) for folder in BASELINES}
+EVERY = {**STORED, **{name: [row] for name, row in ROWS.items()}}
+# Derived again from other fields that the row stores, and not read: the two have to agree.
+DERIVED = {"spl": ("rl",), "touched": ("exploration",)}
+
+
+@pytest.mark.parametrize("name", METRICS)
+def test_a_metric_is_a_number_of_some_stored_row_and_agrees_with_what_is_stored(name):
+    metric, said = METRICS[name], 0
+    for source, rows in EVERY.items():
+        for row in rows:
+            value = metric.function(row)
+            if value is None:
+                continue
+            said += 1
+            assert isinstance(value, bool) or not metric.share
+            assert math.isfinite(value)
+            if source in STORED and row.get(name) is not None:
+                assert value == pytest.approx(row[name], abs=1.01e-4)  # kept to four digits
+    assert said
+
+
+@pytest.mark.parametrize(("name", "folder"), [(name, folder) for name, of in DERIVED.items() for folder in of])
+def test_what_is_derived_and_stored_is_really_compared(name, folder):
+    rows = [row for row in STORED[folder] if row.get(name) is not None]
+    assert rows
+    assert all(METRICS[name].function(row) == pytest.approx(row[name], abs=1.01e-4) for row in rows)
+
+
+@pytest.mark.parametrize("name", METRICS)
+def test_a_metric_is_shown_where_it_says(name):
+    metric = METRICS[name]
+    assert metric.label
+    assert metric.reports
+    assert set(metric.headline) | set(metric.compared) <= set(metric.reports)
+    assert metric.direction in ("higher", "lower", "neither")
+    for report in metric.reports:
+        rows = [measured(row) for row in EVERY[report]]
+        assert metric.label in results(rows, 0, Measures(report))
+
+
+def test_every_report_has_metrics_of_its_own_labels():
+    reports = {view_of(env).measures.report for env in COURSES}
+    assert reports == {report for metric in METRICS.values() for report in metric.reports}
+    for report in reports:
+        labels = [metric.label for metric in shown_in(report).values()]
+        assert len(set(labels)) == len(labels)
+
+
+def test_by_hand():
+    row = {"success": True, "geodesic": 2.0, "path_length": 4.0, "touches": 1, "seconds": 6.0, "metres_99": None}
+    row |= {"latency": {"total": {"p50": 0.01, "p95": 0.02}}, "navigation": {"success": 0.5, "spl": 0.25}}
+    found = measured(row)
+    assert (found["spl"], found["path_ratio"], found["seconds_driven"]) == (0.5, 2.0, 6.0)
+    assert (found["touched"], found["covered_99"]) == (True, False)
+    assert (found["control_p50_ms"], found["decision_p95_ms"]) == (10.0, 20.0)
+    assert (found["navigation_success"], found["navigation_spl"]) == (50.0, 0.25)
+    failed = measured(row | {"success": False})
+    assert (failed["spl"], failed["seconds_driven"], failed["path_ratio"]) == (0.0, None, None)
+
+
+def test_spl_is_that_of_the_literature():
+    """One function for the row that is written and for the column that is shown."""
+    row = ROWS["car"]
+    assert METRICS["spl"].function(row) == metrics.spl(row["success"], row["geodesic"], row["path_length"])
+
+
+def test_directions_are_told():
+    said = Measures("navigation").directions(["spl", "steps"])
+    assert said == "Higher is better: SPL. Lower is better: steps."

@@ -1,0 +1,51 @@
+"""The soak test's own gates: each promise that it checks is broken once."""
+
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+import vssm_gym.eval.bench.soak as module
+from vssm_gym.envs.simulation import Simulation
+from vssm_gym.eval.bench.soak import SoakError, soak
+
+STEPS = 70  # two a world
+
+
+def test_nothing_is_wrong_with_the_environments():
+    result = soak(steps=STEPS)
+    assert len(result["rows"]) == 34 + bool(find_spec("pybullet")) and result["steps"] >= STEPS
+    assert {row[0] for row in result["rows"]} == {
+        *("PointNav-v0", "ImageNav-v0", "Explore-v0", "LidarMaze-v0", "Flight-v0", "CarNav-v0")
+    }
+
+
+def test_a_robot_beyond_a_wall_is_found(monkeypatch):
+    drive = Simulation.drive
+
+    def tunnel(self, command):
+        touched = drive(self, command)
+        self.world.data.qpos[0] += 40.0
+        return touched
+
+    monkeypatch.setattr(Simulation, "drive", tunnel)
+    with pytest.raises(SoakError, match="PointNav"):
+        soak(steps=STEPS)
+
+
+def test_a_number_that_is_none_is_found(monkeypatch):
+    observe = Simulation.observation
+
+    def broken(self):
+        return observe(self) | {"depth": np.full((30, 40), np.nan, np.float32)}
+
+    monkeypatch.setattr(Simulation, "observation", broken)
+    with pytest.raises(SoakError, match="step 0"):
+        soak(steps=STEPS)
+
+
+def test_a_leak_is_found(monkeypatch):
+    held = iter([100.0, 400.0])
+    monkeypatch.setattr(module, "_resident_mb", lambda: next(held))
+    with pytest.raises(SoakError, match="memory grew from 100 to 400 MB"):
+        soak(steps=STEPS)

@@ -1,0 +1,267 @@
+"""Sweeps with real worker processes: interrupted anywhere and resumed, every episode is there exactly once."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.box_rooms import two_rooms
+from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key, read_rows
+from vssm_gym.eval.report.page import write_report
+from vssm_gym.eval.sweep import worker
+from vssm_gym.eval.sweep.config import expand, load_config
+from vssm_gym.eval.sweep.runner import MANIFEST, _run, check_arguments, config_hash, run_sweep
+from vssm_gym.slam.map_building import ensure_map, map_hash
+from vssm_gym.version import package_version
+
+TIMED = ("latency",)  # the only fields that may differ between two runs of one episode
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A scene of two rooms, and a sweep of the random agent over six episodes in it."""
+    path = tmp_path_factory.mktemp("sweep")
+    save_scene(two_rooms(), path / "rooms.json")
+    (path / "sweep.yaml").write_text("scenes: rooms.json\nagents: random\nnoise: mid\ntasks: 3\nseeds: [0, 1]\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(folder):
+    """The whole sweep, run once without interruption."""
+    heard = []
+    log = run_sweep(
+        load_config(folder / "sweep.yaml"), folder / "whole", workers=1, progress=lambda *event: heard.append(event)
+    )
+    return log, heard
+
+
+def untimed(rows):
+    return {episode_key(row): {k: v for k, v in row.items() if k not in TIMED} for row in rows}
+
+
+def test_a_sweep_writes_every_episode_once_with_what_made_it(folder, finished):
+    log, heard = finished
+    rows = read_rows(log)
+    assert sorted((row["task"], row["seed"]) for row in rows) == [(t, s) for t in range(3) for s in range(2)]
+    manifest = json.loads((folder / "whole" / MANIFEST).read_text())
+    for row in rows:
+        assert (row["scene"], row["agent"], row["noise"], row["robot"]) == ("rooms", "random", "mid", "holonomic")
+        assert row["config_hash"] == manifest["config_hash"]
+        assert row["version"] == manifest["version"] == package_version()
+        assert row["map_hash"] is None
+        assert row["success"] == (row["failure"] is None)
+        assert {"spl", "soft_spl", "steps", "collisions", "path_length", "geodesic", "distance_to_goal"} <= row.keys()
+    assert heard == [("episodes", n, 6) for n in range(7)]
+    assert not (folder / "whole" / "maps").exists()  # the random agent needs none
+
+
+def test_a_sweep_cut_in_the_middle_of_a_line_resumes_to_the_same_rows(folder, finished, tmp_path):
+    """As a kill leaves it: four whole lines and a half one. Nothing is lost, nothing doubled, nothing different."""
+    lines = finished[0].read_bytes().splitlines(keepends=True)
+    (tmp_path / FILE).write_bytes(b"".join(lines[:4]) + lines[4][: len(lines[4]) // 2])
+    (tmp_path / MANIFEST).write_bytes((folder / "whole" / MANIFEST).read_bytes())
+    log = run_sweep(load_config(folder / "sweep.yaml"), tmp_path, resume=True, workers=2)
+    assert log.read_bytes().startswith(b"".join(lines[:4]))
+    assert untimed(read_rows(log)) == untimed(read_rows(finished[0]))
+
+
+def test_a_finished_sweep_resumes_to_itself(folder, finished):
+    before = finished[0].read_bytes()
+    run_sweep(load_config(folder / "sweep.yaml"), folder / "whole", resume=True)
+    assert finished[0].read_bytes() == before
+
+
+def test_a_folder_with_episodes_is_refused_without_resume(folder, finished):
+    with pytest.raises(InputError, match="a folder without episodes; it holds 6"):
+        run_sweep(load_config(folder / "sweep.yaml"), folder / "whole")
+
+
+@pytest.mark.parametrize("change", ["noise: low", "seeds: [0, 2]", "tasks: 4"])
+def test_another_configuration_cannot_continue_it(folder, finished, change):
+    before = finished[0].read_bytes()
+    name = change.split(":")[0]
+    lines = [line for line in (folder / "sweep.yaml").read_text().splitlines() if not line.startswith(name)]
+    other = folder / "other.yaml"
+    other.write_text("\n".join([*lines, change]) + "\n")
+    with pytest.raises(InputError, match=r"sweep\.json: config_hash: expected .*another sweep"):
+        run_sweep(load_config(other), folder / "whole", resume=True)
+    with pytest.raises(InputError, match="config_hash"):
+        run_sweep(load_config(folder / "sweep.yaml"), folder / "whole", resume=True, seed=1)
+    assert finished[0].read_bytes() == before
+
+
+def test_a_scene_that_changed_cannot_continue_it(folder, finished, tmp_path):
+    save_scene(two_rooms(openness=0.9), tmp_path / "rooms.json")
+    (tmp_path / "sweep.yaml").write_text((folder / "sweep.yaml").read_text())
+    with pytest.raises(InputError, match="config_hash"):
+        run_sweep(load_config(tmp_path / "sweep.yaml"), folder / "whole", resume=True)
+
+
+def test_rooms_that_are_cut_off_are_reported(tmp_path):
+    """A closed door between the two rooms: tasks stay in one of them, and manifest and report say so."""
+    save_scene(two_rooms(openness=0.0, leaves=1), tmp_path / "shut.json")
+    (tmp_path / "sweep.yaml").write_text("scenes: shut.json\nagents: random\ntasks: 1\n")
+    run_sweep(load_config(tmp_path / "sweep.yaml"), tmp_path / "out", workers=1)
+    notice = json.loads((tmp_path / "out" / MANIFEST).read_text())["notices"]["shut"]
+    assert re.match("cut off from the rest: (west|east); only the largest", notice)
+    assert f"shut: {notice}" in write_report(tmp_path / "out").read_text()
+
+
+def test_the_hash_is_of_content_not_of_place(folder):
+    config = load_config(folder / "sweep.yaml")
+    elsewhere = config.model_copy(update={"scenes": ("/elsewhere/rooms.json",)})
+    hashes = {config.scenes[0]: "abc", "/elsewhere/rooms.json": "abc"}
+    assert config_hash(config, hashes, 0) == config_hash(elsewhere, hashes, 0)
+    assert config_hash(config, hashes, 0) != config_hash(config, hashes | {config.scenes[0]: "abd"}, 0)
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "message"),
+    [
+        ("none", {"workers": 0}, "sweep: workers: expected at least 1, found 0"),
+        ("none", {"seed": -1}, "sweep: seed: expected at least 0, found -1"),
+        ("file", {}, "file: folder: expected a folder or the name of a new one"),
+        ("file/x", {}, "x: folder: expected a folder or the name of a new one; .*file is a file"),
+        ("", {}, "folder: expected a new or empty folder, or that of a sweep"),
+        ("", {"resume": True}, "folder: expected a new or empty folder, or that of a sweep"),
+    ],
+)
+def test_what_no_sweep_can_run_with_is_refused_and_left_alone(folder, tmp_path, out, options, message):
+    (tmp_path / "file").write_text("years of work")
+    with pytest.raises(InputError, match=message):
+        run_sweep(load_config(folder / "sweep.yaml"), tmp_path / out, **options)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("left", [(), (FILE,), (FILE, f".{MANIFEST}.7.tmp"), (FILE, MANIFEST, "notes.txt", "maps")])
+def test_what_an_interrupted_sweep_left_is_a_sweeps_folder(tmp_path, left):
+    for name in left:
+        (tmp_path / name).touch()
+    check_arguments(tmp_path, workers=1, seed=0)
+
+
+def test_bad_input_that_a_worker_finds_is_shown_as_it_is(folder, tmp_path):
+    """And not as a worker that died: the error crosses from process to process."""
+    episode = next(expand(load_config(folder / "sweep.yaml")))
+    job = worker.Job(episode, None, None, tmp_path / "tasks.json", "scene", "hash", "version")
+    with EpisodeLog(tmp_path / FILE) as log, pytest.raises(InputError, match=r"tasks\.json: file: expected a readable"):
+        _run([job], log, 1, 1, None)
+
+
+def test_the_parent_keeps_its_own_threads():
+    before = dict(os.environ)
+    with worker.single_threaded_children():
+        assert os.environ["NUMBA_NUM_THREADS"] == "1"
+        assert "--xla_cpu_multi_thread_eigen=false" in os.environ["XLA_FLAGS"]
+    assert dict(os.environ) == before
+
+
+def start(folder, out, stderr=None):
+    """A sweep long enough to be caught in the middle, in a process group of its own."""
+    (folder / "long.yaml").write_text("scenes: rooms.json\nagents: random\ntasks: 60\n")
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from vssm_gym.eval.sweep.config import load_config\n"
+        "from vssm_gym.eval.sweep.runner import run_sweep\n"
+        "if __name__ == '__main__': run_sweep(load_config(Path(sys.argv[1])), Path(sys.argv[2]), resume=True)\n"
+    )
+    script = folder / "start.py"
+    script.write_text(code)
+    return subprocess.Popen(
+        [sys.executable, script, folder / "long.yaml", out],
+        start_new_session=True,
+        # A suite that runs in the background of a shell inherits an ignored Ctrl-C; a terminal's child does not.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        stderr=stderr,
+    )
+
+
+def wait_for_rows(out, n):
+    deadline = time.monotonic() + 300
+    while not (out / FILE).is_file() or (out / FILE).read_bytes().count(b"\n") < n:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def children(pid):
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
+    return [int(word) for word in found.stdout.split()]
+
+
+def alive(pid):
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for left-over processes in /proc")
+def test_a_killed_sweep_leaves_no_process_and_resumes_to_every_episode_once(folder, tmp_path):
+    process = start(folder, tmp_path)
+    wait_for_rows(tmp_path, 5)
+    workers = children(process.pid)
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 60
+    while any(alive(pid) for pid in workers):
+        assert time.monotonic() < deadline, "workers outlive the sweep"
+        time.sleep(0.1)
+    kept = read_rows(tmp_path / FILE)
+    assert 5 <= len(kept) < 60
+    log = run_sweep(load_config(folder / "long.yaml"), tmp_path, resume=True)
+    rows = read_rows(log)
+    assert rows[: len(kept)] == kept
+    assert sorted(row["task"] for row in rows) == list(range(60))
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_ended(folder, tmp_path):
+    process = start(folder, tmp_path)
+    wait_for_rows(tmp_path, 5)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    assert process.wait(timeout=120) != 0
+    data = (tmp_path / FILE).read_bytes()
+    assert data.endswith(b"\n")
+    assert 5 <= len(read_rows(tmp_path / FILE)) < 60
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds the worker in /proc")
+def test_a_worker_that_is_killed_ends_the_sweep_with_one_clear_error(folder, tmp_path):
+    process = start(folder, tmp_path, stderr=subprocess.PIPE)
+    wait_for_rows(tmp_path, 5)
+    workers = [pid for pid in children(process.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(workers[0], signal.SIGKILL)
+    error = process.communicate(timeout=120)[1].decode()
+    assert "InputError: sweep: workers: expected worker processes that live to the end" in error
+    assert f"{len(read_rows(tmp_path / FILE))} of 60 episodes are kept (--resume)" in error
+
+
+@pytest.mark.slow
+def test_agents_in_a_learned_map_end_to_end(folder, tmp_path):
+    """Record, map, run a planner without and with images, report; the map is made once and used again."""
+    (folder / "agents.yaml").write_text("scenes: rooms.json\nagents: [oracle, dead_reckoning]\ntasks: 3\nvoxel: 0.1\n")
+    log = run_sweep(load_config(folder / "agents.yaml"), tmp_path)
+    rows = read_rows(log)
+    assert len(rows) == 6
+    assert all(row["success"] for row in rows if row["agent"] == "oracle")
+    assert all(row["location_error_max"] < 1e-3 for row in rows if row["agent"] == "oracle")
+    learned = map_hash(tmp_path / "maps" / "rooms.npz")
+    assert {(row["agent"], row["map_hash"]) for row in rows} == {("oracle", learned), ("dead_reckoning", learned)}
+    stamp = (tmp_path / "maps" / "rooms.npz").stat().st_mtime_ns
+    scene = load_config(folder / "agents.yaml").scenes[0]
+    again = ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+    assert again.stat().st_mtime_ns == stamp
+    ensure_map(scene, tmp_path, voxel=0.2, seed=0)
+    assert again.stat().st_mtime_ns != stamp
+    assert "rooms" in write_report(tmp_path).read_text()

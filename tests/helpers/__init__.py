@@ -1,0 +1,1 @@
+"""Rooms, maps, recordings and oracles that tests share."""

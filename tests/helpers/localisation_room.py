@@ -1,0 +1,15 @@
+"""The textured room in which alignment and tracking are tested, and its map; every module shares these shapes."""
+
+import numpy as np
+
+from tests.helpers.analytic_room import Room
+from vssm_gym.geometry.camera import Camera
+
+FURNITURE = (
+    ((0.9, 0.6, 0.0), (1.4, 1.1, 0.8)),
+    ((0.6, -1.3, 0.0), (1.1, -0.9, 1.3)),
+    ((-1.4, 0.8, 0.0), (-0.7, 1.2, 0.6)),
+)
+ROOM = Room(interior=((-1.9, -1.6, 0.0), (1.9, 1.6, 2.0)), boxes=FURNITURE)
+GRID = ((-2.3, -2.0, -0.4), 0.1, (48, 40, 32))
+CAMERA = Camera.from_hfov(64, 48, np.radians(85))

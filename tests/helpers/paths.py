@@ -1,0 +1,6 @@
+"""Paths of this checkout."""
+
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+SHARED_DATA = CHECKOUT.parent / "shared" / "data"  # real recordings and houses; tests that need them skip without

@@ -1,0 +1,78 @@
+"""Shared by the tests of planning and agents: learned maps of floor plans that one can write down, and random grids."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import hypothesis.strategies as st
+import jax.numpy as jnp
+import numpy as np
+import shapely
+from scipy.ndimage import gaussian_filter
+
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import ClearanceMap
+
+VOXEL = 0.05  # m
+CEILING = 2.0  # m
+TRUNCATION = 0.1  # m, two voxels, as the closed-form update leaves it
+OBSERVATIONS = 20.0  # precision of an observed cell, 1/m^2
+
+
+def signed_depth(solid: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Signed distance to the border of ``solid``, positive inside; float64, the shape of ``x``."""
+    points = shapely.points(x, y)
+    distance = shapely.distance(solid.boundary, points)
+    return np.where(shapely.covers(solid, points), distance, -distance)
+
+
+def clearance_map(floor: shapely.Polygon, solid: shapely.Geometry, resolution: float = 0.025) -> ClearanceMap:
+    """The clearance of ``floor`` minus ``solid``, from exact distances."""
+    low, high = np.split(np.array(floor.bounds), 2)
+    axes = [np.arange(a - 0.2, b + 0.2, resolution) for a, b in zip(low, high, strict=True)]
+    x, y = np.meshgrid(*axes, indexing="ij")
+    outside = floor.buffer(1.0) - floor
+    return ClearanceMap.from_depth(signed_depth(outside | solid, x, y), np.array([axes[0][0], axes[1][0]]), resolution)
+
+
+def voxel_map(
+    floor: shapely.Polygon,
+    solids: list[tuple[shapely.Polygon, float, float]],
+    observed: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> VoxelMap:
+    """What mapping a room would give: truncated signed distances to floor, walls, ceiling, ``solids``.
+
+    ``solids`` are prisms ``(polygon, bottom, top)``, metres. Cells deeper than the truncation inside a solid, and where
+    ``observed(x, y, z)`` is false, keep the prior. Colours are smooth noise, so that images can be aligned.
+    """
+    low, high = np.split(np.array(floor.bounds), 2)
+    origin = np.array([*(low - 0.3), -0.2])
+    shape = tuple(int(n) for n in np.ceil((np.array([*(high + 0.3), CEILING + 0.2]) - origin) / VOXEL))
+    prior = VoxelMap.prior(origin, VOXEL, (shape[0], shape[1], shape[2]))
+    axes = [origin[a] + VOXEL * np.arange(prior.shape[a]) for a in range(3)]
+    x, y = np.meshgrid(axes[0], axes[1], indexing="ij")
+    z = axes[2][None, None]
+    occupancy = np.maximum(signed_depth(floor.buffer(2.0) - floor, x, y)[..., None], np.maximum(-z, z - CEILING))
+    for polygon, bottom, top in solids:
+        inside = np.minimum(np.minimum(z - bottom, top - z), signed_depth(polygon, x, y)[..., None])
+        occupancy = np.maximum(occupancy, inside)
+    known = occupancy <= TRUNCATION
+    if observed is not None:
+        known &= observed(x[..., None], y[..., None], z)
+    means = np.where(known, np.clip(occupancy, -TRUNCATION, TRUNCATION), np.asarray(prior.dense(prior.occupancy)))
+    precision = np.where(known, OBSERVATIONS, np.asarray(prior.dense(prior.occupancy_precision)))
+    noise = np.random.default_rng(0).uniform(0.0, 1.0, (*prior.shape, 3))
+    colour = np.clip(0.5 + 4.0 * (gaussian_filter(noise, (2.0, 2.0, 2.0, 0.0)) - 0.5), 0.0, 1.0)
+    learned = eqx.tree_at(
+        lambda m: (m.occupancy_precision, m.colour, m.colour_precision),
+        prior,
+        tuple(prior.blocked(jnp.asarray(a, jnp.float32)) for a in (precision, colour, precision)),
+    )
+    return learned.with_occupancy(prior.blocked(jnp.asarray(means, jnp.float32)))
+
+
+@st.composite
+def grids(draw: st.DrawFn) -> np.ndarray:
+    """Random occupancy, bool ``(nx, ny)``: up to 24 cells a side, from nearly empty to nearly full."""
+    shape = draw(st.tuples(st.integers(3, 24), st.integers(3, 24)))
+    share = draw(st.sampled_from([0.05, 0.2, 0.35, 0.5]))
+    return np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random(shape) < share

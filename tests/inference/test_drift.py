@@ -1,0 +1,94 @@
+"""Drift of the map's frame: what it adds to a pose, and when."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm, logm
+
+from tests.helpers.prism_room import image, start, step, walked
+from vssm_gym.inference.prism import drift
+from vssm_gym.inference.status import Status
+from vssm_gym.model.transition import GaussianBelief, RigidState, rigid_belief
+
+
+def twist_matrix(xi: np.ndarray) -> np.ndarray:
+    X = np.zeros((4, 4))
+    X[:3, :3] = np.cross(np.eye(3), xi[3:])
+    X[:3, 3] = xi[:3]
+    return X
+
+
+def belief_of(T: np.ndarray, covariance: np.ndarray) -> GaussianBelief:
+    full = np.zeros((12, 12))
+    full[:6, :6] = covariance
+    return rigid_belief(RigidState(jnp.asarray(T, jnp.float32), jnp.zeros(6)), jnp.asarray(full, jnp.float32))
+
+
+def random_covariance(rng: np.random.Generator, std: float) -> np.ndarray:
+    root = rng.standard_normal((6, 9)) / 3.0
+    return std**2 * root @ root.T
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_world_is_the_spread_of_a_pose_in_a_frame_that_errs(seed: int) -> None:
+    """Sampled with matrix exponentials in float64: ``exp(p) T exp(e)``, ``p ~ N(0, P)``, ``e ~ N(0, Sigma)``."""
+    rng = np.random.default_rng(seed)
+    T = expm(twist_matrix(rng.standard_normal(6)))
+    P, S = random_covariance(rng, 0.01), random_covariance(rng, 0.005)
+    got = drift.in_world(belief_of(T, S), jnp.asarray(P, jnp.float32))
+    off = np.empty((4000, 6))
+    for i in range(len(off)):
+        p, e = rng.multivariate_normal(np.zeros(6), P), rng.multivariate_normal(np.zeros(6), S)
+        X = logm(np.linalg.inv(T) @ expm(twist_matrix(p)) @ T @ expm(twist_matrix(e))).real
+        off[i] = *X[:3, 3], X[2, 1], X[0, 2], X[1, 0]
+    sampled = off.T @ off / len(off)
+    scale = np.sqrt(np.diag(sampled))
+    normed = np.asarray(got.covariance, float)[:6, :6] / np.outer(scale, scale)
+    np.testing.assert_allclose(normed, sampled / np.outer(scale, scale), atol=0.1)
+    np.testing.assert_array_equal(got.covariance[6:], belief_of(T, S).covariance[6:])
+
+
+def test_the_frame_walks_by_the_share_that_the_image_wrote() -> None:
+    """By hand: a quarter of the readings new, a quarter known as well as one image tells, half beyond the map."""
+    before = 1e-6 * jnp.eye(6)
+    T = np.asarray(walked()[1][-1].belief.mean.T_world_body, float)
+    S = random_covariance(np.random.default_rng(0), 0.002)
+    seen = image(12)
+    n = seen.hit[2::4, 2::4].size
+    assert bool(seen.hit.all())
+    old = jnp.repeat(jnp.asarray([0.01, 1.0, 7.0, 7.0]), n // 4, total_repeat_length=n)
+    new = jnp.repeat(jnp.asarray([1.01, 2.0, 7.0, 7.0]), n // 4, total_repeat_length=n)
+    grown = np.asarray(drift.grow(before, old, new, belief_of(T, S), seen), float) - np.asarray(before, float)
+    carry = np.asarray(drift.se3_adjoint(jnp.asarray(T, jnp.float32)), float)
+    expected = drift.ALIKE * (0.25 * (1.0 - 0.01 / 1.01) + 0.25 * 0.5) * carry @ S @ carry.T
+    np.testing.assert_allclose(grown, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+    none = jax.tree.map(jnp.zeros_like, seen)
+    np.testing.assert_array_equal(drift.grow(before, old, new, belief_of(T, S), none), before)
+
+
+def shares(frames, rate: float) -> np.ndarray:
+    """``k nu`` of each step, from the growth of the drift seen from the body and the pose's own covariance."""
+    state, found = start(), []
+    for k in frames:
+        before = np.asarray(state.drift, float)
+        state, info = step(state, image(k), 1.0 / rate)
+        assert info.status == Status.OK
+        back = np.asarray(drift.se3_adjoint(drift.inverse(state.past.T_world_cam)), float)
+        grown = back @ (np.asarray(state.drift, float) - before) @ back.T
+        found.append(np.trace(grown[:3, :3]) / np.trace(np.asarray(state.past.belief.covariance, float)[:3, :3]))
+    return np.array(found)
+
+
+def test_a_camera_that_stands_still_soon_walks_no_more() -> None:
+    """The n-th image of one place writes 1/n of it at most (cells at the image's rim are written by fewer)."""
+    still = shares([0] * 40, 10.0) / drift.ALIKE
+    assert (still <= 1.05 / np.arange(2, 42)).all()
+    assert still[-10:].sum() < 0.3
+
+
+def test_new_space_counts_whole_whatever_the_rate() -> None:
+    """The same walk in steps of a half and of a third: the walk of the map's frame is that of the way, not of time."""
+    coarse, fine = shares(np.arange(2.0, 25.0, 2.0), 5.0), shares(np.arange(1.0, 25.0, 1.0), 10.0)
+    assert coarse.sum() / drift.ALIKE > 1.0
+    assert fine.sum() == pytest.approx(coarse.sum(), rel=0.5)

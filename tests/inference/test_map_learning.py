@@ -1,0 +1,164 @@
+"""Map learning through the renderer: its step is the gradient of log p, and held-out views are predicted better."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.helpers.analytic_room import camera_pose
+from tests.helpers.localisation_room import CAMERA, GRID, ROOM
+from vssm_gym.inference.mapping import map_learning, map_update
+from vssm_gym.inference.mapping.map_learning import RefineConfig
+from vssm_gym.inference.mapping.views import Views, fit_scales, held_out
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model import emission
+from vssm_gym.model.emission import EmissionScales
+
+CONFIG = RefineConfig(images=2, pixels=256, steps=200, refresh=50)
+SCALES = EmissionScales(0.05, 0.05)
+
+
+def make_views(count: int, seed: int, noise: float = 0.0) -> Views:
+    """Images of the room from its middle, all around."""
+    rng = np.random.default_rng(seed)
+    images, poses = [], []
+    for yaw in np.linspace(0.0, 2.0 * np.pi, count, endpoint=False):
+        T = camera_pose((*rng.uniform(-0.3, 0.3, 2), rng.uniform(0.5, 0.9)), yaw + rng.uniform(-0.2, 0.2), 0.1)
+        image = ROOM.image(T, CAMERA)
+        depth = np.array(image.depth) + noise * rng.standard_normal(image.depth.shape)
+        images.append((np.rint(255 * np.asarray(image.rgb)).astype(np.uint8), depth))
+        poses.append(T)
+    return Views.stack(images, np.stack(poses), CAMERA)
+
+
+def closed_form(views: Views) -> VoxelMap:
+    m = VoxelMap.prior(*GRID)
+    for i in range(len(views)):
+        rgb = views.rgb[i].astype(jnp.float32) / 255.0
+        m = map_update.update(m, views.depth[i], rgb, views.T_world_cam[i], CAMERA)
+    return m
+
+
+TRAIN, TEST = make_views(16, 0), make_views(5, 1)
+MAP = closed_form(TRAIN)
+
+
+@pytest.fixture(scope="module")
+def refined() -> tuple[VoxelMap, EmissionScales]:
+    return map_learning.refine(MAP, TRAIN, CONFIG, jax.random.key(0))
+
+
+def test_held_out_views_are_predicted_better(refined) -> None:
+    m, _ = refined
+    scales = fit_scales(MAP, TRAIN)
+    before, after = held_out(MAP, TEST, scales), held_out(m, TEST, scales)
+    assert after.log_likelihood > before.log_likelihood + 0.05
+    assert after.depth_l1 < before.depth_l1
+    assert after.colour_l1 < before.colour_l1
+    assert after.hit_share > before.hit_share - 0.01
+
+
+def test_the_map_passed_in_and_the_precisions_stay(refined) -> None:
+    m, _ = refined
+    again = closed_form(TRAIN)
+    np.testing.assert_array_equal(np.asarray(MAP.occupancy), np.asarray(again.occupancy))
+    np.testing.assert_array_equal(np.asarray(m.occupancy_precision), np.asarray(MAP.occupancy_precision))
+    np.testing.assert_array_equal(np.asarray(m.colour_precision), np.asarray(MAP.colour_precision))
+
+
+def test_the_index_follows(refined) -> None:
+    """After refinement the skipping search finds what the fixed march finds."""
+    m, _ = refined
+    T = TEST.T_world_cam[0]
+    fast = emission.render(m, T, CAMERA)
+    slow = emission.render_with(emission.march, m, T, CAMERA)
+    assert float(np.mean(np.asarray(fast.hit) != np.asarray(slow.hit))) < 1e-3
+    both = np.asarray(fast.hit & slow.hit)
+    np.testing.assert_allclose(np.asarray(fast.depth)[both], np.asarray(slow.depth)[both], atol=1e-3)
+
+
+def test_a_step_is_the_gradient_of_the_renderer() -> None:
+    """One step from rays that hit = ``-rate s d(-log p)/dM`` by automatic differentiation through the whole map."""
+    config = RefineConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0)
+    key, views = jax.random.key(3), TRAIN[2:3]
+    rays = map_learning._draw(MAP, views, config, key)
+    assert bool(jnp.all(rays.near))  # else the first-order term for missing surfaces would be in the step too
+
+    def loss(occupancy, colour):
+        m = VoxelMap(
+            occupancy, MAP.occupancy_precision, colour, MAP.colour_precision, MAP.empty, MAP.origin, MAP.voxel_size,
+            MAP.blocks,
+        )  # fmt: skip
+        d = emission.intersect(m, rays.centre[0], rays.direction, rays.k)
+        p = rays.centre + rays.direction * jax.lax.stop_gradient(d)[:, None]
+        off = jnp.abs(d - rays.depth) / SCALES.depth
+        return jnp.sum(off) + jnp.sum(jnp.abs(m.field(p)[..., 1:] - rays.rgb)) / SCALES.rgb
+
+    g_occupancy, g_colour = jax.grad(loss, argnums=(0, 1))(MAP.occupancy, MAP.colour)
+    state, info = map_learning.step(map_learning.init(MAP, SCALES), views, config, key)
+    np.testing.assert_allclose(
+        np.asarray(state.map.occupancy - MAP.occupancy),
+        -0.01 * SCALES.depth * np.asarray(g_occupancy),
+        atol=2e-6,
+    )
+    np.testing.assert_allclose(
+        np.asarray(state.map.colour - MAP.colour), -0.02 * SCALES.rgb * np.asarray(g_colour), atol=2e-6
+    )
+    assert float(info.hit_share) == 1.0
+
+
+def test_a_missing_surface_grows() -> None:
+    """In an empty map only the first-order term acts; it makes the surface that the images show."""
+    config = RefineConfig(images=1, pixels=512, occupancy_rate=0.03, colour_rate=0.1)
+    m, key = VoxelMap.prior(*GRID), jax.random.key(0)
+    state = map_learning.init(m, SCALES)
+    for i in range(60):
+        state, info = map_learning.step(state, TRAIN[:1], config, jax.random.fold_in(key, i))
+        if i % 20 == 19:
+            state = map_learning.refresh(state)
+    assert float(info.hit_share) > 0.8
+    image = emission.render(state.map, TRAIN.T_world_cam[0], CAMERA)
+    off = np.abs(np.asarray(image.depth) - np.asarray(TRAIN.depth[0]))[np.asarray(image.hit)]
+    assert np.median(off) < 0.05
+
+
+def test_scales_are_learned() -> None:
+    """Towards the mean absolute residual, from both sides."""
+    config = RefineConfig(images=2, pixels=256, occupancy_rate=0.0, colour_rate=0.0, scale_rate=0.05)
+    for start in (EmissionScales(1.0, 1.0), EmissionScales(1e-3, 1e-3)):
+        state, key = map_learning.init(MAP, start), jax.random.key(0)
+        for i in range(150):
+            state, _ = map_learning.step(state, TRAIN, config, jax.random.fold_in(key, i))
+        learned, best = map_learning.scales(state), fit_scales(MAP, TRAIN)
+        assert 0.4 < float(learned.depth) / float(best.depth) < 2.5
+        assert 0.7 < float(learned.rgb) / float(best.rgb) < 1.4
+
+
+def test_held_out_by_hand() -> None:
+    """Means of the residuals and the Laplace density, from the rendered image itself, float64."""
+    view = TEST[1:2]
+    image = emission.render(MAP, view.T_world_cam[0], CAMERA)
+    both = np.asarray(image.known) & (np.asarray(view.depth[0]) > 0.0)
+    d = np.abs(np.asarray(image.depth, float) - np.asarray(view.depth[0], float))[both]
+    c = np.abs(np.asarray(image.rgb, float) - np.asarray(view.rgb[0], float) / 255.0)[both]
+    nats = -d / 0.05 - np.log(0.1) + (-c / 0.05 - np.log(0.1)).sum(-1)
+    got = held_out(MAP, view, SCALES)
+    np.testing.assert_allclose(got.depth_l1, d.mean(), rtol=1e-4)
+    np.testing.assert_allclose(got.depth_median, np.median(d), rtol=1e-3)
+    np.testing.assert_allclose(got.colour_l1, c.mean(), rtol=1e-4)
+    np.testing.assert_allclose(got.log_likelihood, nats.mean(), rtol=1e-4)
+    np.testing.assert_allclose(got.hit_share, both.mean(), rtol=1e-6)
+
+
+def test_an_empty_map_has_no_likelihood() -> None:
+    got = held_out(VoxelMap.prior(*GRID), TEST, SCALES)
+    assert np.isnan(got.log_likelihood)
+    assert got.hit_share == 0.0
+
+
+def test_readings_that_are_no_numbers_are_none() -> None:
+    depth = np.full((48, 64), 1.5, np.float32)
+    depth[3, 4] = np.nan
+    views = Views.stack([(np.zeros((48, 64, 3), np.uint8), depth)], np.eye(4)[None], CAMERA)
+    assert float(views.depth[0, 3, 4]) == 0.0
+    assert len(views) == 1

@@ -1,0 +1,232 @@
+"""What befalls a hand-held camera: none of it is fatal, none is silent, and none gets into the map."""
+
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.helpers.analytic_room import camera_pose
+from tests.helpers.prism_room import (
+    CAMERA,
+    CONFIG,
+    DT,
+    EXPECTED,
+    ROOM,
+    copy,
+    error,
+    image,
+    same_map,
+    start,
+    true_pose,
+    walked,
+)
+from tests.helpers.prism_room import step as filtered
+from vssm_gym.errors import InputError
+from vssm_gym.inference.filter import FilterInfo, observe
+from vssm_gym.inference.prism.config import PrismConfig
+from vssm_gym.inference.prism.filter import PrismState
+from vssm_gym.inference.status import Status
+from vssm_gym.model.emission import RGBD, render
+
+LOST, NO_READING, OK, RECOVERED = Status.LOST, Status.NO_READING, Status.OK, Status.RECOVERED
+
+WALKED = 12  # frames before anything happens
+TRACKED = (OK, RECOVERED)
+BEHIND = camera_pose((0.2, 0.3, 1.2), 2.7, 0.4)  # sees what the walk never saw
+
+
+def without_depth(taken: RGBD, rgb: float = 1.0) -> RGBD:
+    nothing = jnp.zeros_like(taken.hit)
+    return RGBD(jnp.zeros_like(taken.depth), rgb * taken.rgb, nothing, nothing)
+
+
+def black() -> RGBD:
+    return without_depth(image(0), 0.0)
+
+
+def step(state: PrismState, taken: RGBD, dt: float = DT, config=CONFIG):
+    state, info = filtered(state, taken, dt, config)
+    assert info.status.message
+    assert all(np.isfinite(np.asarray(a)).all() for a in (info.belief.covariance, info.belief.mean.T_world_body))
+    return state, info
+
+
+def check_map(state: PrismState, k: float) -> None:
+    """Rendered from where the camera truly is, the map shows the room."""
+    T = jnp.asarray(np.linalg.inv(true_pose(0)) @ true_pose(k), jnp.float32)
+    seen = render(state.map, T, CAMERA, CONFIG.update.max_depth)
+    known = np.asarray(seen.known)
+    off = np.abs(np.asarray(seen.depth, float) - ROOM.depth(true_pose(k), CAMERA))[known]
+    assert known.mean() > 0.8
+    assert np.median(off) < 0.01
+    assert np.quantile(off, 0.9) < 0.06
+
+
+@cache
+def undisturbed() -> np.ndarray:
+    """Stds of pose and velocity of a walk to which nothing happened."""
+    return stds(walked(WALKED)[1][-1])
+
+
+def stds(info: FilterInfo) -> np.ndarray:
+    return np.sqrt(np.diag(np.asarray(info.belief.covariance, float)))
+
+
+def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
+    """From frame ``k`` on the camera is tracked as if nothing had been, as surely, and the map is whole."""
+    for j in range(k, k + frames):
+        state, info = step(state, image(j))
+        assert info.status in TRACKED, f"frame {j}: {info.status.message}"
+        metres, degrees = error(info.belief, true_pose(j))
+        assert metres < 0.02
+        assert degrees < 1.0
+    assert info.status == OK
+    assert (stds(info)[:6] < 2.5 * undisturbed()[:6]).all(), stds(info) / undisturbed()
+    check_map(state, k + frames - 1)
+
+
+@pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
+def test_frames_that_are_dropped(config: PrismConfig) -> None:
+    """Half a second without an image, while the hand moves 12 cm and 6 degrees."""
+    state, _ = walked(WALKED, config)
+    state, info = step(state, image(WALKED + 5), 0.5, config)
+    assert info.status in TRACKED
+    assert error(info.belief, true_pose(WALKED + 5))[0] < 0.02
+    back_on_the_walk(state, WALKED + 6)
+
+
+@pytest.mark.parametrize(("what", "frames"), [("black", 10), ("no depth", 10), ("no depth", 1)])
+def test_images_without_a_reading(what: str, frames: int) -> None:
+    """Said to have none; the map stays bit for bit, the pose where it was and its spread grows."""
+    state, infos = walked(WALKED)
+    before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body), 0.0
+    for k in range(WALKED + 1, WALKED + 1 + frames):
+        state, info = step(state, black() if what == "black" else without_depth(image(k)))
+        assert info.status == NO_READING
+        np.testing.assert_array_equal(np.asarray(info.belief.mean.T_world_body), stood)
+        assert spread < (spread := float(jnp.trace(info.belief.covariance[:3, :3])))
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 1 + frames)
+
+
+@pytest.mark.parametrize("pixels", [1, 10, 100])
+def test_next_to_no_depth_is_no_reading(pixels: int) -> None:
+    """So few readings fit anywhere: they move neither pose nor map."""
+    state, infos = walked(WALKED)
+    before, stood = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body)
+    few = np.zeros(60 * 80, bool)
+    few[np.random.default_rng(0).permutation(60 * 80)[:pixels]] = True
+    kept = jnp.asarray(few.reshape(60, 80))
+    for k in range(WALKED + 1, WALKED + 6):
+        seen = image(k)
+        state, info = step(state, RGBD(seen.depth * kept, seen.rgb, seen.hit & kept, seen.known & kept))
+        assert info.status == NO_READING
+        np.testing.assert_array_equal(np.asarray(info.belief.mean.T_world_body), stood)
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 6)
+
+
+@pytest.mark.parametrize("gain", [0.3, 0.5, 1.7, 2.2])
+def test_a_camera_that_changes_its_exposure(gain: float) -> None:
+    """At once and by so much: tracked, and the map keeps the brightness it had."""
+    state, _ = walked(WALKED)
+    for k in range(WALKED + 1, WALKED + 6):
+        seen = image(k)
+        state, info = step(state, RGBD(seen.depth, jnp.clip(gain * seen.rgb, 0.0, 1.0), seen.hit, seen.known))
+        assert info.status == OK
+        assert error(info.belief, true_pose(k))[0] < 0.02
+    T = jnp.asarray(np.linalg.inv(true_pose(0)) @ true_pose(WALKED), jnp.float32)
+    seen = render(state.map, T, CAMERA, CONFIG.update.max_depth)
+    known = np.asarray(seen.known)
+    bright = np.asarray(seen.rgb)[known].mean() / np.asarray(image(WALKED).rgb)[known].mean()
+    assert bright == pytest.approx(1.0, abs=0.12)
+    back_on_the_walk(state, WALKED + 6)
+
+
+@pytest.mark.parametrize(("frames", "dt"), [(50, 0.02), (10, 0.1), (2, 0.5)])
+def test_the_spread_of_a_lost_camera_grows_with_time_not_with_images(frames: int, dt: float) -> None:
+    """A second of darkness at an unknown speed of half a metre a second: half a metre, whatever the rate of images."""
+    state, _ = walked(WALKED)
+    for _ in range(frames):
+        state, info = step(state, black(), dt)
+    sigma = np.sqrt(np.diag(np.asarray(info.belief.covariance, float))[:3])
+    assert (sigma > 0.3).all() and (sigma < 0.65).all()
+
+
+def test_a_map_cannot_start_from_an_image_without_depth() -> None:
+    for unreadable in (black(), without_depth(image(0))):
+        with pytest.raises(InputError, match="depth at 5%"):
+            start(first=unreadable)
+
+
+@pytest.mark.parametrize(
+    ("value", "share"), [(np.nan, 0.3), (np.inf, 0.3), (-1.0, 0.3), (0.0, 0.7), (1e9, 0.1), (1e-9, 0.1)]
+)
+def test_readings_that_are_none(value: float, share: float) -> None:
+    """Every strange number in a depth image is no reading there; the others count."""
+    state, _ = walked(WALKED)
+    rng = np.random.default_rng(0)
+    for k in range(WALKED + 1, WALKED + 4):
+        depth = ROOM.depth(true_pose(k), CAMERA).astype(np.float32)
+        depth[rng.uniform(size=depth.shape) < share] = value
+        rgb = np.rint(255.0 * np.asarray(image(k).rgb)).astype(np.uint8)
+        state, info = step(state, observe(rgb, depth))
+        assert info.status == OK
+        assert error(info.belief, true_pose(k))[0] < 0.015
+    assert all(np.isfinite(np.asarray(a)).all() for a in (state.map.occupancy, state.map.colour))
+    back_on_the_walk(state, WALKED + 4)
+
+
+def test_a_depth_image_of_nan_alone() -> None:
+    state, _ = walked(WALKED)
+    before = copy(state).map
+    state, info = step(state, observe(np.full((60, 80, 3), 90, np.uint8), np.full((60, 80), np.nan, np.float32)))
+    assert info.status == NO_READING
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 2)
+
+
+@pytest.mark.parametrize("to", [0, 4])
+def test_a_camera_carried_back_to_where_it_was(to: int) -> None:
+    """In one step, by 35 cm and 15 degrees: found again there."""
+    state, _ = walked(14)
+    state, info = step(state, image(to))
+    assert info.status in TRACKED
+    assert error(info.belief, true_pose(to))[0] < 0.02
+    back_on_the_walk(state, to + 1)
+
+
+def test_a_camera_carried_to_where_it_never_was() -> None:
+    """Lost, and said so, while it is there; the map stays bit for bit. Found again when it comes back."""
+    state, _ = walked(WALKED)
+    before = copy(state).map
+    for _ in range(5):
+        state, info = step(state, ROOM.image(BEHIND, CAMERA))
+        assert info.status == LOST
+        assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED - 2)
+
+
+def test_noise_in_place_of_an_image() -> None:
+    """A broken cable: colours and depths at random."""
+    state, _ = walked(WALKED)
+    before = copy(state).map
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        depth = rng.uniform(0.3, 6.0, (60, 80)).astype(np.float32)
+        state, info = step(state, observe(rng.integers(0, 256, (60, 80, 3)).astype(np.uint8), depth))
+        assert info.status == LOST
+        assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 4)
+
+
+def test_the_same_image_again() -> None:
+    """A camera that hangs: the pose stays, the belief of a standstill is kept."""
+    state, _ = walked(WALKED)
+    for _ in range(5):
+        state, info = step(state, image(WALKED))
+        assert info.status == OK
+        assert error(info.belief, true_pose(WALKED))[0] < 0.01
+    assert np.abs(np.asarray(info.belief.mean.velocity)).max() < 0.1
+    back_on_the_walk(state, WALKED + 1)

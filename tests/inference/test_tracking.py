@@ -1,0 +1,243 @@
+"""Tracking a planar robot in a known map: it stays on track where odometry drifts, says so when lost, and recovers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.helpers.localisation_room import CAMERA, GRID, ROOM
+from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
+from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
+from vssm_gym.inference.filter import Filter, FilterInfo, Rig, observe
+from vssm_gym.inference.mapping import map_update
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import camera_filter
+from vssm_gym.inference.tracking.map_tracker import FrameTracker, MapTracker, TrackerState
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import MotionNoise, Planar, planar_belief, world_covariance
+
+ROBOT = HolonomicRobot()
+RIG = Rig.of(CAMERA, ROBOT.T_body_cam)
+EXECUTION = ExecutionNoise(np.radians(3.0), 0.02)  # "low"
+MOTION = Planar(MotionNoise(EXECUTION.turn, EXECUTION.step))
+IN_MAP, BY_FRAMES = MapTracker(RIG, MOTION), FrameTracker(RIG, MOTION)
+OK, LOST = Status.OK, Status.LOST
+MAP = ROOM.to_map(*GRID)
+START = np.array([-0.5, -0.4, 2.9])  # turning left from here wraps the heading
+
+
+def see(planar: np.ndarray) -> RGBD:
+    """The camera image of a robot at a pose, through the bytes that a camera delivers."""
+    image = ROOM.image(planar_to_matrix(planar) @ ROBOT.T_body_cam, CAMERA)
+    return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+
+
+def drive(steps: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Commands of a tight noisy circle in the middle of the room, and the true pose after each."""
+    rng, planar, result = np.random.default_rng(seed), START, []
+    for _ in range(steps):
+        command = np.array([0.18, rng.uniform(-0.08, 0.08), 0.08])
+        planar = execute(planar, command, EXECUTION, rng)
+        result.append((command, planar))
+    return result
+
+
+def error(state: TrackerState, planar: np.ndarray) -> tuple[float, float]:
+    """Metres and radians."""
+    delta = np.asarray(state.past.belief.mean, float) - planar
+    return float(np.hypot(delta[0], delta[1])), abs(float(wrap_angle(delta[2:])[0]))
+
+
+def step(
+    state: TrackerState, control: np.ndarray, image: RGBD, tracker: Filter = IN_MAP
+) -> tuple[TrackerState, FilterInfo]:
+    return tracker.step(state, jnp.asarray(control, jnp.float32), image, ROBOT.dt)
+
+
+def start(tracker: Filter = IN_MAP, m: VoxelMap = MAP, std: float = 1e-3) -> TrackerState:
+    known = planar_belief(jnp.asarray(START, jnp.float32), std**2 * jnp.eye(3))
+    return tracker.init(Posterior(known, m), see(START), jax.random.key(0))
+
+
+def dead_reckoning_error(drive: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Metres at the end, from the commands alone."""
+    planar, still = START, np.random.default_rng(0)
+    for command, _ in drive:
+        planar = execute(planar, command, ExecutionNoise(0.0, 0.0), still)
+    return float(np.hypot(*(planar - drive[-1][1])[:2]))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_robot_is_tracked_in_its_map(seed: int) -> None:
+    """30 steps round the room: within 1 cm and half a degree, never lost, while commands alone are off by far more."""
+    state, path = start(), drive(30, seed)
+    for command, planar in path:
+        state, info = step(state, command, see(planar))
+        off, turned = error(state, planar)
+        assert info.status is OK
+        assert off < 0.01
+        assert turned < np.radians(0.5)
+        assert -np.pi - 1e-6 <= float(state.past.belief.mean[2]) <= np.pi + 1e-6
+    assert dead_reckoning_error(path) > 0.1
+
+
+def test_a_map_made_from_images_serves_as_well() -> None:
+    """Closed-form updates at known poses, then another drive: the whole path from images to location."""
+    m = VoxelMap.prior(*GRID)
+    for heading in np.arange(0.0, 2 * np.pi, np.pi / 5):
+        for xy in ((-0.5, -0.4), (0.2, 0.3)):
+            T = planar_to_matrix(np.array([*xy, heading])) @ ROBOT.T_body_cam
+            image = ROOM.image(T, CAMERA)
+            m = map_update.update(m, image.depth, image.rgb, jnp.asarray(T, jnp.float32), CAMERA)
+    state, path, offs = start(m=m), drive(20, 3), []
+    for command, planar in path:
+        state, info = step(state, command, see(planar))
+        assert info.status is OK
+        offs.append(error(state, planar)[0])
+    assert max(offs) < 0.04
+    assert np.sqrt(np.mean(np.square(offs))) < 0.02
+
+
+def test_frame_to_frame_tracking_drifts_but_holds() -> None:
+    """The "no map" baseline: better than commands alone. Its errors add up, and its covariance says so."""
+    state, path, spread = start(BY_FRAMES), drive(30, 0), []
+    for command, planar in path:
+        state, info = step(state, command, see(planar), BY_FRAMES)
+        assert info.status is OK
+        spread.append(np.linalg.slogdet(np.asarray(world_covariance(state.past.belief), float))[1])
+    assert error(state, path[-1][1])[0] < 0.3 * dead_reckoning_error(path)
+    assert spread == sorted(spread)  # the volume of the belief; its extent in one direction may fall on the way back
+    assert float(state.past.belief.covariance[2, 2]) > 10 * 1e-6  # of the heading, known to 1 mrad at the start
+
+
+def test_images_only_add_information() -> None:
+    """``Sigma^-1 = 2 J^T J + P`` (PRISM, step 3): never less certain than the prediction, in any direction."""
+    state = start()
+    for command, planar in drive(5, 4):
+        predicted = MOTION.predict(state.past.belief, jnp.asarray(command, jnp.float32), ROBOT.dt)
+        spread = np.asarray(predicted.covariance, float)
+        state, info = step(state, command, see(planar))
+        posterior = np.asarray(state.past.belief.covariance, float)
+        information = 2.0 * np.asarray(info.agreement.information, float) + np.linalg.inv(spread)
+        np.testing.assert_allclose(posterior @ information, np.eye(3), atol=2e-2)
+        np.testing.assert_allclose(posterior, posterior.T, rtol=1e-3, atol=1e-9)
+        assert np.linalg.eigvalsh(posterior).min() > 0.0
+        assert np.linalg.eigvalsh(spread - posterior).min() > -1e-9
+
+
+def test_a_robot_at_rest_does_not_creep() -> None:
+    """A robot that stands still in front of what it sees stays where it is, to a millimetre."""
+    state = start()
+    for _ in range(5):
+        state, info = step(state, np.zeros(3), see(START))
+        assert info.status is OK
+    off, turned = error(state, START)
+    assert off < 3e-3
+    assert turned < np.radians(0.2)
+
+
+ELSEWHERE = np.array([0.5, 0.0, -0.6])
+
+
+@pytest.mark.parametrize("kind", ["another place", "no depth", "black"])
+def test_images_that_do_not_fit_are_not_believed(kind: str) -> None:
+    """The status says so, the belief follows the dynamics and widens, and the next good image brings it back."""
+    (first_command, first_pose), (second_command, second_pose), (_, third_pose) = drive(3, 5)
+    state, info = step(start(), first_command, see(first_pose))
+    assert info.status is OK
+    bad = {
+        "another place": see(ELSEWHERE),
+        "no depth": observe(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64))),
+        "black": observe(np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.3)),
+    }[kind]
+    predicted = MOTION.predict(state.past.belief, jnp.asarray(second_command, jnp.float32), ROBOT.dt)
+    lost, info = step(state, second_command, bad)
+    assert info.status is LOST
+    assert "lost" in info.status.message and lost.lost
+    np.testing.assert_allclose(np.asarray(lost.past.belief.mean), np.asarray(predicted.mean), atol=1e-6)
+    np.testing.assert_allclose(np.asarray(info.belief.covariance), np.asarray(predicted.covariance), atol=1e-8)
+    still_lost, _ = step(lost, np.zeros(3), bad)
+    assert still_lost.lost
+    found, info = step(lost, np.zeros(3), see(second_pose))
+    assert info.status is OK
+    assert not found.lost
+    assert error(found, second_pose)[0] < 0.02
+    assert third_pose.shape == (3,)
+
+
+def test_readings_that_are_no_numbers_are_none() -> None:
+    """A sensor's NaN or infinity is a hole in the image, not a hole in the estimate."""
+    (command, planar) = drive(1, 6)[0]
+    image = see(planar)
+    depth = np.array(image.depth)
+    depth[5:9, 10:20] = np.nan
+    depth[20:24, 30:40] = np.inf
+    spoiled = observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), depth)
+    state, info = step(start(), command, spoiled)
+    assert info.status is OK
+    assert error(state, planar)[0] < 0.015
+
+
+def test_covariance_in_world_axes_by_hand() -> None:
+    """Facing world y, what the body calls ahead is y: std 0.1 ahead and 0.3 to the left are 0.3 in x and 0.1 in y."""
+    belief = planar_belief(jnp.array([1.0, 2.0, np.pi / 2]), jnp.diag(jnp.array([0.01, 0.09, 0.04])))
+    np.testing.assert_allclose(np.asarray(world_covariance(belief)), np.diag([0.09, 0.01, 0.04]), atol=1e-7)
+
+
+def test_the_first_state_is_the_known_start() -> None:
+    state = start(std=0.02)
+    belief = IN_MAP.posterior(state).belief
+    np.testing.assert_allclose(np.asarray(belief.mean), START, rtol=1e-6)
+    np.testing.assert_allclose(np.asarray(belief.covariance), np.diag([4e-4] * 3), rtol=1e-5)
+    assert not state.lost
+
+
+def test_an_observation_is_what_the_camera_delivered() -> None:
+    rgb, depth = np.full((48, 64, 3), 51, np.uint8), np.ones((48, 64), np.float32)
+    depth[0, 0] = 0.0
+    image = observe(rgb, depth)
+    np.testing.assert_allclose(np.asarray(image.rgb), 0.2, rtol=1e-6)
+    np.testing.assert_array_equal(np.asarray(image.depth), depth)
+    np.testing.assert_array_equal(np.asarray(image.hit), depth > 0)
+
+
+def test_every_status_has_words() -> None:
+    assert len({status.message for status in Status}) == len(Status)
+    assert [status for status in Status if status.fits] == [Status.OK, Status.RECOVERED]
+
+
+def test_tracking_compiles_once() -> None:
+    """Whatever the poses, commands, maps and images, lost or not."""
+    before = camera_filter.track._cache_size()
+    for m in (MAP, VoxelMap.prior(*GRID)):
+        state, frames = start(m=m), start(BY_FRAMES)
+        for command, planar in drive(3, 8):
+            state, _ = step(state, command, see(planar))
+            frames, _ = step(frames, command, see(planar), BY_FRAMES)
+    assert camera_filter.track._cache_size() - before <= 1
+
+
+def test_steps_are_deterministic() -> None:
+    (command, planar) = drive(1, 9)[0]
+    a, b = (step(start(), command, see(planar))[0].past for _ in range(2))
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
+
+
+def test_the_rig_takes_any_camera() -> None:
+    """The camera's place on the body is the rig's, not the tracker's: one that looks back tracks as well."""
+    T_body_cam = planar_to_matrix(np.array([-0.05, 0.02, np.pi])) @ ROBOT.T_body_cam
+    tracker = MapTracker(Rig.of(CAMERA, T_body_cam), MOTION)
+
+    def see_back(planar: np.ndarray) -> RGBD:
+        image = ROOM.image(planar_to_matrix(planar) @ T_body_cam, CAMERA)
+        return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+
+    known = planar_belief(jnp.asarray(START, jnp.float32), 1e-6 * jnp.eye(3))
+    state = tracker.init(Posterior(known, MAP), see_back(START), jax.random.key(0))
+    for command, planar in drive(10, 2):
+        state, info = step(state, command, see_back(planar), tracker)
+        assert info.status is OK
+        assert error(state, planar)[0] < 0.015

@@ -1,0 +1,305 @@
+"""``q(z) q(M)``: samples, densities and entropies agree; what is saved is read back; damage is one error."""
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from tests.helpers.damage import damaged_bytes, damaged_json
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+from vssm_gym.geometry.transforms import se3_exp
+from vssm_gym.maps import map_file
+from vssm_gym.maps.block_table import BlockTable
+from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
+from vssm_gym.model.posterior import Posterior, map_entropy
+from vssm_gym.model.transition import Belief, GaussianBelief, RigidState, planar_belief, rigid_belief
+
+READING, COLOUR = 0.03, 0.1  # std of one observation of the published model: m, a colour channel
+CELL = 0.1  # m
+PRECISION = 4.0  # observations of an observed cell
+
+
+def f32(a: Any) -> jax.Array:
+    return jnp.asarray(a, jnp.float32)
+
+
+def covariance(n: int) -> jax.Array:
+    root = np.random.default_rng(n).normal(size=(n, n)) * 0.05
+    return f32(root @ root.T + 1e-3 * np.eye(n))
+
+
+def belief(name: str) -> GaussianBelief:
+    if name == "planar":
+        return planar_belief(f32([0.4, -0.7, 2.9]), covariance(3))
+    rng = np.random.default_rng(0)
+    return rigid_belief(RigidState(se3_exp(f32(rng.normal(size=6))), f32(rng.normal(size=6))), covariance(12))
+
+
+def tiny_map(storage: str) -> VoxelMap | None:
+    """Two blocks of 8^3 cells, the second one observed: near the surface, far from it, and not at all, a third each."""
+    if storage == "none":
+        return None
+    rng = np.random.default_rng(1)
+    m = VoxelMap.prior((0.0, 0.0, 0.0), CELL, (16, 8, 8), slots=None if storage == "dense" else 4)
+    cells = m.occupancy.shape[1]
+    third = np.arange(cells) % 3
+    rows = {
+        "occupancy": np.where(third == 0, rng.uniform(-0.15, 0.15, cells), np.where(third == 1, 0.9, -0.001)),
+        "occupancy_precision": np.where(third == 2, PRIOR_OCCUPANCY_STD**-2, PRECISION),
+        "colour": rng.uniform(0.1, 0.9, (3, cells)),
+        "colour_precision": np.where(third == 0, PRECISION, PRIOR_OCCUPANCY_STD**-2),
+    }
+    arrays = [getattr(m, name).at[1].set(f32(row)) for name, row in rows.items()]
+    m = eqx.tree_at(lambda m: [getattr(m, name) for name in rows], m, arrays)
+    if m.table is not None:  # slot 1 holds block 1
+        m = eqx.tree_at(lambda m: m.table, m, BlockTable.of(m.blocks, 4, np.array([1])))
+    return m.with_occupancy(m.occupancy)
+
+
+EVERY = [(kind, storage) for kind in ("planar", "rigid") for storage in ("none", "dense", "sparse")]
+every = pytest.mark.parametrize(("kind", "storage"), EVERY)
+
+
+def made(kind: str, storage: str) -> Posterior:
+    return Posterior(belief(kind), tiny_map(storage))
+
+
+def assert_same(actual: Any, expected: Any) -> None:
+    assert jax.tree.structure(actual) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+# --- samples and densities
+
+
+@every
+def test_a_draw_is_a_state_and_a_map(kind: str, storage: str) -> None:
+    posterior = made(kind, storage)
+    draw = posterior.sample(jax.random.key(0))
+    assert jax.tree.map(jnp.shape, draw.state) == jax.tree.map(jnp.shape, posterior.belief.mean)
+    assert (draw.map is None) == (storage == "none")
+    assert_same(posterior.sample(jax.random.key(0)), draw)
+    terms = posterior.log_prob(draw)
+    np.testing.assert_allclose(float(terms.state), float(posterior.belief.log_prob(draw.state)), rtol=1e-5)
+    at_mean = posterior.log_prob(draw._replace(state=posterior.belief.mean, map=posterior.map))
+    assert float(at_mean.state) > float(terms.state)
+    assert float(at_mean.map) > float(terms.map) if draw.map else float(at_mean.map) == float(terms.map) == 0.0
+
+
+@pytest.mark.parametrize("storage", ["dense", "sparse"])
+def test_the_maps_density_belongs_to_its_samples(storage: str) -> None:
+    """``E[-log q(M)] = sum 1/2 log(2 pi e v)`` over the cells that vary; the others keep their mean."""
+    posterior, draws = made("planar", storage), 400
+    m = posterior.map
+    assert m is not None
+
+    @jax.jit
+    def one(key: PRNGKeyArray) -> tuple[Array, Array, Array]:
+        draw = posterior.sample(key)
+        return posterior.log_prob(draw).map, draw.map.occupancy, draw.map.colour
+
+    log_q, occupancy, colour = (
+        np.asarray(a, float) for a in jax.lax.map(one, jax.random.split(jax.random.key(1), draws))
+    )
+    measured = (np.asarray(m.occupancy_precision) > 1.0) & (np.abs(np.asarray(m.occupancy)) < 2 * CELL)
+    coloured = np.broadcast_to((np.asarray(m.colour_precision) > 1.0)[:, None], m.colour.shape)
+    assert 100 < measured.sum() < measured.size / 2
+    variances = np.r_[np.full(measured.sum(), READING**2), np.full(coloured.sum(), COLOUR**2)] / PRECISION
+    expected = 0.5 * np.sum(np.log(2.0 * np.pi * np.e * variances))
+    error = np.sqrt(0.5 * len(variances) / draws)
+    assert abs(-log_q.mean() - expected) < 4.0 * error
+    assert 4.0 * error < 0.02 * len(variances)  # a variance wrong by a twentieth would be noticed
+    np.testing.assert_allclose(log_q.std(), np.sqrt(0.5 * len(variances)), rtol=0.15)
+    for drawn, mean, varies in ((occupancy, m.occupancy, measured), (colour, m.colour, coloured)):
+        np.testing.assert_array_equal((drawn == np.asarray(mean)).all(axis=0), ~varies)
+        np.testing.assert_allclose(drawn.mean(axis=0), np.asarray(mean), atol=5.0 * COLOUR / np.sqrt(PRECISION * draws))
+
+
+@every
+def test_entropies_are_those_of_the_parts(kind: str, storage: str) -> None:
+    """The map's: every observed cell knows ``1/2 log(precision / prior)`` nats more than the prior does."""
+    posterior = made(kind, storage)
+    entropy = posterior.entropy()
+    assert entropy.state == pytest.approx(float(posterior.belief.entropy()))
+    if posterior.map is None:
+        assert entropy.map == 0.0
+        return
+    observed = int((np.asarray(posterior.map.occupancy_precision) > 1.0).sum())
+    assert observed > 300
+    expected = -0.5 * observed * np.log(PRECISION * PRIOR_OCCUPANCY_STD**2)
+    assert entropy.map == pytest.approx(expected, rel=1e-5) == map_entropy(posterior.map)
+
+
+class Either(eqx.Module):
+    """Half of one Gaussian, half of another."""
+
+    a: GaussianBelief
+    b: GaussianBelief
+
+    @property
+    def mean(self) -> Float[Array, "3"]:
+        return self.a.mean
+
+    def sample(self, key: PRNGKeyArray, samples: int) -> Float[Array, "n 3"]:
+        which, by_a, by_b = jax.random.split(key, 3)
+        first = jax.random.bernoulli(which, 0.5, (samples, 1))
+        return jnp.where(first, self.a.sample(by_a, samples), self.b.sample(by_b, samples))
+
+    def log_prob(self, state: Array) -> Array:
+        return jnp.logaddexp(self.a.log_prob(state), self.b.log_prob(state)) - jnp.log(2.0)
+
+    def entropy(self) -> Array:
+        drawn = self.sample(jax.random.key(0), 1000)
+        return -self.log_prob(drawn).mean()
+
+
+def test_a_belief_need_not_be_gaussian(tmp_path: Path) -> None:
+    """A robot that is at one of two places: sampled and scored; only a Gaussian has a file."""
+    near = planar_belief(f32([0.0, 0.0, 0.0]), 1e-4 * jnp.eye(3))
+    far = planar_belief(f32([5.0, 0.0, 0.0]), 1e-4 * jnp.eye(3))
+    mixed = Either(near, far)
+    assert isinstance(mixed, Belief)
+    posterior = Posterior(mixed, None)
+    x = [float(posterior.sample(jax.random.key(seed)).state[0]) for seed in range(40)]
+    assert 5 < sum(value > 2.5 for value in x) < 35
+    draw = posterior.sample(jax.random.key(0))
+    nearer = near if float(draw.state[0]) < 2.5 else far
+    expected = float(nearer.log_prob(draw.state)) - np.log(2.0)
+    assert float(posterior.log_prob(draw).state) == pytest.approx(expected, abs=1e-4)
+    assert posterior.entropy().state == pytest.approx(float(near.entropy()) + np.log(2.0), abs=0.2)
+    with pytest.raises(InputError, match="belief: expected a Gaussian"):
+        posterior.save(tmp_path / "mixed.npz")
+    assert not list(tmp_path.iterdir())
+
+
+# --- files
+
+
+@every
+def test_what_is_saved_is_read_back(tmp_path: Path, kind: str, storage: str) -> None:
+    posterior, path = made(kind, storage), tmp_path / "posterior.npz"
+    posterior.save(path, sequence="room", frames=7)
+    again = Posterior.load(path)
+    assert again.belief.manifold == posterior.belief.manifold  # type: ignore[attr-defined]
+    assert_same(again.belief, posterior.belief)
+    if posterior.map is None:
+        assert again.map is None
+        with pytest.raises(InputError, match="version"):
+            VoxelMap.load(path)
+    else:
+        assert again.map is not None
+        for name in ("occupancy", "occupancy_precision", "colour", "colour_precision"):
+            laid_out = [np.asarray(m.dense(getattr(m, name))) for m in (again.map, posterior.map)]
+            np.testing.assert_array_equal(*laid_out)
+        assert_same(VoxelMap.load(path), again.map)  # a map file, to whoever wants the map alone
+        assert map_file.read_metadata(path)["frames"] == 7
+    twice = tmp_path / "again.npz"
+    again.save(twice, sequence="room", frames=7)
+    assert twice.read_bytes() == path.read_bytes()
+
+
+def assert_refused(path: Path, field: str = "") -> None:
+    with pytest.raises(InputError) as raised:
+        Posterior.load(path)
+    assert raised.value.source == str(path)
+    assert raised.value.field.startswith(field)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_map_without_a_belief_and_what_is_no_file_are_refused(tmp_path: Path) -> None:
+    m = tiny_map("dense")
+    assert m is not None
+    m.save(tmp_path / "map.npz")
+    assert_refused(tmp_path / "map.npz", "belief")
+    assert_refused(tmp_path / "none.npz", "file")
+    assert_refused(tmp_path, "file")
+    np.savez(tmp_path / "other.npz", header=np.frombuffer(b'{"format": "other"}', np.uint8))
+    assert_refused(tmp_path / "other.npz", "format")
+
+
+CHANGES = {
+    "manifold": ("manifold", "sphere"),
+    "manifold, a list": ("manifold", []),
+    "mean, too short": ("mean", [[1.0, 2.0]]),
+    "mean, none": ("mean", None),
+    "mean, beyond float64": ("mean", [[10**400, 0.0, 0.0]]),
+    "mean, beyond float32": ("mean", [[1e300, 0.0, 0.0]]),
+    "covariance, not finite": ("covariance", [[float("nan")] * 3] * 3),
+    "covariance, words": ("covariance", [["a"] * 3] * 3),
+    "covariance, of another state": ("covariance", np.eye(12).tolist()),
+    "covariance, not symmetric": ("covariance", [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    "covariance, negative": ("covariance", (-np.eye(3)).tolist()),
+}
+
+
+def header_of(path: Path) -> dict:
+    with np.load(path, allow_pickle=False) as stored:
+        return json.loads(stored["header"].tobytes())
+
+
+def with_header(path: Path, header: Any) -> None:
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("storage", ["none", "dense"])
+def test_a_belief_that_is_none_is_refused(tmp_path: Path, storage: str, name: str) -> None:
+    path = tmp_path / "posterior.npz"
+    made("planar", storage).save(path)
+    header = header_of(path)
+    field, value = CHANGES[name]
+    with_header(path, header | {"belief": header["belief"] | {field: value}})
+    assert_refused(path, f"belief.{field}")
+
+
+def test_a_later_version_is_refused(tmp_path: Path) -> None:
+    for storage in ("none", "dense"):
+        path = tmp_path / f"{storage}.npz"
+        made("planar", storage).save(path)
+        with_header(path, header_of(path) | {"version": 99})
+        assert_refused(path, "version")
+
+
+@given(st.data())
+def test_damage_is_one_error_or_a_whole_posterior(tmp_path_factory: Any, data: st.DataObject) -> None:
+    """Headers with parts removed or replaced by nonsense, and bytes cut, overwritten or repeated."""
+    path = tmp_path_factory.mktemp("posterior") / "posterior.npz"
+    made("planar", "none").save(path)
+    if data.draw(st.booleans()):
+        with_header(path, data.draw(damaged_json(header_of(path))))
+    else:
+        path.write_bytes(data.draw(damaged_bytes(path.read_bytes())))
+    try:
+        posterior = Posterior.load(path)
+    except InputError as error:
+        assert error.source == str(path)
+        assert "\n" not in str(error)
+        return
+    draw = posterior.sample(jax.random.key(0))
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(draw))
+
+
+def test_no_pickle_is_written_or_read(tmp_path: Path) -> None:
+    path = tmp_path / "posterior.npz"
+    made("rigid", "sparse").save(path)
+    with zipfile.ZipFile(path) as archive:
+        assert all(name.endswith(".npy") for name in archive.namelist())
+    with np.load(path, allow_pickle=False) as stored:
+        assert all(stored[name].dtype != object for name in stored.files)
+    np.savez(path, header=np.array({"format": "vssm_gym.Belief"}, object))
+    assert_refused(path, "file")

@@ -1,0 +1,62 @@
+"""What a policy is worth: imagined episodes by hand, and the gap between imagination and the simulator."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.helpers.imagined_room import room, task
+from tests.helpers.straight_policy import straight
+from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.tasks.navigation import load
+from vssm_gym.eval.episodes.log import read_rows
+from vssm_gym.training.evaluation import METRICS, evaluate_policy, files_of
+from vssm_gym.training.imagined_episodes import STEPS, imagine, real_return
+
+
+@pytest.fixture
+def ahead():
+    """2 m straight ahead, the success region 1.6 m away."""
+    one = task((1.0, 1.2, 0.0), (3.0, 1.2))
+    object.__setattr__(one, "geodesic", 1.6)
+    return one
+
+
+def test_an_imagined_success_by_hand(tmp_path, ahead):
+    room().save(tmp_path / "room.npz")
+    (row,) = imagine(straight(), tmp_path / "room.npz", [ahead], "none")
+    assert row["success"] and row["collisions"] == 0
+    assert 10 <= row["steps"] <= 14  # 16 cm each, and the stop
+    assert 1.6 <= row["path_length"] < 1.85
+    assert row["spl"] == pytest.approx(1.6 / row["path_length"])
+    assert row["return"] == pytest.approx(1.6 - STEP_COST * row["steps"] + SUCCESS_REWARD)
+
+
+def test_an_imagined_failure_by_hand(tmp_path, ahead):
+    """It stands still until time is out: nothing is gained, and every step costs."""
+    room().save(tmp_path / "room.npz")
+    (row,) = imagine(straight(step=-1.0), tmp_path / "room.npz", [ahead], "none")
+    assert not row["success"] and row["spl"] == 0.0 and row["steps"] == STEPS
+    assert row["path_length"] < 1e-3
+    assert row["return"] == pytest.approx(-STEP_COST * STEPS, abs=0.1)  # 3 % of a grid's ways
+
+
+@pytest.mark.slow
+def test_the_gap_is_what_imagination_adds(tmp_path):
+    """Through the sweep in ``oak``; means and gap are those of the rows, task by task."""
+    file, out = tmp_path / "straight.npz", tmp_path / "out"
+    policy_file.save(file, straight())
+    found = evaluate_policy(file, out, scene="oak", tasks=4)
+    real = [{**row, "return": real_return(row)} for row in read_rows(out / "episodes.jsonl")]
+    tasks, map_file = files_of(out, "oak")
+    imagined = imagine(straight(), map_file, load(tasks).tasks[:4], "low", 0)
+    told = json.loads((out / "evaluation.json").read_text())
+    assert found.imagined is not None and found.gap is not None and found.notice == ""
+    assert sorted(row["task"] for row in real) == [row["task"] for row in imagined]
+    for metric in METRICS:
+        there, here = (np.mean([row[metric] for row in rows]) for rows in (imagined, real))
+        assert found.imagined[metric].mean == pytest.approx(there)
+        assert found.real[metric].mean == pytest.approx(here)
+        assert found.gap[metric].mean == pytest.approx(there - here)
+        assert told["gap"][metric][0] == pytest.approx(found.gap[metric].mean)

@@ -1,0 +1,426 @@
+"""Trainings: configurations, what an environment shows, a run from start to resume, and cloning."""
+
+import json
+import os
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from tests.helpers.paths import CHECKOUT
+from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy.features import features
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.scan import BEAMS
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.training.config import EnvironmentSettings, TrainingConfig, load_training, training_hash
+from vssm_gym.training.environment import BODY, PolicyView, commands, make_observing
+from vssm_gym.training.run import ProgressLog, deferred_interrupt, read_progress
+from vssm_gym.training.train import run_training
+
+CONFIGS = CHECKOUT / "eval" / "configs"
+PPO = {"name": "ppo", "n_steps": 8, "batch_size": 32, "n_epochs": 2}
+SAC = {"name": "sac", "buffer_size": 500, "learning_starts": 32, "batch_size": 16}
+
+
+class Corridor(VectorEnv):
+    """Robots on a line: the goal is ``left`` m ahead, a step drives there, and within 0.4 m the episode ends."""
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    single_observation_space = gym.spaces.Dict(
+        {
+            "scan": gym.spaces.Box(0.0, 8.0, (BEAMS,), np.float32),
+            "goal": gym.spaces.Box(-9.0, 9.0, (3,), np.float32),
+            "pose": gym.spaces.Box(-9.0, 9.0, (3,), np.float32),
+        }
+    )
+    single_action_space = gym.spaces.Box(-1.0, 1.0, (4,), np.float32)
+
+    def __init__(self, num_envs: int) -> None:
+        self.num_envs = num_envs
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.left, self.steps = np.zeros(num_envs), np.zeros(num_envs, int)
+        self.sent: list[np.ndarray] = []
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        one, zero = np.ones(self.num_envs), np.zeros(self.num_envs)
+        scan = np.tile(self.left[:, None], (1, BEAMS))
+        found = {
+            "scan": scan,
+            "goal": np.stack([self.left, one, zero], -1),
+            "pose": np.stack([-self.left, zero, zero], -1),
+        }
+        return {key: value.astype(np.float32) for key, value in found.items()}
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        self.left[mask], self.steps[mask] = 1.0, 0
+        return self._observe(), {}
+
+    def step(self, actions: np.ndarray) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        self.sent.append(actions)
+        self.left, self.steps = self.left - actions[:, 2], self.steps + 1
+        arrived, late = self.left <= 0.4, self.steps >= 12
+        infos = {"success": arrived, "_success": arrived, "collision": np.arange(self.num_envs) == 1}
+        return self._observe(), actions[:, 2].astype(np.float64), arrived, late & ~arrived, infos
+
+
+def config(**changes: Any) -> TrainingConfig:
+    fields: dict[str, Any] = {
+        "name": "tiny",
+        "environment": {"map": "unread.npz", "num_envs": 4},
+        "policy": {"hidden": [8], "inputs": ["scan", "goal"]},
+        "algorithm": PPO,
+        "steps": 64,
+    }
+    return TrainingConfig.model_validate(fields | changes)
+
+
+@pytest.fixture
+def corridor(monkeypatch):
+    """Trainings take place in the corridor, whatever map they name; needs the extra."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
+    from vssm_gym.training import train as training
+
+    monkeypatch.setattr(
+        training, "make_training_env", lambda where, parts, seed: PolicyView(Corridor(where.num_envs), parts)
+    )
+    monkeypatch.setattr(training, "world_hash", lambda where: "0" * 16)
+
+
+# configurations
+
+
+def written(path: Path, text: str) -> Path:
+    (path / "train.yaml").write_text(text)
+    return path / "train.yaml"
+
+
+@pytest.mark.parametrize("path", [*CONFIGS.glob("ppo_*.yaml"), *CONFIGS.glob("bc_*.yaml")], ids=lambda path: path.stem)
+def test_the_committed_configurations_are_good(path):
+    imagined = "WorldModelNav" in path.read_text()
+    found = load_training(path, map_file=Path("oak.npz") if imagined else None, seed=3)
+    assert found.seed == 3 and found.policy.hidden == (128, 128)
+    assert found.minutes == (None if "few" in path.stem else 12.0)
+
+
+def test_what_is_compared_differs_in_what_it_says_alone():
+    """Cloning and PPO see the same tasks and errors; few steps in the map have the settings of those in MuJoCo."""
+    stored = {name: yaml.safe_load((CONFIGS / f"{name}.yaml").read_text()) for name in
+              ("ppo_oak", "bc_oak", "ppo_oak_simulated", "ppo_oak_few")}  # fmt: skip
+    ppo, cloned, simulated, few = stored.values()
+    for name in ("goals", "pool", "noise", "pose_std", "max_episode_steps"):
+        assert cloned["environment"][name] == ppo["environment"][name]
+    for name in ("noise", "pose_std", "max_episode_steps", "num_envs", "contact_cost"):
+        assert simulated["environment"][name] == few["environment"][name]
+    assert simulated["algorithm"] == few["algorithm"]
+    assert ppo["policy"] == cloned["policy"] == simulated["policy"] == few["policy"]
+
+
+def test_the_comparison_names_what_the_trainings_make():
+    """One policy file for each of five seeds of each training, under the names that its comments give."""
+    text = (CONFIGS / "rl.yaml").read_text()
+    agents = yaml.safe_load(text)["agents"]
+    made = re.findall(r"train (\S+)\.yaml.*--out (\S+)-\$s", text)
+    assert agents[0] == "astar" and len(made) == 4
+    assert set(agents[1:]) == {f"policy:../../{out}-{s}/policy.npz" for _, out in made for s in range(5)}
+    assert all((CONFIGS.parents[1] / f"{config}.yaml").is_file() for config, _ in made)
+
+
+BASE = "name: a\nsteps: 10\nalgorithm: {name: ppo}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- 1\n", "file: expected fields name, environment"),
+        (BASE, "environment: expected this field"),
+        (BASE + "environment: {}\n", r"environment.map: expected a map file"),
+        (BASE + "environment: {id: vssm_gym/PointNav-v0}\n", "environment.scene: expected a scene"),
+        (BASE + "environment: {map: m.npz, scene: oak}\n", "no 'scene'"),
+        (BASE + "environment: {map: m.npz, end_on: stop}\n", "no 'end_on': training sets it"),
+        (BASE + "environment: {map: m.npz, num_envs: 0}\n", "environment.num_envs"),
+        (BASE + "environment: {map: m.npz}\nfoo: 1\n", "foo: expected one of the fields name"),
+        (BASE + "environment: {map: m.npz}\npolicy: {inputs: [scan]}\n", "'goal' among the inputs"),
+        (BASE.replace("ppo", "dqn") + "environment: {map: m.npz}\n", "algorithm: expected"),
+        (BASE.replace("{name: ppo}", "{name: ppo, tau: 1}") + "environment: {map: m.npz}\n", "algorithm.ppo.tau"),
+        (BASE.replace("ppo", "bc") + "environment: {id: vssm_gym/PointNav-v0, scene: oak}\n", "the expert plans"),
+    ],
+)
+def test_a_bad_configuration_is_one_clear_line(tmp_path, text, message):
+    with pytest.raises(InputError, match=message) as error:
+        load_training(written(tmp_path, text))
+    assert "\n" not in str(error.value)
+
+
+def test_paths_start_at_the_file_and_hashes_at_the_content(tmp_path):
+    path = written(tmp_path, BASE + "environment: {map: maps/oak.npz, noise: mid}\n")
+    found, other = load_training(path), load_training(path, map_file=tmp_path / "other.npz")
+    assert found.environment.map == str(tmp_path / "maps" / "oak.npz") != other.environment.map
+    assert found.environment.keywords == {"noise": "mid"}
+    assert training_hash(found, "a") == training_hash(other, "a") != training_hash(found, "b")
+    assert training_hash(found, "a") != training_hash(load_training(path, seed=1), "a")
+
+
+def test_a_missing_map_is_said_before_anything_is_written(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
+    wanted = load_training(written(tmp_path, BASE + "environment: {map: none.npz}\n"))
+    with pytest.raises(InputError, match=r"none.npz: file: expected an existing map file"):
+        run_training(wanted, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+# the environment
+
+
+def test_actions_span_the_robots_commands():
+    low, middle, high = commands(np.array([[-1.0, -1.0, -1.0], [0.0, 0.0, 0.0], [7.0, 1.0, 1.0]]))
+    np.testing.assert_allclose(low, [*BODY.low, 0.0], atol=1e-6)
+    np.testing.assert_allclose(middle, [0.0, 0.0, 0.08, 0.0], atol=1e-6)
+    np.testing.assert_allclose(high, [*BODY.high, 0.0], atol=1e-6)
+
+
+def test_a_view_shows_features_and_says_who_arrived():
+    env = PolicyView(Corridor(2), ("scan", "goal"))
+    first, _ = env.reset()
+    np.testing.assert_array_equal(first, features(env.shown, ("scan", "goal")))
+    assert env.single_observation_space.contains(first[0])
+    actions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], np.float32)
+    told = [env.step(actions)[-1] for _ in range(12)]
+    assert told[0] == {}
+    assert told[3]["is_success"].tolist() == [True, False] and told[3]["_is_success"].tolist() == [True, False]
+    assert told[11]["_is_success"][1] and not told[11]["is_success"][1]
+
+
+def test_contacts_cost_what_the_configuration_says():
+    free, dear = (PolicyView(Corridor(2), ("goal",), cost) for cost in (0.0, 0.25))
+    rewards = []
+    for env in (free, dear):
+        env.reset()
+        rewards.append(env.step(np.zeros((2, 3), np.float32))[1])
+    np.testing.assert_allclose(rewards[0] - rewards[1], [0.0, 0.25])
+
+
+# runs
+
+
+@pytest.mark.parametrize("algorithm", [PPO, SAC], ids=["ppo", "sac"])
+@pytest.mark.parametrize("frames", [1, 3])
+def test_a_run_is_resumed_where_it_was(corridor, tmp_path, algorithm, frames):
+    """Steps, seconds and the network go on; the file drives as the network that was trained."""
+    import torch
+
+    from vssm_gym.training.sb3.learner import make_model, restore_checkpoint, wrapped
+
+    shape = {"policy": {"hidden": [8], "inputs": ["scan", "goal"], "frames": frames}, "algorithm": algorithm}
+    path = run_training(config(**shape), tmp_path / "run")
+    rows = read_progress(tmp_path / "run" / "progress.jsonl")
+    assert rows[-1]["steps"] == 64 and rows[-1]["seconds"] > 0.0
+    policy = policy_file.load(path)
+    assert policy.spec.trained["steps"] == 64 and policy.spec.frames == frames
+
+    wanted = config(**shape)
+    env = wrapped(PolicyView(Corridor(4), ("scan", "goal")), frames)
+    settings = wanted.algorithm.model_dump(exclude={"name"})
+    model = make_model(wanted.algorithm.name, env, (8,), "tanh", 0, settings, lambda: 0.0, tmp_path / "log")
+    assert restore_checkpoint(tmp_path / "run" / "checkpoint.pt", model) <= rows[-1]["seconds"] + 0.01  # rounded
+    assert model.num_timesteps == 64
+    if algorithm is SAC:
+        assert model.replay_buffer.pos == 16  # type: ignore[attr-defined]
+    x = np.random.default_rng(0).normal(size=(5, frames * 68)).astype(np.float32)
+    with torch.no_grad():
+        theirs, _ = model.predict(x, deterministic=True)
+    np.testing.assert_allclose(policy(x), commands(theirs)[:, :3], atol=1e-5)
+
+    with pytest.raises(InputError, match="--resume goes on"):
+        run_training(wanted, tmp_path / "run")
+    run_training(wanted, tmp_path / "run", resume=True)  # at its end already
+    assert policy_file.load(str(path)).layers[0][0].shape == policy.layers[0][0].shape
+    with pytest.raises(InputError, match="another training belongs into another folder"):
+        run_training(config(**shape, seed=5), tmp_path / "run", resume=True)
+
+
+def test_ctrl_c_keeps_what_was_learned_and_resume_ends_it(corridor, tmp_path):
+    def interrupt(row: dict[str, Any], share: float) -> None:
+        if row["steps"] == 64:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    long = config(steps=160)
+    with pytest.raises(KeyboardInterrupt):
+        run_training(long, tmp_path, told=interrupt)
+    rows = read_progress(tmp_path / "progress.jsonl")
+    assert 64 <= rows[-1]["steps"] < 100 and (tmp_path / "policy.npz").is_file()
+    run_training(long, tmp_path, resume=True)
+    again = read_progress(tmp_path / "progress.jsonl")
+    assert again[: len(rows)] == rows and again[-1]["steps"] >= 160
+    assert again[-1]["seconds"] > rows[-1]["seconds"]
+    assert json.loads((tmp_path / "training.json").read_text())["world_hash"] == "0" * 16
+
+
+class Bomb:
+    """Unpickling it would leave a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize("damage", ["text", "code"])
+def test_a_damaged_checkpoint_is_refused_and_runs_no_code(corridor, tmp_path, damage):
+    import torch
+
+    run_training(config(), tmp_path / "run")
+    checkpoint = tmp_path / "run" / "checkpoint.pt"
+    if damage == "text":
+        checkpoint.write_bytes(b"not a checkpoint")
+    else:
+        torch.save({"model": Bomb(tmp_path / "exploded")}, checkpoint)
+    with pytest.raises(InputError, match="a checkpoint of this training"):
+        run_training(config(), tmp_path / "run", resume=True)
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_a_training_killed_before_its_first_checkpoint_begins_anew(corridor, tmp_path):
+    """What it has logged is dropped: curves go over lines that do not fall."""
+    run_training(config(), tmp_path)
+    for name in ("checkpoint.pt", "policy.npz"):
+        (tmp_path / name).unlink()
+    run_training(config(), tmp_path, resume=True)
+    steps = [row["steps"] for row in read_progress(tmp_path / "progress.jsonl")]
+    assert steps == sorted(steps) and steps[-1] == 64
+
+
+@pytest.mark.parametrize("changed", [{}, {"steps": 80}])
+def test_a_finished_policy_is_not_overwritten(corridor, tmp_path, changed):
+    """Also where there is no checkpoint beside it, as after cloning."""
+    path = run_training(config(), tmp_path)
+    (tmp_path / "checkpoint.pt").unlink()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="--resume goes on"):
+        run_training(config(**changed), tmp_path)
+    assert path.read_bytes() == before
+
+
+def test_a_foreign_folder_is_left_alone(corridor, tmp_path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError, match=r"it holds thesis.tex"):
+        run_training(config(), tmp_path)
+
+
+def test_a_log_has_one_writer_and_forgets_what_was_not_kept(tmp_path):
+    with ProgressLog(tmp_path / "log") as log:
+        for steps in (10, 20, 30):
+            log.append({"steps": steps})
+        with pytest.raises(InputError, match="no other training"):
+            ProgressLog(tmp_path / "log")
+        log.drop_after(20)
+        log.append({"steps": 25})
+    assert [row["steps"] for row in read_progress(tmp_path / "log")] == [10, 20, 25]
+
+
+def test_the_second_interrupt_does_not_wait():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), deferred_interrupt() as seen:
+        assert not seen()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert seen()
+        os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_cloning_fits_what_it_is_shown():
+    pytest.importorskip("torch", reason="needs the extra vssm-gym[rl]")
+    from vssm_gym.training.sb3.cloning import fit
+
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(512, 4)).astype(np.float32)
+    a = np.tanh(x @ rng.normal(size=(4, 3))).astype(np.float32)
+    losses: list[float] = []
+    layers = fit(
+        x, a, (32,), "tanh", epochs=60, batch_size=64, learning_rate=0.01, seed=0,
+        told=lambda epoch, loss: losses.append(loss), stop=lambda: False,
+    )  # fmt: skip
+    assert losses[-1] < 0.05 * losses[0]
+    hidden = np.tanh(x @ layers[0][0].T + layers[0][1])
+    assert np.mean((hidden @ layers[1][0].T + layers[1][1] - a) ** 2) < 0.05 * losses[0]
+
+
+@pytest.mark.slow
+def test_interrupted_cloning_writes_no_policy_and_goes_on(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
+    from tests.helpers.imagined_room import room
+
+    room().save(tmp_path / "room.npz")
+    settings = {"environment": {"map": str(tmp_path / "room.npz"), "num_envs": 4, "pool": 64, "goals": 4}, "steps": 400}
+    wanted = config(**settings, algorithm={"name": "bc", "epochs": 2})
+
+    def interrupt(row: dict[str, Any], share: float) -> None:
+        if row["steps"] == 200:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_training(wanted, tmp_path / "run", told=interrupt)
+    assert not (tmp_path / "run" / "policy.npz").exists()
+    with np.load(tmp_path / "run" / "demonstrations.npz") as kept:
+        assert int(kept["steps"]) == 200 and 100 < len(kept["vectors"]) == len(kept["actions"]) <= 200
+    path = run_training(wanted, tmp_path / "run", resume=True)
+    assert policy_file.load(path).spec.trained["steps"] == 400
+    assert not (tmp_path / "run" / "demonstrations.npz").exists()
+    rows = read_progress(tmp_path / "run" / "progress.jsonl")
+    assert [row["steps"] for row in rows] == sorted(row["steps"] for row in rows)
+
+
+def test_trackers_errors_are_added_to_the_simulators_poses():
+    """With the standard deviations asked for, from an exact start on; the goal is shown from there."""
+    where = {"id": "vssm_gym/PointNav-v0", "scene": "oak", "num_envs": 4, "max_episode_steps": 40}
+    exact, tracked = (
+        make_observing(EnvironmentSettings(**where, pose_std=std)) for std in ((0.0, 0.0, 0.0), (0.02, 0.04, 0.01))
+    )
+    true, told = (env.reset(seed=0)[0] for env in (exact, tracked))
+    np.testing.assert_allclose(told["pose"], true["pose"], atol=1e-6)
+    errors, action = [], np.tile(np.array([0.1, 0.0, 0.0, 0.0], np.float32), (4, 1))
+    for _ in range(80):
+        true, told = (env.step(action)[0] for env in (exact, tracked))
+        c, s = np.cos(true["pose"][:, 2]), np.sin(true["pose"][:, 2])
+        dx, dy, turn = (told["pose"] - true["pose"]).T
+        errors.append(np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(turn)], axis=-1))
+    np.testing.assert_allclose(errors[40], 0.0, atol=1e-6)  # all episodes have begun anew
+    assert np.abs(told["goal"] - true["goal"]).max() > 1e-3
+    np.testing.assert_allclose(np.std(np.concatenate(errors), axis=0), [0.02, 0.04, 0.01], rtol=0.3)
+    for env in (exact, tracked):
+        env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["ppo", "bc"])
+def test_a_training_in_a_learned_map(tmp_path, algorithm, monkeypatch):
+    """From a map file to a policy file, through the command line; then imagined in the same map."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
+    from tests.helpers.imagined_room import room, task
+    from vssm_gym.cli.train import train
+    from vssm_gym.training.imagined_episodes import imagine
+
+    room().save(tmp_path / "room.npz")
+    settings = "{name: ppo, n_steps: 16, batch_size: 64}" if algorithm == "ppo" else "{name: bc, epochs: 3}"
+    text = f"name: room\nsteps: 256\nalgorithm: {settings}\npolicy: {{hidden: [16]}}\n"
+    path = written(tmp_path, text + "environment: {map: room.npz, num_envs: 4, pool: 64, goals: 4}\n")
+    train(path, tmp_path / "run")
+    policy = policy_file.load(tmp_path / "run" / "policy.npz")
+    assert policy.spec.trained["algorithm"] == algorithm
+    assert re.fullmatch(r"[0-9a-f]{16}", policy.spec.trained["world_hash"])
+    if algorithm == "ppo":
+        train(path, tmp_path / "run", resume=True)
+    tasks = [task((1.0, 1.2, 0.0), (3.0, 1.2))]
+    object.__setattr__(tasks[0], "geodesic", 1.6)
+    (row,) = imagine(policy, tmp_path / "room.npz", tasks, "none")
+    assert 0.0 <= row["spl"] <= row["success"] and 1 <= row["steps"] <= 500

@@ -1,0 +1,1 @@
+"""Parts that several commands share: the compilation cache, progress and tables, the terminal."""

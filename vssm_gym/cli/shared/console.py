@@ -1,0 +1,72 @@
+"""What long commands show: a progress bar a stage, and a table of results."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+STAGES = {"recording": "driving and recording", "map": "building the map", "episodes": "running episodes"}
+
+
+@contextlib.contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """A callback ``(stage, done, total)`` that draws one bar a stage on stderr; one that starts anew gets a new bar."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description:>24}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        Remaining(),
+    )
+    bars: dict[str, TaskID] = {}
+    with Progress(*columns, console=console) as progress:
+
+        def show(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                bars[stage] = progress.add_task(STAGES.get(stage, stage), total=total)
+            progress.update(bars[stage], completed=done, total=total)
+            if done >= total:
+                del bars[stage]
+
+        yield show
+
+
+def print_results(log: Path) -> None:
+    """What every agent of an episode log was worth, by condition, on stdout; the columns suit the environment."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from vssm_gym.eval.episodes.log import read_rows
+    from vssm_gym.eval.metrics import aggregate
+    from vssm_gym.eval.metrics.registry import measured
+    from vssm_gym.eval.protocols.registry import view_of
+
+    console = Console(highlight=False)
+    all_rows = [measured(row) for row in read_rows(log)]
+    for (env, *condition), rows in aggregate.group_rows(all_rows, ("env", "scene", "noise", "physics")).items():
+        columns = view_of(env).summary
+        table = Table(title=f"{' · '.join(condition)}; in brackets 95 % intervals", title_justify="left", box=None)
+        table.add_column("agent", no_wrap=True)
+        for name in ("runs", *columns, "failed"):
+            table.add_column(name, justify="right", no_wrap=True)
+        for (agent,), members in aggregate.group_rows(rows, ("agent",)).items():
+            failed = sum(row["failure"] is not None for row in members)
+            values = [value(members) for value in columns.values()]
+            table.add_row(agent, str(len(members)), *values, str(failed))
+        console.print(table)
+
+
+def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
+    """What a user should know about scenes before anything runs in them, one line each on stderr."""
+    from vssm_gym.eval.episodes.identity import scene_name
+    from vssm_gym.eval.protocols.registry import course_of
+
+    course = course_of(env)
+    for scene in scenes:
+        if notice := course.notice(course.load(scene)):
+            print(f"warning: {scene_name(scene)}: {notice}", file=sys.stderr)

@@ -1,0 +1,212 @@
+"""What ``vssm-gym play`` does at a key and what it shows, without any terminal: a session of episodes."""
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from vssm_gym.data.recording import recorded_episode
+from vssm_gym.envs.rendering.topdown import TopDown
+from vssm_gym.viz.terminal import Colours, depth_picture, side_by_side
+
+PLAN = 64  # pixels, size of the plan before it is fitted into the terminal
+HUD = 5  # lines under the pictures
+ALIASES = {"up": "w", "left": "a", "right": "d", "down": "s"}
+COMMON = "r new task   p plan   q quit"
+BOLD, PLAIN = "\x1b[1m", "\x1b[0m"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How keys move a robot: ``shares[key]`` of each action's bound, from -1 (low) to 1 (high); ``help`` on screen."""
+
+    shares: dict[str, tuple[float, ...]]
+    help: str
+    scene: str = "oak"  # where it drives unless told otherwise
+    camera: bool = True  # whether it sees by a camera, whose images can be recorded
+
+    def action(self, key: str, space: Any) -> np.ndarray:
+        """The action of a key, within the box ``space``."""
+        share = np.array(self.shares[key])
+        return np.where(share >= 0.0, share * space.high, -share * space.low).astype(np.float32)
+
+
+# (turn, o, s, stop): turns, straight on, curves; the robot has no reverse.
+HOLONOMIC = Drive(
+    {
+        "w": (0.0, 0.0, 1.0, 0.0),
+        "a": (1.0, 0.0, 0.0, 0.0),
+        "d": (-1.0, 0.0, 0.0, 0.0),
+        "z": (1.0, 0.0, 1.0, 0.0),
+        "c": (-1.0, 0.0, 1.0, 0.0),
+        "s": (0.0, 0.0, 0.0, 0.0),
+        "space": (0.0, 0.0, 0.0, 1.0),
+    },
+    "w ↑ ahead   a ← d → turn   z c curve   s ↓ wait   space I am there",
+)
+
+# (turn, s, stop) in a maze: the same keys
+MAZE = Drive(
+    {key: (turn, step, stop) for key, (turn, _, step, stop) in HOLONOMIC.shares.items()},
+    HOLONOMIC.help,
+    scene="rooms-v1",
+    camera=False,
+)
+
+DRIVES: dict[str, Drive] = {
+    "PointNav-v0": HOLONOMIC,
+    "ImageNav-v0": HOLONOMIC,
+    "Explore-v0": HOLONOMIC,
+    "LidarMaze-v0": MAZE,
+}
+"""The environments that can be played, by id without ``vssm_gym/``: those that one key a step can steer."""
+
+
+class Session:
+    """Episodes driven by keys; ``left`` once the person wants to go.
+
+    Args:
+        env: a robot on the floor of an apartment, or in a maze and with pictures (``render_mode="rgb_array"``).
+        drive: its keys.
+        title: of the screen.
+        record: folder for a recording of each episode (1, 2, ...), or None.
+        about: what to tell in each recording.
+        seed: of the first episode; later ones go on in its streams.
+    """
+
+    def __init__(
+        self, env: gym.Env, drive: Drive, title: str, record: Path | None, about: dict[str, Any], seed: int
+    ) -> None:
+        self.env, self.drive, self.title = env, drive, title
+        self.plan = self.left = False
+        self.episodes = self.successes = 0
+        self._record, self._about = record, about
+        self._recording = contextlib.ExitStack()
+        self._world: Any = env.unwrapped
+        self._plan: TopDown | None = None
+        self._begin(seed)
+
+    def _begin(self, seed: int | None = None) -> None:
+        self.close()
+        self.observation, self.info = self.env.reset(seed=seed)
+        self._first = (self.observation, self.info)
+        self._write: Callable[[Any, Any], None] | None = None
+        self.episodes += 1
+        self.steps = self.collisions = 0
+        self.total, self.result = 0.0, ""
+        self._path = [self._planar()[:2]]
+
+    def press(self, key: str) -> None:
+        """Do what a key says; keys that mean nothing do nothing, and an episode that is over takes no more steps."""
+        key = ALIASES.get(key, key)
+        if key == "q":
+            self.left = True
+        elif key == "r":
+            self._begin()
+        elif key == "p":
+            self.plan = not self.plan
+        elif key in self.drive.shares and not self.result:
+            self._step(key)
+
+    def _step(self, key: str) -> None:
+        action = self.drive.action(key, self.env.action_space)
+        self.observation, reward, terminated, truncated, self.info = self.env.step(action)
+        self.steps += 1
+        self._path.append(self._planar()[:2])
+        self.collisions += bool(self.info["collision"])
+        self.total += float(reward)
+        if self._record is not None:
+            if self._write is None:  # an episode without a step leaves no recording
+                folder = self._record / str(self.episodes)
+                recording = recorded_episode(self._world.simulation, folder, self._about)
+                self._write = self._recording.enter_context(recording)
+                self._write(*self._first)
+            self._write(self.observation, self.info)
+        if terminated:
+            success = self.info.get("success")
+            self.successes += bool(success)
+            self.result = {True: "ARRIVED", False: "NOT THERE", None: "ENDED"}[success]
+        elif truncated:
+            self.result = "OUT OF TIME"
+
+    def close(self) -> None:
+        """Finish the recording of the episode as far as it was driven."""
+        self._recording.close()
+
+    def screen(self, columns: int, rows: int, colours: Colours = "true") -> list[str]:
+        """Lines for a terminal of this size: pictures, and under them what a driver should know."""
+        images = [v for v in self.observation.values() if v.ndim == 3 and v.dtype == np.uint8]
+        if "depth" in self.observation:
+            images.append(depth_picture(self.observation["depth"]))
+        if not self.drive.camera:
+            images.append(np.asarray(self.env.render()))  # the plan and the readings in it: all that there is to see
+        elif self.plan:
+            images.append(self._plan_picture())
+        lines = side_by_side(images, columns, max(1, rows - HUD), colours)
+        limit = f" of {self.env.spec.max_episode_steps}" if self.env.spec and self.env.spec.max_episode_steps else ""
+        status = f"episode {self.episodes}   step {self.steps}{limit}   collisions {self.collisions}"
+        if self.info["collision"]:
+            status += f"   {BOLD}bump{PLAIN}"
+        where = self._goal_line() if self._has_goal() else ""
+        if "coverage" in self.info:
+            where = f"seen {self.info['coverage']:.0%}   "
+        result = f"   {BOLD}{self.result}{PLAIN}: r for a new task" if self.result else ""
+        text = [
+            f"{BOLD}{self.title}{PLAIN}",
+            f"{where}reward {self.total:+.2f}{result}",
+            status,
+            self.drive.help,
+            COMMON,
+        ]
+        return lines + text
+
+    def _plan_picture(self) -> np.ndarray:
+        """The floor plan with the robot, its path and its goal; few pixels, so that the robot is still seen in them."""
+        if self._plan is None:
+            self._plan = TopDown(self._world.simulation.scenery.boxes, PLAN, PLAN)
+        goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (None, 0.0)
+        return self._plan.draw(np.array(self._path), self._planar(), self._world.simulation.robot.radius, goal, radius)
+
+    def _planar(self) -> np.ndarray:
+        """The true ``(x, y, heading)``."""
+        return self.info["pose"] if "pose" in self.info else planar_pose(self.info["T_world_cam"])
+
+    def _has_goal(self) -> bool:
+        return np.shape(self.observation.get("goal")) == (2,)
+
+    def _goal_line(self) -> str:
+        """Where the goal truly lies, seen from the robot: a person at the keys is told, an agent is not."""
+        distance, bearing = goal_ahead(self._planar(), self.observation["goal"])
+        side = "left" if bearing >= 0.0 else "right"
+        return f"goal {arrow(bearing)} {distance:.2f} m, {abs(math.degrees(bearing)):.0f}° {side}   "
+
+    def summary(self) -> list[str]:
+        """What to say afterwards."""
+        lines = [f"{self.episodes} episode{'s' * (self.episodes > 1)}, {self.successes} with success"]
+        if self._record is not None and self._record.exists():
+            folders = sorted(self._record.iterdir(), key=lambda path: int(path.name))
+            lines += [f"recorded: {folder}" for folder in folders]
+        return lines
+
+
+def planar_pose(T_world_cam: np.ndarray) -> np.ndarray:
+    """``(x, y, heading)`` of a camera that looks along the floor: position, and the direction of its z axis."""
+    return np.array([*T_world_cam[:2, 3], math.atan2(T_world_cam[1, 2], T_world_cam[0, 2])])
+
+
+def goal_ahead(planar: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
+    """Distance (m) and bearing (rad, positive to the left, in (-pi, pi]) of ``goal (2,)`` from ``(x, y, heading)``."""
+    away = np.asarray(goal, dtype=np.float64) - planar[:2]
+    ahead = np.array([math.cos(planar[2]), math.sin(planar[2])])
+    cross, dot = ahead[0] * away[1] - ahead[1] * away[0], float(ahead @ away)
+    return float(np.hypot(*away)), math.atan2(cross, dot)
+
+
+def arrow(bearing: float) -> str:
+    """One of eight arrows; up is straight ahead."""
+    return "↑↖←↙↓↘→↗"[round(bearing / (math.pi / 4)) % 8]

@@ -1,0 +1,192 @@
+"""Physics: an apartment and a robot as a MuJoCo model, and the world that moves the robot through contacts.
+
+Each box of the apartment appears once as it is, for rays and pictures,
+and, where the robot could touch it, once more as an invisible upright prism for contacts: motion on the floor then
+meets vertical faces only, so that no table edge can press the robot into the floor. The robot itself is a sphere
+halfway up the prisms, whose contact with them is the cylinder's own, in closed form.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.envs.physics.boxes import (
+    CONTACTS,
+    LOOKS,
+    ROBOT,
+    bearings,
+    boxes_of_geoms,
+    cast_rays,
+    empty_spec,
+    fixed_box,
+)
+from vssm_gym.envs.physics.planar import clearance, rectangles
+from vssm_gym.envs.robots.base import Robot
+from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.free_space import STEP_HEIGHT
+from vssm_gym.envs.scenes.solids import SolidBox
+from vssm_gym.geometry.axes import PlanarPose
+from vssm_gym.geometry.transforms import wrap_angle
+
+KEEP = 0.002  # m before an obstacle from which on contacts are simulated
+SUBSTEP = 0.005  # m that the robot covers in a substep at most: contacts are found no deeper than this
+
+
+def obstacles(boxes: Sequence[SolidBox], height: float) -> list[int]:
+    """Indices of the boxes that a robot of this height can touch: those that meet z in (STEP_HEIGHT, height)."""
+    return [
+        i
+        for i, box in enumerate(boxes)
+        if box.center[2] + 0.5 * box.size[2] > STEP_HEIGHT and box.center[2] - 0.5 * box.size[2] < height
+    ]
+
+
+def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
+    """The apartment's boxes, fixed, and the robot on two slides and a hinge ``(x, y, heading)``; SI units, z up.
+
+    Geoms are named ``box I`` and ``prism I`` after the index in ``apartment.boxes()``; the body is named ``robot``.
+    """
+    boxes = apartment.boxes()
+    spec = empty_spec(apartment.name)
+    mid = 0.5 * robot.height
+    for i, box in enumerate(boxes):
+        fixed_box(spec, f"box {i}", box, group=LOOKS, rgba=[*box.material.color, 1.0])
+    for i in obstacles(boxes, robot.height):
+        prism = fixed_box(spec, f"prism {i}", boxes[i], group=CONTACTS, rgba=[1.0, 0.0, 0.0, 0.2])
+        prism.pos[2], prism.size[2] = mid, mid + 1.0
+        prism.contype, prism.conaffinity = 1, 1
+
+    body = spec.worldbody.add_body(name="robot")
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    body.add_joint(name="x", type=slide, axis=[1, 0, 0])
+    body.add_joint(name="y", type=slide, axis=[0, 1, 0])
+    body.add_joint(name="heading", type=hinge, axis=[0, 0, 1])
+    body.add_geom(
+        name="body",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[robot.radius, mid, 0.0],
+        pos=[0.0, 0.0, mid],
+        contype=0,
+        conaffinity=0,
+        group=ROBOT,
+        rgba=[0.9, 0.5, 0.1, 1.0],
+    )
+    body.add_geom(
+        name="disc",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[robot.radius, 0.0, 0.0],
+        pos=[0.0, 0.0, mid],
+        contype=1,
+        conaffinity=1,
+        priority=1,  # the disc's contact parameters alone count, not a mixture with the prisms'
+        condim=1,  # frictionless: the robot slides along what it touches
+        solref=[1e-4, 1.0],  # as stiff as the substep allows: MuJoCo raises the time constant to two substeps
+        group=CONTACTS,
+        mass=1.0,
+        rgba=[1.0, 0.0, 0.0, 0.2],
+    )
+    return spec
+
+
+class World:
+    """The robot among the apartment's boxes; one object is one simulation, for one thread."""
+
+    feels = True  # whether contacts are kept for :meth:`contact_bearings`; it costs a quarter of a step in contact
+
+    def __init__(self, apartment: Apartment, robot: Robot) -> None:
+        self.apartment, self.robot = apartment, robot
+        self._build()
+
+    def _build(self) -> None:
+        self.boxes = self.apartment.boxes()
+        self.model = build_spec(self.apartment, self.robot).compile()
+        self.data = mujoco.MjData(self.model)
+        self._box_of_geom = boxes_of_geoms(self.model)
+        self._body = self.model.body("robot").id
+        self._rectangles = rectangles([self.boxes[i] for i in obstacles(self.boxes, self.robot.height)])
+        self._touched: set[int] = set()
+        self._meetings: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # a substep's geoms, normals, heading
+        mujoco.mj_forward(self.model, self.data)
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = {"apartment": self.apartment, "robot": self.robot, "planar": self.pose(), "feels": self.feels}
+        return state | {"touched": self._touched, "meetings": self._meetings}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.apartment, self.robot, self.feels = state["apartment"], state["robot"], state["feels"]
+        self._build()
+        self.reset(state["planar"])
+        self._touched, self._meetings = state["touched"], state["meetings"]
+
+    def reset(self, planar: PlanarPose) -> None:
+        """Put the robot at ``(x, y, heading)``, m and rad, at rest."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = planar
+        mujoco.mj_kinematics(self.model, self.data)  # rays need the geoms' places
+        self._touched, self._meetings = set(), []
+
+    def pose(self) -> PlanarPose:
+        """The robot's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
+        x, y, heading = self.data.qpos
+        return np.array([x, y, wrap_angle(heading)])
+
+    def drive(self, target: PlanarPose) -> bool:
+        """Move towards ``target = (x, y, heading)`` for ``robot.dt`` seconds at constant speed, by the shorter turn.
+
+        In free space the robot ends at the target; obstacles stop it or make it slide along them. As far as nothing
+        can be in the way, by the exact distance to the nearest obstacle, no physics is needed.
+
+        Returns:
+            Whether the robot touched an obstacle (:meth:`contacts` names them).
+        """
+        model, data = self.model, self.data
+        displacement = np.asarray(target, dtype=np.float64) - data.qpos
+        displacement[2] = wrap_angle(displacement[2])
+        self._touched, self._meetings = set(), []
+        travel = math.hypot(displacement[0], displacement[1])
+        free = clearance(data.qpos[0], data.qpos[1], self._rectangles) - self.robot.radius - KEEP
+        if free > 0.0 and travel <= free:
+            data.qpos[:] += displacement
+            return False
+        velocity = displacement / self.robot.dt
+        ahead = max(0.0, free) / travel if travel > 0.0 else 0.0
+        data.qpos[:] += ahead * displacement
+        substeps = max(1, math.ceil((1.0 - ahead) * travel / SUBSTEP))
+        model.opt.timestep = (1.0 - ahead) * self.robot.dt / substeps
+        qvel, step = data.qvel, mujoco.mj_step
+        pairs = set()  # of geoms that touched, a substep's as bytes: sliding along a wall they are the same ones
+        for _ in range(substeps):
+            qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
+            step(model, data)
+            if data.ncon:
+                met = data.contact.geom
+                pairs.add(met.tobytes())
+                if self.feels:
+                    # Copied: the arrays are views of memory that the next substep reuses. Contacts are those of the
+                    # substep's begin, and so is the body's pose; qpos is that of its end.
+                    normals = data.contact.frame[:, :3].copy()
+                    self._meetings.append((met.copy(), normals, data.xmat[self._body].copy()))
+        geoms = np.frombuffer(b"".join(pairs), dtype=np.int32)
+        self._touched = set(self._box_of_geom[geoms].tolist()) - {-1}
+        return bool(self._touched)
+
+    def contacts(self) -> list[str]:
+        """Names of the obstacles that the last :meth:`drive` touched, in the order of the apartment's boxes."""
+        return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
+
+    def contact_bearings(self) -> Float[np.ndarray, "n"]:
+        """Directions in which obstacles pressed against the robot during the last :meth:`drive`, rad.
+
+        Against the contact's normal, from the robot to the obstacle, counter-clockwise from body x; one a contact and
+        substep, none where nothing was touched.
+        """
+        met = [bearings(self._box_of_geom[geoms], normals, R) for geoms, normals, R in self._meetings]
+        return np.concatenate(met) if met else np.zeros(0)
+
+    def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""
+        return cast_rays(self.model, self.data, self._box_of_geom, origin, directions)

@@ -1,0 +1,1 @@
+"""Render apartments: ray casting, rasterisation, textures, shading, and plans from above."""

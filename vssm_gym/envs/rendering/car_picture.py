@@ -1,0 +1,53 @@
+"""A car's run drawn into the plan: its path, its footprint with the nose marked, and the target."""
+
+import math
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from vssm_gym.envs.rendering.topdown import TopDown
+from vssm_gym.geometry.axes import PlanarPose
+from vssm_gym.geometry.car import Car
+
+_PATH, _CAR, _NOSE, _GOAL = (214, 60, 48), (24, 92, 196), (245, 245, 250), (28, 150, 72)
+_SMOOTH = 2  # drawn this much larger, then reduced: smooth edges
+
+
+def draw_run(
+    plan: TopDown, path: np.ndarray, car: Car, planar: PlanarPose, goal: np.ndarray, radius: float
+) -> np.ndarray:
+    """The plan with the rear axle's path ``(n, 2)``, the car at ``planar`` and its goal ``(2,)`` or ``(3,)``, m, rad.
+
+    The target is a disc of ``radius`` m, and the footprint's outline with an arrow where a heading is asked.
+
+    Returns:
+        uint8 image of the plan's size.
+    """
+    height, width = plan.background.shape[:2]
+    image = Image.fromarray(plan.background).resize((width * _SMOOTH, height * _SMOOTH), Image.Resampling.NEAREST)
+    pen = ImageDraw.Draw(image)
+
+    def at(xy: np.ndarray) -> list[tuple[float, float]]:
+        return [(float(column), float(row)) for column, row in plan.pixels(xy).reshape(-1, 2) * _SMOOTH]
+
+    angle = np.linspace(0.0, 2.0 * math.pi, 33)
+    circle = goal[:2] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    pen.line(at(circle), fill=_GOAL, width=2 * _SMOOTH)
+    if len(goal) == 3:
+        corners = car.corners(goal)
+        pen.line(at(np.concatenate([corners, corners[:1]])), fill=_GOAL, width=2 * _SMOOTH)
+        pen.line(at(_nose(car, goal)), fill=_GOAL, width=2 * _SMOOTH)
+    if len(path) > 1:
+        pen.line(at(path), fill=_PATH, width=2 * _SMOOTH, joint="curve")
+    pen.polygon(at(car.corners(planar)), fill=_CAR)
+    pen.line(at(_nose(car, planar)), fill=_NOSE, width=2 * _SMOOTH)
+    return np.asarray(image.resize((width, height), Image.Resampling.BOX))
+
+
+def _nose(car: Car, planar: PlanarPose) -> np.ndarray:
+    """An arrow's head inside the footprint: from one side over the nose to the other, ``(3, 2)``."""
+    c, s = math.cos(planar[2]), math.sin(planar[2])
+    front = car.length - car.rear_overhang - 0.02
+    forward = np.array([front - 0.1, front, front - 0.1])
+    left = np.array([-1.0, 0.0, 1.0]) * 0.35 * car.width
+    return planar[:2] + np.stack([c * forward - s * left, s * forward + c * left], axis=-1)

@@ -1,0 +1,116 @@
+"""What is wrong with a scene that can be used all the same: open edges, objects where none can be; said, not repaired.
+
+Each check gives sentences that name an item and what is odd about it; :func:`told` puts them into the scene's notes and
+warns once. What a scene cannot be used with is refused elsewhere, by the fields' types or the importers.
+"""
+
+import warnings
+from collections.abc import Callable
+
+import shapely
+
+from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.solids import Solid, footprint
+
+GAP = 0.05  # m; shorter gaps between walls let no robot through
+BODY = (0.1, 0.3)  # m above the floor that a wall, or furniture in its place, spans to close an edge; no higher than
+# the ceiling: mazes are a tenth of a metre high
+REACH = 0.02  # m that an edge may run beside its wall: files round
+TOUCH = 0.05  # m; nearer things hold each other
+LARGE = 0.5  # m; a smaller thing in the air stood on something that is no box: a chair's seat, a sink's rim
+_ROUNDING = 1e-6  # m
+MOST = 20  # sentences of one check; more are counted
+
+Check = Callable[[Apartment], list[str]]
+
+
+def told(apartment: Apartment, *checks: Check) -> Apartment:
+    """The apartment with what the checks found in its ``notes``, after one warning that says the same."""
+    found: list[str] = []
+    for check in checks:
+        sentences = check(apartment)
+        found += sentences[:MOST] + [f"and {len(sentences) - MOST} more of the same kind"] * (len(sentences) > MOST)
+    if not found:
+        return apartment
+    warnings.warn(f"{apartment.name}: {'; '.join(found)}", stacklevel=3)
+    new = [sentence for sentence in found if sentence not in apartment.notes]  # a scene imported and saved has them
+    return apartment.model_copy(update={"notes": (*apartment.notes, *new)})
+
+
+def open_edges(apartment: Apartment) -> list[str]:
+    """A sentence for each room's edge, or part of one, along which nothing stands: no wall, and no furniture as one.
+
+    Doors are holes in walls: their edges are closed. Robots leave the floor through an open edge at the outside, and
+    rays the scene.
+    """
+    low, high = min(BODY[0], 0.5 * apartment.ceiling_height), min(BODY[1], apartment.ceiling_height - _ROUNDING)
+    closing = [
+        shapely.LineString([wall.start, wall.end]).buffer(wall.thickness / 2 + REACH, cap_style="square")
+        for wall in apartment.walls
+        if wall.base <= low and wall.base + wall.height >= high
+    ]
+    closing += [
+        footprint(box).buffer(REACH)
+        for piece in apartment.furniture
+        for box in piece.boxes
+        if _low(box) <= low and _high(box) >= high
+    ]
+    tree = shapely.STRtree(closing)
+    found = []
+    for room in apartment.rooms:
+        for a, b in zip(room.polygon, [*room.polygon[1:], room.polygon[0]], strict=True):
+            edge = shapely.LineString([a, b])
+            beside = shapely.union_all([closing[i] for i in tree.query(edge)])
+            for part in shapely.get_parts(edge.difference(beside)):
+                if part.length > GAP:
+                    (x0, y0), (x1, y1) = shapely.get_coordinates(part)[[0, -1]].tolist()
+                    found.append(
+                        f"{room.name} has no wall along {part.length:.2f} m of its edge, "
+                        f"from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+                    )
+    return found
+
+
+def misplaced(apartment: Apartment) -> list[str]:
+    """A sentence for each piece of furniture that no robot could meet: off all rooms, under the floor, above the
+    ceiling, or without extent. They stay where they are: images show them where the file has them.
+    """
+    floor = shapely.union_all([shapely.Polygon(room.polygon) for room in apartment.rooms])
+    shapely.prepare(floor)
+    found = []
+    for piece in apartment.furniture:
+        low, high = min(map(_low, piece.boxes)), max(map(_high, piece.boxes))
+        if not any(floor.intersects(footprint(box)) for box in piece.boxes):
+            found.append(f"{piece.name} is outside the walls")
+        elif high < 0.0:
+            found.append(f"{piece.name} is under the floor")
+        elif low > apartment.ceiling_height:
+            found.append(f"{piece.name} is above the ceiling")
+        elif max(extent for box in piece.boxes for extent in box.size) < 1e-3:
+            found.append(f"{piece.name} is smaller than 1 mm")
+    return found
+
+
+def floating(apartment: Apartment) -> list[str]:
+    """A sentence for each large piece of furniture in the air: not on the floor, and touching nothing that holds it."""
+    boxes = apartment.boxes()
+    plans = [footprint(box) for box in boxes]
+    tree = shapely.STRtree(plans)
+    found = []
+    for piece in apartment.furniture:
+        low, high = min(map(_low, piece.boxes)), max(map(_high, piece.boxes))
+        if low <= TOUCH or max(extent for box in piece.boxes for extent in box.size) < LARGE:
+            continue
+        plan = shapely.union_all([footprint(box) for box in piece.boxes]).buffer(TOUCH)
+        near = [boxes[i] for i in tree.query(plan, predicate="intersects") if boxes[i].name != piece.name]
+        if not any(_low(box) <= high + TOUCH and _high(box) >= low - TOUCH for box in near):
+            found.append(f"{piece.name} hangs in the air, {low:.2f} m above the floor")
+    return found
+
+
+def _low(box: Solid) -> float:
+    return box.center[2] - box.size[2] / 2
+
+
+def _high(box: Solid) -> float:
+    return box.center[2] + box.size[2] / 2

@@ -1,0 +1,68 @@
+"""Apartments by seed: `generate(7)` is the same home for everyone, to the byte, within a version of this library."""
+
+import operator
+from typing import Literal, get_args
+
+import numpy as np
+
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.generator.floorplan import build
+from vssm_gym.envs.scenes.generator.furnish import furnish
+from vssm_gym.envs.scenes.generator.layout import layout
+from vssm_gym.envs.scenes.generator.openings import NoPlan
+from vssm_gym.errors import InputError
+
+Size = Literal["small", "medium", "large"]
+SIZES: tuple[Size, ...] = get_args(Size)
+"""1 to 3, 4 to 6 and 7 to 9 rooms."""
+
+PREFIX = "procedural:"
+"""How the specification of a scene by seed begins."""
+
+LARGEST_SEED = 2**63 - 1
+_DRAWS = 50  # plans drawn before giving up; nine in ten seeds take the first or second
+
+
+def generate(seed: int, size: Size = "medium") -> Apartment:
+    """A furnished apartment, a pure function of (seed, size): the same content hash on every machine.
+
+    The default robot (0.1 m radius, 0.5 m tall) reaches every room, through passages at least 0.47 m wide; what is
+    narrower is at most 0.11 m. See docs/scenes.md for the rules.
+
+    Raises:
+        InputError: a seed outside 0 .. 2^63 - 1 or another size.
+    """
+    try:
+        number = operator.index(seed)
+    except TypeError as error:
+        raise InputError("procedural", "seed", f"a whole number; found {seed!r}") from error
+    if not 0 <= number <= LARGEST_SEED:
+        raise InputError("procedural", "seed", f"0 to 2^63 - 1; found {number}")
+    if size not in SIZES:
+        raise InputError("procedural", "size", f"one of {', '.join(SIZES)}; found {size!r}")
+    name = f"{PREFIX}{number}" + ("" if size == "medium" else f":{size}")
+    robot = HolonomicRobot()
+    for draw in range(_DRAWS):
+        rng = np.random.default_rng([number, SIZES.index(size), draw])
+        try:
+            plan, bare = layout(name, rng, size)
+        except NoPlan:
+            continue
+        seeds = {room.name: int(rng.integers(2**32)) for room in plan.rooms}
+        apartment = furnish(build(plan), seeds, bare)
+        if not FreeSpace.from_apartment(apartment, robot.radius, robot.height).cut_off_rooms():
+            return apartment
+    raise InputError(name, "seed", f"one for which a plan is found within {_DRAWS} draws: take another")
+
+
+def parse_spec(spec: str) -> tuple[int, Size]:
+    """Seed and size of "procedural:SEED" or "procedural:SEED:SIZE"; InputError where it is neither."""
+    seed, _, size = spec.removeprefix(PREFIX).partition(":")
+    if not (seed.isascii() and seed.isdigit() and len(seed) <= 19):
+        raise InputError(spec, "scene", f"{PREFIX}SEED or {PREFIX}SEED:SIZE with a seed of digits, below 2^63")
+    for known in SIZES:
+        if (size or "medium") == known and not (":" in spec.removeprefix(PREFIX) and not size):
+            return int(seed), known
+    raise InputError(spec, "scene", f"a size of {', '.join(SIZES)} after the seed; found {size!r}")

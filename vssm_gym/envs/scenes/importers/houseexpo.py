@@ -1,0 +1,170 @@
+"""HouseExpo floor plans (Li et al., 2019) to `Apartment`: the outline of the free space, cut into rooms at its doors.
+
+A plan is one polygon around all free space, inner walls included. Everything inside is floor and everything outside is
+wall, so that the simulator's free space is the polygon (chamfers of 1 cm at its corners are squared). The file has no
+doors: where the polygon narrows between two wider parts stands a doorway with a lintel
+(`vssm_gym.envs.scenes.importers.plan_rooms`). The boxes of ``room_category`` overlap and are no walls: they name the
+rooms.
+"""
+
+import math
+from collections import defaultdict
+from typing import Annotated, Any
+
+import numpy as np
+import shapely
+from pydantic import BaseModel, ConfigDict, Field
+from shapely import Polygon
+
+from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.apartment_parts import Coordinate, Door, Furniture, Material, Room, Wall
+from vssm_gym.envs.scenes.importers.plan_looks import CEILING, DOOR, PICTURE, floor_material, picture, wall_material
+from vssm_gym.envs.scenes.importers.plan_rooms import Opening, split_rooms
+from vssm_gym.envs.scenes.importers.plan_walls import Face, square_corners, wall_faces
+from vssm_gym.envs.validation import validated
+from vssm_gym.errors import InputError
+
+LARGEST = 100.0  # m, extent of a plan
+LEAST = 1.0  # m^2 of floor
+NAMED = 0.25  # least overlap (intersection over union) of a room with a category's box
+LONG = 1.4  # m, shortest wall that carries a picture
+FAR_BOX = 1e5  # m; boxes of categories may lie far outside the plan
+
+_Corner = tuple[Coordinate, Coordinate]
+_Box = tuple[Annotated[float, Field(ge=-FAR_BOX, le=FAR_BOX)], ...]
+
+
+class Plan(BaseModel):
+    """What is read of a HouseExpo file."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    verts: tuple[_Corner, ...] = Field(min_length=3, max_length=5000)
+    room_category: dict[str, tuple[Annotated[_Box, Field(min_length=4, max_length=4)], ...]] = {}
+
+
+def is_houseexpo(data: Any) -> bool:
+    """Whether JSON data looks like a HouseExpo plan, whole or damaged."""
+    return isinstance(data, dict) and "rooms" not in data and bool({"verts", "room_category"} & data.keys())
+
+
+def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
+    """The `Apartment` of a parsed HouseExpo plan; InputError naming ``source`` and the field that is wrong."""
+    plan = validated(Plan, data, source)
+    notes: list[str] = []
+    outline = _outline(plan, source, notes)
+    parts, openings = split_rooms(outline)
+    kinds = [_kind(part, plan) for part in parts]
+    notes += _stray_categories(plan, outline)
+    names = _numbered([kind.capitalize() for kind in kinds])
+    rooms: list[Room] = []
+    walls: list[Wall] = []
+    furniture: list[Furniture] = []
+    for part, kind, room in zip(parts, kinds, names, strict=True):
+        corners = [(float(x), float(y)) for x, y in shapely.get_coordinates(part.exterior)[:-1]]
+        content = {"name": room, "kind": kind, "polygon": corners, "floor": floor_material(kind, room)}
+        rooms.append(validated(Room, content, source, at="verts"))
+        for face in wall_faces(part, outline):
+            furniture += _picture(face, part, len(walls))
+            walls.append(_wall(face, wall_material(kind, room)))
+    doors = [_doorway(opening, parts, names, walls) for opening in openings]
+    if doors:
+        notes.append(f"the file has no doors: open doorways stand where the plan is narrow ({len(doors)})")
+    content = {
+        "name": name,
+        "rooms": rooms,
+        "walls": walls,
+        "doors": doors,
+        "furniture": furniture,
+        "ceiling_height": CEILING,
+        "notes": notes,
+    }
+    return validated(Apartment, content, source)
+
+
+def _outline(plan: Plan, source: object, notes: list[str]) -> Polygon:
+    corners = np.array(plan.verts)
+    extent = float(np.ptp(corners, axis=0).max())
+    if extent > LARGEST:
+        raise InputError(source, "verts", f"a plan of at most {LARGEST:g} m; found {extent:.1f}")
+    outline = Polygon(corners)
+    if not outline.is_valid:  # an outline that touches itself bounds one polygon all the same
+        reason = shapely.is_valid_reason(outline)
+        parts = shapely.get_parts(shapely.make_valid(outline))
+        largest = max(parts, key=lambda part: part.area)
+        area = sum(part.area for part in parts)
+        if not isinstance(largest, Polygon) or largest.interiors or largest.area < 0.98 * area or area == 0.0:
+            raise InputError(source, "verts", f"a simple polygon; found {reason}")
+        notes.append(f"the outline was repaired: {reason}")
+        outline = largest
+    if outline.area < LEAST:
+        raise InputError(source, "verts", f"an outline of at least {LEAST:g} m^2; found {outline.area:.3f}")
+    return square_corners(shapely.orient_polygons(outline))
+
+
+def _kind(part: Polygon, plan: Plan) -> str:
+    """The category whose box overlaps the room most; "room" where none does."""
+    best, most = "room", NAMED
+    for category, boxes in plan.room_category.items():
+        for x0, y0, x1, y1 in boxes:
+            box = shapely.box(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1))
+            overlap = part.intersection(box).area / max(part.union(box).area, 1e-9)
+            if overlap > most:
+                best, most = category.replace("_", " ").strip().lower()[:40] or "room", overlap
+    return best
+
+
+def _stray_categories(plan: Plan, outline: Polygon) -> list[str]:
+    """A sentence for each category whose boxes all lie outside the plan or have no area: it can name no room."""
+    stray = []
+    for category, boxes in plan.room_category.items():
+        shapes = [shapely.box(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)) for x0, y0, x1, y1 in boxes]
+        if shapes and all(shape.intersection(outline).area == 0.0 for shape in shapes):
+            stray.append(f"room_category {category[:40]!r} has no box on the plan: it names no room")
+    return stray
+
+
+def _numbered(words: list[str]) -> list[str]:
+    """The words, each unique: the second "Bedroom" is "Bedroom 2"."""
+    used: dict[str, int] = defaultdict(int)
+    names: list[str] = []
+    for word in words:
+        used[word] += 1
+        names.append(word if used[word] == 1 else f"{word} {used[word]}")
+    return names
+
+
+def _wall(face: Face, material: Material) -> Wall:
+    middle = -0.5 * face.depth * face.inward
+    (x0, y0), (x1, y1) = (face.start + middle).tolist(), (face.end + middle).tolist()
+    return Wall(start=(x0, y0), end=(x1, y1), thickness=face.depth, height=CEILING, front=material, back=material)
+
+
+def _picture(face: Face, room: Polygon, number: int) -> list[Furniture]:
+    """A picture in the middle of a long wall; one long wall in five stays bare."""
+    length = float(np.linalg.norm(face.end - face.start))
+    width = min(PICTURE[0], 0.4 * length)
+    if length < LONG or number % 5 == 4:
+        return []
+    x, y = (face.start + face.end) / 2 + 0.5 * PICTURE[2] * face.inward
+    hung = picture(f"picture {number}", float(x), float(y), math.atan2(face.along[1], face.along[0]), width)
+    return [hung] if room.contains(shapely.Point(x, y).buffer(0.02)) or room.contains(shapely.Point(x, y)) else []
+
+
+def _doorway(opening: Opening, parts: list[Polygon], names: list[str], walls: list[Wall]) -> Door:
+    """An open doorway in a wall of its own, as long as the opening is wide; the wall is appended to ``walls``."""
+    middle = np.mean([opening.start, opening.end], axis=0)
+    material = wall_material("", "lintel")
+    thickness = max(opening.thickness, 0.04)
+    walls.append(
+        Wall(start=opening.start, end=opening.end, thickness=thickness, height=CEILING, front=material, back=material)
+    )
+    near = np.argsort([part.distance(shapely.Point(middle)) for part in parts], kind="stable")
+    return Door(
+        wall=len(walls) - 1,
+        offset=0.0,
+        width=opening.width,
+        height=DOOR,
+        leaves=0,
+        rooms=(names[near[0]], names[near[1]]),
+    )

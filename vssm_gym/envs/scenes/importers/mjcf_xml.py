@@ -1,0 +1,180 @@
+"""MJCF text reduced to what stands still: bodies, geoms, their defaults, materials and meshes; the rest stays outside.
+
+The file is untrusted: elements come from a list of known ones, includes and meshes lie in the file's folder and are
+read here within bounds, so that MuJoCo gets a text and some bytes and opens no file itself. Joints are dropped: every
+body stays at its initial pose.
+"""
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from pathlib import Path
+
+from vssm_gym.envs.scenes.importers.reading import read_bytes
+from vssm_gym.errors import InputError
+
+XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20
+DEPTH, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000
+
+_IN_BODY = {"body", "geom", "frame", "replicate"}
+_KEPT = {
+    "worldbody": _IN_BODY,
+    **dict.fromkeys(_IN_BODY - {"geom"}, _IN_BODY),
+    "default": {"default", "geom", "mesh", "material"},
+    "asset": {"mesh", "material"},
+}
+_COMPILER = {"angle", "eulerseq"}
+_MOVING = {"joint", "freejoint"}
+_UNSEEN = {"site", "camera", "light", "inertial", "plugin"}  # nothing that a robot or a ray could hit
+_SECTIONS = {"worldbody", "default", "asset"}
+
+
+class _Builder(ET.TreeBuilder):
+    """Elements without document types (entities can grow without bound), of bounded number and depth."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = self._count = 0
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise ValueError("a document type declaration is not allowed")
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
+        self._depth, self._count = self._depth + 1, self._count + 1
+        if self._depth > DEPTH or self._count > ELEMENTS:
+            raise ValueError(f"more than {ELEMENTS:,} elements or {DEPTH} levels")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ET.Element:
+        self._depth -= 1
+        return super().end(tag)
+
+
+class StillModel:
+    """What `vssm_gym.envs.physics.static_geoms` needs of the file at ``path``: ``xml``, ``assets``, and ``notes``."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._folder = path, path.parent.resolve()
+        self._includes = 0
+        self._bytes = 0
+        self._geoms = 0
+        self._left_out: Counter[str] = Counter()
+        self.assets: dict[str, bytes] = {}
+        root = self._parse(path)
+        if root.tag != "mujoco":
+            raise InputError(path, "file", f"the root element mujoco; found {root.tag[:40]!r}")
+        sections = list(self._expanded(root, path, 0))
+        directories = {k: v for s in sections if s.tag == "compiler" for k, v in s.attrib.items()}
+        self._meshes = directories.get("meshdir", directories.get("assetdir", ""))
+        self._strip = directories.get("strippath") == "true"
+        still = ET.Element("mujoco")
+        # Joints are gone, so nothing moves and nothing needs a mass.
+        ET.SubElement(still, "compiler", {k: v for k, v in directories.items() if k in _COMPILER})
+        for section in sections:
+            if section.tag in _SECTIONS:
+                still.append(self._kept(section, 1))
+            elif section.tag in ("deformable", "extension"):
+                self._left_out[section.tag] += 1
+        self.xml = ET.tostring(still, encoding="unicode")
+
+    @property
+    def notes(self) -> list[str]:
+        """What of the model is not in the scene."""
+        moving = sum(self._left_out[tag] for tag in _MOVING)
+        notes = [f"{moving} joint{'s' * (moving > 1)} frozen: bodies stay at their initial pose"] if moving else []
+        others = [f"{tag} ({n})" for tag, n in sorted(self._left_out.items()) if tag not in _MOVING | _UNSEEN]
+        return notes + ([f"left out: {', '.join(others)}"] if others else [])
+
+    def _refuse(self, field: str, expected: str) -> InputError:
+        return InputError(self._path, field, expected)
+
+    def _parse(self, path: Path) -> ET.Element:
+        content = read_bytes(path, XML_BYTES)
+        self._count_bytes(len(content))
+        try:
+            parser = ET.XMLParser(target=_Builder())
+            parser.feed(content)
+            return parser.close()
+        except (ET.ParseError, ValueError, LookupError) as error:
+            raise InputError(path, "file", f"XML ({error})") from error
+
+    def _count_bytes(self, number: int) -> None:
+        self._bytes += number
+        if self._bytes > ALL_BYTES:
+            raise self._refuse("file", f"at most {ALL_BYTES:,} bytes with all includes and meshes")
+
+    def _inside(self, name: str, folder: Path, field: str) -> Path:
+        """The file ``name`` in ``folder``, which must be the model's or below it."""
+        try:
+            path = (folder / name).resolve()
+            found = not Path(name).is_absolute() and path.is_relative_to(self._folder) and path.is_file()
+        except (OSError, ValueError):
+            found = False
+        if not found:
+            raise self._refuse(field, f"an existing file inside the model's folder; found {name[:80]!r}")
+        return path
+
+    def _expanded(self, parent: ET.Element, path: Path, depth: int) -> list[ET.Element]:
+        """The children of an element, each include replaced by what the file holds."""
+        children: list[ET.Element] = []
+        for child in parent:
+            if child.tag != "include":
+                child[:] = self._expanded(child, path, depth)
+                children.append(child)
+                continue
+            self._includes += 1
+            if depth >= 8 or self._includes > INCLUDES:
+                raise self._refuse("include", f"at most {INCLUDES} includes, 8 deep")
+            name = child.get("file", "")
+            near = (path.parent / name).is_file() if "\0" not in name else False
+            included = self._inside(name, path.parent if near else self._folder, "include.file")
+            children += self._expanded(self._parse(included), included, depth + 1)
+        return children
+
+    def _kept(self, element: ET.Element, copies: int) -> ET.Element:
+        """A copy of a section or body with its known children; ``copies`` is how often replicates repeat it."""
+        result = ET.Element(element.tag, element.attrib)
+        result.attrib.pop("mocap", None)
+        if element.tag == "replicate":
+            count = element.get("count", "")
+            if not (count.isdigit() and int(count[:9]) <= GEOMS):
+                raise self._refuse("replicate.count", f"a whole number up to {GEOMS:,}; found {count[:40]!r}")
+            copies *= int(count)
+        for child in element:
+            if child.tag not in _KEPT[element.tag]:
+                if element.tag not in (
+                    "asset",
+                    "default",
+                ):  # textures, and defaults of what is left out, are not missed
+                    self._left_out[child.tag] += copies
+            elif child.tag in _KEPT:
+                result.append(self._kept(child, copies))
+            else:
+                result.append(self._leaf(child, element.tag, copies))
+        return result
+
+    def _leaf(self, element: ET.Element, parent: str, copies: int) -> ET.Element:
+        attributes = dict(element.attrib)
+        if element.tag == "geom" and parent != "default":
+            self._geoms += copies
+            if self._geoms > GEOMS:
+                raise self._refuse("worldbody", f"at most {GEOMS:,} geoms")
+        if element.tag == "material":
+            attributes.pop("texture", None)
+        if element.tag == "mesh":
+            attributes["inertia"] = "shell"  # thin meshes have no volume, and no mass is needed
+            if "builtin" in attributes:
+                raise self._refuse("asset.mesh.builtin", "a mesh of a file or of vertices")
+            if "file" in attributes:
+                attributes |= self._mesh(attributes)
+        return ET.Element(element.tag, attributes)
+
+    def _mesh(self, attributes: dict[str, str]) -> dict[str, str]:
+        """The mesh's file among the assets, under a name of ours."""
+        name = attributes["file"]
+        name = name.replace("\\", "/").rpartition("/")[2] if self._strip else name
+        path = self._inside(name, self._folder / self._meshes, "asset.mesh.file")
+        content = read_bytes(path, MESH_BYTES)
+        self._count_bytes(len(content))
+        asset = f"mesh_{len(self.assets)}{path.suffix.lower()}"
+        self.assets[asset] = content
+        return {"file": asset, "name": attributes.get("name", Path(name).stem)}

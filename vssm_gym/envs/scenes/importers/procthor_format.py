@@ -1,0 +1,132 @@
+"""The parts of a ProcTHOR house (schema 1.0.0) and of its asset database that the importer reads, as typed data.
+
+Unity's frame: left-handed, y up, metres, degrees. Fields that the importer does not read are ignored.
+"""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from vssm_gym.envs.scenes.apartment_parts import Coordinate
+
+Openness = Annotated[float, Field(ge=0, le=1)]
+Angle = Annotated[float, Field(ge=-1e6, le=1e6)]  # degrees
+Extent = Annotated[float, Field(ge=0, le=100)]  # m
+Name = Annotated[str, Field(max_length=200)]
+
+ROOMS, WALLS, HOLES, OBJECTS, CORNERS = 200, 5000, 500, 5000, 1000  # most of a house; the largest have tens
+
+
+class _Read(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class Vector(_Read):
+    """x, y, z: a point in m."""
+
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
+
+
+class Angles(_Read):
+    """Turns about x, y, z in degrees."""
+
+    x: Angle
+    y: Angle
+    z: Angle
+
+
+class Extents(_Read):
+    """Full size along x, y, z in m."""
+
+    x: Extent
+    y: Extent
+    z: Extent
+
+
+class Color(_Read):
+    """Red, green, blue."""
+
+    r: float
+    g: float
+    b: float
+
+
+class Surface(_Read):
+    """A Unity material by name, with a colour of its own or not."""
+
+    name: Name
+    color: Color | None = None
+
+
+class HouseRoom(_Read):
+    """A room and the outline of its floor."""
+
+    id: Name
+    roomType: Name
+    floorPolygon: tuple[Vector, ...] = Field(min_length=3, max_length=CORNERS)
+    floorMaterial: Surface
+
+
+class HouseWall(_Read):
+    """One face of a wall: four corners, a lower and an upper pair; the exterior's faces list the upper first."""
+
+    id: Name
+    roomId: Name
+    polygon: tuple[Vector, ...] = Field(min_length=4, max_length=4)
+    material: Surface
+
+
+class Hole(_Read):
+    """A door or window: two corners in the frame of ``wall0`` (x along it, y up) and the faces on either side."""
+
+    id: Name
+    wall0: Name
+    wall1: Name
+    room0: Name
+    room1: Name
+    holePolygon: tuple[Vector, ...] = Field(min_length=2, max_length=2)
+    openness: Openness | None = None
+
+
+class HouseObject(_Read):
+    """An object: the centre of its asset's box, rotation in degrees, and what stands on or in it."""
+
+    id: Name
+    assetId: Name
+    position: Vector
+    rotation: Angles
+    children: tuple["HouseObject", ...] = Field((), max_length=OBJECTS)
+
+
+class Parameters(_Read):
+    """The ceiling's material; lights and the sky are not used."""
+
+    ceilingMaterial: Surface = Surface(name="PureWhite")
+
+
+class Metadata(_Read):
+    """``warnings`` maps a warning's name to its sentence."""
+
+    warnings: dict[str, Any] | None = None
+
+
+class House(_Read):
+    """A ProcTHOR house."""
+
+    rooms: tuple[HouseRoom, ...] = Field(min_length=1, max_length=ROOMS)
+    walls: tuple[HouseWall, ...] = Field(min_length=1, max_length=WALLS)
+    doors: tuple[Hole, ...] = Field((), max_length=HOLES)
+    windows: tuple[Hole, ...] = Field((), max_length=HOLES)
+    objects: tuple[HouseObject, ...] = Field((), max_length=OBJECTS)
+    metadata: Metadata = Metadata()
+    proceduralParameters: Parameters = Parameters()
+
+
+class Asset(_Read):
+    """A mesh's name, type and full extents (Unity axes, m)."""
+
+    assetId: Name
+    objectType: Name
+    boundingBox: Extents

@@ -1,0 +1,1 @@
+"""Tasks: starts and goals, path lengths through free space, coverage, surveys and reference flights."""

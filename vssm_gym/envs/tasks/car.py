@@ -1,0 +1,160 @@
+"""Tasks of the car: a start and a target, a point or a pose, that it can reach from there.
+
+Starts and targets are uniform among the poses whose footprint keeps GOAL_MARGIN from everything, in one connected part
+of what the car can reach (:mod:`vssm_gym.envs.tasks.car_space`), and more than APART from each other.
+"""
+
+import copy
+import math
+import threading
+import weakref
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.envs.tasks.car_space import CarSpace
+from vssm_gym.envs.tasks.goal_progress import GoalDistance
+from vssm_gym.envs.validation import validated
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import PlanarPose
+from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.transforms import wrap_angle
+
+Targets = Literal["poses", "points"]
+TARGETS: tuple[Targets, ...] = ("poses", "points")
+REACHED = 0.10  # m from the target
+ALIGNED = math.radians(15.0)  # from the target's heading
+APART = 0.5  # m from start to target, more than
+GOAL_MARGIN = 0.05  # m around the footprint at start and target
+START_SLACK = 0.01  # m that a start may overlap obstacles: contacts give a little, and chains begin where they left it
+_BLOCK, _ATTEMPTS = 256, 64  # poses drawn at once, and how often
+
+
+class CarTask(BaseModel):
+    """Drive from ``start`` to ``goal``: (x, y) or (x, y, heading) of the rear axle; world frame, metres and radians."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    id: Annotated[int, Field(ge=0)] = 0
+    scene: str
+    start: tuple[float, float, float]
+    goal: tuple[float, float] | tuple[float, float, float]
+
+    def reached(self, planar: PlanarPose) -> bool:
+        """Whether a pose is within REACHED of the goal, and ALIGNED where the goal has a heading."""
+        near = math.hypot(planar[0] - self.goal[0], planar[1] - self.goal[1]) <= REACHED
+        return near and self.turn(planar) <= ALIGNED
+
+    def turn(self, planar: PlanarPose) -> float:
+        """Angle between a pose's heading and the goal's, rad; 0 for a point."""
+        return abs(float(wrap_angle(np.float64(planar[2] - self.goal[2])))) if len(self.goal) == 3 else 0.0
+
+
+_STAGES: "weakref.WeakValueDictionary[tuple[str, Car], CarTaskSampler]" = weakref.WeakValueDictionary()
+_BUILDING = threading.Lock()
+
+
+def car_sampler_of(apartment: Apartment, car: Car) -> "CarTaskSampler":
+    """The process's sampler of these, built where there is none: its lattice takes half a second."""
+    key = (apartment.content_hash(), car)
+    with _BUILDING:
+        sampler = _STAGES.get(key)
+        if sampler is None:
+            sampler = _STAGES[key] = CarTaskSampler(apartment, car)
+    return sampler
+
+
+class CarTaskSampler:
+    """Makes and checks tasks of one apartment and car; immutable to its users. Get it by :func:`car_sampler_of`."""
+
+    def __init__(self, apartment: Apartment, car: Car) -> None:
+        self.apartment, self.car = apartment, car
+        self.space = CarSpace(apartment, car)
+
+    def __reduce__(self) -> Any:
+        return car_sampler_of, (self.apartment, self.car)
+
+    @cached_property
+    def _distance(self) -> GoalDistance:
+        # The largest disc around the rear axle that the footprint covers.
+        radius = min(self.car.rear_overhang, 0.5 * self.car.width)
+        return GoalDistance(FreeSpace.from_apartment(self.apartment, radius, self.car.height))
+
+    def goal_distance(self) -> GoalDistance:
+        """The length of ways for a disc inside the footprint, to aim at will; all of them share one graph."""
+        return copy.copy(self._distance)
+
+    def draw(self, rng: np.random.Generator, targets: Targets = "poses", task_id: int = 0) -> CarTask:
+        """A task in the largest connected part: the first of ``rng`` that is one.
+
+        Raises :class:`InputError` where the car finds no two poses far enough apart.
+        """
+        start = self._first(rng, 0, None)
+        return self.goal_from(rng, start, targets, task_id, part=0)
+
+    def goal_from(
+        self,
+        rng: np.random.Generator,
+        start: PlanarPose,
+        targets: Targets = "poses",
+        task_id: int = 0,
+        part: int | None = None,
+    ) -> CarTask:
+        """The task from a pose, however close to obstacles, to a target that can be reached from there.
+
+        Raises :class:`InputError` where there is none.
+        """
+        if part is None:
+            part = max(0, self.space.part(start))
+        goal = self._first(rng, part, np.asarray(start[:2]))
+        goal = goal if targets == "poses" else goal[:2]
+        return self._task(task_id, start, goal.tolist())
+
+    def task(self, start: Sequence[float], goal: Sequence[float], task_id: int = 0) -> CarTask:
+        """The task from ``start`` (x, y, heading) to ``goal``, a point or a pose; raises as :meth:`validate`."""
+        task = self._task(task_id, start, goal)
+        self.validate(task)
+        return task
+
+    def validate(self, task: CarTask) -> None:
+        """Raise :class:`InputError` unless it is this scene's, free at both ends, its goal within reach."""
+        source = f"task {task.id} of {task.scene}"
+        validated(CarTask, dict(task), source)  # again, since pydantic's model_copy(update=...) checks nothing
+        if task.scene != self.apartment.name:
+            raise InputError(source, "scene", f"{self.apartment.name!r}; found {task.scene!r}")
+        for field, pose, margin in (("start", task.start, -START_SLACK), ("goal", task.goal, 0.0)):
+            if len(pose) == 3 and not self.space.free(np.array(pose), margin):
+                touched = ", ".join(self.space.obstacles_at(np.array(pose))[:3])
+                why = f"it would touch {touched}" if touched else "that is off the floor"
+                raise InputError(source, field, f"a pose where the car fits; at {_written(pose)} {why}")
+        within = self.space.parts_within(np.array(task.goal), REACHED, ALIGNED)
+        if self.space.part(np.array(task.start)) not in within:
+            expected = f"a target that the car can reach from {_written(task.start)}; found {_written(task.goal)}"
+            raise InputError(source, "goal", expected)
+
+    def _first(self, rng: np.random.Generator, part: int, away_from: np.ndarray | None) -> np.ndarray:
+        """The first pose of ``rng`` in a connected part, more than APART from a point."""
+        for _ in range(_ATTEMPTS):
+            for pose in self.space.sample(rng, _BLOCK, GOAL_MARGIN).round(4):
+                if away_from is not None and math.hypot(*(pose[:2] - away_from)) <= APART:
+                    continue
+                if self.space.part(pose) != part:
+                    continue
+                # A target must be within reach by its own tolerances, tighter than what joins a pose to a part.
+                if away_from is None or part in self.space.parts_within(pose, REACHED, ALIGNED):
+                    return pose
+        expected = f"room for a car to drive {APART} m; no target found that it can reach"
+        raise InputError(self.apartment.name, "rooms", expected)
+
+    def _task(self, task_id: int, start: Sequence[float] | np.ndarray, goal: Sequence[float]) -> CarTask:
+        data = {"id": task_id, "scene": self.apartment.name, "start": [float(v) for v in start], "goal": list(goal)}
+        return validated(CarTask, data, "task")
+
+
+def _written(pose: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{v:.2f}" for v in pose) + ")"

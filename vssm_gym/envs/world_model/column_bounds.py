@@ -1,0 +1,159 @@
+"""How far the columns of an image are free: found before its rays are searched one by one.
+
+An upright camera's rays of one pixel column, ``c + d (t_x, t_y, r)``, differ in their rise r alone. Over each piece of
+the plan the space around a height is free from ``low`` to ``high`` (from the camera's). One way through the plan thus
+says of all its rays how far they are free: to where the way leaves piece j, those of rise
+
+    max_{i <= j} low_i / d_i <= r <= min_{i <= j} high_i / d_i,    d_i where it enters or leaves, whichever is stricter
+
+Occupancy is linear in height between two layers of cells and largest at a piece's corners: low and high are the heights
+where the first of its four edges meets the threshold. They are those of the largest square of pieces around it over
+which they are nearly the same, and a way leaps from square to square. The space around the camera's height and that
+halfway to the ceiling, above furniture, hold nearly all rays; what is left is the search's of single rays.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.ndimage import minimum_filter
+
+from vssm_gym.envs.world_model.rays import FIRST, HIT, SLACK, RayField, Rays, at_nodes
+from vssm_gym.model.emission import STEP, TAU
+
+FINE = 4  # pieces of the plan a cell along each axis
+SQUARES = (1, 2, 4, 8, 16, 32)  # pieces from a square's middle one to its border
+NEARLY = 0.1  # cells, and
+NEARLY_OF_HEIGHT = 0.01  # of low and high
+STEPS = 32  # squares that a way is followed through
+
+
+class Columns(eqx.Module):
+    """Free spaces over the plan of a :class:`RayField`; see the module.
+
+    Of each piece of the plan, flat: (2, maps, *pieces) in C order, of the spaces around two heights.
+    """
+
+    low: Float[Array, "pieces"]  # cells from the camera's height; above high where the space is not free
+    high: Float[Array, "pieces"]
+    reach: Float[Array, "pieces"]  # cells from the piece to the border of its square
+
+    @classmethod
+    def of(cls, field: RayField, camera: float) -> "Columns":
+        """Around a camera at ``camera`` m, and halfway from there to the ceiling, above most furniture."""
+        maps = np.asarray(field.occupancy).reshape(-1, *field.shape)
+        level = (camera - float(field.origin[2])) / float(field.voxel_size)
+        near = _space(maps, level)
+        free = near[0] <= near[1]
+        above = 0.5 * float(np.median(near[1][free])) if free.any() else 0.0
+        low, high, reach = _space(maps, level + above)
+        far = np.stack([low + above, high + above, reach])
+        return cls(*(jnp.asarray(np.stack(both).reshape(-1), jnp.float32) for both in zip(near, far, strict=True)))
+
+    def starts(
+        self, field: RayField, ways: Rays, first: Float[Array, "ways"], down: Float[Array, "rows"]
+    ) -> Float[Array, "rows ways"]:
+        """Samples before which the rays of all rows are free.
+
+        Args:
+            field: what these columns are of.
+            ways: horizontal rays at the camera's height.
+            first: the first sample of each that may hit.
+            down: of the rows: m downward a metre of z-depth.
+        """
+        nx, ny = ((n - 1) * FINE for n in field.shape[:2])
+        n = 2 * len(first)  # each way in both spaces
+        last = jnp.where(first <= FIRST, ways.last, -1.0)  # a way that begins outside the plan is not followed
+        last, start, stride = jax.tree.map(lambda a: jnp.concatenate([a, a]), (last, ways.start[:2], ways.stride[:2]))
+        which = jnp.concatenate([ways.which, ways.which + len(self.low) // (2 * nx * ny)])
+
+        def follow(carry: Any) -> Any:
+            j, k, bounds, all_k, all_bounds = carry
+            number, at = which * (nx * ny), []
+            for s, t, count, step in zip(start, stride, (nx, ny), (ny, 1), strict=True):
+                at.append(jnp.clip(jnp.floor((s + t * k) * FINE), 0.0, count - 1.0))
+                number += at[-1].astype(jnp.int32) * step
+            low, high, reach = (a.at[number].get(mode="promise_in_bounds") for a in (self.low, self.high, self.reach))
+            exits = jnp.full(n, HIT)
+            for s, t, piece in zip(start, stride, at, strict=True):
+                inverse = 1.0 / jnp.where(jnp.abs(t) > 1e-9, t, 1e-9)
+                border = jnp.where(inverse > 0, (piece + 1.0) / FINE + reach, piece / FINE - reach)
+                exits = jnp.minimum(exits, (border - s) * inverse)
+            end = jnp.maximum(jnp.floor(exits), k)
+            within = jnp.stack([-low, high]) - SLACK
+            over = (low > high) | (k > last)
+            bounds = jnp.minimum(bounds, jnp.where(over, -1.0, within / jnp.where(within > 0.0, end, k)))
+            k = jnp.where(over, HIT, end + 1.0)
+            all_k = jax.lax.dynamic_update_slice(all_k, k[None], (j + 1, 0))
+            return j + 1, k, bounds, all_k, jax.lax.dynamic_update_slice(all_bounds, bounds[None], (j, 0, 0))
+
+        k = jnp.full(n, FIRST)
+        *_, all_k, all_bounds = jax.lax.while_loop(
+            lambda carry: (carry[0] < STEPS) & jnp.any(carry[1] <= last),
+            follow,
+            (0, k, jnp.full((2, n), HIT), jnp.full((STEPS + 1, n), FIRST), jnp.full((STEPS + 1, 2, n), -1.0)),
+        )
+        free = _free(all_k, all_bounds, -STEP * down[:, None])
+        return jnp.maximum(free[:, : n // 2], free[:, n // 2 :])
+
+
+def _free(
+    all_k: Float[Array, "squares n"], all_bounds: Float[Array, "squares 2 n"], rise: Float[Array, "rows 1"]
+) -> Float[Array, "rows n"]:
+    """Of ways followed, the samples before which each row's rays are free."""
+    n = all_k.shape[1]
+    # Comparing with all squares is cheaper than bisection, which gathers. In a loop, because what is unrolled is
+    # computed anew for each of its uses.
+    passes = lambda j: (rise >= -all_bounds[j, 0]) & (rise <= all_bounds[j, 1])
+    passed = jnp.zeros((len(rise), n), jnp.int32)
+    passed = jax.lax.fori_loop(0, STEPS, lambda j, passed: passed + passes(j).astype(jnp.int32), passed)
+    # Of the next one a part: if the ray leaves there, the bound is that of this square alone.
+    steep, upward, way = jnp.abs(rise), (rise > 0.0).astype(jnp.int32), jnp.arange(n)
+    bound = lambda side: all_bounds.reshape(-1).at[(2 * passed + side) * n + way].get(mode="promise_in_bounds")
+    k_of = lambda j: all_k.reshape(-1).at[j * n + way].get(mode="promise_in_bounds")
+    k, after = k_of(passed), k_of(jnp.minimum(passed + 1, STEPS))
+    leaves = jnp.floor(bound(upward) * (after - 1.0) / jnp.maximum(steep, 1e-9)) + 1.0
+    return jnp.where(bound(1 - upward) >= -steep, jnp.clip(leaves, k, jnp.maximum(k, after)), k)
+
+
+def _space(maps: Float[np.ndarray, "maps nx ny nz"], level: float) -> Float[np.ndarray, "3 maps pieces_x pieces_y"]:
+    """Low and high from ``level`` (cells), and reach."""
+    top = maps.shape[3] - 1
+    return np.stack([_squares(_free_height(m[:, :, ::-1], top - level), _free_height(m, level)) for m in maps], axis=1)
+
+
+def _free_height(occupancy: Float[np.ndarray, "nx ny nz"], level: float) -> Float[np.ndarray, "pieces_x pieces_y"]:
+    """Cells upward from ``level`` that are free over each piece of the plan, up to the field's end."""
+    nz = occupancy.shape[2]
+    if not 0.0 <= level <= nz - 1:
+        return np.zeros([(n - 1) * FINE for n in occupancy.shape[:2]])
+    nodes = at_nodes(at_nodes(occupancy, 0, FINE), 1, FINE)
+    layer = min(int(level), nz - 2)
+    before = nodes[:, :, layer] + (level - layer) * (nodes[:, :, layer + 1] - nodes[:, :, layer])
+    free, at = np.where(before > TAU, 0.0, np.inf), level
+    for z in range(layer + 1, nz):
+        now = nodes[:, :, z]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            meets = at - level + (TAU - before) / (now - before) * (z - at)
+        free = np.where((now > TAU) & np.isinf(free), meets, free)
+        before, at = now, float(z)
+    free = np.minimum(free, nz - 1 - level)
+    free = np.minimum(free[1:], free[:-1])
+    return np.minimum(free[:, 1:], free[:, :-1])
+
+
+def _squares(below: np.ndarray, above: np.ndarray) -> Float[np.ndarray, "3 pieces_x pieces_y"]:
+    """Low, high and reach of the largest square around each piece over which the free heights are nearly its own."""
+    free = (below > 0.0) & (above > 0.0)
+    least = [np.where(free, one, 0.0) for one in (below, above)]
+    wanted = [one - NEARLY - NEARLY_OF_HEIGHT * one for one in least]
+    reach, going = np.zeros(below.shape), free
+    for border in SQUARES:
+        around = [minimum_filter(np.where(free, one, 0.0), 2 * border + 1, mode="nearest") for one in (below, above)]
+        going = going & np.all([(a >= w) & (a > 0.0) for a, w in zip(around, wanted, strict=True)], axis=0)
+        least = [np.where(going, a, one) for a, one in zip(around, least, strict=True)]
+        reach[going] = border / FINE
+    return np.stack([np.where(free, -least[0], 1.0), np.where(free, least[1], -1.0), reach])

@@ -1,0 +1,79 @@
+"""The anchor: the one image that poses are aligned to, rendered from the map where a camera image was taken (PRISM).
+
+Geometry comes from the map alone. For colour there are two witnesses: the rendered image, which does not drift but is
+as coarse as the cells, and the camera image taken at the same pose, which is sharp. Where the map knows nothing yet the
+camera image stands in for both.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import inverse, se3_log
+from vssm_gym.inference.alignment.residuals import luminance
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model import emission, emission_uncertainty
+from vssm_gym.model.emission import RGBD
+
+
+class Anchor(eqx.Module):
+    """What the next images are aligned to."""
+
+    T_world_cam: Float[Array, "4 4"]
+    image: RGBD  # rendered from the map mean, unknown pixels from the camera image
+    seen: Float[Array, "height width"] | None  # luminance of the camera image taken there, [0, 1]; None: none was
+    spread: Float[Array, "height width"] | None  # m, std of the rendered depth under q(M); None: the mean is taken
+
+
+@jax.jit
+def _combine(rendered: RGBD, taken: RGBD) -> tuple[RGBD, Array]:
+    known = rendered.known
+    image = RGBD(
+        depth=jnp.where(known, rendered.depth, taken.depth),
+        rgb=jnp.where(known[..., None], rendered.rgb, taken.rgb),
+        hit=jnp.where(known, rendered.hit, taken.hit),
+        known=known | taken.known,
+    )
+    return image, luminance(taken.rgb)
+
+
+_depth_std = jax.jit(lambda m, T, camera, image: emission_uncertainty.image_std(m, T, camera, image)[0])
+
+
+def take(
+    m: VoxelMap, T_world_cam: Float[Array, "4 4"], taken: RGBD, camera: Camera, max_depth: float, expected: bool
+) -> Anchor:
+    """The anchor at a pose whose image has just entered the map.
+
+    Args:
+        m: The map.
+        T_world_cam: The pose.
+        taken: The camera image taken there.
+        camera: Its intrinsics.
+        max_depth: Of the rendering, m.
+        expected: Whether the map's uncertainty widens the residuals (an expectation over ``q(M)``, to first order)
+            or its mean is taken for the truth.
+    """
+    rendered = emission.render(m, T_world_cam, camera, max_depth)
+    image, seen = _combine(rendered, taken)
+    spread = None
+    if expected:
+        std = _depth_std(m, T_world_cam, camera, rendered)
+        spread = jnp.where(rendered.known, std, 0.0)  # a camera image's own noise is in the residual's scale
+    return Anchor(T_world_cam, image, seen, spread)
+
+
+def rendered(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float) -> Anchor:
+    """Return the anchor at a pose where no camera image was taken: what the map says alone."""
+    return Anchor(T_world_cam, emission.render(m, T_world_cam, camera, max_depth), None, None)
+
+
+@jax.jit
+def left(
+    anchor: Anchor, T_world_cam: Float[Array, "4 4"], distance: float | Array, angle: float | Array
+) -> Bool[Array, ""]:
+    """Whether a camera is farther from its anchor than ``distance`` (m) or turned by more than ``angle`` (rad)."""
+    xi = se3_log(inverse(anchor.T_world_cam) @ T_world_cam)
+    return (jnp.linalg.norm(xi[:3]) >= distance) | (jnp.linalg.norm(xi[3:]) >= angle)

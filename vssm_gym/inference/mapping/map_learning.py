@@ -1,0 +1,277 @@
+"""Map learning through the renderer: ``min_M E[-log p(x | z, M)]`` over random images and pixels (SPEC 4; TNP-SM).
+
+The closed-form map is the start: an empty one renders nothing. Where a ray hits, ``-log p`` is the Laplace emission's,
+
+    |d - d*(M)| / s_d + sum_c |x_c - f_c(p(d*))| / s_c,
+
+with its gradient in the cells around the two samples of the crossing and in the colours around the surface. Colour does
+not move the surface (``p(d*)`` is a constant to it): with it cells slide along the ray to where the colour happens to
+fit, and depth, held out, got worse. A ray that finds no surface, or one far behind the observed, has no useful
+gradient. Its depth error is taken to first order around the observed depth d, where a projective distance grows by one
+a metre: ``|f(p(d + e)) - e| / s_d`` at four e in the truncation band, and the colour at ``p(d)``.
+
+Plain stochastic gradient descent, preconditioned by the scales: ``M <- M - rate s dL/dM``. Only the cells that the
+drawn rays touch are read and written, so a step costs the same in a map of any size. Nothing regularises: the prior
+p(M) (std 10 m) is far weaker than one ray, and the closed-form posterior was made from the same images, which a penalty
+towards it would count twice. Precisions keep counting observations; the refined means are no longer their average.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from vssm_gym.inference.mapping.views import Views, fit_scales
+from vssm_gym.maps.voxel_map import VoxelMap, trilinear
+from vssm_gym.model import emission
+from vssm_gym.model.emission import STEP, TAU, EmissionScales
+
+BAND = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray without a surface is given one
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Batch, rates and effort."""
+
+    images: int = 2  # drawn a step
+    pixels: int = 512  # drawn of each
+    occupancy_rate: float = 0.001  # m: what a ray that is off moves a cell that alone decides its depth
+    colour_rate: float = 0.005  # likewise of a colour channel
+    scale_rate: float = 0.01  # share of the way to a batch's own scales
+    steps: int = 4000  # of refine; rates fall linearly to zero over them
+    refresh: int = 100  # steps between rebuilds of the empty-space index
+    truncation: float = 2.0  # voxels: a surface found farther behind the observed one is another surface
+    max_depth: float = 8.0  # m; farther readings are left out
+
+
+class RefineState(eqx.Module):
+    """What the next step needs. The map's empty-space index follows only at :func:`refresh`."""
+
+    map: VoxelMap
+    log_scales: Float[Array, "2"]  # of depth (m) and colour
+
+
+class RefineInfo(eqx.Module):
+    """Means over the drawn pixels with a reading."""
+
+    loss: Float[Array, ""]  # -log p a pixel, of those with a surface
+    depth_l1: Float[Array, ""]  # m, of those with a surface
+    colour_l1: Float[Array, ""]  # of those with a surface
+    hit_share: Float[Array, ""]
+
+
+class _Rays(NamedTuple):
+    """Drawn rays ``(rays,)`` and what was seen along them."""
+
+    centre: Array  # (rays, 3) world, m
+    direction: Array  # (rays, 3) per metre of z-depth
+    depth: Array  # (rays,) m
+    rgb: Array  # (rays, 3) in [0, 1]
+    k: Array  # (rays,) the sample behind the crossing
+    near: Array  # (rays,) a surface was found, not far behind the observed one
+    read: Array  # (rays,) the pixel has a reading
+
+    def at(self, depth: Array) -> Array:
+        """World points (rays, 3)."""
+        return self.centre + self.direction * depth[:, None]
+
+
+class _Cells(NamedTuple):
+    """Points in the map: the storage positions of the eight cells around each, and its place between them."""
+
+    offsets: Array  # (8, points)
+    shared: Array  # (8, points) cells of blocks without storage, which hold the prior of them all: never written
+    fraction: list[Array]
+    inside: Array  # (points,) in the grid
+
+    @classmethod
+    def around(cls, m: VoxelMap, p_world: Array) -> "_Cells":
+        offsets, fraction, inside = m.corners(p_world)
+        at = jnp.stack(offsets)
+        shared = jnp.zeros(at.shape, bool) if m.table is None else at < m.occupancy.shape[-1]
+        return cls(at, shared, list(fraction), inside)
+
+    def read(self, flat: Array) -> Array:
+        return flat.at[self.offsets].get(mode="promise_in_bounds")
+
+    def add(self, flat: Array, change: Array) -> Array:
+        return flat.at[jnp.where(self.shared, flat.size, self.offsets)].add(change, mode="drop")
+
+    def mix(self, values: Array) -> Array:
+        """The field at the points, from what the cells hold."""
+        return trilinear(list(values), *self.fraction)
+
+
+class _Values(NamedTuple):
+    """What the cells hold; the loss is differentiated by these, never by the whole map."""
+
+    crossing: Array  # (8, 2 rays)
+    band: Array  # (8, BAND rays)
+    colour: tuple[Array, ...]  # (8, rays) of each channel
+
+
+def init(m: VoxelMap, scales: EmissionScales) -> RefineState:
+    """Refinement of ``m`` (not consumed) from given emission scales, such as :func:`views.fit_scales`'."""
+    start = jnp.log(jnp.asarray([scales.depth, scales.rgb], jnp.float32))
+    return RefineState(jax.tree.map(jnp.copy, m), start)
+
+
+def scales(state: RefineState) -> EmissionScales:
+    """The emission scales as learned so far."""
+    depth, rgb = jnp.exp(state.log_scales)
+    return EmissionScales(depth, rgb)
+
+
+def _draw(m: VoxelMap, views: Views, config: RefineConfig, key: PRNGKeyArray) -> _Rays:
+    """Random pixels of random images, and the surface that the map has along their rays."""
+    of_image, of_pixel = jax.random.split(key)
+    n, height, width = views.depth.shape
+    image = jax.random.randint(of_image, (config.images,), 0, n)
+    pixel = jax.random.randint(of_pixel, (config.images, config.pixels), 0, height * width)
+
+    def view(image, pixel):
+        i, j = pixel % width, pixel // width
+        x, y = (i - views.camera.cx) / views.camera.fx, (j - views.camera.cy) / views.camera.fy
+        T = views.T_world_cam[image]
+        direction = jnp.stack([T[a, 0] * x + T[a, 1] * y + T[a, 2] for a in range(3)], axis=-1)
+        k, hit = emission.search(m, T[:3, 3], direction, config.max_depth)
+        centre = jnp.broadcast_to(T[:3, 3], direction.shape)
+        return centre, direction, views.depth[image, j, i], views.rgb[image, j, i], k, hit
+
+    drawn = jax.lax.map(lambda a: view(*a), (image, pixel))  # the rays of a search share their centre
+    centre, direction, depth, rgb, k, hit = (a.reshape(-1, *a.shape[2:]) for a in drawn)
+    read = (depth > 0.0) & (depth <= config.max_depth)
+    near = read & hit & (k * (STEP * m.voxel_size) - depth < config.truncation * m.voxel_size)
+    return _Rays(centre, direction, depth, rgb.astype(jnp.float32) / 255.0, jnp.where(near, k, 2), near, read)
+
+
+def _crossing(m: VoxelMap, rays: _Rays, occupancy: Array) -> Array:
+    """``d*`` from the occupancies (2 rays,) of the samples before and behind it, as :func:`emission.intersect`."""
+    before, behind = jnp.split(occupancy, 2)
+    e = STEP * m.voxel_size
+    d = rays.k.astype(jnp.float32) * e
+    before = jnp.where(rays.k > 2, before, jnp.minimum(before, TAU))
+    rise = behind - before
+    a = (TAU - before) / jnp.where(rise > 1e-9, rise, 1.0)
+    return jnp.where(rise > 1e-9, a * d + (1.0 - a) * (d - e), d)
+
+
+def _step(
+    state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, rate: float | Array
+) -> tuple[RefineState, RefineInfo]:
+    m = state.map
+    rays = _draw(m, views, config, key)
+    occupancy, colours = m.occupancy.reshape(-1), m.colour.reshape(-1)
+    d_k, e = rays.k.astype(jnp.float32) * (STEP * m.voxel_size), STEP * m.voxel_size
+    shifts = [b * m.voxel_size for b in BAND]
+    crossing = _Cells.around(m, jnp.concatenate([rays.at(d_k - e), rays.at(d_k)]))
+    band = _Cells.around(m, jnp.concatenate([rays.at(rays.depth + b) for b in shifts]))
+    depth = _crossing(m, rays, crossing.mix(crossing.read(occupancy)))
+    surface = _Cells.around(m, rays.at(jnp.where(rays.near, depth, rays.depth)))
+    # Of a row's three planes of cells the channel's is the c-th: o = row CELLS + cell -> (3 row + c) CELLS + cell.
+    cells = m.occupancy.shape[-1]
+    first = surface.offsets // cells * (3 * cells) + surface.offsets % cells
+    channels = [surface._replace(offsets=first + c * cells) for c in range(3)]
+    s_depth, s_rgb = jnp.exp(state.log_scales)
+
+    def loss(values: _Values) -> tuple[Array, tuple[Array, Array]]:
+        """``-log p`` times the scales, whose factors the preconditioner takes away again, and the residuals."""
+        off = jnp.abs(_crossing(m, rays, crossing.mix(values.crossing)) - rays.depth)
+        off_band = jnp.abs(band.mix(values.band) - jnp.repeat(jnp.stack(shifts), rays.depth.size)) * band.inside
+        off_band = off_band.reshape(len(BAND), -1).sum(0)
+        off_colour = sum(jnp.abs(surface.mix(v) - rays.rgb[:, c]) for c, v in enumerate(values.colour))
+        off_colour = off_colour * (surface.inside & rays.read)
+        geometry = jnp.where(rays.near, off, jnp.where(rays.read, off_band, 0.0))
+        return jnp.sum(geometry) + jnp.sum(off_colour), (off, off_colour)
+
+    values = _Values(crossing.read(occupancy), band.read(occupancy), tuple(c.read(colours) for c in channels))
+    (_, (off, off_colour)), g = jax.value_and_grad(loss, has_aux=True)(values)
+    down = -rate * config.occupancy_rate
+    occupancy = band.add(crossing.add(occupancy, down * g.crossing), down * g.band)
+    for channel, slope in zip(channels, g.colour, strict=True):
+        colours = channel.add(colours, -rate * config.colour_rate * slope)
+    means = (occupancy.reshape(m.occupancy.shape), colours.reshape(m.colour.shape))
+    m = eqx.tree_at(lambda m: (m.occupancy, m.colour), m, means)
+    hits = jnp.maximum(jnp.sum(rays.near), 1)
+    depth_l1, colour_l1 = jnp.sum(off * rays.near) / hits, jnp.sum(off_colour * rays.near) / (3.0 * hits)
+    # Pixels without a surface say nothing about the scales.
+    ratio = jnp.where(jnp.any(rays.near), jnp.stack([depth_l1 / s_depth, colour_l1 / s_rgb]), 1.0)
+    nats = ratio[0] + 3.0 * ratio[1] + jnp.log(2.0 * s_depth) + 3.0 * jnp.log(2.0 * s_rgb)
+    # s <- s + rate (mean |r| - s), the likeliest scale's running mean: a bounded step of log s, whatever the start.
+    log_scales = state.log_scales + jnp.log1p(rate * config.scale_rate * (ratio - 1.0))
+    info = RefineInfo(nats, depth_l1, colour_l1, jnp.sum(rays.near) / jnp.maximum(jnp.sum(rays.read), 1))
+    return RefineState(m, log_scales), info
+
+
+@partial(jax.jit, static_argnums=2, donate_argnums=0)
+def step(
+    state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, rate: float | Array = 1.0
+) -> tuple[RefineState, RefineInfo]:
+    """One step of gradient descent on ``-log p(x | z, M)`` of drawn pixels. The state passed in is consumed.
+
+    Args:
+        state: Map and scales so far.
+        views: What is drawn from.
+        config: Batch and rates.
+        key: Of the draw.
+        rate: Factor on all rates.
+    """
+    return _step(state, views, config, key, rate)
+
+
+@partial(jax.jit, static_argnums=(2, 5), donate_argnums=0)
+def _steps(
+    state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, first: Int[Array, ""], count: int
+) -> tuple[RefineState, RefineInfo]:
+    """``count`` steps from number ``first`` of ``config.steps`` on; info of the last."""
+
+    def body(i, carry):
+        state, _ = carry
+        rate = 1.0 - (first + i) / config.steps
+        return _step(state, views, config, jax.random.fold_in(key, first + i), rate)
+
+    zero = jnp.zeros(())
+    return jax.lax.fori_loop(0, count, body, (state, RefineInfo(zero, zero, zero, zero)))
+
+
+def refresh(state: RefineState) -> RefineState:
+    """The same state, its empty-space index up to date: surfaces that grew in boxes that rays skip are now found."""
+    return RefineState(state.map.with_occupancy(state.map.occupancy), state.log_scales)
+
+
+def refine(
+    m: VoxelMap,
+    views: Views,
+    config: RefineConfig,
+    key: PRNGKeyArray,
+    start: EmissionScales | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> tuple[VoxelMap, EmissionScales]:
+    """``config.steps`` steps from the map ``m`` (not consumed), rates falling linearly to zero.
+
+    Args:
+        m: The closed-form map at the views' poses.
+        views: Training images.
+        config: Batch, rates, effort.
+        key: Of the draws.
+        start: Emission scales at the start; by default those that fit ``m`` best.
+        progress: Told after every refresh.
+
+    Returns:
+        The refined map, its index up to date, and the learned scales.
+    """
+    state = init(m, start or fit_scales(m, views, config.max_depth))
+    done = 0
+    while done < config.steps:
+        count = min(config.refresh, config.steps - done)
+        state, _ = _steps(state, views, config, key, jnp.asarray(done), count)
+        state = refresh(state)
+        done += count
+        if progress:
+            progress("refining the map", done, config.steps)
+    return state.map, scales(state)

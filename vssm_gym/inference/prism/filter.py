@@ -1,0 +1,194 @@
+"""PRISM: two marginal filters, ``q_t(z_t) ~ p(z_t | x_<=t, u_<t)`` and ``q_t(M) ~ p(M | x_<=t, u_<t)``.
+
+One step, for a body that moves by any transition (a hand's constant velocity, an IMU, a robot's commands); 1 to 4 are
+in :mod:`camera_filter`:
+
+1. *Prior.* The belief is pushed through the linearised transition and split, ``q(pose) q(velocity | pose)``.
+2. *Pose by MAP* against the anchor, an image rendered from the map mean with the image seen there beside it.
+3. *Laplace.* ``Sigma^-1 = 2 J^T J + P_prior``, smoothed over time.
+4. *Velocity* in closed form: the new ``q(pose)`` times the old ``q(velocity | pose)``.
+5. *Map* by the closed-form update; then a new anchor, where the camera has left the old one.
+
+Approximations, where they are made: the pose is found against the map's mean and the map is updated at the pose's mean
+(single-sample expectations; ``samples`` widens both), pose and map are not correlated, and cells are independent. An
+image that does not fit updates neither belief; recovery then tries other poses (:mod:`recovery`), or the next images
+are compared with the map as rendered where the commands have led.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import se3_exp
+from vssm_gym.inference.alignment import reference_view as anchor
+from vssm_gym.inference.alignment.exposure import expose
+from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.residuals import luminance
+from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
+from vssm_gym.inference.mapping import map_update
+from vssm_gym.inference.mapping import rolling_window as recentre
+from vssm_gym.inference.prism import drift
+from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import keyframes
+from vssm_gym.inference.tracking.camera_filter import Past, begin, expected_pose
+from vssm_gym.inference.tracking.keyframes import Keyframes
+from vssm_gym.inference.tracking.localise import Wayback, checked, localise, readable, seconds, shrunk
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.emission_uncertainty import Readings
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
+
+
+class PrismState(eqx.Module):
+    """What the next step needs."""
+
+    map: VoxelMap  # q_t(M)
+    past: Past  # q_t(z_t), of the body against the map; and the image behind it
+    anchor: Anchor
+    keyframes: Keyframes | None  # None: nothing is kept to recover from
+    drift: Float[Array, "6 6"]  # covariance of the map's frame around the body in the world, tangent of the world
+    lost: bool  # the last image did not fit
+    key: PRNGKeyArray
+    readings: Readings  # of the posterior
+
+
+@dataclass(frozen=True)
+class Prism:
+    """The filter (:class:`~vssm_gym.inference.filter.Filter`): what moves the body, the camera on it, the options."""
+
+    rig: Rig
+    transition: Transition = HAND
+    config: PrismConfig = HAND_HELD
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray, clock: Clock = untimed) -> PrismState:
+        """Return the belief after the first image, taken where the prior's belief has the body; its map is consumed.
+
+        Raises:
+            InputError: an image without a reading (see :func:`readable`), or a prior without a map.
+        """
+        config = self.config
+        if prior.map is None:
+            raise InputError("prism.init", "prior", "a map: an empty one to begin with")
+        if not readable(image, config.tracking):
+            expected = f"depth at {config.tracking.min_reading:.0%} of its pixels at least: there is nothing to map"
+            raise InputError("prism.init", "image", expected)
+        small, view = self._shrunk(image)
+        past = begin(prior.belief, small, view)
+        T = past.T_world_cam
+        m = map_update.update(prior.map, image.depth, image.rgb, T, self.rig.camera, config.update)
+        m, kept = clock("map", m), None
+        if config.recovery is not None:
+            kept = keyframes.remember(keyframes.empty(view.camera), T, luminance(small.rgb), view.camera)
+        against = clock("anchor", anchor.take(m, T, small, view.camera, config.update.max_depth, config.samples > 1))
+        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key, prior.readings)
+
+    def step(
+        self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[PrismState, FilterInfo]:
+        """``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``. The state passed in is consumed (the map is updated in place).
+
+        The stages are separate compiled calls: in one, the compiler fuses the renderer into each of the many places
+        that read its image and computes it again there (it ignores optimization barriers on the CPU).
+
+        Args:
+            state: After the last image.
+            control: Of the transition; zeros for a hand's constant velocity.
+            image: The new one, at the camera's size.
+            dt: Seconds since the last one.
+            clock: Given the name and the outcome of each stage, returns the outcome; for timing.
+
+        Raises:
+            InputError: ``dt`` is not above 0.
+        """
+        config, control = self.config, checked(self.transition, control)
+        small, view = self._shrunk(image)
+        key, solving, mapping = jax.random.split(state.key, 3)
+        state = eqx.tree_at(lambda s: s.key, state, key)
+        against, wayback = state.anchor, None
+        alone = state.lost and config.recovery is None  # nothing is searched: the image must fit where it is expected
+        max_depth = config.update.max_depth
+        if alone:
+            T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
+            against = anchor.rendered(state.map, T_expected, view.camera, max_depth)
+        if config.recovery is not None and state.keyframes is not None:
+            wayback = Wayback(state.map, state.keyframes, max_depth, config.recovery)
+        located = localise(
+            state.past,
+            self.transition,
+            control,
+            seconds(dt),
+            against,
+            small,
+            view,
+            solving,
+            config.tracking,
+            state.lost,
+            wayback,
+            clock,
+        )
+        past, status = located.past, located.status
+        if not status.fits:
+            lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
+            return lost, FilterInfo(status, drift.in_world(past.belief, state.drift), located.agreement)
+        T, small = past.T_world_cam, past.image
+        if config.tracking.exposure:
+            image = _expose(image, located.gain)
+        m, dropped = state.map, 0
+        if config.window_margin is not None:
+            shift = _shift(m, T[:3, 3], config.window_margin * min(m.shape) * m.voxel_size)
+            if shift.any():
+                m, fell = recentre.recentre(m, shift)
+                dropped = int(fell)
+        before = drift.precision(m, T, small, view.camera)
+        m = clock("map", self._mapped(m, image, past, mapping))
+        drifted = drift.grow(state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small)
+        kept, against = state.keyframes, state.anchor
+        if kept is not None:
+            kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera)
+        moved_on = anchor.left(against, T, config.anchor_distance, config.anchor_angle)
+        if alone or status is Status.RECOVERED or moved_on:
+            against = clock("anchor", anchor.take(m, T, small, view.camera, max_depth, config.samples > 1))
+        info = FilterInfo(status, drift.in_world(past.belief, drifted), located.agreement, dropped)
+        return PrismState(m, past, against, kept, drifted, False, key, state.readings), info
+
+    def posterior(self, state: PrismState) -> Posterior:
+        """Return ``q_t(z_t) q_t(M)``, the state against the map: without the drift of the map's frame in the world."""
+        return Posterior(state.past.belief, state.map, state.readings)
+
+    def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
+        """The image and its rig at tracking size."""
+        return shrunk(image, self.rig, self.config.track_width)
+
+    def _mapped(self, m: VoxelMap, image: RGBD, past: Past, key: Array) -> VoxelMap:
+        """Step 5, at the pose's mean or in expectation over its samples."""
+        camera, config = self.rig.camera, self.config
+        if config.samples == 1:
+            return map_update.update(m, image.depth, image.rgb, past.T_world_cam, camera, config.update)
+        poses = _draw_poses(past.belief, self.rig, key, config.samples)
+        return map_update.update_expected(m, image.depth, image.rgb, poses, camera, config.update)
+
+
+@partial(jax.jit, static_argnums=3)
+def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -> Float[Array, "samples 4 4"]:
+    """Camera poses from ``q(z_pose)``, the mean among them: an expectation of few samples must not move the map.
+
+    The others lie in pairs on either side of it, so much farther out that the second moment is the covariance.
+    """
+    twists = posterior.manifold.twists
+    p = twists.shape[1]
+    root = jnp.linalg.cholesky(posterior.covariance[:p, :p] + 1e-12 * jnp.eye(p))
+    half = (samples / (samples - 1)) ** 0.5 * jax.random.normal(key, (samples // 2, p)) @ root.T
+    errors = jnp.concatenate([jnp.zeros((1, p)), half, -half]) @ twists.T
+    return posterior.manifold.pose(posterior.mean) @ se3_exp(errors) @ rig.T_body_cam
+
+
+_expose = jax.jit(expose)
+_shift = jax.jit(recentre.shift_to_centre)

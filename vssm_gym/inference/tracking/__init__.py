@@ -1,0 +1,1 @@
+"""Localise a camera in a known map: tracking, keyframes, recovery, and tracking through the renderer."""

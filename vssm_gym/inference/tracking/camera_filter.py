@@ -1,0 +1,269 @@
+"""``q(z_t) ~ p(x_t | z_t, q(M)) int p(z_t | z_t-1, u) q(z_t-1)`` for one image (PRISM, steps 1 to 4).
+
+Prior by any linearised transition, pose by MAP against a reference view, Laplace covariance, the rest of the state in
+closed form. The map is not touched; the filters do that, and decide what becomes of an image that does not fit.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_log
+from vssm_gym.inference import linear_gaussian
+from vssm_gym.inference.alignment import gauss_newton
+from vssm_gym.inference.alignment.adam import AdamConfig, align_adam
+from vssm_gym.inference.alignment.exposure import expose, gain
+from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.residuals import (
+    AlignConfig,
+    AlignInfo,
+    disagreement,
+    linearise,
+    luminance,
+    make_observed,
+    make_reference,
+    score,
+    stride,
+)
+from vssm_gym.inference.alignment.rotation import RotationConfig, camera_rotation
+from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.linear_gaussian import Gaussian
+from vssm_gym.inference.tracking import process_noise
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import Belief, GaussianBelief
+from vssm_gym.model.transition.manifold import Manifold
+
+Problem = tuple[Array, Array, Array, Array, RGBD, RGBD, Camera]  # as the solvers take it, up to the camera
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """How the pose is found and what counts as found. The defaults are those of a hand-held camera."""
+
+    # Flatter in depth than one pixel's noise: far points are few but they hold the rotation.
+    align: AlignConfig = field(
+        default_factory=lambda: AlignConfig(0.006, 0.001, edge=0.02, levels=(4, 2, 1), iterations=(6, 4, 4))
+    )
+    solver: str = "gauss_newton"  # a key of SOLVERS
+    adam: AdamConfig = field(default_factory=AdamConfig)  # of the solver of that name
+    rotation: RotationConfig | None = field(default_factory=RotationConfig)  # of the start; None: start as predicted
+    exposure: bool = True  # whether the camera's gain changes
+    adaptive: bool = True  # whether the process noise is learned from how wrong predictions were
+    smoothing: float = 0.8  # of the Laplace covariance over time
+    min_reading: float = 0.05  # share of the pixels that have depth; an image with fewer has no reading
+    min_score: float = 0.6  # of :func:`alignment.score`
+    max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
+    max_surprise: float = 12.0  # stds of the predicted pose: beyond them the camera jumped, and the prior would hold it
+    start_velocity: tuple[float, float] = (0.5, 1.0)  # m/s, rad/s: std of an unknown velocity
+
+    def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise InputError("TrackingConfig", "solver", f"one of {', '.join(SOLVERS)}; found {self.solver!r}")
+
+
+def _by_gauss_newton(
+    problem: Problem, against: Anchor, config: "TrackingConfig", key: Array
+) -> tuple[Array, AlignInfo]:
+    return gauss_newton.align(*problem, config=config.align, seen=against.seen, spread=against.spread)
+
+
+def _by_adam(problem: Problem, against: Anchor, config: "TrackingConfig", key: Array) -> tuple[Array, AlignInfo]:
+    return align_adam(*problem, config=config.align, key=key, adam=config.adam, spread=against.spread)
+
+
+SOLVERS = {"gauss_newton": _by_gauss_newton, "adam": _by_adam}
+
+
+class Past(eqx.Module):
+    """What an image is filtered with."""
+
+    belief: GaussianBelief  # q_t-1(z)
+    laplace: Float[Array, "p p"]  # smoothed covariance of the poses up to here; 0: the last image did not fit
+    unrest: process_noise.Level
+    image: RGBD  # the last that fitted, tracking size, at the map's exposure
+    T_world_cam: Float[Array, "4 4"]  # its pose
+
+
+class Tracked(eqx.Module):
+    """What an image says."""
+
+    belief: GaussianBelief  # q_t(z)
+    T_world_cam: Float[Array, "4 4"]  # at its mean
+    laplace: Float[Array, "p p"]  # as the past's, this image included
+    predicted: GaussianBelief  # with the transition's whole noise: where the body may be at all
+    unrest: process_noise.Level
+    T_world_turned: Float[Array, "4 4"]  # the last camera pose, turned by the rotation between the images
+    gain: Float[Array, ""]  # of the image: see :mod:`exposure`
+    agreement: AlignInfo
+    fits: Bool[Array, ""]
+
+
+# Of a body whose commands are known: three degrees of freedom and a known command hold where six and constant velocity
+# do not, before a bare wall and in turns that start and end within a frame.
+COMMANDED = TrackingConfig(
+    rotation=None,
+    exposure=False,
+    adaptive=False,
+    smoothing=0.0,
+    min_reading=0.0,
+    min_score=0.5,
+    max_surprise=float("inf"),
+)
+
+
+def begin(prior: Belief, image: RGBD, rig: Rig) -> Past:
+    """Return the past after a first image, taken where the prior has the body.
+
+    Raises:
+        InputError: a prior that is no Gaussian.
+    """
+    if not isinstance(prior, GaussianBelief):
+        raise InputError("filter.init", "prior", f"a GaussianBelief over the state; found {type(prior).__name__}")
+    p = prior.manifold.twists.shape[1]
+    return Past(prior, jnp.zeros((p, p)), process_noise.full(), image, camera_pose(prior, rig))
+
+
+def camera_twists(manifold: Manifold, rig: Rig) -> Float[Array, "6 p"]:
+    """Return the camera's twists when the body's pose moves along each coordinate of its tangent."""
+    return se3_adjoint(inverse(rig.T_body_cam)) @ jnp.asarray(manifold.twists, jnp.float32)
+
+
+def at_rest(
+    manifold: Manifold, T_world_body: Array, pose_covariance: Array, velocity: tuple[float, float]
+) -> GaussianBelief:
+    """Return a belief over a body at a pose whose velocity, where the state has one, is unknown around zero.
+
+    Args:
+        manifold: Of the state.
+        T_world_body: The pose, (4, 4).
+        pose_covariance: Of the pose's tangent, (p, p).
+        velocity: Standard deviations of the linear (m/s) and the angular (rad/s) velocity.
+    """
+    p = len(pose_covariance)
+    variances = np.where(manifold.turns[p:], velocity[1], velocity[0]) ** 2
+    covariance = jnp.diag(jnp.asarray([0.0] * p + [*variances], jnp.float32)).at[:p, :p].set(pose_covariance)
+    return GaussianBelief(manifold.resting(jnp.asarray(T_world_body, jnp.float32)), covariance, manifold)
+
+
+@jax.jit
+def camera_pose(belief: GaussianBelief, rig: Rig) -> Float[Array, "4 4"]:
+    """Return ``T_world_cam`` at the mean of a belief over the body."""
+    return belief.manifold.pose(belief.mean) @ rig.T_body_cam
+
+
+@jax.jit
+def expected_pose(
+    transition: Transition, belief: GaussianBelief, control: Float[Array, "m"], dt: Float[Array, ""], rig: Rig
+) -> Float[Array, "4 4"]:
+    """Return ``T_world_cam`` where the control leads from the mean of a belief."""
+    return transition.manifold.pose(transition.mean(belief.mean, control, dt)) @ rig.T_body_cam
+
+
+@partial(jax.jit, static_argnums=8)
+def track(
+    past: Past,
+    transition: Transition,
+    control: Float[Array, "m"],
+    dt: Float[Array, ""],
+    against: Anchor,
+    image: RGBD,
+    rig: Rig,
+    key: PRNGKeyArray,
+    config: TrackingConfig,
+) -> Tracked:
+    """Return the belief over the state given an image.
+
+    Args:
+        past: Belief and image before.
+        transition: What moved the body.
+        control: Of the transition.
+        dt: Seconds since then, above 0.
+        against: What the image is aligned to.
+        image: At tracking size.
+        rig: The camera, at that size, and its place on the body.
+        key: Of a solver that draws.
+        config: Solver, effort and gates.
+    """
+    manifold = transition.manifold
+    possible = predicted = transition.predict(past.belief, control, dt)
+    if config.adaptive:
+        scale = process_noise.scale(manifold, past.unrest)
+        predicted = transition.predict(past.belief, control, dt, scale)
+    p = past.laplace.shape[0]
+    pose_covariance = predicted.covariance[:p, :p]
+    basis = camera_twists(manifold, rig)
+    T_anchor_world = inverse(against.T_world_cam)
+    T_prior = T_anchor_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
+    start, image, brightness, T_world_turned = _start(past, T_prior, T_anchor_world, against, image, rig.camera, config)
+    precision = jnp.linalg.inv(pose_covariance)
+    problem = (T_prior, precision, start, basis, against.image, image, rig.camera)
+    T, agreement = SOLVERS[config.solver](problem, against, config, key)
+    laplace = jnp.linalg.inv(2.0 * agreement.information + precision)
+    kept = config.smoothing * (jnp.trace(past.laplace) > 0.0)
+    smoothed = kept * past.laplace + (1.0 - kept) * laplace
+    # The new pose's error is measured from the new mean, the conditional's from the predicted one: to first order,
+    # and a step is short, the two tangents are one.
+    moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
+    both = Gaussian(moved, smoothed)
+    if p < predicted.covariance.shape[0]:
+        _, rest_given_pose = linear_gaussian.split(
+            Gaussian(jnp.zeros_like(predicted.covariance[0]), predicted.covariance), p
+        )
+        both = linear_gaussian.joint(both, rest_given_pose)
+    posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
+    fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
+    fits &= jnp.mean(image.hit) >= config.min_reading
+    fits &= moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved) <= config.max_surprise**2
+    fits &= jnp.all(jnp.isfinite(both.covariance))
+    unrest = past.unrest
+    if config.adaptive:
+        noise = transition.noise_covariance(past.belief.mean, control, dt)[:p, :p]
+        unrest = process_noise.adapt(past.unrest, moved, pose_covariance, laplace, dt, noise, manifold)
+    T_world_cam = manifold.pose(posterior.mean) @ rig.T_body_cam
+    return Tracked(posterior, T_world_cam, smoothed, possible, unrest, T_world_turned, brightness, agreement, fits)
+
+
+def _start(
+    past: Past,
+    T_prior: Float[Array, "4 4"],
+    T_anchor_world: Float[Array, "4 4"],
+    against: Anchor,
+    image: RGBD,
+    camera: Camera,
+    config: TrackingConfig,
+) -> tuple[Array, RGBD, Array, Array]:
+    """Return where the search begins, the image as bright as the map, its gain, and the last pose turned.
+
+    A hand jerks, and the last image turned is the better start; facing a wall of tiles only the motion so far tells a
+    step to the left from a turn.
+    """
+    T_world_turned, starts = past.T_world_cam, T_prior[None]
+    if config.rotation is not None:
+        # For the rotation alone, images are made equally bright as wholes; what they both show is not known yet.
+        grey, last = luminance(image.rgb), luminance(past.image.rgb)
+        alike = jnp.clip(gain(last, grey, jnp.ones_like(grey, bool)) * grey, 0.0, 1.0)
+        R = camera_rotation(alike, last, camera, config.rotation)
+        T_world_turned = past.T_world_cam.at[:3, :3].set(past.T_world_cam[:3, :3] @ R)
+        starts = jnp.stack([T_anchor_world @ T_world_turned, T_prior])
+    brightness, align = jnp.ones(()), config.align
+    factor = align.levels[-1]
+    observed = lambda image: make_observed(image, camera, factor, stride(camera, factor, align))
+    if config.exposure or len(starts) > 1:
+        ref, obs = make_reference(against.image, camera, align, factor), observed(image)
+    if config.exposure:
+        _, rgb, *_ = linearise(starts[0], ref, obs, camera, factor, align)
+        brightness = gain(obs.luminance + align.rgb_sigma * rgb.residual, obs.luminance, rgb.usable)
+        image = expose(image, brightness)
+        obs = observed(image)
+    if len(starts) == 1:
+        return T_prior, image, brightness, T_world_turned
+    costs = [disagreement(T, ref, obs, camera, factor, align) for T in starts]
+    return starts[jnp.argmin(jnp.stack(costs))], image, brightness, T_world_turned

@@ -1,0 +1,145 @@
+"""Localisation through the renderer: ``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` by Adam (TNP-SM).
+
+The *emission-based* tracker, a comparison. Where :mod:`vssm_gym.inference.tracking.map_tracker` aligns an image to one
+rendered reference, this one renders the drawn pixels anew at every step and follows the gradient of ``log p`` in the
+pose, which comes from the interpolation at the hit alone: a search along 200 rays a step, and no association but the
+ray's own.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import inverse, se3_exp, se3_log
+from vssm_gym.inference.alignment.adam import AdamConfig, minimise
+from vssm_gym.inference.alignment.residuals import AlignInfo, agreement, make_observed, make_reference, score, stride
+from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking.camera_filter import begin, camera_twists
+from vssm_gym.inference.tracking.localise import checked, seconds
+from vssm_gym.inference.tracking.map_tracker import ROBOT, TrackerState, TrackingConfig
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model import emission
+from vssm_gym.model.emission import RGBD, EmissionScales
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
+
+TRACKER_ADAM = AdamConfig(steps=100, translation_step=0.003, rotation_step=0.003)
+
+
+@dataclass(frozen=True)
+class EmissionTrackerConfig:
+    """Search, emission, and the test for loss of track, which is that of the other trackers."""
+
+    adam: AdamConfig = TRACKER_ADAM  # its gates leave out pixels that see another surface
+    scales: tuple[float, float] = (0.02, 0.1)  # of the emission: depth (m) and a colour channel; those of the aligners
+    max_depth: float = emission.MAX_DEPTH
+    tracker: TrackingConfig = ROBOT
+
+
+@dataclass(frozen=True)
+class EmissionTracker:
+    """The filter; for transitions whose state is a pose."""
+
+    rig: Rig
+    transition: Transition
+    config: EmissionTrackerConfig = EmissionTrackerConfig()
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
+        """Return the prior's belief; its map is shared, not consumed.
+
+        Raises:
+            InputError: a prior without a map, or a transition whose state is more than a pose.
+        """
+        manifold = self.transition.manifold
+        if prior.map is None:
+            raise InputError("EmissionTracker.init", "prior", "a learned map to track in")
+        if manifold.twists.shape[1] != len(manifold.turns):
+            raise InputError(
+                "EmissionTracker", "transition", "one whose state is a pose: planar, bicycle, differential"
+            )
+        return TrackerState(begin(prior.belief, image, self.rig), prior.map, None, False, key, prior.readings)
+
+    def step(
+        self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[TrackerState, FilterInfo]:
+        """Follow the gradient through the renderer; see :class:`Filter`."""
+        assert state.map is not None
+        told = checked(self.transition, control), seconds(dt)
+        predicted = _predict(self.transition, state.past.belief, *told)
+        T_world_cam = _descend(predicted, image, state.map, self.rig, state.key, self.config)
+        rendered = emission.render(state.map, T_world_cam, self.rig.camera)
+        belief, fits, fit = clock("track", _judge(predicted, rendered, T_world_cam, image, self.rig, self.config))
+        past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
+        status = Status.OK if fits else Status.LOST
+        return replace(state, past=past, lost=not fits), FilterInfo(status, belief, fit)
+
+    def posterior(self, state: TrackerState) -> Posterior:
+        """Return ``q(z_t)`` with the fixed map."""
+        return Posterior(state.past.belief, state.map, state.readings)
+
+
+@partial(jax.jit, static_argnums=5)
+def _descend(
+    predicted: GaussianBelief, image: RGBD, m: VoxelMap, rig: Rig, key: Array, config: EmissionTrackerConfig
+) -> Float[Array, "4 4"]:
+    """T_world_cam at the MAP: ``T_world_pred exp(B xi)``, the pixels drawn anew and rendered at every step."""
+    camera, basis = rig.camera, camera_twists(predicted.manifold, rig)
+    T_world_pred = predicted.manifold.pose(predicted.mean) @ rig.T_body_cam
+    precision = jnp.linalg.inv(predicted.covariance)
+    width = camera.width
+    depth, rgb = image.depth.reshape(-1), image.rgb.reshape(-1, 3)
+    (usable,) = jnp.nonzero(image.hit.reshape(-1), size=depth.shape[0], fill_value=0)
+    count = jnp.sum(image.hit)
+    draws = jax.random.randint(key, (config.adam.steps, config.adam.pixels), 0, jnp.maximum(count, 1))
+    scales = EmissionScales(*config.scales)
+
+    def rays(T, pixel):
+        x, y = (pixel % width - camera.cx) / camera.fx, (pixel // width - camera.cy) / camera.fy
+        return T[:3, 3], jnp.stack([T[a, 0] * x + T[a, 1] * y + T[a, 2] for a in range(3)], axis=-1)
+
+    def loss(xi, i):
+        pixel = usable.at[draws[i]].get(mode="promise_in_bounds")
+        T = T_world_pred @ se3_exp(basis @ xi)
+        centre, directions = rays(T, pixel)
+        k, hit = emission.search(*jax.lax.stop_gradient((m, centre, directions)), config.max_depth)
+        d = emission.intersect(m, centre, directions, jnp.where(hit, k, 2))
+        colour = m.field(centre + directions * d[:, None])[..., 1:]
+        off, off_colour = jnp.abs(d - depth[pixel]), jnp.abs(colour - rgb[pixel])
+        near = hit & (off < config.adam.geo_gate) & (count > 0)
+        alike = near & (off_colour.mean(-1) < config.adam.rgb_gate)
+        data = jnp.sum(near * off) / scales.depth + jnp.sum(alike * off_colour.sum(-1)) / scales.rgb
+        return data + 0.5 * xi @ precision @ xi
+
+    xi = minimise(loss, jnp.zeros(basis.shape[1]), basis, config.adam)
+    return T_world_pred @ se3_exp(basis @ xi)
+
+
+@partial(jax.jit, static_argnums=5)
+def _judge(
+    predicted: GaussianBelief,
+    rendered: RGBD,
+    T_world_cam: Float[Array, "4 4"],
+    image: RGBD,
+    rig: Rig,
+    config: EmissionTrackerConfig,
+) -> tuple[GaussianBelief, Array, AlignInfo]:
+    """How well the image agrees with the one rendered at the estimate, and the belief that follows."""
+    manifold, tracker, basis = predicted.manifold, config.tracker, camera_twists(predicted.manifold, rig)
+    reference = make_reference(rendered, rig.camera, tracker.align)
+    observed = make_observed(image, rig.camera, every=stride(rig.camera, 1, tracker.align))
+    fit = agreement(jnp.eye(4), basis, reference, observed, rig.camera, tracker.align, 0)
+    fits = (score(fit) >= tracker.min_score) & (fit.photometric <= tracker.max_photometric)
+    T_world_pred = manifold.pose(predicted.mean) @ rig.T_body_cam
+    moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_world_pred) @ T_world_cam)
+    laplace = jnp.linalg.inv(2.0 * fit.information + jnp.linalg.inv(predicted.covariance))
+    corrected = GaussianBelief(manifold.perturb(predicted.mean, moved), laplace, manifold)
+    return jax.tree.map(lambda a, b: jnp.where(fits, a, b), corrected, predicted), fits, fit
+
+
+_predict = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))

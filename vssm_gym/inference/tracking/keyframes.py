@@ -1,0 +1,95 @@
+"""Keyframes: poses whose images are remembered, so that a camera that lost track finds its way back (MEASURED).
+
+A keyframe keeps its pose and a small luminance image. A lost image is compared with all of them by the correlation of
+thumbnails; the best few, each turned by the rotation between the two images, are poses to try against the map.
+"""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.alignment.residuals import shrink_camera, shrink_image
+from vssm_gym.inference.alignment.rotation import RotationConfig, camera_rotation
+
+CAPACITY = 256  # with the ring below the oldest go first; at 30 cm and 15 degrees a furnished flat fits
+DISTANCE, ANGLE = 0.30, 0.26  # m, rad: a new keyframe is farther than one of these from every other
+WIDTH, THUMBNAIL = 80, 20  # pixels
+
+
+class Keyframes(eqx.Module):
+    """A ring of remembered images."""
+
+    T_world_cam: Float[Array, "n 4 4"]
+    images: Float[Array, "n height width"]  # luminance, [0, 1]
+    thumbnails: Float[Array, "n pixels"]  # zero mean, unit norm; all zero where no keyframe is
+    count: Int[Array, ""]  # keyframes ever kept
+
+
+def _small(camera: Camera) -> int:
+    return max(1, camera.width // WIDTH)
+
+
+def _thumbnail(image: Array) -> Array:
+    small = shrink_image(image, max(1, image.shape[1] // THUMBNAIL)).reshape(-1)
+    centred = small - jnp.mean(small)
+    return centred / jnp.maximum(jnp.linalg.norm(centred), 1e-3)
+
+
+def empty(camera: Camera, capacity: int = CAPACITY) -> Keyframes:
+    """No keyframe yet, for images of ``camera``."""
+    view = shrink_camera(camera, _small(camera))
+    images = jnp.zeros((capacity, view.height, view.width))
+    return Keyframes(
+        T_world_cam=jnp.broadcast_to(jnp.eye(4), (capacity, 4, 4)),
+        images=images,
+        thumbnails=jnp.zeros((capacity, _thumbnail(images[0]).size)),
+        count=jnp.int32(0),
+    )
+
+
+@partial(jax.jit, donate_argnums=0)
+def remember(
+    keyframes: Keyframes, T_world_cam: Float[Array, "4 4"], grey: Float[Array, "height width"], camera: Camera
+) -> Keyframes:
+    """Keep the image if no keyframe is near its pose. The keyframes passed in are consumed."""
+    apart = jnp.linalg.norm(keyframes.T_world_cam[:, :3, 3] - T_world_cam[:3, 3], axis=-1)
+    # trace(R_a^T R_b) = 1 + 2 cos(angle)
+    trace = jnp.einsum("nij,ij->n", keyframes.T_world_cam[:, :3, :3], T_world_cam[:3, :3])
+    near = (apart < DISTANCE) & (trace > 1.0 + 2.0 * jnp.cos(ANGLE))
+    capacity = apart.shape[0]
+    new = ~jnp.any(near & (jnp.arange(capacity) < keyframes.count))
+    slot = jnp.where(new, keyframes.count % capacity, capacity)  # one past the end writes nothing
+    image = shrink_image(grey, _small(camera))
+    return Keyframes(
+        T_world_cam=keyframes.T_world_cam.at[slot].set(T_world_cam, mode="drop"),
+        images=keyframes.images.at[slot].set(image, mode="drop"),
+        thumbnails=keyframes.thumbnails.at[slot].set(_thumbnail(image), mode="drop"),
+        count=keyframes.count + new,
+    )
+
+
+@partial(jax.jit, static_argnums=(3, 4))
+def similar(
+    keyframes: Keyframes, grey: Float[Array, "height width"], camera: Camera, config: RotationConfig, best: int
+) -> Float[Array, "best 4 4"]:
+    """Poses to try for an image: those of the most correlated keyframes, turned by the rotation between the images.
+
+    Returns:
+        T_world_cam guesses, best first; identities where there are fewer keyframes.
+    """
+    image = shrink_image(grey, _small(camera))
+    kept = jnp.arange(keyframes.thumbnails.shape[0]) < keyframes.count
+    correlation = jnp.where(kept, keyframes.thumbnails @ _thumbnail(image), -2.0)  # any keyframe before none
+    order = jnp.argsort(-correlation)[:best]
+    view = shrink_camera(camera, _small(camera))
+
+    def guess(index):
+        R = camera_rotation(image, keyframes.images[index], view, config)
+        turned = keyframes.T_world_cam[index, :3, :3] @ R
+        return keyframes.T_world_cam[index].at[:3, :3].set(turned)
+
+    return jax.lax.map(guess, order)

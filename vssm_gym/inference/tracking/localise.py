@@ -1,0 +1,209 @@
+"""One image located: tracked, searched for where it does not fit, or believed without; what the filters share.
+
+Runs on the host between compiled calls: whether an image fits decides which of them comes next.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import inverse
+from vssm_gym.inference.alignment.exposure import expose
+from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
+from vssm_gym.inference.filter import Clock, Rig
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import keyframes, process_noise
+from vssm_gym.inference.tracking.camera_filter import (
+    Past,
+    Tracked,
+    TrackingConfig,
+    at_rest,
+    camera_pose,
+    camera_twists,
+    track,
+)
+from vssm_gym.inference.tracking.keyframes import Keyframes
+from vssm_gym.inference.tracking.recovery import RecoveryConfig, recover
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
+from vssm_gym.model.transition.manifold import Manifold
+
+
+@dataclass(frozen=True)
+class Wayback:
+    """What an image that does not fit is compared with."""
+
+    map: VoxelMap
+    keyframes: Keyframes
+    max_depth: float  # m, of the rendering
+    config: RecoveryConfig
+
+
+@dataclass(frozen=True)
+class Located:
+    """How an image went."""
+
+    status: Status
+    past: Past  # what the next image is filtered with
+    gain: Float[Array, ""]  # of the image: see :mod:`exposure`
+    agreement: AlignInfo
+
+
+def localise(
+    past: Past,
+    transition: Transition,
+    control: Float[Array, "m"],
+    dt: Float[Array, ""],
+    against: Anchor,
+    image: RGBD,
+    rig: Rig,
+    key: PRNGKeyArray,
+    config: TrackingConfig,
+    lost: bool,
+    wayback: Wayback | None,
+    clock: Clock,
+) -> Located:
+    """Locate an image: by tracking, by recovery where that fails, else by what is believed without it.
+
+    Args:
+        past: Belief and image before.
+        transition: What moved the body.
+        control: Of the transition.
+        dt: Seconds since the image before; see :func:`seconds`.
+        against: What the image is aligned to.
+        image: At tracking size.
+        rig: The camera, at that size, and its place on the body.
+        key: Of a solver that draws.
+        config: Solver, effort and gates.
+        lost: Whether the image before did not fit.
+        wayback: What recovery needs; None: none is tried.
+        clock: Of the stages "track" and "recover".
+    """
+    tracked = clock("track", track(past, transition, control, dt, against, image, rig, key, config))
+    if tracked.fits:
+        if config.exposure:
+            image = _expose(image, tracked.gain)
+        now = Past(tracked.belief, tracked.laplace, tracked.unrest, image, tracked.T_world_cam)
+        return Located(Status.OK, now, tracked.gain, tracked.agreement)
+    readings = readable(image, config)
+    if readings and wayback is not None:
+        starts = _starts(past, tracked, image, rig, lost, wayback)
+        found = search(starts, transition.manifold, image, rig, config, wayback)
+        if found is not None:
+            clock("recover", found.past.belief)
+            return found
+    belief = clock("recover", _without_image(past, tracked.predicted, transition, rig, config, lost))
+    status = Status.LOST if readings else Status.NO_READING
+    now = Past(belief, jnp.zeros_like(tracked.laplace), process_noise.full(), past.image, past.T_world_cam)
+    return Located(status, now, tracked.gain, tracked.agreement)
+
+
+def readable(image: RGBD, config: TrackingConfig) -> bool:
+    """Return whether so much of the image has depth that it can be aligned, or a map be started with it."""
+    return float(jnp.mean(image.hit)) >= config.min_reading
+
+
+def tracking_factor(camera: Camera, track_width: int | None) -> int:
+    """Return by how much images of ``camera`` are shrunk to about ``track_width`` pixels for tracking; None: not."""
+    return 1 if track_width is None else max(1, round(camera.width / track_width))
+
+
+def shrunk(image: RGBD, rig: Rig, track_width: int | None) -> tuple[RGBD, Rig]:
+    """Return an image and its rig at tracking size."""
+    factor = tracking_factor(rig.camera, track_width)
+    if factor == 1:
+        return image, rig
+    return _shrink(image, factor), Rig(shrink_camera(rig.camera, factor), rig.T_body_cam)
+
+
+def seconds(dt: float) -> Float[Array, ""]:
+    """Return the length of a step as the compiled functions take it.
+
+    Raises:
+        InputError: ``dt`` is not above 0.
+    """
+    if not 0.0 < dt < float("inf"):
+        raise InputError("filter.step", "dt", f"seconds since the last image, above 0; found {dt!r}")
+    return jnp.float32(dt)
+
+
+def search(
+    T_world_starts: Float[Array, "starts 4 4"],
+    manifold: Manifold,
+    image: RGBD,
+    rig: Rig,
+    config: TrackingConfig,
+    wayback: Wayback,
+) -> Located | None:
+    """Return the pose where the map explains an image, its velocity unknown; None where no start leads to one.
+
+    Args:
+        T_world_starts: Camera poses to start from.
+        manifold: Of the state.
+        image: At tracking size.
+        rig: The camera, at that size, and its place on the body.
+        config: Of tracking.
+        wayback: What the image is compared with.
+    """
+    basis = camera_twists(manifold, rig)
+    attempt = recover(wayback.map, T_world_starts, image, rig.camera, basis, wayback.max_depth, wayback.config)
+    if not attempt.fits:
+        return None
+    information = attempt.agreement.information
+    covariance = jnp.linalg.inv(2.0 * information + jnp.eye(len(information)))
+    T_world_body = attempt.T_world_cam @ inverse(rig.T_body_cam)
+    belief = at_rest(manifold, T_world_body, covariance, config.start_velocity)
+    if config.exposure:
+        image = _expose(image, attempt.gain)
+    now = Past(belief, covariance, process_noise.full(), image, camera_pose(belief, rig))
+    return Located(Status.RECOVERED, now, attempt.gain, attempt.agreement)
+
+
+def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, "m"]:
+    """Return a control of the transition.
+
+    Raises:
+        InputError: it has not as many numbers as the transition's controls.
+    """
+    if np.shape(control) != (transition.controls,):
+        expected = f"the {transition.controls} numbers of {type(transition).__name__}'s controls"
+        raise InputError("filter.step", "control", f"{expected}; found shape {np.shape(control)}")
+    return control
+
+
+def _starts(
+    past: Past, tracked: Tracked, image: RGBD, rig: Rig, lost: bool, wayback: Wayback
+) -> Float[Array, "starts 4 4"]:
+    """Where recovery begins: the last pose, turned and as it was, the keyframes most alike, the prediction."""
+    settings, grey = wayback.config, luminance(image.rgb)
+    alike = keyframes.similar(wayback.keyframes, grey, rig.camera, settings.rotation, settings.keyframes + 1)
+    # A camera that was lost before is predicted to be where it was last: that start would be tried twice.
+    last = alike[-1] if lost else camera_pose(tracked.predicted, rig)
+    return jnp.stack([tracked.T_world_turned, past.T_world_cam, *alike[:-1], last])
+
+
+def _without_image(
+    past: Past, predicted: GaussianBelief, transition: Transition, rig: Rig, config: TrackingConfig, lost: bool
+) -> GaussianBelief:
+    """What is believed where the image says nothing: a commanded body is where its commands lead.
+
+    Any other is believed to drift off at an unknown velocity from where it was last: its spread grows with the time
+    alone, however many images are taken meanwhile.
+    """
+    if transition.commanded:
+        return predicted
+    p, T_world_body = len(past.laplace), past.T_world_cam @ inverse(rig.T_body_cam)
+    stays = at_rest(predicted.manifold, T_world_body, predicted.covariance[:p, :p], config.start_velocity)
+    return replace(stays, covariance=predicted.covariance) if lost else stays
+
+
+_expose = jax.jit(expose)
+_shrink = jax.jit(shrink_rgbd, static_argnums=1)

@@ -1,0 +1,213 @@
+"""Filters of the state alone: in a map that is fixed, against the previous image, and by the commands (TNP-SM).
+
+Each step predicts the state from the control, takes a reference view, and aligns the camera image to it:
+:class:`MapTracker` renders the reference from the map at the predicted pose; :class:`FrameTracker` takes the previous
+camera image (the published "no map" baseline: its errors add up); :class:`DeadReckoning` looks at no image. Loss of
+track is detected and said; the belief then follows the transition until images fit again.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.inference.alignment import reference_view as anchor
+from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.residuals import AlignConfig, luminance
+from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking import keyframes
+from vssm_gym.inference.tracking.camera_filter import (
+    COMMANDED,
+    Past,
+    Tracked,
+    TrackingConfig,
+    begin,
+    camera_pose,
+    expected_pose,
+    track,
+)
+from vssm_gym.inference.tracking.keyframes import Keyframes
+from vssm_gym.inference.tracking.localise import Wayback, checked, localise, readable, search, seconds, shrunk
+from vssm_gym.inference.tracking.recovery import RecoveryConfig
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import MAX_DEPTH, RGBD
+from vssm_gym.model.emission_uncertainty import Readings
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
+
+# A map of 5 cm cells is as rough as this scale of the geometry.
+ROBOT = replace(COMMANDED, align=AlignConfig(geo_sigma=0.012))
+
+
+class TrackerState(eqx.Module):
+    """What the next step needs."""
+
+    past: Past
+    map: VoxelMap | None  # fixed; None: the reference is the previous image
+    keyframes: Keyframes | None  # None: nothing is kept to recover from
+    lost: bool  # the last image did not fit
+    key: PRNGKeyArray  # of a solver that draws; the same at every step
+    readings: Readings  # of the posterior
+
+
+@dataclass(frozen=True)
+class MapTracker:
+    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` in a fixed map, the reference rendered at every step."""
+
+    rig: Rig
+    transition: Transition
+    config: TrackingConfig = ROBOT
+    recovery: RecoveryConfig | None = None  # None: wait where the transition leads
+    max_depth: float = MAX_DEPTH  # m, of the rendering
+    track_width: int | None = None  # pixels: images are shrunk to about this; None: not
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
+        """Return the prior's belief with the image seen there; its map is shared, not consumed.
+
+        Raises:
+            InputError: a prior without a map.
+        """
+        if prior.map is None:
+            raise InputError("MapTracker.init", "prior", "a learned map to track in")
+        image, rig = shrunk(image, self.rig, self.track_width)
+        past, kept, lost = begin(prior.belief, image, rig), None, False
+        if self.recovery is not None:
+            # Where the start is known roughly only: the first image is aligned to the map around it.
+            kept, camera = keyframes.empty(rig.camera), rig.camera
+            wayback = Wayback(prior.map, kept, self.max_depth, self.recovery)
+            starts = past.T_world_cam[None]
+            found = search(starts, self.transition.manifold, image, rig, self.config, wayback)
+            lost = found is None
+            if found is not None:
+                past = found.past
+                kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
+        return TrackerState(past, prior.map, kept, lost, key, prior.readings)
+
+    def step(
+        self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[TrackerState, FilterInfo]:
+        """Align the image to one rendered from the map where the control leads; see :class:`Filter`."""
+        # The rendering is a compiled call of its own: in one with the alignment, the compiler fuses the renderer into
+        # each of the many places that read its image and computes it again there.
+        assert state.map is not None
+        h, control, kept = seconds(dt), checked(self.transition, control), state.keyframes
+        image, rig = shrunk(image, self.rig, self.track_width)
+        camera = rig.camera
+        T_expected = expected_pose(self.transition, state.past.belief, control, h, rig)
+        against = anchor.rendered(state.map, T_expected, camera, self.max_depth)
+        wayback = None
+        if kept is not None and self.recovery is not None:
+            wayback = Wayback(state.map, kept, self.max_depth, self.recovery)
+        moved = (self.transition, control, h)
+        located = localise(state.past, *moved, against, image, rig, state.key, self.config, state.lost, wayback, clock)
+        past, status = located.past, located.status
+        if kept is not None and status.fits:
+            kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
+        return TrackerState(past, state.map, kept, not status.fits, state.key, state.readings), FilterInfo(
+            status, past.belief, located.agreement
+        )
+
+    def posterior(self, state: TrackerState) -> Posterior:
+        """Return ``q(z_t)`` with the fixed map."""
+        return Posterior(state.past.belief, state.map, state.readings)
+
+
+@dataclass(frozen=True)
+class FrameTracker:
+    """As :class:`MapTracker`, but against the previous camera image, at the previous estimate (TNP-SM, "no map").
+
+    For transitions whose state is a pose. The images tell the step from there alone: what was uncertain before it
+    stays so, and covariances add up.
+    """
+
+    rig: Rig
+    transition: Transition
+    config: TrackingConfig = ROBOT
+
+    def __post_init__(self) -> None:
+        manifold = self.transition.manifold
+        if manifold.twists.shape[1] != len(manifold.turns):
+            raise InputError("FrameTracker", "transition", "one whose state is a pose: planar, bicycle, differential")
+
+    def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
+        """Return the prior's belief with the image seen there; a map is not looked at."""
+        return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key, prior.readings)
+
+    def step(
+        self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
+    ) -> tuple[TrackerState, FilterInfo]:
+        """Align the image to the one before; see :class:`Filter`."""
+        h, control = seconds(dt), checked(self.transition, control)
+        tracked, carried = clock(
+            "track",
+            _track_from_frame(state.past, self.transition, control, h, image, self.rig, state.key, self.config),
+        )
+        fits = bool(tracked.fits)
+        status = Status.OK if fits else Status.LOST if readable(image, self.config) else Status.NO_READING
+        belief = carried if fits else _predicted(self.transition, state.past.belief, control, h)
+        T_world_cam = tracked.T_world_cam if fits else camera_pose(belief, self.rig)
+        past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
+        info = FilterInfo(status, belief, tracked.agreement)
+        return TrackerState(past, None, None, not fits, state.key, state.readings), info
+
+    def posterior(self, state: TrackerState) -> Posterior:
+        """Return ``q(z_t)``; there is no map."""
+        return Posterior(state.past.belief, None)
+
+
+@dataclass(frozen=True)
+class DeadReckoning:
+    """``q(z_t) = int p(z_t | z_t-1, u_t-1) q(z_t-1)``: the controls alone, never corrected."""
+
+    transition: Transition
+
+    def init(self, prior: Posterior, image: RGBD | None, key: PRNGKeyArray) -> GaussianBelief:
+        """Return the prior's belief; neither image nor map is looked at.
+
+        Raises:
+            InputError: a prior that is no Gaussian.
+        """
+        if not isinstance(prior.belief, GaussianBelief):
+            raise InputError("filter.init", "prior", "a GaussianBelief over the state")
+        return prior.belief
+
+    def step(
+        self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
+    ) -> tuple[GaussianBelief, FilterInfo]:
+        """Predict; see :class:`Filter`."""
+        belief = clock("track", _predicted(self.transition, state, checked(self.transition, control), seconds(dt)))
+        return belief, FilterInfo(Status.OK, belief)
+
+    def posterior(self, state: GaussianBelief) -> Posterior:
+        """Return ``q(z_t)``; there is no map."""
+        return Posterior(state, None)
+
+
+@partial(jax.jit, static_argnums=7)
+def _track_from_frame(
+    past: Past,
+    transition: Transition,
+    control: Array,
+    dt: Array,
+    image: RGBD,
+    rig: Rig,
+    key: Array,
+    config: TrackingConfig,
+) -> tuple[Tracked, GaussianBelief]:
+    """The step as if the pose before it were known, and the belief that it leads to: covariances add up."""
+    belief = past.belief
+    known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
+    against = Anchor(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
+    tracked = track(known, transition, control, dt, against, image, rig, key, config)
+    step = tracked.belief
+    carried = transition.predict(belief, control, dt, 0.0).covariance
+    return tracked, replace(step, covariance=carried + step.covariance)
+
+
+_predicted = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))

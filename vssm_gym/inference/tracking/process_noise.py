@@ -1,0 +1,65 @@
+"""Adaptive process noise: how much a hand changes its velocity is learned from how wrong the prediction was.
+
+    s^2 <- s^2 + (1 - exp(-dt / tau)) (c^2 mean(e^2) / E[e^2 | s = 1] - f s^2),   floor^2 <= s^2 <= 1
+
+``e`` is what alignment moved the pose from the prediction by, and ``s`` scales the standard deviations of a
+transition's noise, one factor for translation and one for rotation (ours; innovation-based
+adaptive estimation after Mehra, "Approaches to adaptive filtering", 1972). ``f = 1 - tr(Sigma P^-1) / 3`` is the share
+of the prediction's uncertainty that the image removed: along what it does not see, an ``e`` of zero says nothing of the
+hand. A steady hand keeps a tight prior, which holds the pose where the image does not (in front of a bare wall), and a
+velocity with a band that means something; an unsteady one gets the configured noise, the most that is ever assumed.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from vssm_gym.model.transition.manifold import Manifold
+
+TIME = 1.0  # s, over which the level follows
+FLOOR = 0.2  # of the configured std, below which no hand is trusted
+CAUTION = 1.5  # the next innovation may be larger than the last ones
+
+Level = Float[Array, "2"]  # s^2 of translation and of rotation
+
+
+def full() -> Level:
+    """The configured noise: nothing is known of the hand yet."""
+    return jnp.ones(2)
+
+
+def scale(manifold: Manifold, level: Level) -> Float[Array, "n"]:
+    """Return the factor of the noise's standard deviation for each coordinate of a state's error."""
+    linear, angular = jnp.sqrt(level)
+    return jnp.where(manifold.turns, angular, linear)
+
+
+def adapt(
+    level: Level,
+    moved: Float[Array, "p"],
+    predicted: Float[Array, "p p"],
+    posterior: Float[Array, "p p"],
+    dt: Float[Array, ""],
+    noise: Float[Array, "p p"],
+    manifold: Manifold,
+) -> Level:
+    """Return the level after an image.
+
+    Args:
+        level: Before it.
+        moved: ``e = log(predicted^-1 pose)``, translation (m) and rotation (rad) in the body's frame.
+        predicted: P, covariance of the pose before the image.
+        posterior: Sigma, after it.
+        dt: Length of the step, s.
+        noise: Covariance that a step adds to a pose at level 1, what ``e`` is compared with.
+        manifold: Which coordinates are rotations.
+    """
+    turns = manifold.turns[: moved.shape[0]]
+    blocks = [np.flatnonzero(~turns), np.flatnonzero(turns)]
+    expected = jnp.stack([jnp.mean(jnp.diagonal(noise)[b]) for b in blocks])
+    part = lambda a, b: a[np.ix_(b, b)]
+    left = jnp.stack([jnp.trace(jnp.linalg.solve(part(predicted, b), part(posterior, b))) / len(b) for b in blocks])
+    told = jnp.clip(1.0 - left, 0.0, 1.0)
+    seen = CAUTION**2 * jnp.stack([jnp.mean(moved[b] ** 2) for b in blocks]) / expected
+    rate = 1.0 - jnp.exp(-dt / TIME)
+    return jnp.clip(level + rate * (jnp.minimum(seen, told) - told * level), FLOOR**2, 1.0)

@@ -1,0 +1,95 @@
+"""Recovery of a lost pose: align the image to the map from several starts, keep the best that fits (ours).
+
+Without it a test for loss of track is worse than none: a filter that only refuses images refuses good ones for ever.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.alignment import gauss_newton
+from vssm_gym.inference.alignment.exposure import expose, gain
+from vssm_gym.inference.alignment.residuals import AlignConfig, AlignInfo, luminance, score
+from vssm_gym.inference.alignment.rotation import RotationConfig
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model import emission
+from vssm_gym.model.emission import RGBD
+
+
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """Where to look and what to believe."""
+
+    rotation: RotationConfig = field(default_factory=RotationConfig)  # between the image and a keyframe
+    align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(4, 2, 1), iterations=(10, 6, 5)))
+    translation_std: float = 0.5  # m, of the pose around a start
+    rotation_std: float = 0.5  # rad
+    keyframes: int = 3  # most similar ones to start from
+    min_score: float = 0.65  # a little above tracking's: a wrong place must not pass
+    max_photometric: float = 4.0
+    max_unexplained: float = 0.55  # of the image's contrast: 0.3 to 0.4 at the right place, 0.6 to 1.4 at wrong ones
+
+
+class Attempt(eqx.Module):
+    """The best of several starts."""
+
+    T_world_cam: Float[Array, "4 4"]
+    gain: Float[Array, ""]  # of the image: see :mod:`exposure`
+    agreement: AlignInfo
+    fits: Bool[Array, ""]
+
+
+@partial(jax.jit, static_argnums=5)
+def _align(
+    T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, basis: Array, config: RecoveryConfig
+) -> Attempt:
+    # As bright as the rendering where both show something; the second time, from the right place, that is exact.
+    brightness = gain(luminance(rendered.rgb), luminance(image.rgb), rendered.known)
+    image = expose(image, brightness)
+    std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
+    identity, precision = jnp.eye(4), basis.T @ (basis * std[:, None] ** -2)
+    T, info = gauss_newton.align(identity, precision, identity, basis, rendered, image, camera, config.align)
+    # A picture of low contrast differs little from any other. Below one sigma there is nothing to tell by.
+    grey = luminance(image.rgb)
+    contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
+    limit = jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)
+    fits = (score(info) >= config.min_score) & (info.photometric <= limit)
+    return Attempt(T_world_start @ T, brightness, info, fits)
+
+
+def recover(
+    m: VoxelMap,
+    T_world_starts: Float[Array, "starts 4 4"],
+    image: RGBD,
+    camera: Camera,
+    basis: Float[Array, "6 p"],
+    max_depth: float,
+    config: RecoveryConfig,
+) -> Attempt:
+    """Align to the map rendered at every start; of those that fit, the one that fits best.
+
+    A start far off converges on the second rendering, taken where the first alignment led.
+
+    Args:
+        m: The map.
+        T_world_starts: Poses to start from.
+        image: The image, at tracking size.
+        camera: Its intrinsics.
+        basis: The twists (camera frame) along which the camera may move from a start.
+        max_depth: Of the rendering, m.
+        config: Effort and thresholds.
+    """
+    attempts = []
+    for T_world_start in T_world_starts:
+        rendered = emission.render(m, T_world_start, camera, max_depth)
+        attempt = _align(T_world_start, rendered, image, camera, basis, config)
+        again = emission.render(m, attempt.T_world_cam, camera, max_depth)
+        attempts.append(_align(attempt.T_world_cam, again, image, camera, basis, config))
+    every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
+    best = jnp.argmax(every.fits + jnp.nan_to_num(jax.vmap(score)(every.agreement)))
+    return jax.tree.map(lambda leaf: leaf[best], every)

@@ -1,0 +1,265 @@
+"""The emission: ``p(x | z, M) = Laplace(x; mu_rgbd(z, M), diag(sigma_E))``, a differentiable RGB-D renderer (SPEC 1).
+
+Along the ray of pixel (i, j), ``p(d) = c + d R K^-1 [i, j, 1]^T`` is sampled at ``d_k = k e``. With ``k`` the first
+sample whose occupancy exceeds ``tau``, the surface is at ``d* = a d_k + (1 - a) d_k-1``,
+``a = (tau - o_k-1) / (o_k - o_k-1)``, and the colour is the field there. The search for ``k`` has no gradient; the
+interpolation at the hit has one in the map, the pose and the intrinsics. :func:`march` is the search as published;
+:func:`search` finds the same ``k`` by skipping certified empty boxes (:mod:`vssm_gym.maps.empty_space`).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.maps.block_table import BLOCK, block_number, cell_offset, corner_offsets
+from vssm_gym.maps.compaction import first_set
+from vssm_gym.maps.voxel_map import VoxelMap, trilinear
+
+TAU = 0.0  # occupancy of the surface: zero for signed distances
+STEP = 0.4  # e, in voxels (PRISM)
+MAX_DEPTH = 8.0  # m
+HIT = 1 << 20  # added to the sample of a hit; no ray has as many samples
+NARROWING = (2, 4, 8, 16, 32, 64)  # batches of rays: of all, shares
+FLIGHT = 3  # leaps before the first look: rays start in the open
+KNOWN_SHARE = 0.75  # a pixel is known where so much of its value comes from observed cells
+SAMPLES_IN_CUBE = 5  # a ray crosses a cube's diagonal, sqrt(3) voxels, in at most floor(sqrt(3) / STEP) + 1 samples
+
+
+class RGBD(eqx.Module):
+    """An RGB-D image of the model."""
+
+    depth: Float[Array, "height width"]  # z-depth, m; 0 where there is none
+    rgb: Float[Array, "height width 3"]  # [0, 1]
+    hit: Bool[Array, "height width"]  # where depth means anything
+    known: Bool[Array, "height width"]  # where the surface has been observed: elsewhere the map only guesses
+
+
+class EmissionScales(eqx.Module):
+    """``sigma_E``: scales of the Laplace emission; colour is 10 times narrower than depth by default (SPEC 1)."""
+
+    depth: Float[Array, ""] | float = 0.1  # m
+    rgb: Float[Array, ""] | float = 0.01  # [0, 1]
+
+
+class _Rays(NamedTuple):
+    """Rays in cell coordinates: position ``start + k * stride`` at sample ``k``.
+
+    One array a coordinate: a reduction over an axis of three keeps the compiler from vectorising over rays. One array
+    for where a ray stands and whether it hit: the compiler works out again for each array that a step writes all that
+    leads to it, so two of them cost twice as much.
+    """
+
+    start: tuple[Array, ...]  # scalars: all rays leave the camera
+    stride: tuple[Array, ...]  # (rays,) cells a sample
+    k: Array  # (rays,) the sample the search stands at; plus HIT where it found the surface
+    last: Array  # (rays,) the last sample inside the grid and the depth range
+
+    @property
+    def inverse(self) -> tuple[Array, ...]:
+        """1 / stride, finite where the ray is parallel to a face."""
+        return tuple(1.0 / jnp.where(jnp.abs(s) > 1e-9, s, 1e-9) for s in self.stride)
+
+    @property
+    def unfinished(self) -> Array:
+        """Rays that neither hit nor left."""
+        return self.k <= self.last
+
+
+def world_rays(T_world_cam: Float[Array, "4 4"], camera: Camera) -> tuple[Array, Array]:
+    """Camera centre (3,) and ray directions (height*width, 3) in the world, per metre of z-depth."""
+    # One array a coordinate: a product (N, 3) @ (3, 3) costs as much as a tenth of an image.
+    v, u = (a.reshape(-1) for a in jnp.indices((camera.height, camera.width), jnp.float32))
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    R = T_world_cam[:3, :3]
+    directions = jnp.stack([R[a, 0] * x + R[a, 1] * y + R[a, 2] for a in range(3)], axis=-1)
+    return T_world_cam[:3, 3], directions
+
+
+def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
+    """The published search: every sample of every ray in order. The reference that :func:`search` is held to.
+
+    Returns:
+        ``k`` (rays,), the first sample above the threshold, and ``hit`` (rays,).
+    """
+    e = STEP * m.voxel_size
+    count = jnp.floor(max_depth / e).astype(jnp.int32)
+
+    def advance(carry):
+        k, found, first = carry
+        p = centre + directions * (k.astype(jnp.float32) * e)
+        above = (m.occupancy_at(p) > TAU) & (k > 1)
+        first = jnp.where(above & ~found, k, first)
+        return k + 1, found | above, first
+
+    zero = jnp.zeros(directions.shape[:-1], jnp.int32)
+    _, found, first = jax.lax.while_loop(lambda c: c[0] <= count, advance, (jnp.int32(1), zero > 0, zero))
+    return first, found
+
+
+def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array) -> _Rays:
+    e = STEP * m.voxel_size
+    origin = m.to_grid(centre)
+    stride = tuple(directions[:, a] * (e / m.voxel_size) for a in range(3))
+    nothing = jnp.zeros(directions.shape[:1], jnp.int32)
+    rays = _Rays(tuple(origin), stride, nothing, nothing)
+    enter, leave = jnp.full(directions.shape[:1], 2.0), jnp.broadcast_to(jnp.floor(max_depth / e), directions.shape[:1])
+    for s, i, n in zip(rays.start, rays.inverse, m.shape, strict=True):
+        near, far = -s * i, (n - 1.0 - s) * i
+        enter = jnp.maximum(enter, jnp.minimum(near, far))
+        leave = jnp.minimum(leave, jnp.maximum(near, far))
+    # The slack keeps a sample on the grid's face; a ray beside the grid "enters" at 1e9 samples, which fits no int32.
+    k = jnp.minimum(jnp.ceil(enter - 1e-3), jnp.floor(max_depth / e) + 1.0)
+    last = jnp.where(enter > leave, 0.0, jnp.floor(leave + 1e-3))
+    return rays._replace(k=k.astype(jnp.int32), last=last.astype(jnp.int32))
+
+
+def _cube(m: VoxelMap, rays: _Rays) -> list[Array]:
+    """The cube each ray's sample lies in, by coordinate; samples off the grid by rounding take the nearest one."""
+    k = rays.k.astype(jnp.float32)
+    at = (jnp.floor(start + stride * k) for start, stride in zip(rays.start, rays.stride, strict=True))
+    return [jnp.clip(p.astype(jnp.int32), 0, n - 2) for p, n in zip(at, m.shape, strict=True)]
+
+
+def _beyond(rays: _Rays, low: list[Array], size: Array | int) -> Array:
+    """The first sample past the box from ``low`` to ``low + size``, at least one further than now."""
+    exits = [
+        (jnp.where(inverse > 0, edge + size, edge) - start) * inverse
+        for start, inverse, edge in zip(rays.start, rays.inverse, low, strict=True)
+    ]
+    first = jnp.minimum(jnp.minimum(exits[0], exits[1]), exits[2])
+    return jnp.maximum(jnp.floor(first).astype(jnp.int32), rays.k) + 1
+
+
+def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
+    """Move each ray to the first sample beyond the certified empty box it stands in; not where its cube is occupied."""
+    cube = _cube(m, rays)
+    block = block_number([c >> 3 for c in cube], m.blocks)
+    rings = m.empty.rings.reshape(-1).at[block].get(mode="promise_in_bounds").astype(jnp.int32)
+    flat = cell_offset(cube, m.blocks, m.table)
+    level = m.empty.level.reshape(-1).at[flat].get(mode="promise_in_bounds").astype(jnp.int32)
+    shift = jnp.where(rings > 0, 3, jnp.maximum(level - 1, 0))
+    reach = jnp.where(rings > 0, (rings - 1) * BLOCK, 0)
+    low = [((c >> shift) << shift) - reach for c in cube]
+    beyond = jnp.minimum(_beyond(rays, low, (1 << shift) + 2 * reach), HIT - 1)
+    return rays._replace(k=jnp.where(((rings > 0) | (level > 0)) & (rays.k < HIT), beyond, rays.k))
+
+
+def _look(m: VoxelMap, rays: _Rays) -> _Rays:
+    """Test every sample that a ray has in its present cube: the first one above the threshold is the hit."""
+    cube = _cube(m, rays)
+    occupancy = m.occupancy.reshape(-1)
+    offsets = corner_offsets(cube, m.blocks, m.table)
+    corners = [occupancy.at[offset].get(mode="promise_in_bounds") for offset in offsets]
+    beyond = jnp.minimum(_beyond(rays, cube, 1), rays.last + 1)
+    k = beyond
+    for sample in reversed(range(SAMPLES_IN_CUBE)):
+        at = rays.k + sample
+        d = at.astype(jnp.float32)
+        x, y, z = (s + t * d - c for s, t, c in zip(rays.start, rays.stride, cube, strict=True))
+        k = jnp.where((trilinear(corners, x, y, z) > TAU) & (at < beyond), at + HIT, k)
+    return rays._replace(k=jnp.where(rays.k < HIT, k, rays.k))
+
+
+def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
+    """First sample above the threshold, as :func:`march` finds it, skipping certified empty boxes.
+
+    The two form positions in other units, so where a sample meets the threshold to the last bits (one ray in 10^5 of a
+    learned map) they may differ by one sample; the crossing between samples, hence the depth, is continuous there.
+
+    Rays move in lock step, so a few that graze a surface would hold up all others: whenever few are left they are
+    gathered into a narrower batch. ``directions`` are at least 1 long, as those of a camera per metre of z-depth are:
+    shorter ones would have more samples in a cube than are looked at.
+
+    Returns:
+        ``k`` (rays,) and ``hit`` (rays,).
+    """
+    n = directions.shape[0]
+    rays = _start(m, centre, directions, max_depth)
+    for _ in range(FLIGHT):
+        rays = _leap(m, rays)
+    index, found = jnp.arange(n), rays.k
+    for narrow in (*(-(-n // share) for share in NARROWING), 0):
+
+        def advance(k, rays=rays):
+            return _look(m, _leap(m, _leap(m, rays._replace(k=k)))).k
+
+        def crowded(k, rays=rays, narrow=narrow):
+            return jnp.sum(rays._replace(k=k).unfinished) > narrow
+
+        rays = rays._replace(k=jax.lax.while_loop(crowded, advance, rays.k))
+        found = rays.k if rays.k.shape[0] == n else found.at[index].set(rays.k, mode="drop")
+        if narrow:
+            keep = first_set(rays.unfinished, narrow)
+            index = index.at[keep].get(mode="fill", fill_value=n)
+            stride, k, last = jax.tree.map(lambda a, keep=keep: a.at[keep].get(mode="clip"), rays[1:])
+            rays = _Rays(rays.start, stride, k, jnp.where(index < n, last, -1))
+    hit = found >= HIT
+    return jnp.where(hit, found - HIT, found), hit
+
+
+def _along(centre: Array, directions: Array, depth: Array) -> Array:
+    """Points (rays, 3) at z-depths, formed a coordinate at a time."""
+    return jnp.stack([centre[a] + directions[:, a] * depth for a in range(3)], axis=-1)
+
+
+def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays"]) -> Float[Array, "rays"]:
+    """``d* = a d_k + (1 - a) d_k-1``: z-depth of the crossing before sample ``k``; differentiable, see the module."""
+    e = STEP * m.voxel_size
+    d_k = k.astype(jnp.float32) * e
+    d_before = d_k - e
+    o_k = m.occupancy_at(_along(centre, directions, d_k))
+    o_before = m.occupancy_at(_along(centre, directions, d_before))
+    o_before = jnp.where(k > 2, o_before, jnp.minimum(o_before, TAU))  # the first sample never counts as a hit
+    rise = o_k - o_before
+    a = (TAU - o_before) / jnp.where(rise > 1e-9, rise, 1.0)
+    return jnp.where(rise > 1e-9, a * d_k + (1.0 - a) * d_before, d_k)
+
+
+def render_with(
+    searcher: Callable[..., tuple[Array, Array]],
+    m: VoxelMap,
+    T_world_cam: Float[Array, "4 4"],
+    camera: Camera,
+    max_depth: float | Array = MAX_DEPTH,
+) -> RGBD:
+    """:func:`render` with a given search (``march`` or ``search``)."""
+    centre, directions = world_rays(T_world_cam, camera)
+    k, hit = searcher(*jax.lax.stop_gradient((m, centre, directions)), max_depth)
+    k = jnp.where(hit, k, 2)
+    depth = intersect(m, centre, directions, k)
+    surface = _along(centre, directions, depth)
+    rgb = m.colour_at(surface)
+    known = hit & (m.observed_at(jax.lax.stop_gradient(surface)) >= KNOWN_SHARE)
+    shape = (camera.height, camera.width)
+    depth = jnp.where(hit, depth, 0.0).reshape(shape)
+    rgb = jnp.where(hit[:, None], rgb, 0.0).reshape(*shape, 3)
+    return RGBD(depth, rgb, hit.reshape(shape), known.reshape(shape))
+
+
+@jax.jit
+def render(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float | Array = MAX_DEPTH) -> RGBD:
+    """``mu_rgbd(z, M)``: the RGB-D image of the mean map from a pose.
+
+    Args:
+        m: The map.
+        T_world_cam: ``(4, 4)`` camera pose.
+        camera: Intrinsics and image size.
+        max_depth: z-depth (m) up to which surfaces are looked for.
+
+    Returns:
+        Depth (z, metres), colour, and the masks of pixels that hit a surface and that hit an observed one.
+    """
+    return render_with(search, m, T_world_cam, camera, max_depth)
+
+
+def log_prob(image: RGBD, predicted: RGBD, scales: EmissionScales) -> Float[Array, "height width"]:
+    """``log p(x | z, M)`` per pixel: Laplace in depth and RGB; pixels without depth on either side contribute 0."""
+    valid = image.hit & predicted.hit
+    depth = -jnp.abs(image.depth - predicted.depth) / scales.depth - jnp.log(2.0 * scales.depth)
+    rgb = -jnp.abs(image.rgb - predicted.rgb) / scales.rgb - jnp.log(2.0 * scales.rgb)
+    return jnp.where(valid, depth + rgb.sum(-1), 0.0)

@@ -1,0 +1,179 @@
+"""``q(z_t) q(M)``: what inference knows of the state and the map, independent of each other (PRISM).
+
+Map samples and densities are those of :class:`~vssm_gym.model.emission_uncertainty.Readings`: cells that an image
+measured vary, all others keep their mean.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+from vssm_gym.maps import map_file
+from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
+from vssm_gym.model.emission_uncertainty import ONE_READING, Readings, sample_map
+from vssm_gym.model.transition.belief import Belief, GaussianBelief
+from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold
+
+MANIFOLDS: dict[str, Manifold] = {"planar": PLANAR, "rigid": RIGID}
+FORMAT, VERSION = "vssm_gym.Belief", 1  # of a file that holds a belief and no map
+
+
+class Draw(NamedTuple):
+    """``z, M ~ q(z) q(M)``."""
+
+    state: Any
+    map: VoxelMap | None
+
+
+class LogPosterior(NamedTuple):
+    """The terms of ``log q(z, M)``; in float32 the cells' sum dwarfs the state's term."""
+
+    state: Float[Array, ""]
+    map: Float[Array, ""]  # 0 without a map
+
+
+class Entropy(NamedTuple):
+    """Entropies in nats."""
+
+    state: float
+    map: float  # of occupancy, relative to the prior; 0 without a map
+
+
+class Posterior(eqx.Module):
+    """A belief over the state and one over the map; None where a filter keeps no map."""
+
+    belief: Belief
+    map: VoxelMap | None
+    readings: Readings = ONE_READING  # how well one observation counted in the map knows what it saw
+
+    def sample(self, key: PRNGKeyArray) -> Draw:
+        """Draw one state and one map; :meth:`Belief.sample` draws many states."""
+        by_state, by_map = jax.random.split(key)
+        state = jax.tree.map(lambda a: a[0], self.belief.sample(by_state, 1))
+        return Draw(state, None if self.map is None else sample_map(by_map, self.map, self.readings))
+
+    def log_prob(self, draw: Draw) -> LogPosterior:
+        """``log q(z) + log q(M)``, term by term; of the map over the cells that :meth:`sample` varies."""
+        cells = jnp.float32(0.0)
+        if self.map is not None and draw.map is not None:
+            m, M = self.map, draw.map
+            occupancy = self.readings.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size)
+            colour = self.readings.colour_variance(m.colour_precision)[:, None]
+            cells = _log_normal(M.occupancy - m.occupancy, occupancy) + _log_normal(M.colour - m.colour, colour)
+        return LogPosterior(self.belief.log_prob(draw.state), cells)
+
+    def entropy(self) -> Entropy:
+        """Return the entropies of the state (of its errors ``xi``) and of the map's occupancy."""
+        return Entropy(float(self.belief.entropy()), 0.0 if self.map is None else map_entropy(self.map))
+
+    def save(self, path: str | Path, **metadata: Any) -> None:
+        """Write an ``.npz`` without pickle that appears whole or not at all; with a map it is a map file.
+
+        Raises:
+            InputError: a belief that is no Gaussian on a known manifold.
+        """
+        name = next((name for name, manifold in MANIFOLDS.items() if manifold == _manifold(self.belief)), None)
+        if name is None:
+            raise InputError(path, "belief", f"a Gaussian over one of {', '.join(MANIFOLDS)}")
+        numbers = lambda a: np.asarray(a, np.float64).tolist()
+        mean = [numbers(leaf) for leaf in jax.tree.leaves(self.belief.mean)]
+        belief = {"manifold": name, "mean": mean, "covariance": numbers(self.belief.covariance)}  # type: ignore[attr-defined]
+        if self.map is not None:
+            readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.readings)]
+            self.map.save(path, **metadata, belief=belief, readings=readings)
+            return
+        header = {"format": FORMAT, "version": VERSION, **metadata, "belief": belief}
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Posterior":
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            InputError: the file is missing, damaged or of another version, or a map file without a belief.
+        """
+        header = map_file.read_header(path, {map_file.FORMAT, FORMAT})
+        if header["format"] == FORMAT and header.get("version") != VERSION:
+            raise InputError(path, "version", f"{FORMAT} version {VERSION}, found {header.get('version')!r:.80}")
+        stored = header.get("belief")
+        if not isinstance(stored, dict):
+            raise InputError(path, "belief", "a belief over the state; this file holds a map alone")
+        manifold = next((known for name, known in MANIFOLDS.items() if name == stored.get("manifold")), None)
+        if manifold is None:
+            raise InputError(path, "belief.manifold", f"one of {', '.join(MANIFOLDS)}")
+        form = manifold.resting(jnp.eye(4))
+        leaves, n = jax.tree.leaves(form), len(manifold.turns)
+        shapes = [leaf.shape for leaf in leaves]
+        mean = _arrays(path, "belief.mean", stored.get("mean"), shapes)
+        (covariance,) = _arrays(path, "belief.covariance", [stored.get("covariance")], [(n, n)])
+        P = np.asarray(covariance, np.float64)
+        rounding = 1e-5 * np.abs(P).max()
+        if np.abs(P - P.T).max() > rounding or np.linalg.eigvalsh(P).min() < -rounding:
+            raise InputError(path, "belief.covariance", "a symmetric matrix without negative eigenvalues")
+        belief = GaussianBelief(jax.tree.unflatten(jax.tree.structure(form), mean), covariance, manifold)
+        R = np.asarray(manifold.pose(belief.mean), np.float64)[:3, :3]
+        if np.abs(R - _rotation(R)).max() > 1e-3:
+            raise InputError(path, "belief.mean", "a pose whose 3x3 part is a rotation")
+        if header["format"] == FORMAT:
+            return cls(belief, None)
+        readings = _arrays(path, "readings", header.get("readings", jax.tree.leaves(ONE_READING)), [()] * 3)
+        if not all(float(std) > 0.0 for std in readings):
+            raise InputError(path, "readings", "standard deviations above 0")
+        return cls(belief, VoxelMap.load(path), Readings(*(float(std) for std in readings)))
+
+
+def map_entropy(m: VoxelMap) -> float:
+    """``H(M) - H(prior) = sum_cells 1/2 log(lambda_0 / lambda)``, nats; 0 for an empty map, less for a known one.
+
+    Relative to the prior, ``lambda_0 = PRIOR_OCCUPANCY_STD^-2``, because the absolute entropy of a grid grows with its
+    extent: cells that nothing observed, inside the grid or beyond it, contribute nothing, and a dense and a
+    block-sparse map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72``
+    nats a cell.
+
+    Occupancy alone (VSSM-LM): colour is observed in the band around surfaces only, so its entropy adds little but a
+    second count of the same cells, and nothing that a robot plans with.
+    """
+    precision = np.asarray(m.occupancy_precision)
+    prior = np.float32(PRIOR_OCCUPANCY_STD**-2)  # as cells hold it, so that an empty map's entropy is 0
+    known = precision[precision != prior].astype(np.float64)  # most are not: a tenth of the time
+    return 0.5 * float(np.sum(np.log(float(prior) / known)))
+
+
+def _log_normal(off: Array, variance: Array) -> Array:
+    """``sum log N(off; 0, variance)`` over the entries whose variance is above 0."""
+    varies = jnp.broadcast_to(variance > 0.0, off.shape)
+    safe = jnp.where(varies, variance, 1.0)
+    return -0.5 * jnp.sum(jnp.where(varies, off**2 / safe + jnp.log(2.0 * jnp.pi * safe), 0.0))
+
+
+def _rotation(R: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a matrix; zeros where there is none."""
+    try:
+        U, _, V = np.linalg.svd(R)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(R)
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+
+
+def _manifold(belief: Belief) -> Any:
+    return belief.manifold if isinstance(belief, GaussianBelief) else None
+
+
+def _arrays(path: str | Path, field: str, values: Any, shapes: list[tuple[int, ...]]) -> list[Array]:
+    try:
+        with np.errstate(over="ignore"):  # what float32 does not hold is refused below
+            arrays = [np.asarray(value, np.float64).astype(np.float32) for value in values]
+    except (TypeError, ValueError, OverflowError):
+        arrays = []
+    if [a.shape for a in arrays] != shapes or not all(np.isfinite(a).all() for a in arrays):
+        raise InputError(path, field, f"finite numbers of shapes {shapes}")
+    return [jnp.asarray(a) for a in arrays]

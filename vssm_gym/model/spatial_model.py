@@ -1,0 +1,157 @@
+"""The model: ``p(x_1:T, z_1:T, M | u) = p(M) p(z_1) prod_t p(z_t | z_t-1, u_t-1) prod_t p(x_t | z_t, M)`` (SPEC 1).
+
+Its joint density, and ancestral samples of the future from a belief over map and state,
+
+    p(x_>t, z_>t, M | u_>t, D) = int p(x_>t, z_>t | u_>t, M, z_t) q(M) q(z_t) dz_t          (VSSM-LM, PRISM)
+
+with ``q(M)`` and ``q(z_t)`` independent, as the filter keeps them: no correlation between state and map.
+"""
+
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model import emission
+from vssm_gym.model.emission import MAX_DEPTH, RGBD, EmissionScales
+from vssm_gym.model.emission_uncertainty import Readings, sample_map
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import Belief
+
+State = Any  # a pytree: what the transition calls its state
+
+
+class SpatialModel(eqx.Module):
+    """Transition, map and camera. The map is a belief: the prior ``p(M)``, or the filter's ``q(M)``."""
+
+    transition: Transition
+    m: VoxelMap
+    camera: Camera
+    T_body_cam: Float[Array, "4 4"]
+    scales: EmissionScales = EmissionScales()
+    readings: Readings = Readings()  # what one observation counted in ``m`` is worth
+    max_depth: Float[Array, ""] | float = MAX_DEPTH  # m
+
+    def image(self, m: VoxelMap, state: State) -> RGBD:
+        """``mu_rgbd(z, M)``: what the camera sees from a single state in a map."""
+        T_world_cam = self.transition.manifold.pose(state) @ self.T_body_cam
+        return emission.render(m, T_world_cam, self.camera, self.max_depth)
+
+
+class LogJoint(NamedTuple):
+    """The terms of ``log p(x, z, M | u)``. In float32: compare them term by term, the sum is dominated by the cells."""
+
+    cells: Float[Array, ""]  # log p(M)
+    start: Float[Array, ""]  # log p(z_1)
+    transitions: Float[Array, "step"]  # log p(z_t | z_t-1, u_t-1)
+    images: Float[Array, "time"]  # log p(x_t | z_t, M), over all pixels
+
+    @property
+    def total(self) -> Float[Array, ""]:
+        """``log p(x, z, M | u)``."""
+        return self.cells + self.start + self.transitions.sum() + self.images.sum()
+
+
+class Rollouts(eqx.Module):
+    """Futures drawn from the posterior predictive."""
+
+    states: State  # a pytree of (samples, time, ...): the state after each control
+    images: RGBD | None  # arrays (samples, time, height, width[, 3]): mu_rgbd, without emission noise
+
+
+@jax.jit
+def log_joint(
+    model: SpatialModel,
+    start: Belief,
+    states: State,
+    controls: Float[Array, "step control"],
+    images: RGBD,
+    M: VoxelMap,
+    dt: float | Array,
+) -> LogJoint:
+    """``log p(x_1:T, z_1:T, M | u_1:T-1)``; differentiable in states, map values, scales and intrinsics.
+
+    Args:
+        model: The model; its map is the prior ``p(M)``.
+        start: ``p(z_1)``.
+        states: ``z_1:T``, a pytree with leading time axis.
+        controls: ``u_1:T-1``.
+        images: ``x_1:T``, arrays with leading time axis.
+        M: A value of the map: the means of this one; its precisions are not read.
+        dt: Length of a step, s.
+
+    Returns:
+        The terms. Pose densities are with respect to metres times the angle turned; pixels without depth in the image
+        or in the map contribute nothing.
+    """
+    before, after = (jax.tree.map(lambda a, s=s: a[s], states) for s in (slice(None, -1), slice(1, None)))
+    first = jax.tree.map(lambda a: a[0], states)
+
+    def observed(step):
+        state, image = step
+        return emission.log_prob(image, model.image(M, state), model.scales).sum()
+
+    return LogJoint(
+        cells=log_prob_map(M, model.m),
+        start=start.log_prob(first),
+        transitions=model.transition.log_prob(after, before, controls, dt),
+        images=jax.lax.map(observed, (states, images)),  # one image at a time: memory does not grow with time
+    )
+
+
+def log_prob_map(M: VoxelMap, prior: VoxelMap) -> Float[Array, ""]:
+    """``log p(M) = sum_cells log N``, occupancy and three colours a cell; precisions as stored."""
+    occupancy = _log_normal(M.occupancy, prior.occupancy, prior.occupancy_precision)
+    colour = _log_normal(M.colour, prior.colour, prior.colour_precision[:, None])
+    return occupancy + colour
+
+
+@partial(jax.jit, static_argnames=("samples", "images"))
+def rollout(
+    key: PRNGKeyArray,
+    model: SpatialModel,
+    belief: Belief,
+    controls: Float[Array, "time control"],
+    dt: float | Array,
+    *,
+    samples: int,
+    images: Literal["none", "mean map", "sampled maps"] = "none",
+) -> Rollouts:
+    """Ancestral samples: ``M ~ q(M)``, ``z ~ q(z)``, then ``z' ~ p(z' | z, u)`` and its image, control by control.
+
+    Args:
+        key: Random key.
+        model: Transition, map belief and camera.
+        belief: ``q(z_t)``, now.
+        controls: What will be done, one row a step.
+        dt: Length of a step, s.
+        samples: How many futures; their states are drawn together.
+        images: Whether to render them: not at all, in the map's mean, or each future in its own sample of the map
+            (which takes a new empty-space index a sample). Images are rendered one after the other.
+
+    Returns:
+        The futures. Images are the emission's means; :mod:`vssm_gym.model.predictive` adds its noise.
+    """
+    by_start, by_step, by_map = jax.random.split(key, 3)
+    states = model.transition.sample_paths(by_step, belief.sample(by_start, samples), controls, dt)
+    if images == "none":
+        return Rollouts(states, None)
+
+    def seen(one):
+        key, path = one
+        m = sample_map(key, model.m, model.readings) if images == "sampled maps" else model.m
+        return jax.lax.map(lambda state: model.image(m, state), path)
+
+    return Rollouts(states, jax.lax.map(seen, (jax.random.split(by_map, samples), states)))
+
+
+def _log_normal(value: Array, mean: Array, precision: Array) -> Array:
+    # Sums apart: millions of equal constants would swallow the small squares in float32
+    squares = jnp.sum(precision * (value - mean) ** 2)
+    logs = jnp.sum(jnp.broadcast_to(jnp.log(precision / (2.0 * jnp.pi)), value.shape))
+    return 0.5 * (logs - squares)

@@ -1,0 +1,33 @@
+"""Transitions ``p(z' | z, u)``: robots on the floor, rigid body, IMU, car; and beliefs over their states."""
+
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import Belief, GaussianBelief
+from vssm_gym.model.transition.bicycle import Bicycle, BicycleNoise
+from vssm_gym.model.transition.differential import DifferentialDrive, WheelNoise
+from vssm_gym.model.transition.imu import Imu, ImuNoise
+from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold, RigidState
+from vssm_gym.model.transition.planar import MotionNoise, Planar, planar_belief, world_covariance
+from vssm_gym.model.transition.rigid import Rigid, RigidNoise, rigid_belief
+
+__all__ = [
+    "PLANAR",
+    "RIGID",
+    "Belief",
+    "Bicycle",
+    "BicycleNoise",
+    "DifferentialDrive",
+    "GaussianBelief",
+    "Imu",
+    "ImuNoise",
+    "Manifold",
+    "MotionNoise",
+    "Planar",
+    "Rigid",
+    "RigidNoise",
+    "RigidState",
+    "Transition",
+    "WheelNoise",
+    "planar_belief",
+    "rigid_belief",
+    "world_covariance",
+]

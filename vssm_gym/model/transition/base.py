@@ -1,0 +1,112 @@
+"""``p(z' | z, u)``: what every transition offers filters, rollouts, planners and imagined environments."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.model.transition.belief import GaussianBelief, normal_log_prob
+from vssm_gym.model.transition.manifold import Manifold
+
+QUOTED_STEP = 0.1  # s: standard deviations are quoted for steps this long; variances grow with time
+
+
+class Transition(eqx.Module):
+    """``p(z' | z, u)`` over ``dt`` seconds; its noise and geometry are fields.
+
+    A transition states :meth:`mean` and :meth:`noise_covariance`; everything else follows to first order, and a
+    subclass replaces what it knows exactly. Subclasses are final. ``mean``, ``sample`` and ``log_prob`` take leading
+    batch axes; the others take one state. A control that is a displacement by itself does not depend on ``dt``.
+    """
+
+    manifold: eqx.AbstractClassVar[Manifold]  # the space of its states
+    controls: eqx.AbstractClassVar[int]  # numbers in a control
+    commanded: eqx.AbstractClassVar[bool]  # whether a control says where the body goes: prediction needs no image
+
+    @abc.abstractmethod
+    def mean(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
+        """Return the state after a step without noise."""
+
+    @abc.abstractmethod
+    def noise_covariance(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
+        """Return the covariance of the errors ``xi`` about :meth:`mean` after a step from a known state."""
+
+    def jacobian(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
+        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: how a step carries errors along."""
+        manifold, after = self.manifold, self.mean(state, control, dt)
+        carried = lambda xi: manifold.error(after, self.mean(manifold.perturb(state, xi), control, dt))
+        return jax.jacfwd(carried)(jnp.zeros(len(manifold.turns)))
+
+    def predict(
+        self,
+        belief: GaussianBelief,
+        control: Float[Array, "m"],
+        dt: float | Array,
+        noise_scale: Float[Array, "n"] | float = 1.0,
+    ) -> GaussianBelief:
+        """``int p(z' | z, u) q(z) dz`` to first order: ``N(mean(z), F P F^T + S Q S)``.
+
+        Args:
+            belief: Over the state now.
+            control: Of the step.
+            dt: Its length, s.
+            noise_scale: Diagonal of S, by which the standard deviations of the noise are multiplied; 0 leaves it out.
+        """
+        F = self.jacobian(belief.mean, control, dt)
+        scale = jnp.broadcast_to(jnp.asarray(noise_scale, F.dtype), F.shape[:1])
+        Q = scale[:, None] * self.noise_covariance(belief.mean, control, dt) * scale
+        covariance = F @ belief.covariance @ F.T + Q
+        return GaussianBelief(self.mean(belief.mean, control, dt), 0.5 * (covariance + covariance.T), self.manifold)
+
+    def sample(self, key: PRNGKeyArray, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
+        """Draw ``z' ~ p(z' | z, u)``: one independent draw for each state of the batch."""
+        covariance = self._every_covariance(state, control, dt)
+        root = jnp.linalg.cholesky(covariance)
+        xi = jnp.einsum("...ij,...j->...i", root, jax.random.normal(key, covariance.shape[:-1]))
+        return self.manifold.perturb(self.mean(state, control, dt), xi)
+
+    def log_prob(
+        self, following: Any, state: Any, control: Float[Array, "*batch m"], dt: float | Array
+    ) -> Float[Array, "*batch"]:
+        """``log p(z' | z, u)`` of the Gaussian about :meth:`mean`."""
+        xi = self.manifold.error(self.mean(state, control, dt), following)
+        return normal_log_prob(xi, self._every_covariance(state, control, dt)) - self.manifold.log_volume(xi)
+
+    def mean_path(self, state: Any, controls: Float[Array, "*batch time m"], dt: float | Array) -> Any:
+        """Return the states after each of several controls without noise, axes ``(*batch, time, ...)``.
+
+        Every sequence of controls starts at the one ``state``.
+        """
+        path = lambda controls: _path(lambda z, u: self.mean(z, u, dt), state, controls)
+        for _ in range(controls.ndim - 2):
+            path = jax.vmap(path)
+        return path(controls)
+
+    def sample_paths(self, key: PRNGKeyArray, states: Any, controls: Float[Array, "time m"], dt: float | Array) -> Any:
+        """Draw ``z_1..z_T ~ prod_t p(z_t | z_t-1, u_t)`` from each state of a batch: axes ``(batch, time, ...)``."""
+        batch = jax.tree.leaves(states)[0].shape[0]
+        repeated = jnp.broadcast_to(controls[:, None], (len(controls), batch, *controls.shape[1:]))
+        step = lambda z, now: self.sample(now[0], z, now[1], dt)
+        paths = _path(step, states, (jax.random.split(key, len(controls)), repeated))
+        return jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), paths)
+
+    def _every_covariance(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Array:
+        """:meth:`noise_covariance` of each state of a batch."""
+        one = lambda state, control: self.noise_covariance(state, control, dt)
+        for _ in range(control.ndim - 1):
+            one = jax.vmap(one)
+        return one(state, control)
+
+
+def _path(step: Callable[[Any, Any], Any], state: Any, inputs: Any) -> Any:
+    """Return ``z_t = step(z_t-1, input_t)`` for every t, along the leading axis."""
+
+    def advance(state, now):
+        state = step(state, now)
+        return state, state
+
+    return jax.lax.scan(advance, state, inputs)[1]

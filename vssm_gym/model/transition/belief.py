@@ -1,0 +1,63 @@
+"""Beliefs over a state: ``q(z)`` with a mean, samples and a density; the Gaussian in the tangent is the usual one."""
+
+from typing import Any, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.model.transition.manifold import Manifold
+
+
+@runtime_checkable
+class Belief(Protocol):
+    """``q(z)``; it need not be Gaussian."""
+
+    @property
+    def mean(self) -> Any:
+        """A state in the middle of the belief."""
+
+    def sample(self, key: PRNGKeyArray, samples: int) -> Any:
+        """Draw ``z ~ q(z)``: a pytree of states with leading axis ``samples``."""
+
+    def log_prob(self, state: Any) -> Array:
+        """Return ``log q(z)`` of states, with respect to the volume of state space."""
+
+    def entropy(self) -> Array:
+        """Return the entropy in nats."""
+
+
+class GaussianBelief(eqx.Module):
+    """``z = perturb(mean, xi)``, ``xi ~ N(0, covariance)``: a Gaussian in the tangent at the mean."""
+
+    mean: Any  # a state of the manifold
+    covariance: Float[Array, "n n"]  # of xi: m, rad (pose, body frame), then the rest
+    manifold: Manifold = eqx.field(static=True)
+
+    def sample(self, key: PRNGKeyArray, samples: int) -> Any:
+        """Draw ``z ~ q(z)``; the covariance may be singular (a known start)."""
+        variances, axes = jnp.linalg.eigh(self.covariance)
+        root = axes * jnp.sqrt(jnp.maximum(variances, 0.0))
+        return self.manifold.perturb(self.mean, jax.random.normal(key, (samples, root.shape[0])) @ root.T)
+
+    def log_prob(self, state: Any) -> Float[Array, "*batch"]:
+        """``log N(xi; 0, covariance) - log |det Jr(xi)|``; NaN where the covariance is not positive definite."""
+        xi = self.manifold.error(self.mean, state)
+        return normal_log_prob(xi, self.covariance) - self.manifold.log_volume(xi)
+
+    def entropy(self) -> Float[Array, ""]:
+        """``1/2 log det(2 pi e covariance)``, nats, of the errors ``xi``; -inf of a known state."""
+        n = self.covariance.shape[0]
+        variances = jnp.linalg.eigvalsh(self.covariance)
+        return 0.5 * (n * jnp.log(2.0 * jnp.pi * jnp.e) + jnp.sum(jnp.log(jnp.maximum(variances, 0.0))))
+
+
+def normal_log_prob(xi: Float[Array, "*batch n"], covariance: Float[Array, "*shared n n"]) -> Float[Array, "*batch"]:
+    """``log N(xi; 0, covariance)``, one covariance for all or one each; NaN where it is not positive definite."""
+    root = jnp.linalg.cholesky(covariance)
+    whitener = solve_triangular(root, jnp.broadcast_to(jnp.eye(xi.shape[-1]), root.shape), lower=True)
+    white = jnp.einsum("...ij,...j->...i", whitener, xi)
+    log_det = jnp.sum(jnp.log(jnp.diagonal(root, axis1=-2, axis2=-1)), axis=-1)
+    return -0.5 * jnp.sum(white**2, axis=-1) - log_det - 0.5 * xi.shape[-1] * jnp.log(2.0 * jnp.pi)

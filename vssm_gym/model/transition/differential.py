@@ -1,0 +1,89 @@
+"""Differential drive: ``p(z' | z, u)`` of ``(x, y, heading)``, the point between the wheels.
+
+    T' = T exp(s, 0, turn),   s = (l + r) / 2,   turn = (r - l) / track
+    l' = sign(l) max(0, |l| + e_l),   e_l ~ N(0, (slip l)^2 + play^2)        where l != 0, and r alike
+
+Control ``u = (l, r)``: how far the left and the right wheel roll in a step, m, negative backwards. Noise acts only on
+a wheel that is driven and never reverses it. :meth:`DifferentialDrive.executed` is the law of this noise; the
+simulator's twin of it is in NumPy.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.model.transition.arc import arc_of
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.manifold import PLANAR
+
+
+class WheelNoise(eqx.Module):
+    """How far each wheel strays from a commanded travel in a step, as the robot believes it."""
+
+    slip: Float[Array, ""] | float  # share of the travel, standard deviation
+    play: Float[Array, ""] | float  # m, standard deviation of a step however short
+
+    def stds(self, travel: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Standard deviations of both wheels, m; zero for a wheel at rest."""
+        driven = travel != 0.0
+        safe = jnp.where(driven, travel, 1.0)  # the root has no derivative at zero
+        return jnp.where(driven, jnp.sqrt((self.slip * safe) ** 2 + self.play**2), 0.0)
+
+
+class DifferentialDrive(Transition):
+    """A robot on two wheels; controls (..., 2) = (left, right), m, which do not depend on ``dt``.
+
+    Two errors a step move three coordinates, so the wheels alone have no density: ``skid``, what the motion model
+    misses (contacts), gives it one.
+    """
+
+    noise: WheelNoise
+    track: Float[Array, ""] | float = 0.16  # m between the wheels
+    skid: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
+
+    manifold = PLANAR
+    controls = 2
+    commanded = True
+
+    def mean(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """Drive the arc of the two wheels, heading in [-pi, pi)."""
+        forward, left, turn = jnp.moveaxis(self._arc(control), -1, 0)
+        c, s = jnp.cos(state[..., 2]), jnp.sin(state[..., 2])
+        x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left
+        return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
+
+    def noise_covariance(
+        self, state: Float[Array, "3"], control: Float[Array, "2"], dt: float | Array
+    ) -> Float[Array, "3 3"]:
+        """``G Q G^T + skid`` in the body frame after the step, to first order in the errors of the wheels.
+
+        The rectification (noise never reverses a wheel) is left out: it matters only for steps shorter than the noise.
+        """
+        turn = self._arc(control)[2]
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        back = jnp.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        G = back @ jax.jacfwd(self._arc)(control) * self.noise.stds(control)
+        return G @ G.T + jnp.diag(jnp.asarray(self.skid) ** 2)
+
+    def sample(
+        self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """Draw a step as executed, then skid."""
+        by_wheels, by_skid = jax.random.split(key)
+        reached = self.executed(state, control, jax.random.normal(by_wheels, (*state.shape[:-1], 2)))
+        return PLANAR.perturb(reached, jax.random.normal(by_skid, state.shape) * jnp.asarray(self.skid))
+
+    def executed(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], normal: Float[Array, "*batch 2"]
+    ) -> Float[Array, "*batch 3"]:
+        """Return the pose after a command as it is carried out, given a standard normal a wheel."""
+        rolled = jnp.sign(control) * jnp.maximum(0.0, jnp.abs(control) + self.noise.stds(control) * normal)
+        return self.mean(state, rolled, 0.0)
+
+    def _arc(self, control: Float[Array, "*batch 2"]) -> Float[Array, "*batch 3"]:
+        left, right = control[..., 0], control[..., 1]
+        return arc_of(0.5 * (left + right), (right - left) / self.track)

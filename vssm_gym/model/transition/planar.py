@@ -1,0 +1,108 @@
+"""Planar holonomic robot: ``p(z' | z, u)`` of ``(x, y, heading)`` (TNP-SM).
+
+Control ``u = (turn, o, s)`` a step, rad, rad, m: ``heading' = heading + sign(turn) max(0, |turn| + e_a)``,
+``xy' = xy + [cos phi, sin phi] max(0, s + e_s)``, ``phi = heading + o + e_a``; ``e_a`` acts on the heading only where
+the robot turns, and nothing acts on a robot that does not try to move. :meth:`Planar.executed` is the law of
+this noise; the simulator's twin of it is in NumPy.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
+from vssm_gym.model.transition.manifold import PLANAR
+
+
+class MotionNoise(eqx.Module):
+    """Standard deviations of a control step's execution, as the robot believes them."""
+
+    turn: Float[Array, "*batch"] | float  # sigma_a, rad
+    step: Float[Array, "*batch"] | float  # sigma_s, m
+
+
+class Planar(Transition):
+    """The planar robot; controls (..., 3) = (turn, o, s), which do not depend on ``dt``.
+
+    Two errors a step move three coordinates, so the execution alone has no density: ``slip``, what the motion model
+    misses (contacts), gives it one.
+    """
+
+    noise: MotionNoise
+    slip: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
+
+    manifold = PLANAR
+    controls = 3
+    commanded = True
+
+    def mean(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """Drive ``s`` along ``heading + o``, and turn."""
+        turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
+        phi = state[..., 2] + offset
+        x, y = state[..., 0] + step * jnp.cos(phi), state[..., 1] + step * jnp.sin(phi)
+        return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
+
+    def jacobian(self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array) -> Float[Array, "3 3"]:
+        """``xi' = Ad(exp(u)^-1) xi``: the old error seen from the new body frame."""
+        turn, offset, step = control
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        dx, dy = step * jnp.cos(offset), step * jnp.sin(offset)
+        return jnp.array([[c, s, c * -dy + s * dx], [-s, c, s * dy + c * dx], [0.0, 0.0, 1.0]])
+
+    def noise_covariance(
+        self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array
+    ) -> Float[Array, "3 3"]:
+        """Return the covariance of execution noise and slip in the body frame after the step.
+
+        The rectification in the execution (noise never reverses a motion) is left out: it matters only for steps
+        shorter than the noise. ``e_a`` moves both heading and direction, so the two are correlated: alike where the
+        robot turns left, oppositely where it turns right.
+        """
+        turn, offset, step = control
+        driving = step > 0.0
+        along = jnp.array([jnp.cos(offset - turn), jnp.sin(offset - turn)])
+        across = jnp.array([-along[1], along[0]])
+        # Columns: e_a and e_s as body-frame displacements after the turn
+        by_turn = jnp.concatenate([jnp.where(driving, step, 0.0) * across, jnp.sign(turn)[None]])
+        by_step = jnp.concatenate([jnp.where(driving, 1.0, 0.0) * along, jnp.zeros(1)])
+        Q = self.noise.turn**2 * jnp.outer(by_turn, by_turn) + self.noise.step**2 * jnp.outer(by_step, by_step)
+        return Q + jnp.diag(jnp.asarray(self.slip) ** 2)
+
+    def sample(
+        self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """Draw a step as executed, then slip."""
+        by_execution, by_slip = jax.random.split(key)
+        normal = jnp.moveaxis(jax.random.normal(by_execution, (2, *state.shape[:-1])), 0, -1)
+        reached = self.executed(state, control, normal)
+        return PLANAR.perturb(reached, jax.random.normal(by_slip, state.shape) * jnp.asarray(self.slip))
+
+    def executed(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], normal: Float[Array, "*batch 2"]
+    ) -> Float[Array, "*batch 3"]:
+        """Return the pose after a command as it is carried out, given two standard normals a step for (e_a, e_s).
+
+        Noise acts only where the robot tries to move, and never reverses a motion.
+        """
+        turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
+        e_a, e_s = normal[..., 0] * self.noise.turn, normal[..., 1] * self.noise.step
+        turned = jnp.sign(turn) * jnp.maximum(0.0, jnp.abs(turn) + e_a)
+        moved = jnp.where(step > 0.0, jnp.maximum(0.0, step + e_s), 0.0)
+        return self.mean(state, jnp.stack([turned, offset + e_a, moved], axis=-1), 0.0)
+
+
+def planar_belief(planar: Float[Array, "3"], covariance: Float[Array, "3 3"]) -> GaussianBelief:
+    """``N(planar, covariance)`` over ``(x, y, heading)``, the covariance of (forward, left, turn) in the body frame."""
+    return GaussianBelief(planar, covariance, PLANAR)
+
+
+def world_covariance(belief: GaussianBelief) -> Float[Array, "3 3"]:
+    """Return the covariance of ``(x, y, heading)`` in world axes of a planar belief."""
+    c, s = jnp.cos(belief.mean[2]), jnp.sin(belief.mean[2])
+    R = jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return R @ belief.covariance @ R.T

@@ -1,0 +1,1 @@
+"""Plan for a car: its footprint, hybrid A* with Reeds-Shepp curves, the dynamic window, pure pursuit."""

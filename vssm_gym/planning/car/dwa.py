@@ -1,0 +1,210 @@
+"""The dynamic window approach for a car: the best command of those that the car can have obeyed after one step.
+
+    max over (v, s) in window   progress (h(0) - min h) / reach + clear (free / reach - tight)
+                                + speed |v| / max_speed - cusp [gear changes]
+    subject to                  |v| <= sqrt(2 braking free),   |v| <= sqrt(2 braking d(0))
+
+A steering held for :data:`REACH` metres drives an arc, of which ``free`` metres touch nothing (exact rectangles) and
+``tight`` is the share that keeps less than the margin of comfort (Fox, Burgard and Thrun, "The dynamic window approach
+to collision avoidance", IEEE RAM 4, 1997). ``h = d + across |sin(heading - downhill)|`` is the distance to the goal
+around obstacles for a point, and how far the car stands across the way there: either end may lead.
+
+What stays is the method's weakness, local minima: one arc is judged, so a manoeuvre that must first drive away from the
+goal, such as parking sideways or turning in a dead end, is not found, and the heading at the goal is left open. Where
+no arc makes progress the car backs up along a free arc, each time further until it has come nearer to the goal than
+ever before; that leaves many such places and not all.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.arc import pose_after, turn_of
+from vssm_gym.geometry.car import Car
+from vssm_gym.planning.car.footprint_levels import TIGHT, TOUCHING, FootprintLevels, level_at
+from vssm_gym.planning.grid_search.goal_distance import goal_distance
+from vssm_gym.planning.result import Outcome
+
+REACH = 1.2  # m of an arc that is looked at
+ACROSS = 0.3  # m, what standing square to the way counts
+ACCELERATION = 1.5  # m/s^2, of the window
+STEERING_RATE = 6.0  # rad/s, of the window
+BRAKING = 0.6  # m/s^2
+SPEEDS, STEERINGS = 11, 15  # samples across the window
+PROGRESS, CLEAR, SPEED, CUSP = 1.0, 0.15, 0.1, 0.25  # weights
+STUCK = 0.02  # m of progress below which an arc leads nowhere
+RECOVERY_SPEED, RECOVERY_STEPS = 0.25, 10  # m/s; steps for which the car backs up the first time
+LONGEST = 4  # times as far it backs up at most
+ESCAPE_LENGTH = 0.1  # m that may be driven to come free from where the car touches something
+NEARER = 0.1  # m that count as coming nearer than ever
+_PART = 0.02  # m of an arc between two looks
+
+
+class DwaStatus(Outcome):
+    """What the controller is doing; the value is the message that reports print."""
+
+    DRIVING = "driving towards the goal"
+    RECOVERING = "backing up: no command makes progress"
+    BLOCKED = "standing: every command would touch something"
+    NO_WAY = "standing: no way leads to the goal"
+    ARRIVED = "at the goal"
+
+
+@dataclass(frozen=True)
+class DwaState:
+    """What the next step needs of this one, and what was decided.
+
+    Attributes:
+        control: ``(speed, steering)`` commanded last, m/s and rad.
+        status: what the controller was doing.
+        recovering: steps for which it goes on backing up.
+        gear: 1.0 or -1.0, the last direction it drove in.
+        nearest: least distance to the goal so far, m.
+        attempts: times it backed up since then.
+    """
+
+    control: np.ndarray
+    status: DwaStatus = DwaStatus.DRIVING
+    recovering: int = 0
+    gear: float = 1.0
+    nearest: float = math.inf
+    attempts: int = 0
+
+
+class DynamicWindow:
+    """The controller for one goal ``(2,)`` among fixed obstacles."""
+
+    def __init__(self, obstacles: FootprintLevels, car: Car, goal: np.ndarray, tolerance: float = 0.05) -> None:
+        """``tolerance`` (m): so near to the goal the car stops."""
+        self.goal = np.asarray(goal, dtype=np.float64)
+        if self.goal.shape != (2,) or not np.isfinite(self.goal).all():
+            raise InputError("DynamicWindow", "goal", f"two finite coordinates; found {goal!r:.80}")
+        self.obstacles, self.car, self.tolerance = obstacles, car, tolerance
+        gx, gy = (float(v) for v in (self.goal - obstacles.origin) / obstacles.resolution)
+        passable = np.asarray((obstacles.levels < TOUCHING).any(axis=2))
+        distance = goal_distance(passable, gx, gy) * np.float32(obstacles.resolution)
+        reached = np.isfinite(distance)
+        self.cut_off = passable & ~reached  # places that the car fits into and from which no way leads to the goal
+        # Where no way leads lies above all else, but finite: places next to it are interpolated with it.
+        top = distance[reached].max() if reached.any() else 0.0
+        self.distance = np.where(reached, distance, np.float32(top + 1.0))
+        slope_x, slope_y = np.gradient(self.distance)
+        self.downhill = np.arctan2(-slope_y, -slope_x)  # direction of the way to the goal, rad
+
+    def init(self) -> DwaState:
+        """Standing, wheels straight."""
+        return DwaState(np.zeros(2))
+
+    def step(self, state: DwaState, planar: np.ndarray) -> DwaState:
+        """The next command of a car at the pose ``planar`` ``(3,)``, in the ``control`` of the new state."""
+        car, planar = self.car, np.asarray(planar, dtype=np.float64)
+        away = math.hypot(*(self.goal - planar[:2]))
+        if away <= self.tolerance:
+            return replace(state, control=np.zeros(2), status=DwaStatus.ARRIVED, recovering=0)
+        cell = np.floor((planar[:2] - self.obstacles.origin) / self.obstacles.resolution + 0.5).astype(int)
+        cell = np.clip(cell, 0, np.array(self.cut_off.shape) - 1)
+        if self.cut_off[cell[0], cell[1]]:
+            return replace(state, control=np.zeros(2), status=DwaStatus.NO_WAY, recovering=0)
+        here = float(_height(self.obstacles.lookup, self.distance, self.downhill, *planar)[0])
+        if here < state.nearest - NEARER:
+            state = replace(state, nearest=here, attempts=0)
+        v0, s0 = (float(v) for v in car.clip(state.control))
+        steerings = _window(s0, STEERING_RATE * car.dt, car.max_steering, STEERINGS)
+        if state.recovering > 0:
+            return self._back_up(state, planar, steerings)
+        speeds = _window(v0, ACCELERATION * car.dt, car.max_speed, SPEEDS)
+        best, control = -math.inf, None
+        for gear in (1.0, -1.0):
+            driven = speeds[speeds * gear > 1e-6]
+            if len(driven) == 0:
+                continue
+            progress, tight, free = self._arcs(planar, steerings, gear)
+            value = PROGRESS * progress / REACH + CLEAR * (free / REACH - tight) - (CUSP if gear != state.gear else 0.0)
+            score = value[:, None] + SPEED * np.abs(driven) / car.max_speed
+            stop = np.sqrt(2.0 * BRAKING * np.minimum(free, max(away, self.tolerance)))
+            score[(np.abs(driven) > stop[:, None]) | (progress < STUCK)[:, None]] = -np.inf
+            row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+            if score[row, column] > best:
+                best, control = float(score[row, column]), np.array([driven[column], steerings[row]])
+        if control is None:
+            steps = RECOVERY_STEPS * (1 + state.attempts % LONGEST)
+            stuck = replace(state, recovering=steps, gear=-state.gear, attempts=state.attempts + 1)
+            return self._back_up(stuck, planar, steerings)
+        gear = 1.0 if control[0] > 0.0 else -1.0
+        return replace(state, control=control, status=DwaStatus.DRIVING, recovering=0, gear=gear)
+
+    def _back_up(self, state: DwaState, planar: np.ndarray, steerings: np.ndarray) -> DwaState:
+        """Drive a free arc against the gear in which the car got stuck; where there is none, in the other one."""
+        left = RECOVERY_SPEED * self.car.dt * max(1, state.recovering)
+        side = 1.0 if state.attempts % 2 else -1.0
+        for gear in (state.gear, -state.gear):
+            _, _, free = self._arcs(planar, steerings, gear, ESCAPE_LENGTH)
+            # Of arcs that are free far enough the one most to one side, each time the other: it turns the car.
+            row = int(np.argmax(np.minimum(free, left) + 0.02 * side * steerings))
+            if free[row] > RECOVERY_SPEED * self.car.dt + _PART:
+                control = np.array([gear * RECOVERY_SPEED, steerings[row]])
+                recovering = state.recovering - 1
+                return replace(state, control=control, status=DwaStatus.RECOVERING, recovering=recovering, gear=gear)
+        return replace(state, control=np.zeros(2), status=DwaStatus.BLOCKED, recovering=0)
+
+    def _arcs(
+        self, planar: np.ndarray, steerings: np.ndarray, gear: float, escape: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the arc of each steering: progress (m), tight share and free length (m), all ``(n,)``."""
+        curvatures = turn_of(1.0, steerings, self.car.wheelbase)
+        count = math.ceil(REACH / _PART)
+        return _follow_arcs(
+            self.obstacles.lookup, self.distance, self.downhill, planar, curvatures, gear, count, escape
+        )
+
+
+def _window(middle: float, reach: float, limit: float, count: int) -> np.ndarray:
+    """Evenly spread over what can be reached within the limits, with the middle itself and zero where it is inside."""
+    low, high = max(-limit, middle - reach), min(limit, middle + reach)
+    values = np.append(np.linspace(low, high, count), middle)
+    return np.unique(np.append(values, 0.0) if low <= 0.0 <= high else values)
+
+
+@njit(cache=True, nogil=True)
+def _height(lookup, distance, downhill, x, y, heading):
+    """Bilinear distance to the goal (m) and ``h``; infinite beyond the grid."""
+    u, w = (x - lookup.x) / lookup.resolution, (y - lookup.y) / lookup.resolution
+    if not (0.0 <= u < distance.shape[0] - 1 and 0.0 <= w < distance.shape[1] - 1):
+        return np.inf, np.inf
+    i, j = int(u), int(w)
+    a, b = u - i, w - j
+    low = (1.0 - b) * distance[i, j] + b * distance[i, j + 1]
+    high = (1.0 - b) * distance[i + 1, j] + b * distance[i + 1, j + 1]
+    d = (1.0 - a) * low + a * high
+    return d, d + ACROSS * abs(math.sin(heading - downhill[int(u + 0.5), int(w + 0.5)]))
+
+
+@njit(cache=True, nogil=True)
+def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, escape):
+    """See `_arcs`; an arc ends where the rectangle comes to touch something. Progress is at its best place."""
+    n = curvatures.shape[0]
+    progress, tight, free = np.zeros(n), np.zeros(n), np.zeros(n)
+    _, start = _height(lookup, distance, downhill, planar[0], planar[1], planar[2])
+    touching = level_at(lookup, planar[0], planar[1], planar[2]) == TOUCHING
+    for k in range(n):
+        x, y, heading = planar[0], planar[1], planar[2]
+        turn = gear * _PART * curvatures[k]
+        least, narrow, leaving = np.inf, 0, touching
+        for i in range(count):
+            x, y, heading = pose_after(x, y, heading, gear * _PART, turn)
+            level = level_at(lookup, x, y, heading)
+            if level == TOUCHING and not (leaving and i * _PART < escape):
+                break
+            leaving = leaving and level == TOUCHING
+            free[k] += _PART
+            narrow += level == TIGHT
+            least = min(least, _height(lookup, distance, downhill, x, y, heading)[1])
+        if leaving:  # it never came free
+            free[k] = 0.0
+            continue
+        progress[k] = start - least if np.isfinite(least) else 0.0
+        tight[k] = narrow * _PART / max(free[k], _PART)
+    return progress, tight, free

@@ -1,0 +1,220 @@
+"""The car's footprint, an oriented rectangle, against the cells of a floor plan.
+
+    blocked(x, y, heading) = any occupied cell (a square) overlaps the rectangle of the pose, grown by a margin
+
+The poses are cell centres, so which cells a heading's rectangle reaches is the same list of offsets everywhere and the
+test of a whole plan is a dilation by them: exact, with no discs and no distance transform in between.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.car import Car
+from vssm_gym.maps.columns import KNOWN_SHARE, observed_columns
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import ClearanceMap
+
+Unknown = Literal["optimistic", "mean", "averse"]
+
+TOUCH = 1e-9  # m: what overlaps by less only touches
+AVERSE_DEVIATIONS = 2.0  # of a surface's standard deviation: occupied from P(occupied) = 2.3 % on
+Z_MIN, Z_MAX = 0.08, 0.2  # m: above the floor's noise, up to just above the car's roof
+
+
+@dataclass(frozen=True)
+class Arena:
+    """What planners of a car know of the floor: occupied cells and the distance to them.
+
+    Attributes:
+        occupied: ``(nx, ny)`` bool, indexed ``[ix, iy]`` along world x, y. Beyond the grid everything is occupied.
+        clearance: signed distance to the same obstacles.
+        origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
+        resolution: edge of a cell, m.
+    """
+
+    occupied: np.ndarray
+    clearance: ClearanceMap
+    origin: np.ndarray
+    resolution: float
+
+    @classmethod
+    def from_occupied(cls, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> "Arena":
+        """An arena of whole cells: surfaces run half-way between an occupied and a free centre."""
+        occupied, origin = np.asarray(occupied, dtype=bool), np.asarray(origin, dtype=np.float64)
+        if occupied.ndim != 2 or min(occupied.shape) < 2:
+            raise InputError("arena", "occupied", f"a grid of two cells a side or more; found shape {occupied.shape}")
+        if not (np.isfinite(resolution) and resolution > 0.0):
+            raise InputError("arena", "resolution", f"a positive cell size in metres; found {resolution!r}")
+        depth = np.where(occupied, resolution, -resolution)
+        return cls(occupied, ClearanceMap.from_depth(depth, origin, resolution), origin, float(resolution))
+
+
+def plan_of(
+    voxel_map: VoxelMap,
+    unknown: Unknown = "mean",
+    resolution: float = 0.035,
+    z_min: float = Z_MIN,
+    z_max: float = Z_MAX,
+    bounds: np.ndarray | None = None,
+) -> Arena:
+    """The arena of a belief: cells in which a body of height ``z_min..z_max`` (m) would meet something.
+
+    A cell is looked at in columns half a voxel apart or less. With ``o ~ N(mean, std^2)`` the occupancy of a point, it
+    is occupied where any observed point of any column has
+
+    - ``"mean"``, ``"optimistic"``: ``mean > 0``, the most probable surface;
+    - ``"averse"``: ``mean + 2 std > 0``, that is ``P(o > 0) > 2.3 %``: surfaces grow where few images saw them.
+
+    ``std^2 = 0.03^2 / n m^2`` after ``n`` observations (:data:`~vssm_gym.maps.voxel_map.OBSERVATION_STD`). Where less
+    than half of a cell's points were ever observed and nothing was met, the cell is unknown: free for ``"optimistic"``,
+    else occupied.
+
+    Args:
+        voxel_map: The belief.
+        unknown: One of the three.
+        resolution: Edge of a cell, m.
+        z_min: Lowest height of the body, above the noise of the floor.
+        z_max: Its highest.
+        bounds: ``(2, 2)`` lowest and highest x, y of the cell centres, m, so that plans of a growing map keep their
+            grid; by default the box of what was observed and one cell around it. What lies outside the map is left
+            out.
+
+    Raises:
+        InputError: an unknown treatment, no height, or a map that shows nothing at these heights and bounds.
+    """
+    if unknown not in get_args(Unknown):
+        raise InputError("plan_of", "unknown", f"one of {', '.join(get_args(Unknown))}; found {unknown!r}")
+    if not 0.0 < resolution <= 1.0:
+        raise InputError("plan_of", "resolution", f"a cell size up to 1 m; found {resolution!r}")
+    if not z_min < z_max:
+        raise InputError("plan_of", "z_max", f"a height above z_min = {z_min} m; found {z_max}")
+    per_cell = max(1, int(np.ceil(resolution / (0.5 * float(voxel_map.voxel_size)) - 1e-6)))
+    spacing = resolution / per_cell
+    deviations = AVERSE_DEVIATIONS if unknown == "averse" else 0.0
+    top, share = observed_columns(voxel_map, z_min, z_max, spacing, deviations)
+    nx, ny = (n // per_cell for n in top.shape)
+    blocks = lambda a: a[: nx * per_cell, : ny * per_cell].reshape(nx, per_cell, ny, per_cell)
+    met, seen = (blocks(top) > 0.0).any(axis=(1, 3)), blocks(share).mean(axis=(1, 3)) >= KNOWN_SHARE
+    occupied = met if unknown == "optimistic" else met | ~seen
+
+    low = voxel_map.bounds[0, :2] + 0.5 * (per_cell - 1) * spacing  # the centre of cell [0, 0]
+    observed = np.argwhere(met | seen)
+    if len(observed) == 0:
+        raise InputError("plan_of", "voxel_map", f"something observed between {z_min} and {z_max} m; found nothing")
+    if bounds is None:
+        first, last = observed.min(axis=0) - 1, observed.max(axis=0) + 1
+    else:
+        first, last = np.round((np.asarray(bounds, dtype=np.float64) - low) / resolution).astype(int)
+    first, last = np.maximum(first, 0), np.minimum(last, (nx - 1, ny - 1))
+    if np.any(last <= first):
+        raise InputError("plan_of", "bounds", "a box of several cells that overlaps the map")
+
+    fine = slice(first[0] * per_cell, (last[0] + 1) * per_cell), slice(first[1] * per_cell, (last[1] + 1) * per_cell)
+    unseen = np.repeat(np.repeat(occupied & ~met, per_cell, 0), per_cell, 1)[fine]
+    # An unobserved cell has no surface to interpolate: half a column is the unbiased place of its border.
+    depth = np.where(unseen & (top[fine] <= 0.0), 0.5 * spacing, top[fine])
+    corner = voxel_map.bounds[0, :2] + first * resolution
+    window = occupied[first[0] : last[0] + 1, first[1] : last[1] + 1]
+    clearance = ClearanceMap.from_depth(depth, corner, spacing)
+    return Arena(np.ascontiguousarray(window), clearance, low + first * resolution, float(resolution))
+
+
+def heading_grid(n: int) -> np.ndarray:
+    """``k 2 pi / n`` for ``k = 0 .. n - 1``, rad, float64."""
+    return 2.0 * np.pi / n * np.arange(n)
+
+
+def rectangle_collisions(
+    occupied: np.ndarray, resolution: float, car: Car, headings: np.ndarray, margin: float = 0.0
+) -> np.ndarray:
+    """Whether the car's rectangle, ``margin`` wider on all four sides, overlaps an occupied cell or leaves the grid.
+
+    Args:
+        occupied: ``(nx, ny)`` bool, indexed along x, y.
+        resolution: Edge of a cell, m.
+        car: Its footprint about the rear axle.
+        headings: ``(n_headings,)`` rad.
+        margin: m, may be zero.
+
+    Returns:
+        ``(nx, ny, n_headings)`` bool for poses with the rear axle at cell centres. Exact: touching is no overlap.
+    """
+    kernels = [cells_under(np.array([[0.0, 0.0, h]]), resolution, car, margin) for h in np.asarray(headings, float)]
+    return np.stack(dilate(occupied, kernels), axis=-1)
+
+
+def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) -> bool:
+    """The same for one pose ``(x, y, heading)`` anywhere, m and rad."""
+    planar = np.asarray(planar, dtype=np.float64)
+    cell = np.round((planar[:2] - arena.origin) / arena.resolution).astype(int)
+    relative = np.array([[*(planar[:2] - arena.origin - arena.resolution * cell), planar[2]]])
+    kernel = cells_under(relative, arena.resolution, car, margin)
+    under = cell + np.argwhere(kernel) - len(kernel) // 2
+    inside = np.all((under >= 0) & (under < arena.occupied.shape), axis=1)
+    return bool(not inside.all() or arena.occupied[tuple(under.T)].any())
+
+
+def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) -> np.ndarray:
+    """The cells that any rectangle of ``(n, 3)`` poses overlaps, relative to a cell whose centre is the world's origin.
+
+    By the separating axes of square and rectangle. Bool ``(2 k + 1, 2 k + 1)``, the cell at the origin in the middle.
+    """
+    half_length, half_width = 0.5 * car.length + margin, 0.5 * car.width + margin
+    c, s = np.cos(planar[:, 2]), np.sin(planar[:, 2])
+    x, y = planar[:, 0] + car.center_forward * c, planar[:, 1] + car.center_forward * s
+    half = 0.5 * resolution
+    reach = np.maximum(np.abs(x), np.abs(y)).max() + np.hypot(half_length, half_width) + half
+    k = int(np.ceil(reach / resolution))
+    cells = resolution * np.arange(-k, k + 1)
+    c, s = c[:, None, None], s[:, None, None]
+    dx, dy = cells[None, :, None] - x[:, None, None], cells[None, None, :] - y[:, None, None]
+    # Coordinates of rows and columns overlap, and those along and across the car
+    wide = (np.abs(dx) < half + np.abs(c) * half_length + np.abs(s) * half_width - TOUCH) & (
+        np.abs(dy) < half + np.abs(s) * half_length + np.abs(c) * half_width - TOUCH
+    )
+    across = half * (np.abs(c) + np.abs(s))
+    along = np.abs(c * dx + s * dy) < half_length + across - TOUCH
+    return (wide & along & (np.abs(c * dy - s * dx) < half_width + across - TOUCH)).any(axis=0)
+
+
+def dilate(occupied: np.ndarray, kernels: list[np.ndarray]) -> list[np.ndarray]:
+    """For each kernel ``K`` the cells from which it meets an occupied one: ``any_(i, j) in K occupied[x + i, y + j]``.
+
+    A row of a kernel is a few runs of cells. Whether a run of length ``l`` that starts at a cell meets anything is
+    worked out once for all kernels, so that a run costs one ``or`` over the grid however long it is.
+
+    Args:
+        occupied: ``(nx, ny)`` bool; beyond the grid everything is occupied.
+        kernels: Bool ``(2 k + 1, 2 k + 1)`` each, the origin in the middle.
+    """
+    nx, ny = occupied.shape
+    reach = max(len(kernel) // 2 for kernel in kernels)
+    padded = np.pad(np.asarray(occupied, dtype=bool), reach, constant_values=True)
+    meets = [np.zeros_like(padded)]  # by length of the run
+
+    def of_length(length: int) -> np.ndarray:
+        while len(meets) <= length:
+            longer = meets[-1].copy()
+            longer[:, : padded.shape[1] - len(meets) + 1] |= padded[:, len(meets) - 1 :]
+            meets.append(longer)
+        return meets[length]
+
+    blocked = []
+    for kernel in kernels:
+        out = np.zeros((nx, ny), dtype=bool)
+        shift = reach - len(kernel) // 2
+        for i, start, length in _runs(kernel):
+            x, y = i + shift, start + shift
+            np.logical_or(out, of_length(length)[x : x + nx, y : y + ny], out=out)
+        blocked.append(out)
+    return blocked
+
+
+def _runs(kernel: np.ndarray) -> list[tuple[int, int, int]]:
+    """Its runs of set cells along the second axis: (row, start, length)."""
+    edges = np.diff(np.pad(kernel, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    (row, start), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
+    return list(zip(row.tolist(), start.tolist(), (end - start).tolist(), strict=True))

@@ -1,0 +1,214 @@
+"""Hybrid A*: the cheapest drive of a car between two poses, forwards and backwards, around obstacles.
+
+    min sum |l_i| (1 + reverse [l_i < 0] + tight [near]) + cusp (gear changes) + steer sum |s_i - s_i-1|
+
+over chains of arcs, ended by a Reeds-Shepp curve (Dolgov, Thrun, Montemerlo and Diebel, "Path planning for autonomous
+vehicles in unknown semi-structured environments", IJRR 29, 2010). A cell of (x, y, heading) keeps one continuous pose,
+so the plan can be driven exactly; what is lost is a guarantee of the optimum. The heuristic is the larger of the
+Reeds-Shepp length without obstacles and the way around obstacles for a point. At the end curves replace pieces of the
+plan wherever that is cheaper.
+"""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.arc import poses_after
+from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.planning.car import hybrid_search, reeds_shepp
+from vssm_gym.planning.car.footprint_levels import TOUCHING, FootprintLevels
+from vssm_gym.planning.car.hybrid_search import Costs, Goal, Moves, Tree
+from vssm_gym.planning.car.shortcuts import shortcut
+from vssm_gym.planning.grid_search.goal_distance import goal_distance
+from vssm_gym.planning.result import PlanStatus
+
+DEFAULT_COSTS = Costs(reverse=0.2, cusp=0.3, steer=0.05, tight=1.0)
+FULL_LOCK = 0.9  # share of the steering that plans use: the rest is for following them
+ESCAPE_LENGTH = 0.25  # m that a start in touch with an obstacle may drive to come free
+ARRIVALS = 24  # headings tried at a goal that is only a point
+_BATCH = 200  # nodes between two looks at the clock
+
+
+@dataclass(frozen=True)
+class CarPlan:
+    """A drive from the start to the goal, or the reason why there is none.
+
+    It reads as a :class:`~vssm_gym.planning.result.PlanResult` does, and knows headings and gears besides.
+
+    Attributes:
+        status: how the search ended.
+        poses: ``(n, 3)`` x, y (m), heading (rad, in [-pi, pi)) at most a cell of the collision table apart, the start
+            first; empty ``(0, 3)`` where there is no plan, the best partial one after a time-out.
+        gears: ``(n,)`` int8, 1 forwards, -1 backwards on the way to the pose; the first is the second's.
+        cost: length driven, m; infinite where there is no plan.
+        seconds: wall-clock time of the whole call.
+        expansions: nodes that the search closed.
+    """
+
+    status: PlanStatus
+    poses: np.ndarray
+    gears: np.ndarray
+    cost: float
+    seconds: float
+    expansions: int
+
+    @property
+    def found(self) -> bool:
+        """Whether the plan ends at the goal."""
+        return self.status is PlanStatus.FOUND
+
+    @property
+    def path(self) -> np.ndarray:
+        """``(n, 2)`` positions of the rear axle, m."""
+        return self.poses[:, :2]
+
+    @property
+    def cusps(self) -> int:
+        """How often the car changes its gear on the way."""
+        return int(np.count_nonzero(np.diff(self.gears)))
+
+
+def plan(
+    start: np.ndarray,
+    goal: np.ndarray,
+    obstacles: FootprintLevels,
+    car: Car,
+    *,
+    costs: Costs = DEFAULT_COSTS,
+    cell: float = 0.1,
+    headings: int = 72,
+    steerings: int = 5,
+    weight: float = 1.0,
+    time_limit: float = 5.0,
+    max_expansions: int = 1_000_000,
+) -> CarPlan:
+    """Plan a cheap drive of ``car`` from the pose ``start`` to ``goal``.
+
+    Args:
+        start: ``(3,)`` x, y (m), heading (rad).
+        goal: a pose ``(3,)``, or a point ``(2,)``.
+        obstacles: what the footprint touches where.
+        car: its measures.
+        costs: weights beside the length.
+        cell: of the search, m; arcs are one and a half as long. Halved where the search finds no way.
+        headings: of the search; doubled there.
+        steerings: of the arcs, from full lock to full lock, odd.
+        weight: of the heuristic; above 1 faster and up to as many times dearer.
+        time_limit: s of searching, after which the best plan so far is returned: it then depends on the machine.
+        max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
+
+    Returns:
+        Status, poses and gears; nothing is raised for a start or a goal that cannot be reached.
+    """
+    began = time.perf_counter()
+    start, goal = _pose(start, (3,), "start"), _pose(goal, (2, 3), "goal")
+    radius = car.wheelbase / math.tan(FULL_LOCK * car.max_steering)
+
+    def result(status: PlanStatus, poses: np.ndarray, gears: np.ndarray, closed: int) -> CarPlan:
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+        # of arcs, not of chords: sinc(turn / 2) is the ratio of the two
+        driven = float((chord / np.sinc(wrap_angle(np.diff(poses[:, 2])) / (2.0 * np.pi))).sum())
+        length = driven if len(poses) else math.inf
+        return CarPlan(status, poses, gears, length, time.perf_counter() - began, closed)
+
+    nothing = np.empty((0, 3)), np.empty(0, np.int8)
+    arrivals = _arrivals(obstacles, goal)
+    if len(arrivals) == 0:
+        return result(PlanStatus.GOAL_BLOCKED, *nothing, 0)
+    lookup = obstacles.lookup
+    gx, gy = (float(v) for v in (goal[:2] - obstacles.origin) / obstacles.resolution)
+    # A point may go where some heading of the car fits.
+    passable = np.asarray((obstacles.levels < TOUCHING).any(axis=2))
+    target = Goal(arrivals, goal_distance(passable, gx, gy) * np.float32(obstacles.resolution))
+    touching = bool(obstacles.at(start) == TOUCHING)
+    closed, searching = 0, began
+    # Coarsely first; where that finds no way, arcs half as long may still shuttle the car out of a tight place.
+    for scale in (1.0, 0.5):
+        moves = arcs(1.5 * scale * cell, radius, steerings, obstacles.resolution)
+        tree = _tree(obstacles, scale * cell, round(headings / scale))
+        if not hybrid_search.enter(tree, lookup, target, radius, start, ESCAPE_LENGTH if touching else 0.0):
+            return result(PlanStatus.START_BLOCKED if touching else PlanStatus.NO_PATH, *nothing, 0)
+        # No node at first: a process that has to compile the search does so before the clock of the limit starts.
+        state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, 0)
+        if scale == 1.0:
+            searching = time.perf_counter()
+        while state == hybrid_search.OPEN and closed + tree.counts[1] < max_expansions:
+            if time.perf_counter() - searching > time_limit:
+                break
+            budget = int(min(_BATCH, max_expansions - closed - tree.counts[1]))
+            state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, budget)
+        closed += int(tree.counts[1])
+        if state != hybrid_search.EXHAUSTED:
+            break
+    last = len(tree.cost) - 1
+    if state == hybrid_search.EXHAUSTED:
+        stuck = touching and not (tree.escape[:last][tree.place[:last] == -2] == 0.0).any()
+        return result(PlanStatus.START_BLOCKED if stuck else PlanStatus.NO_PATH, *nothing, closed)
+    found = bool(np.isfinite(tree.cost[last]))
+    poses, gears = _driven(tree, moves, radius, obstacles.resolution, last if found else int(tree.counts[2]))
+    poses, gears = shortcut(lookup, poses, gears, radius, costs)
+    return result(PlanStatus.FOUND if found else PlanStatus.TIME_OUT, poses, gears, closed)
+
+
+def arcs(step: float, radius: float, steerings: int, part: float) -> Moves:
+    """Arcs of ``step`` m both ways at evenly spread curvatures up to ``1 / radius``, in parts of at most ``part`` m."""
+    if steerings < 3 or steerings % 2 == 0:
+        raise InputError("hybrid_astar", "steerings", f"an odd number from 3 on; found {steerings!r:.80}")
+    share = np.tile(np.linspace(-1.0, 1.0, steerings), 2)
+    gear = np.repeat([1.0, -1.0], steerings)
+    count = max(1, math.ceil(step / part - 1e-9))
+    s = gear[:, None] * step * np.arange(1, count + 1) / count
+    return Moves(poses_after(0.0, s, s * share[:, None] / radius), gear, share, step)
+
+
+def _pose(value: np.ndarray, sizes: tuple[int, ...], field: str) -> np.ndarray:
+    pose = np.asarray(value, dtype=np.float64)
+    if pose.ndim != 1 or len(pose) not in sizes or not np.isfinite(pose).all():
+        raise InputError("hybrid_astar", field, f"{' or '.join(map(str, sizes))} finite numbers; found {value!r:.80}")
+    return pose
+
+
+def _arrivals(obstacles: FootprintLevels, goal: np.ndarray) -> np.ndarray:
+    """Goal poses ``(g, 3)`` in which the car touches nothing."""
+    heading = goal[2:] if len(goal) == 3 else 2.0 * np.pi * np.arange(ARRIVALS) / ARRIVALS
+    poses = np.stack([np.full_like(heading, goal[0]), np.full_like(heading, goal[1]), heading], axis=-1)
+    return poses[obstacles.at(poses) < TOUCHING]
+
+
+def _tree(obstacles: FootprintLevels, cell: float, headings: int) -> Tree:
+    """An empty search over the whole table."""
+    low = obstacles.origin - 0.5 * obstacles.resolution
+    extent = np.array(obstacles.levels.shape[:2]) * obstacles.resolution
+    nx, ny = (math.ceil(e / cell - 1e-9) for e in extent)
+    n = nx * ny * headings + 1
+    ahead = np.full(n, np.nan)
+    return Tree(
+        *((nx, ny, headings), float(cell), float(low[0]), float(low[1])),
+        *(np.full(n, np.inf), np.empty(n), ahead, np.zeros(n)),
+        *(np.full(n, -1, np.int32), np.full(n, -1, np.int16), np.full(n, -1, np.int32)),
+        *(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(4, np.int64), np.zeros((5, 2))),
+    )
+
+
+def _driven(tree: Tree, moves: Moves, radius: float, part: float, node: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses ``(n, 3)`` and gears ``(n,)`` from the start to ``node``."""
+    poses: list[np.ndarray] = []
+    gears: list[np.ndarray] = []
+    if node == len(tree.cost) - 1:
+        node = int(tree.parent[node])
+        curve = reeds_shepp.ReedsSheppPath(tree.pose[node], tree.curve[:, 0], tree.curve[:, 1].astype(np.int8), radius)
+        points, gear = reeds_shepp.sample(curve, part)
+        poses, gears = [points[1:]], [gear[1:]]
+    while tree.parent[node] >= 0:
+        parent, m = int(tree.parent[node]), tree.move[node]
+        rows = [hybrid_search.advance(tree.pose[parent], d) for d in moves.displacement[m]]
+        poses.insert(0, np.array(rows))
+        gears.insert(0, np.full(len(rows), moves.gear[m], np.int8))
+        node = parent
+    gears.insert(0, gears[0][:1] if gears else np.ones(1, np.int8))
+    return np.concatenate([tree.pose[node][None], *poses]), np.concatenate(gears)

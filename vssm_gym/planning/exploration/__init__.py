@@ -1,0 +1,1 @@
+"""Plan where to explore: frontiers, candidate viewpoints, what unknown space may hold, the order of visits."""

@@ -1,0 +1,65 @@
+"""What unknown space holds in a building: within its outline surfaces come at random, beyond it there is little to see.
+
+    h(c) = inside    within the rectangle, along the building's main direction, around all that is known
+           outside   beyond it                                    expected surfaces that a ray meets in a metre, 1/m
+
+Most buildings are rectangles of rooms. A gap in a wall that leads into the rectangle leads into a room that nobody has
+seen; one that leads out of it, mostly to a facade that was not seen yet. The rectangle grows with what is known.
+"""
+
+import math
+
+import numpy as np
+
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
+
+TURNS = 30  # directions that are compared, of a quarter turn
+
+
+def main_direction(plan: FloorPlan) -> float:
+    """The angle in [0, pi/2), rad, that occupied cells line up along: where their shadows on two axes are sharpest.
+
+    The sharpness of a shadow is the sum of the squares of its histogram. 0 where nothing is occupied.
+    """
+    xy = np.argwhere(plan.cells == OCCUPIED).astype(np.float64)
+    if not len(xy):
+        return 0.0
+    angles = np.arange(TURNS) * 0.5 * math.pi / TURNS
+    sharp = np.zeros(TURNS)
+    for k, angle in enumerate(angles):
+        for shadow in _along(xy, angle):
+            sharp[k] += np.square(np.bincount(np.floor(shadow - shadow.min() + 0.5).astype(int))).sum()
+    return float(angles[np.argmax(sharp)])
+
+
+def outline(plan: FloorPlan) -> np.ndarray:
+    """Which cells lie in the rectangle around all that is known; bool ``(nx, ny)``."""
+    known = plan.cells != UNKNOWN
+    inside = np.ones(known.shape, bool)
+    if not known.any():
+        return inside
+    every = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float64) for n in known.shape), indexing="ij"), axis=-1)
+    for shadow in _along(every, main_direction(plan)):
+        inside &= (shadow >= shadow[known].min()) & (shadow <= shadow[known].max())
+    return inside
+
+
+def expected_surfaces(plan: FloorPlan, inside: float, outside: float) -> np.ndarray:
+    """``h`` (1/m) of each cell of the plan, float32 ``(nx, ny)``."""
+    return np.where(outline(plan), np.float32(inside), np.float32(outside))
+
+
+def over_map(plan: FloorPlan, values: np.ndarray, beyond: float, m: VoxelMap) -> np.ndarray:
+    """Values of a plan's cells ``(nx, ny)`` as those of all columns of the map that it was cut from."""
+    columns = np.full(m.shape[:2], beyond, values.dtype)
+    i, j = np.round((plan.origin - np.asarray(m.origin, np.float64)[:2]) / plan.resolution).astype(int)
+    columns[i : i + values.shape[0], j : j + values.shape[1]] = values
+    return columns
+
+
+def _along(xy: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates of points ``(..., 2)`` along the direction ``angle`` (rad) and across it."""
+    c, s = math.cos(angle), math.sin(angle)
+    return xy @ np.array([c, s]), xy @ np.array([-s, c])

@@ -1,0 +1,50 @@
+"""``I(z; x) = 1/2 log det(I + Sigma F)``: what an imagined image would tell of the robot's own pose (x, y, heading).
+
+``Sigma = diag(std^2)`` is how well the robot will know its pose there, and ``F = sum_pixels J J^T / sigma^2``
+the Fisher information of readings of known surfaces, point to plane: a robot that slides by ``d`` and turns by ``a``
+about its axis at ``c`` sees the point ``p`` with normal ``n`` nearer by ``n . (d + a e_z x (p - c))``. Unknown space
+tells nothing, a bare wall nothing of the way along it.
+"""
+
+import numpy as np
+
+from vssm_gym.geometry.camera import Camera
+
+READING_STD = 0.1  # m, of READINGS readings an image: wide, since neighbouring ones err together
+READINGS = 1200  # however many pixels the image has: more of them tell the same again
+EDGE = 0.15  # of the depth: neighbours further apart lie on different surfaces
+
+
+def pose_gain(
+    depth: np.ndarray, surface: np.ndarray, T_world_cam: np.ndarray, camera: Camera, std: np.ndarray
+) -> np.ndarray:
+    """Nats about the pose that each image would give.
+
+    Args:
+        depth: ``(views, height, width)`` imagined z-depth, m.
+        surface: the same, bool: readings of a known surface.
+        T_world_cam: ``(views, 4, 4)`` camera poses; the camera stands on the robot's axis.
+        camera: of the images.
+        std: ``(3,)`` of x, y (m) and heading (rad) before the image; zeros: the pose is known, nothing to tell.
+
+    Returns:
+        ``(views,)`` float64.
+    """
+    if not np.any(std):
+        return np.zeros(len(depth))
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    p = np.einsum("vij,vhwj->vhwi", T_world_cam[:, :3, :3], depth[..., None] * rays)  # from the camera, world axes
+    here = p[:, :-1, :-1]
+    right, down = p[:, :-1, 1:] - here, p[:, 1:, :-1] - here
+    n = np.cross(right, down)
+    length = np.linalg.norm(n, axis=-1)
+    z = depth[:, :-1, :-1]
+    whole = surface[:, :-1, :-1] & surface[:, :-1, 1:] & surface[:, 1:, :-1] & (length > 0.0)
+    whole &= np.maximum(np.abs(depth[:, :-1, 1:] - z), np.abs(depth[:, 1:, :-1] - z)) < EDGE * z
+    n = np.where(whole[..., None], n / np.maximum(length, 1e-12)[..., None], 0.0)
+    turn = n[..., 1] * here[..., 0] - n[..., 0] * here[..., 1]
+    J = np.stack([n[..., 0], n[..., 1], turn], axis=-1).reshape(len(depth), -1, 3)
+    F = np.einsum("vni,vnj->vij", J, J) * (READINGS / (camera.width * camera.height)) / READING_STD**2
+    scaled = np.eye(3) + std[:, None] * F * std
+    return 0.5 * np.linalg.slogdet(scaled)[1]

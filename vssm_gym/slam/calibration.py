@@ -1,0 +1,158 @@
+"""Is the uncertainty honest? Whitened residuals, NEES and the chi-square calibration curve (thesis A.2 H, SPEC 12).
+
+    e_i = log(T_est_i^-1 T_true_i)  in the tangent of the estimate, order (translation, rotation)
+    w_i = L_i^-1 e_i,  L_i L_i^T = Sigma_i;   NEES_i = e_i^T Sigma_i^-1 e_i = |w_i|^2  ~  chi^2(d)  if calibrated
+
+A residual in the body's tangent does not change when both trajectories are moved, nor does its covariance, so an
+estimate may be aligned before. The curve sets the probability that the model gives to a residual no larger than this
+one against the share of residuals that are no larger: above the diagonal the model is pessimistic, below it
+overconfident (Jospin et al., "Hands-on Bayesian neural networks", 2022, section VII).
+
+One global scalar on all covariances of a method is what fits its mean NEES to d; fitted on other sequences it says how
+far the uncertainty is right in relation, beside the raw value, which says how far it is right at all.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import inverse
+from vssm_gym.viz import pictures
+
+AXES = ("x", "y", "z", "about x", "about y", "about z")
+LEVELS = (0.5, 0.9, 0.95, 0.99)
+
+
+def pose_residuals(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
+    """``log(T_est^-1 T_true)``: translation (m), then rotation (rad), in the estimate's own frame; float64."""
+    T = inverse(np.asarray(T_est, dtype=np.float64)) @ np.asarray(T_true, dtype=np.float64)
+    w = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+    theta = np.linalg.norm(w, axis=1, keepdims=True)
+    near = theta < 1e-3
+    safe = np.where(near, 1.0, theta)
+    # V^-1 = 1 - w^/2 + c w^ w^, c = (1 - (theta/2) cot(theta/2)) / theta^2
+    c = np.where(near, 1.0 / 12.0 + theta**2 / 720.0, (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
+    w_t = np.cross(w, T[:, :3, 3])
+    return np.concatenate([T[:, :3, 3] - 0.5 * w_t + c * np.cross(w, w_t), w], axis=1)
+
+
+def whiten(residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, "n d"]:
+    """``L_i^-1 e_i``: standard normal where the covariances are right.
+
+    Raises:
+        InputError: a covariance that is not finite or not positive definite.
+    """
+    e, S = np.asarray(residuals, dtype=np.float64), np.asarray(covariances, dtype=np.float64)
+    # Metres beside radians, and a range of certainties: to unit diagonal first, so that float64 holds any of them.
+    variance = np.einsum("nii->ni", S)
+    try:
+        if not (np.isfinite(S).all() and np.isfinite(e).all() and (variance > 0.0).all()):
+            raise np.linalg.LinAlgError
+        std = np.sqrt(variance)
+        L = np.linalg.cholesky(S / (std[:, :, None] * std[:, None, :]))
+    except np.linalg.LinAlgError:
+        raise InputError("calibration", "covariances", "finite residuals, positive definite covariances") from None
+    return np.linalg.solve(L, (e / std)[..., None])[..., 0]
+
+
+def nees(residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, "n"]:
+    """Normalised estimation error squared, ``e^T Sigma^-1 e``; its expectation is d."""
+    return np.sum(whiten(residuals, covariances) ** 2, axis=1)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How one sequence's residuals compare with the covariances that were given for them."""
+
+    whitened: Float[np.ndarray, "n d"]
+
+    @classmethod
+    def of(cls, residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "n d d"]) -> "Calibration":
+        """From residuals and their covariances, frame by frame."""
+        return cls(whiten(residuals, covariances))
+
+    @property
+    def nees(self) -> Float[np.ndarray, "n"]:
+        """NEES of each frame."""
+        return np.sum(self.whitened**2, axis=1)
+
+    @property
+    def dimension(self) -> int:
+        """d: the degrees of freedom."""
+        return self.whitened.shape[1]
+
+    def scaled(self, factor: float) -> "Calibration":
+        """The same residuals with every covariance multiplied by ``factor``."""
+        return Calibration(self.whitened / np.sqrt(factor))
+
+    def curve(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Predicted and observed cumulative probability of each residual, rising."""
+        predicted = chi2.cdf(np.sort(self.nees), self.dimension)
+        return predicted, np.arange(1, len(predicted) + 1) / len(predicted)
+
+    def summary(self) -> dict[str, float]:
+        """``nees`` (mean), ``nees_over_dimension``, ``share_within_50`` ... ``_99``: frames in the region of that
+        probability; ``gap``: mean distance of the curve from the diagonal; ``bias``: the same with its sign, positive
+        where the model is pessimistic.
+        """
+        predicted = chi2.cdf(self.nees, self.dimension)
+        level = np.linspace(0.0, 1.0, 201)
+        observed = np.searchsorted(np.sort(predicted), level, side="right") / len(predicted)
+        result = {"nees": float(self.nees.mean()), "nees_over_dimension": float(self.nees.mean() / self.dimension)}
+        result |= {f"share_within_{round(100 * p)}": float(np.mean(predicted <= p)) for p in LEVELS}
+        result["gap"] = float(np.mean(np.abs(observed - level)))
+        result["bias"] = float(np.mean(observed - level))
+        return result
+
+
+def fit_scale(sequences: Mapping[str, Calibration]) -> float:
+    """The factor on all covariances that maximises the likelihood of all residuals: ``mean NEES / d``, closed form."""
+    every = np.concatenate([c.nees / c.dimension for c in sequences.values()]) if sequences else np.zeros(0)
+    if len(every) == 0:
+        raise InputError("calibration", "sequences", "at least one frame to fit the covariances' scale to")
+    return float(every.mean())
+
+
+def cross_fitted(sequences: Mapping[str, Calibration]) -> dict[str, Calibration]:
+    """Each sequence with the scale that the *other* sequences give: no sequence has a say in its own."""
+    scale = {name: fit_scale({other: c for other, c in sequences.items() if other != name}) for name in sequences}
+    return {name: c.scaled(scale[name]) for name, c in sequences.items()}
+
+
+def figure(sequences: Mapping[str, Calibration], note: str = "") -> bytes:
+    """Whitened residuals of each axis beside a standard normal, and the calibration curves, as SVG.
+
+    Args:
+        sequences: one curve each; the residuals of all together make the histograms.
+        note: which scale the covariances have, for the title.
+    """
+    dimension = next(iter(sequences.values())).dimension
+    names = AXES if dimension == len(AXES) else tuple(f"axis {i}" for i in range(dimension))
+    picture = Figure(figsize=(11.5, 3.8), layout="constrained")
+    left, right = picture.subplots(1, 2, width_ratios=[1.6, 1.0])
+    w = np.linspace(-5.0, 5.0, 201)
+    left.fill_between(w, norm.pdf(w), color="0.85", label="calibrated")
+    every = np.concatenate([c.whitened for c in sequences.values()])
+    edges = np.linspace(-5.0, 5.0, 61)
+    for i, name in enumerate(names):
+        density, _ = np.histogram(np.clip(every[:, i], -4.999, 4.999), edges, density=True)
+        left.stairs(density, edges, label=name, linewidth=1.1, color=f"C{i}")
+    left.set(xlabel="whitened residual (beyond 5: in the last bin)", ylabel="density", title="residuals by axis")
+    right.plot([0, 1], [0, 1], color="0.7", linewidth=1.0)
+    for i, (name, calibration) in enumerate(sequences.items()):
+        right.plot(*calibration.curve(), label=name, linewidth=1.3, color=f"C{i % 10}")
+    right.set(xlabel="predicted cumulative probability", ylabel="observed share", xlim=(0, 1), ylim=(0, 1))
+    right.set(title="above the diagonal: pessimistic", aspect="equal")
+    for axes in (left, right):
+        axes.grid(alpha=0.3, linewidth=0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(fontsize=8, frameon=False)
+    if note:
+        picture.suptitle(note, fontsize=10)
+    return pictures.svg(picture)

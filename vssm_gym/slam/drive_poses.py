@@ -1,0 +1,79 @@
+"""Poses of a robot's recorded drive as PRISM estimates them from images and commands; nothing but the start is known.
+
+A map made at these poses owes nothing to ground truth: it is what the robot itself would have.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vssm_gym.data.recording import read_provenance
+from vssm_gym.data.sequences import FrameReader, Sequence
+from vssm_gym.envs.robots import NOISE_LEVELS
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
+from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.maps.voxel_map import DEFAULT_SLOTS, VoxelMap
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
+
+Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+REACH = 12.0  # m: a drive leads no farther from its start, along x or y, than its map reaches
+LOW, HIGH = -0.5, 3.5  # m, of the map above the floor
+START_STD = 1e-3  # m, rad: the start is known
+
+
+@dataclass(frozen=True)
+class DrivePoses:
+    """The estimate."""
+
+    T_world_cam: Float[np.ndarray, "frames 4 4"]  # float64
+    fits: Bool[np.ndarray, "frames"]  # where the image fitted the map; elsewhere the pose follows the commands alone
+
+
+def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None = None) -> DrivePoses:
+    """``q(z_1:T)`` by PRISM with the planar transition, from the first true pose on.
+
+    Args:
+        sequence: a survey of ``vssm-gym record``: images, commands, ``T_body_cam``, and how noisy the robot was.
+        voxel: cell size of the filter's map, m.
+        progress: told ("poses", frames done, frames).
+
+    Raises:
+        InputError: a recording that is no robot's drive, one that leads too far away, or cells too small for it.
+    """
+    noise = NOISE_LEVELS.get(str(read_provenance(sequence.root).get("noise")))
+    if noise is None or sequence.T_body_cam is None or sequence.controls.shape != (len(sequence.frames), 4):
+        expected = "a survey that `vssm-gym record` drove: commands, T_body_cam and the noise of the drive"
+        raise InputError(sequence.root, "controls", expected)
+    reader = FrameReader(sequence)
+    rig = Rig.of(reader.camera, sequence.T_body_cam)
+    start = matrix_to_planar(jnp.asarray(sequence.true_poses()[0], jnp.float32) @ inverse(rig.T_body_cam))
+    low = np.array([float(start[0]) - REACH, float(start[1]) - REACH, LOW])
+    sides = np.array([2.0 * REACH, 2.0 * REACH, HIGH - LOW])
+    nx, ny, nz = (int(n) for n in np.ceil(sides / voxel))
+    sparse = VoxelMap.prior(low, voxel, (nx, ny, nz), slots=DEFAULT_SLOTS)
+    motion = Planar(MotionNoise(noise.turn, noise.step))
+    prism = FILTERS["prism"].make(rig, motion)
+    known = planar_belief(start, START_STD**2 * jnp.eye(3))
+    state = prism.init(Posterior(known, sparse), observe(*reader[0]), jax.random.key(0))
+    planar, fits = [np.asarray(start, float)], [True]
+    for i in range(1, len(reader)):
+        control = jnp.asarray(sequence.controls[i, 1:], jnp.float32)
+        state, info = prism.step(state, control, observe(*reader[i]), float(sequence.times[i] - sequence.times[i - 1]))
+        planar.append(np.asarray(prism.posterior(state).belief.mean, float))
+        fits.append(info.status.fits)
+        if np.abs(planar[-1][:2] - planar[0][:2]).max() > REACH - 1.0:
+            raise InputError(sequence.root, "controls", f"a drive that stays within {REACH - 1.0} m of its start")
+        if progress:
+            progress("poses", i + 1, len(reader))
+    if state.map.table is not None and (refused := int(state.map.table.refused)):
+        raise InputError("map", "voxel", f"larger cells: {refused} blocks of the drive found no room at {voxel} m")
+    T_world_body = np.asarray(planar_to_matrix(jnp.asarray(np.array(planar), jnp.float32)), float)
+    return DrivePoses(T_world_body @ sequence.T_body_cam, np.array(fits))

@@ -1,0 +1,170 @@
+"""Maps that agents are given: closed-form updates over a recording (SPEC 4, off-line map).
+
+At the poses recorded with it, as a motion-capture hall would know them, or at those that PRISM estimates.
+"""
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.data.recording import read_provenance, record
+from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
+from vssm_gym.envs.rendering.raycast import RaycastCamera
+from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
+from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.slam.drive_poses import estimate_poses
+from vssm_gym.version import package_version
+
+Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+Poses = Literal["recorded", "estimated"]
+
+MARGIN = 0.25  # m around the farthest points seen: the truncation band and the next frames' noise
+LOOKED_AT = 200  # frames that the bounds are taken from
+MAX_CELLS = 40_000_000  # 25 bytes each
+NOISE = "low"  # of the drive that a map is learned from
+
+
+def build_map(
+    sequence: Sequence,
+    voxel: float,
+    progress: Progress | None = None,
+    warn: Callable[[tuple[str, ...]], None] | None = None,
+    poses: Poses = "recorded",
+) -> VoxelMap:
+    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence, at the poses ``z_t`` recorded with it or estimated.
+
+    The grid spans what the depth images show, not what anybody knows of the scene.
+
+    Args:
+        sequence: with ``groundtruth.txt``; of estimated poses only the first of it is read.
+        voxel: cell size, m.
+        progress: told after every frame.
+        warn: told in the end which frames were damaged; they count as empty.
+
+    Raises:
+        InputError: no ground truth, no depth at all, or a space too large for cells of this size.
+    """
+    reader, config = FrameReader(sequence), MapUpdateConfig()
+    taken, fits = _poses(sequence, voxel, poses, progress)
+    low, high = grid_bounds(reader, taken, config)
+    shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
+    if np.prod(shape) > MAX_CELLS:
+        raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
+    voxel_map = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
+    for done, i in enumerate(np.flatnonzero(fits).tolist(), 1):
+        rgb, depth = reader[i]
+        voxel_map = update(
+            voxel_map,
+            jnp.asarray(depth),
+            jnp.asarray(rgb, jnp.float32) / 255.0,
+            jnp.asarray(taken[i], jnp.float32),
+            reader.camera,
+            config,
+        )
+        if progress:
+            progress("map", done, int(fits.sum()))
+    if warn:
+        warn(reader.notices)
+    return voxel_map
+
+
+def _poses(sequence: Sequence, voxel: float, poses: Poses, progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
+    """``T_world_cam`` of each frame, and which of them go into the map."""
+    if poses == "recorded":
+        return sequence.true_poses(), np.ones(len(sequence.frames), dtype=bool)
+    estimate = estimate_poses(sequence, voxel, progress)
+    return estimate.T_world_cam, estimate.fits
+
+
+def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the back-projected depths of frames spread over the sequence, with a margin."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    rays = _rays(reader.camera)
+    for i in range(0, len(poses), max(1, len(poses) // LOOKED_AT)):
+        depth = reader[i][1]
+        seen = (depth > config.min_depth) & (depth <= config.max_depth)
+        if seen.any():
+            p_world = (rays[seen] * depth[seen][:, None]) @ poses[i, :3, :3].T + poses[i, :3, 3]
+            low, high = np.minimum(low, p_world.min(axis=0)), np.maximum(high, p_world.max(axis=0))
+    if not np.isfinite(low).all():
+        raise InputError(reader.sequence.root, "depth", "readings; every pixel that was looked at has none")
+    return low - MARGIN, high + MARGIN
+
+
+def _rays(camera: Camera) -> np.ndarray:
+    """``K^-1 [i, j, 1]``, float64 ``(height, width, 3)``."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    homogeneous = np.stack([u, v, np.ones_like(u)], axis=-1)
+    return homogeneous @ np.linalg.inv(camera.K).T
+
+
+def ensure_map(
+    scene: str,
+    folder: Path,
+    *,
+    voxel: float,
+    seed: int,
+    poses: Poses = "recorded",
+    progress: Progress | None = None,
+) -> Path:
+    """The learned map of a scene under ``folder``: ``maps/NAME.npz``, from the drive in ``recordings/NAME``.
+
+    Both are kept; what is there already is used again if scene, seed, noise and tracer of the drive, the cell size and
+    the kind of poses are the same, else made anew. Nothing that this package did not make is replaced.
+
+    Args:
+        scene: built-in name or path of a scene file.
+        folder: of a sweep.
+        voxel: cell size, m.
+        seed: of the recorded drive.
+        poses: at which the images enter the map: see :func:`build_map`.
+        progress: told after every frame recorded and every frame mapped.
+
+    Raises:
+        InputError: a scene that cannot be used, or something of another origin where map or recording belong.
+    """
+    apartment = load_scene(scene)
+    name = Path(scene).stem
+    origin: dict[str, str | int] = {
+        "scene_hash": apartment.content_hash(),
+        "seed": seed,
+        "noise": NOISE,
+        "renderer": RaycastCamera.name,
+    }
+    map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
+    if map_file.exists():
+        found = read_metadata(map_file)
+        if "scene_hash" not in found:
+            raise InputError(map_file, "file", "a map that a sweep or bench made, or none")
+        if _agrees(found, origin | {"voxel": voxel, "poses": poses}):
+            return map_file
+    if recording.exists():
+        found = read_provenance(recording)
+        if "scene_hash" not in found:
+            raise InputError(recording, "folder", "a recording made by vssm-gym, or none")
+        if not _agrees(found, origin):
+            shutil.rmtree(recording)
+    if not recording.exists():
+        recording.parent.mkdir(parents=True, exist_ok=True)
+        record(scene, recording, noise=NOISE, seed=seed, progress=progress)
+    voxel_map = build_map(load_sequence(recording), voxel, progress, poses=poses)
+    map_file.parent.mkdir(parents=True, exist_ok=True)
+    voxel_map.save(map_file, **origin, voxel=voxel, poses=poses, package_version=package_version())
+    return map_file
+
+
+def map_hash(map_file: Path) -> str:
+    """16 hex digits of a map file's SHA-256; results name the map by it."""
+    return hashlib.sha256(map_file.read_bytes()).hexdigest()[:16]
+
+
+def _agrees(found: dict, wanted: dict) -> bool:
+    return all(found.get(key) == value for key, value in wanted.items())

@@ -1,0 +1,248 @@
+"""The folder that ``vssm-gym slam`` writes: the trajectory line by line, then map, mesh, ``stats.json`` and report."""
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TextIO
+
+import jax
+import numpy as np
+
+from vssm_gym.data.sequences import FrameReader, Sequence
+from vssm_gym.data.trajectories import tum_line
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+from vssm_gym.inference.status import Status
+from vssm_gym.output_folders import check_folder
+from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam.figures import STAGES
+from vssm_gym.slam.report import page
+from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, TrackedFrame, run_slam
+from vssm_gym.slam.states import Truth, calibration_summary
+from vssm_gym.version import package_version
+from vssm_gym.viz.mesh import surface_mesh, write_ply
+from vssm_gym.viz.stream import Viewer
+
+PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
+STATS, REPORT = "stats.json", "report.html"
+MOST_OUTSIDE = 0.5  # share of the readings outside the map that is worth a warning
+LATENCY_NOTE = (
+    "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
+    "the images, MAP, Laplace and velocity; map: the closed-form update, and moving the window where the camera leaves "
+    "it; anchor: rendering the map where the camera has left the last anchor; recover: aligning a lost image to the "
+    "map from several starts; the rest is shrinking the image and keeping keyframes. read: decoding, undistorting and "
+    "resizing, in a thread beside the filter; wait: the filter idle until the image is there. Frames on which a stage "
+    "ran for the first time, and was compiled, are left out"
+)
+OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # what an unfinished run leaves: the report comes last
+
+
+def process(
+    sequence: Sequence,
+    out: Path,
+    options: SlamOptions,
+    progress: Progress | None = None,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
+    viewer: Viewer | None = None,
+) -> dict[str, Any]:
+    """Run SLAM over a sequence and write everything to ``out``; returns what ``stats.json`` holds.
+
+    Each file appears whole or not at all. Where the run ends early, the poses of the finished frames stay in
+    ``trajectory.partial.txt``, and a later run may use the folder again.
+
+    Args:
+        sequence: the recording.
+        out: new or empty folder, or one that an unfinished run left.
+        options: image size, rate, grid, solver.
+        progress: told after every frame, and of every file.
+        on_frame: told of every frame as it is finished.
+        viewer: shows every frame, and the surface in the end.
+
+    Raises:
+        InputError: bad input; nothing is written before the first frame is done.
+    """
+    check_free(out)
+    start = time.perf_counter()
+    images = FrameReader(sequence, options.size)  # the viewer's own: the run keeps none of its images
+
+    def finished(frame: TrackedFrame) -> None:
+        file.append(frame)
+        if viewer:
+            pixels = images[frame.index]
+            viewer.frame(frame.time, frame.T_world_cam, *pixels, lost=frame.lost, step_ms=1e3 * frame.step_s)
+        if on_frame:
+            on_frame(frame)
+
+    with _TrajectoryFile(out) as file:
+        run = run_slam(sequence, options, finished, progress)
+    truth = Truth.of(run, sequence)
+    stats = summarise(run, sequence, options, time.perf_counter() - start, truth)
+    mesh = surface_mesh(run.map)
+    stats["map"] |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    if viewer:
+        viewer.surface(mesh)
+    writers = (
+        lambda: run.posterior.save(out / MAP, sequence=sequence.root.resolve().name, frames=len(run.frames)),
+        lambda: write_ply(out / MESH, mesh),
+        lambda: _write(out / STATS, json.dumps(stats, indent=1, allow_nan=False) + "\n"),
+        lambda: _write(out / REPORT, page(run, sequence, truth, mesh, stats, options.tracking)),
+    )
+    for done, write in enumerate(writers, start=1):
+        write()
+        if progress:
+            progress("writing", done, len(writers))
+    return stats
+
+
+def summarise(
+    run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float, truth: Truth | None
+) -> dict[str, Any]:
+    """What a reader needs to judge and repeat a run, as plain JSON values."""
+    frames = run.frames
+    fits = {
+        name: [value for frame in frames if (value := getattr(frame, name)) is not None and np.isfinite(value)]
+        for name in ("inlier_share", "coverage", "photometric", "in_grid")
+    }
+    camera = sequence.camera
+    K = camera.K
+    table = run.map.table
+    return {
+        "version": package_version(),
+        "machine": {
+            "processor": platform.machine(),
+            "cores": os.cpu_count(),
+            "jax": f"{jax.__version__} {jax.default_backend()}",
+        },
+        "sequence": sequence.root.resolve().name,
+        "config": _config(options),
+        "camera": {
+            "width": camera.width,
+            "height": camera.height,
+            "fx_fy_cx_cy": [float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
+            "distortion_k1_k2_p1_p2_k3": sequence.distortion.tolist(),
+            "depth_scale": sequence.depth_scale,
+        },
+        "notices": list(notices(run)),
+        "frames_recorded": len(sequence.frames),
+        "frames": len(frames),
+        "sequence_s": float(run.times[-1] - run.times[0]),
+        "run_s": seconds,
+        "lost": [{"index": f.index, "time": f.time, "status": f.status.message} for f in frames if f.lost],
+        "found_again": [{"index": f.index, "time": f.time} for f in frames if f.status is Status.RECOVERED],
+        "fit_median": {name: float(np.median(values)) if values else None for name, values in fits.items()},
+        "latency_ms": latency(frames),
+        "latency_note": LATENCY_NOTE,
+        "compiling_s": [f.step_s for f in frames if not f.warm and (f.stages or f.status is Status.OK)],
+        "map": {
+            "cells": int(np.prod(run.map.shape)),
+            "shape": list(run.map.shape),
+            "voxel": round(float(run.map.voxel_size), 6),
+            "storage": "dense" if table is None else "block-sparse",
+            "blocks_forgotten": sum(frame.left_window for frame in frames),
+        },
+        "errors": errors(run, sequence),
+        "calibration": calibration_summary(run, truth),
+    }
+
+
+def _config(options: SlamOptions) -> dict[str, Any]:
+    """Return the options as JSON, those that another method has left out."""
+    unused = {"voxel", "extent", "samples"} if options.method == "tracker" else set[str]()
+    shown = asdict(options) | {"size": "x".join(map(str, options.size)), "map": options.map and options.map.name}
+    return {name: value for name, value in shown.items() if value is not None and name not in unused}
+
+
+def notices(run: SlamRun) -> tuple[str, ...]:
+    """What was wrong with the input, and with the map's size and storage, a sentence each."""
+    found = list(run.notices)
+    outside = 1.0 - float(np.median([frame.in_grid for frame in run.frames]))
+    if outside > MOST_OUTSIDE:
+        why = "a larger --extent, or a depth scale that is wrong in camera.json"
+        found.append(f"{outside:.0%} of the depth readings lie outside the map's cube (median over frames): {why}?")
+    refused = 0 if run.map.table is None else int(run.map.table.refused)
+    if refused:
+        found.append(f"the map's storage is full: {refused:,} observations of blocks were left out; use larger voxels")
+    return tuple(found)
+
+
+def latency(frames: tuple[TrackedFrame, ...]) -> dict[str, dict[str, float]]:
+    """Milliseconds of the whole step, of each of its stages over the frames that needed it, and of the images."""
+    warm = [frame for frame in frames if frame.warm]
+    names = dict.fromkeys(stage for stage in STAGES for frame in warm if stage in frame.stages)
+    seconds = {"whole step": [frame.step_s for frame in warm]}
+    seconds |= {stage: [frame.stages[stage] for frame in warm if stage in frame.stages] for stage in names}
+    seconds |= {"read": [frame.read_s for frame in frames], "wait for image": [frame.wait_s for frame in frames[1:]]}
+    return {stage: percentiles(values) for stage, values in seconds.items() if values}
+
+
+def percentiles(seconds: list[float]) -> dict[str, float]:
+    """Median, 95th and 99th percentile, largest and mean, milliseconds, and how many."""
+    ms = 1e3 * np.asarray(seconds)
+    p50, p95, p99 = (float(value) for value in np.percentile(ms, (50, 95, 99)))
+    return {"p50": p50, "p95": p95, "p99": p99, "max": float(ms.max()), "mean": float(ms.mean()), "n": len(ms)}
+
+
+def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
+    """ATE and RPE as ``vssm-gym evaluate-trajectory`` prints them; None without truth, a reason where impossible."""
+    if sequence.truth is None:
+        return None
+    try:
+        return trajectory.evaluate(run.times, run.poses, *sequence.truth)
+    except InputError as error:
+        return {"impossible": str(error)}
+
+
+def check_free(out: Path) -> None:
+    """Refuse a folder that is neither new nor empty nor left by a run that did not end: nothing is ever overwritten.
+
+    Raises:
+        InputError: it holds a finished run, or something else.
+    """
+    if not out.exists():
+        check_folder(out)
+        return
+    if not out.is_dir() or not {path.name for path in out.iterdir()} <= OURS:
+        raise InputError(out, "folder", "a new or empty folder, or that of a run which did not end")
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+class _TrajectoryFile:
+    """One line a finished frame under a name that says "partial"; its real name once the run has ended."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self._file: TextIO | None = None
+
+    def append(self, frame: TrackedFrame) -> None:
+        """Write a frame's pose; the first one makes the folder and clears what an unfinished run left."""
+        if self._file is None:
+            try:
+                self.out.mkdir(parents=True, exist_ok=True)
+                for name in OURS:
+                    (self.out / name).unlink(missing_ok=True)
+                self._file = (self.out / PARTIAL).open("w", encoding="utf-8")
+            except OSError as error:
+                raise InputError(self.out, "folder", f"a folder that can be written ({error.strerror})") from error
+            self._file.write("# timestamp tx ty tz qx qy qz qw\n")
+        self._file.write(tum_line(frame.time, frame.T_world_cam))
+        self._file.flush()
+
+    def __enter__(self) -> "_TrajectoryFile":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is not None:
+            self._file.close()
+            if kind is None:
+                os.replace(self.out / PARTIAL, self.out / TRAJECTORY)

@@ -1,0 +1,437 @@
+"""SLAM over a recorded sequence: thin the frames, read them ahead, track and map, and keep how each frame went."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.data.sequences import FrameReader, Sequence
+from vssm_gym.data.trajectories import from_tum
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.alignment.residuals import AlignConfig
+from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.mapping.map_update import MapUpdateConfig
+from vssm_gym.inference.prism.config import HAND, PrismConfig
+from vssm_gym.inference.prism.filter import Prism
+from vssm_gym.inference.prism.imu_control import ImuControl
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking.camera_filter import SOLVERS, TrackingConfig, at_rest
+from vssm_gym.inference.tracking.localise import readable
+from vssm_gym.inference.tracking.map_tracker import MapTracker
+from vssm_gym.inference.tracking.recovery import RecoveryConfig
+from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import RIGID
+
+START_STD = 0.3  # m, rad: how well the tracker's start in a map is known
+PATIENCE = 3  # frames that may not fit the first one before the map starts anew
+AHEAD = 4  # images that are read while the filter works
+MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
+MAX_CELLS = 1_000_000_000  # a cell of a sparse cube costs a tenth of a byte until something is seen there
+SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation search has nothing left to shrink
+
+Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+
+
+@dataclass(frozen=True)
+class DepthKind:
+    """How the depth of one kind of sensor is trusted."""
+
+    align: AlignConfig
+    truncation: float = 2.0  # voxels behind a surface that an image updates
+    anchors: tuple[float, float] = (0.15, 0.15)  # m, rad: how long a reference view serves
+
+
+_HAND_HELD = TrackingConfig()
+DEPTHS = {
+    # Structured light, active stereo near by
+    "good": DepthKind(_HAND_HELD.align),
+    # Noisy stereo far away (PRISM): a wider band behind surfaces, geometry trusted less, colour more. A place far from
+    # the camera hides little when it moves half a metre: anchors serve longer, and the fewer there are, the less the
+    # images seen at them drift.
+    "stereo": DepthKind(
+        replace(_HAND_HELD.align, geo_sigma=0.02, geo_sigma_quadratic=0.005, rgb_weight=2.0, seen_weight=2.0),
+        4.0,
+        (0.5, 0.25),
+    ),
+}
+METHODS = ("prism", "tracker")
+
+
+@dataclass(frozen=True)
+class SlamOptions:
+    """What a run of ``vssm-gym slam`` is told; a value that makes no sense is an :class:`InputError`."""
+
+    size: tuple[int, int] = (160, 120)  # width, height that images are resized to, pixels
+    rate: float = 10.0  # frames a second at most
+    voxel: float = 0.07  # m
+    extent: float = 14.0  # m: edge of the cube that is mapped, around the first camera
+    solver: str = "gauss_newton"  # of the pose, a key of camera_filter.SOLVERS
+    samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty reaches the pose too
+    seed: int = 0
+    render_width: int = 160  # pixels: images are tracked at about this width
+    max_depth: float = 8.0  # m; farther readings are left out
+    depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
+    imu: bool = False  # whether the sequence's IMU drives the prior, in place of constant velocity
+    method: str = "prism"  # one of METHODS: map and track, or track in ``map``
+    map: Path | None = None  # of the tracker: the file of a learned map
+    start: tuple[float, ...] | None = (
+        None  # of the tracker: about where the first camera is in the map, x y z and qx qy qz qw
+    )
+
+    def __post_init__(self) -> None:
+        if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
+            low, high = ("x".join(map(str, size)) for size in (SMALLEST, LARGEST))
+            raise InputError("slam", "size", f"width x height between {low} and {high}, not {self.size}")
+        if not 0.0 < self.rate < np.inf:
+            raise InputError("slam", "rate", f"frames a second, above 0, not {self.rate}")
+        if not 0.0 < self.voxel <= 0.5:
+            raise InputError("slam", "voxel", f"a cell size in (0, 0.5] m, not {self.voxel}")
+        if not 10 * self.voxel <= self.extent < np.inf:
+            raise InputError("slam", "extent", f"at least 10 cells of {self.voxel} m, not {self.extent} m")
+        if self.cells > MAX_CELLS:
+            raise InputError(
+                "slam", "extent", f"at most {MAX_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels"
+            )
+        if self.solver not in SOLVERS:
+            raise InputError("slam", "solver", f"one of {', '.join(SOLVERS)}, not {self.solver!r}")
+        if self.method not in METHODS:
+            raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
+        if (self.method == "tracker") != (self.map is not None):
+            raise InputError("slam", "map", "a map file with method tracker, and none with another method")
+        if self.map is not None:
+            read_metadata(self.map)  # a file that is no map is said before the sequence is read
+        if self.imu and self.method == "tracker":
+            expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
+            raise InputError("slam", "imu", expected)
+        if self.start is not None and self.method != "tracker":
+            raise InputError("slam", "start", "a pose in a map, with method tracker: a new map begins at the camera")
+        if self.start is not None and not (
+            len(self.start) == 7 and np.isfinite(self.start).all() and 0.9 < np.linalg.norm(self.start[3:]) < 1.1
+        ):
+            raise InputError("slam", "start", f"x,y,z,qx,qy,qz,qw with a unit quaternion, not {self.start}")
+        if not 1 <= self.samples <= 15 or self.samples % 2 == 0:
+            raise InputError("slam", "samples", f"an odd number between 1 and 15, not {self.samples}")
+        if not 0.5 <= self.max_depth <= 100.0:
+            raise InputError("slam", "max-depth", f"metres between 0.5 and 100, not {self.max_depth}")
+        if self.depth not in DEPTHS:
+            raise InputError("slam", "depth", f"one of {', '.join(DEPTHS)}, not {self.depth!r}")
+        if not 0 <= self.seed < 2**32:
+            raise InputError("slam", "seed", f"between 0 and 2^32 - 1, not {self.seed}")
+        if not SMALLEST[0] <= self.render_width <= LARGEST[0]:
+            raise InputError(
+                "slam", "render-width", f"between {SMALLEST[0]} and {LARGEST[0]} pixels, not {self.render_width}"
+            )
+
+    @property
+    def cells(self) -> int:
+        """Of the cube that is mapped."""
+        return round(self.extent / self.voxel) ** 3
+
+    @property
+    def T_level_world(self) -> Float[np.ndarray, "4 4"] | None:
+        """The world turned so that z is up, as that of ``map build`` is; None where only a camera tells."""
+        return np.eye(4) if self.map is not None and "belief" not in read_metadata(self.map) else None
+
+    @property
+    def tracking(self) -> TrackingConfig:
+        """Of the pose."""
+        return TrackingConfig(align=DEPTHS[self.depth].align, solver=self.solver)
+
+    def filter(self, camera: Camera) -> Prism | MapTracker:
+        """Return the filter of the method for images of a camera that somebody holds."""
+        if self.method == "tracker":
+            return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth, self.render_width)
+        kind = DEPTHS[self.depth]
+        update = MapUpdateConfig(max_depth=self.max_depth, truncation=kind.truncation)
+        config = PrismConfig(
+            tracking=self.tracking,
+            update=update,
+            samples=self.samples,
+            track_width=self.render_width,
+            anchor_distance=kind.anchors[0],
+            anchor_angle=kind.anchors[1],
+        )
+        return Prism(Rig.of(camera), HAND, config)
+
+    def prior(self) -> Posterior:
+        """Return what is known before the first image: its camera is the world, or about where it is in the map."""
+        velocity = self.tracking.start_velocity
+        if self.map is not None:
+            T = np.eye(4) if self.start is None else from_tum(np.array(self.start))
+            return Posterior(
+                at_rest(RIGID, jnp.asarray(T), START_STD**2 * jnp.eye(6), velocity), VoxelMap.load(self.map)
+            )
+        cube = VoxelMap.cube if self.cells <= MAX_DENSE_CELLS else VoxelMap.sparse_cube
+        known = at_rest(RIGID, jnp.eye(4), 1e-8 * jnp.eye(6), velocity)
+        return Posterior(known, cube((0.0, 0.0, 0.0), self.extent, self.voxel))
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """How one frame went. The fit is None where there was nothing to align to: before and at the map's first frame."""
+
+    index: int  # in the sequence
+    time: float  # s, of its colour image
+    T_world_cam: Float[np.ndarray, "4 4"]  # float64; the world is the first camera's frame, or the tracker's map's
+    status: Status
+    inlier_share: float | None
+    coverage: float | None
+    photometric: float | None
+    in_grid: float  # share of its depth readings that lie in the grid; 1 where it has none
+    read_s: float  # reading, undistorting, resizing: in a thread beside the filter
+    wait_s: float  # that the filter waited for the image
+    step_s: float  # from the image to the pose and the updated map
+    stages: dict[str, float]  # s, of the stages that ran: track, recover, map, anchor
+    warm: bool  # everything that ran had been compiled before
+    velocity: Float[np.ndarray, "6"] | None  # linear (m/s) and angular (rad/s), world
+    covariance: Float[np.ndarray, "12 12"] | None  # of (translation, rotation) in the camera's tangent and velocity
+    left_window: int  # observed blocks that the map forgot, because the camera left its window
+
+    @property
+    def lost(self) -> bool:
+        """The frame fits nothing, and the map does not hold it."""
+        return not self.status.fits
+
+
+@dataclass(frozen=True)
+class SlamRun:
+    """The outcome of a run."""
+
+    frames: tuple[TrackedFrame, ...]
+    posterior: Posterior  # after the last frame
+    reader: FrameReader  # of the frames as the filter saw them
+    notices: tuple[str, ...]  # what was wrong with the input and what was done about it
+    T_level_world: Float[np.ndarray, "4 4"] | None  # the world turned so that z is up; None: unknown
+
+    @property
+    def map(self) -> VoxelMap:
+        """Mean and precision of the cells."""
+        assert self.posterior.map is not None
+        return self.posterior.map
+
+    @property
+    def times(self) -> Float[np.ndarray, "frames"]:
+        """Stamps, s."""
+        return np.array([frame.time for frame in self.frames])
+
+    @property
+    def poses(self) -> Float[np.ndarray, "frames 4 4"]:
+        """Estimated T_world_cam, the guesses of lost frames included."""
+        return np.stack([frame.T_world_cam for frame in self.frames])
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Which frames are lost, ``(frames,)`` bool."""
+        return np.array([frame.lost for frame in self.frames])
+
+
+def thin(times: Float[np.ndarray, "n"], rate: float) -> list[int]:
+    """Frames of a stream thinned to ``rate`` a second: over any ``w`` seconds at most ``w rate + 1.5``.
+
+    A frame may be early by half a period, and the next one is due as if it had not been: a camera that runs at ``rate``
+    keeps its frames whatever their jitter.
+
+    Args:
+        times: sorted stamps, s.
+        rate: frames a second.
+    """
+    period, due, kept = 1.0 / rate, -np.inf, []
+    for index, stamp in enumerate(times):
+        if stamp >= due - 0.5 * period:
+            kept.append(index)
+            due = max(float(stamp), due) + period
+    return kept
+
+
+def prefetch(reader: FrameReader, indices: list[int]) -> Generator[tuple[np.ndarray, np.ndarray, float], None, None]:
+    """RGB, depth and the seconds they took to read, in order, a few frames ahead of who asks."""
+
+    def read(index: int) -> tuple[np.ndarray, np.ndarray, float]:
+        start = time.perf_counter()
+        rgb, depth = reader[index]
+        return rgb, depth, time.perf_counter() - start
+
+    pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frame-reader")
+    try:
+        waiting = deque(pool.submit(read, index) for index in indices[:AHEAD])
+        for position in range(len(indices)):
+            frame = waiting.popleft().result()
+            if position + AHEAD < len(indices):
+                waiting.append(pool.submit(read, indices[position + AHEAD]))
+            yield frame
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def run_slam(
+    sequence: Sequence,
+    options: SlamOptions,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
+    progress: Progress | None = None,
+) -> SlamRun:
+    """Track and map a sequence, frame by frame.
+
+    The world is the first camera's frame and the map a cube around it; of the tracker it is its map's. Frames before
+    the first one that can be read are lost, and so are those before a new start: see ``_Tracker``.
+
+    Args:
+        sequence: the recording.
+        options: image size, rate, grid.
+        on_frame: told of every frame as it is finished.
+        progress: told after every frame.
+
+    Raises:
+        InputError: an image that cannot be read, or no depth reading in the whole sequence.
+    """
+    reader = FrameReader(sequence, options.size)
+    indices = thin(sequence.times, options.rate)
+    tracker = _Tracker(options, reader.camera, sequence)
+    frames: list[TrackedFrame] = []
+    with closing(prefetch(reader, indices)) as images:
+        asked = time.perf_counter()
+        for index, (rgb, depth, read_s) in zip(indices, images, strict=True):
+            wait_s = time.perf_counter() - asked
+            started = tracker.start
+            frame = tracker.frame(index, sequence.frames[index].time, rgb, depth, read_s, wait_s)
+            if tracker.start != started:  # what came before belongs to a map that is no more
+                frames = [replace(one, status=Status.LOST) if one.index == started else one for one in frames]
+            frames.append(frame)
+            if on_frame:
+                on_frame(frame)
+            if progress:
+                progress("tracking and mapping", len(frames), len(indices))
+            asked = time.perf_counter()
+    if tracker.state is None:
+        share = f"{options.tracking.min_reading:.0%}"
+        raise InputError(sequence.root, "depth", f"a frame with readings at {share} of its pixels; none has")
+    notices = (*sequence.notices, *reader.notices, *tracker.notices)
+    return SlamRun(tuple(frames), tracker.filter.posterior(tracker.state), reader, notices, options.T_level_world)
+
+
+class _Stages:
+    """A clock for :meth:`Filter.step`: how long each stage took, waiting for its outcome."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def __call__(self, stage: str, outcome: Any) -> Any:
+        jax.block_until_ready(outcome)
+        now = time.perf_counter()
+        self.seconds[stage], self._last = now - self._last, now
+        return outcome
+
+
+class _Tracker:
+    """The filter's state between frames; ``None`` before the first frame that can be read.
+
+    A map that starts from a bad image (too dark, hardly any depth, something in front of the camera) fits nothing that
+    follows: where none of ``PATIENCE`` readable frames fits the first one, the map starts anew.
+    """
+
+    def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
+        self.options, self.camera, self.sequence = options, camera, sequence
+        self.filter = options.filter(camera)
+        if options.imu and (sequence.T_body_cam is None or not len(sequence.imu)):
+            expected = "imu.txt, and T_body_cam in camera.json: the IMU was asked for"
+            raise InputError(sequence.root, "imu", expected)
+        self._imu: ImuControl | None = None
+        self.state: Any = None
+        self.notices: list[str] = []
+        self.stamp = 0.0  # s, of the last frame
+        self.start = 0  # the frame that the map started from
+        self._misses: int | None = (
+            0  # frames that did not fit since then; None: one did, or the map is not ours to restart
+        )
+        self._compiled: set[str] = set()  # stages that ran
+        v, u = np.mgrid[
+            2 : camera.height : 4, 2 : camera.width : 4
+        ]  # the middles of 4x4 pixels tell what share is inside
+        self._rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
+
+    def frame(
+        self, index: int, stamp: float, rgb: np.ndarray, depth: np.ndarray, read_s: float, wait_s: float
+    ) -> TrackedFrame:
+        """Localise and map one image."""
+        start, stages = time.perf_counter(), _Stages()
+        info = None
+        status = Status.OK
+        image = observe(rgb, depth)
+        if self.state is not None and (self._misses is None or self._misses < PATIENCE):
+            control, dt = self._control(self.state, stamp), stamp - self.stamp
+            self.state, info = self.filter.step(self.state, control, image, dt, clock=stages)
+            status = info.status
+            if status.fits:
+                self._misses = None
+            elif status is Status.LOST and self._misses is not None:
+                self._misses += 1
+        elif readable(image, self.options.tracking):
+            if self.state is not None:
+                text = f"frames {self.start} to {index - 1}: none fits the first; the map starts anew at frame {index}"
+                self.notices.append(text)
+            self.state = self.filter.init(self.options.prior(), image, jax.random.key(self.options.seed))
+            self.start, self._misses = index, 0 if self.options.method == "prism" else None
+            status = Status.LOST if self.state.lost else Status.OK
+            if self.options.imu:
+                assert self.sequence.T_body_cam is not None
+                self._imu = ImuControl(self.sequence.imu, self.sequence.T_body_cam, stamp)
+        else:
+            status = Status.NO_READING
+        jax.block_until_ready(self.state)
+        step_s = time.perf_counter() - start
+        self.stamp = stamp
+        warm = info is not None and stages.seconds.keys() <= self._compiled
+        self._compiled |= stages.seconds.keys()
+        belief = info.belief if info else None
+        agreement = info.agreement if info else None
+        T_world_cam = np.eye(4)
+        if self.state is not None:
+            mean = belief.mean if belief else self.filter.posterior(self.state).belief.mean
+            T_world_cam = np.asarray(mean.T_world_body, float)
+        return TrackedFrame(
+            index=index,
+            time=stamp,
+            T_world_cam=T_world_cam,
+            status=status,
+            inlier_share=float(agreement.inlier_share) if agreement else None,
+            coverage=float(agreement.coverage) if agreement else None,
+            photometric=float(agreement.photometric) if agreement else None,
+            in_grid=self._in_grid(depth, T_world_cam),
+            read_s=read_s,
+            wait_s=wait_s,
+            step_s=step_s,
+            stages=stages.seconds,
+            warm=warm,
+            velocity=np.asarray(belief.mean.velocity, float) if belief else None,
+            covariance=np.asarray(belief.covariance, float) if belief else None,
+            left_window=info.left_window if info else 0,
+        )
+
+    def _control(self, state: Any, stamp: float) -> jax.Array:
+        """Return what the IMU felt since the last image; zeros, constant velocity, without one."""
+        if self._imu is None:
+            return jnp.zeros(6)
+        moving = state.past.belief.mean
+        T_world_cam, velocity = np.asarray(moving.T_world_body), np.asarray(moving.velocity)
+        return jnp.asarray(self._imu(T_world_cam, velocity[3:], self.stamp, stamp), jnp.float32)
+
+    def _in_grid(self, depth: np.ndarray, T_world_cam: np.ndarray) -> float:
+        if self.state is None:
+            return 1.0
+        sampled = depth[2::4, 2::4]
+        read = (sampled > 0.0) & (sampled <= self.options.max_depth)
+        p_world = (self._rays[read] * sampled[read][:, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+        low, high = self.state.map.bounds
+        inside = ((p_world >= low) & (p_world <= high)).all(axis=-1)
+        return float(inside.mean()) if len(inside) else 1.0

@@ -1,0 +1,1 @@
+"""Train policies in a learned map or in the simulator, and evaluate them."""

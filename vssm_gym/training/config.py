@@ -1,0 +1,168 @@
+"""A training's configuration: which policy learns what, where, by which algorithm, and for how long."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from vssm_gym.errors import InputError
+from vssm_gym.yaml_file import as_tuple, distinct, read_yaml
+
+WORLD_MODEL, SIMULATOR = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"
+# Keywords that follow from what is trained
+FIXED = (
+    "camera",
+    "end_on",
+    "max_depth",
+    "observation",
+    "observe_pose",
+    "render_mode",
+    "robot",
+    "show_uncertainty",
+    "tasks",
+)
+
+Whole = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+Widths = Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], BeforeValidator(as_tuple), Field(max_length=8)]
+Inputs = Annotated[
+    tuple[Literal["scan", "goal", "pose", "pose_std"], ...],
+    BeforeValidator(as_tuple),
+    AfterValidator(distinct),
+    Field(min_length=1),
+]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class EnvironmentSettings(BaseModel):
+    """Where it learns: an environment's id, its map or scene, and any of its other keywords.
+
+    Relative paths start at the folder of the YAML file.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+
+    id: Literal["vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"] = "vssm_gym/WorldModelNav-v0"
+    map: str | None = None  # of WorldModelNav
+    scene: str | None = None  # of PointNav
+    num_envs: Whole = 256
+    max_episode_steps: Whole = 300
+    contact_cost: Annotated[float, Field(ge=0.0)] = 0.0  # of a step in contact, beside the environment's own reward
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Of the environment's constructor, beside those of this class."""
+        return dict(self.model_extra or {})
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "EnvironmentSettings":
+        wanted, other = ("map", "scene") if self.id == WORLD_MODEL else ("scene", "map")
+        if getattr(self, other) is not None:
+            raise ValueError(f"no {other!r}: {self.id} takes a {wanted}")
+        if taken := sorted(set(self.keywords) & set(FIXED)):
+            raise ValueError(f"no {taken[0]!r}: training sets it")
+        return self
+
+
+class PolicySettings(_Strict):
+    """What it sees and how its network is made; see :mod:`vssm_gym.agents.policy.features`."""
+
+    inputs: Inputs = ("scan", "goal", "pose")
+    frames: Annotated[int, Field(ge=1, le=64)] = 1
+    hidden: Widths = (128, 128)
+    activation: Literal["tanh", "relu"] = "tanh"
+
+    @model_validator(mode="after")
+    def _goal_seen(self) -> "PolicySettings":
+        if "goal" not in self.inputs:
+            raise ValueError("'goal' among the inputs: no policy finds what it is not told")
+        return self
+
+
+class PPOSettings(_Strict):
+    """Proximal policy optimisation (Schulman et al., 2017), stable-baselines3's."""
+
+    name: Literal["ppo"]
+    learning_rate: Positive = 5e-4
+    n_steps: Whole = 64
+    batch_size: Whole = 4096
+    n_epochs: Whole = 6
+    gamma: Share = 0.99
+    gae_lambda: Share = 0.95
+    clip_range: Positive = 0.2
+    ent_coef: Annotated[float, Field(ge=0.0)] = 0.002
+    vf_coef: Positive = 0.5
+    max_grad_norm: Positive = 0.5
+    log_std_init: float = -0.5
+
+
+class SACSettings(_Strict):
+    """Soft actor-critic (Haarnoja et al., 2018), stable-baselines3's."""
+
+    name: Literal["sac"]
+    learning_rate: Positive = 3e-4
+    buffer_size: Whole = 400_000
+    learning_starts: Whole = 10_000
+    batch_size: Whole = 1024
+    gamma: Share = 0.99
+    tau: Share = 0.005
+    train_freq: Whole = 1
+    gradient_steps: Whole = 2
+
+
+class BCSettings(_Strict):
+    """Behaviour cloning of A*: ``min sum |policy(x) - a|^2`` over what the expert did (Pomerleau, 1989)."""
+
+    name: Literal["bc"]
+    learning_rate: Positive = 1e-3
+    batch_size: Whole = 1024
+    epochs: Whole = 60
+
+
+class TrainingConfig(_Strict):
+    """One training: it ends after ``steps`` of all robots together, or after ``minutes``, whichever is first."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")]
+    environment: EnvironmentSettings
+    policy: PolicySettings = PolicySettings()
+    algorithm: Annotated[PPOSettings | SACSettings | BCSettings, Field(discriminator="name")]
+    steps: Whole
+    minutes: Positive | None = None
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+def load_training(path: Path, *, map_file: Path | None = None, seed: int | None = None) -> TrainingConfig:
+    """Read and check a training's YAML; ``map_file`` and ``seed`` replace what it says.
+
+    Raises:
+        InputError: no such file, not YAML, or a field that is unknown, missing or malformed.
+    """
+    config = read_yaml(path, TrainingConfig)
+    where = config.environment
+    if map_file is not None and where.id != WORLD_MODEL:
+        raise InputError(path, "map", f"no --map: {where.id} has a scene")
+    if map_file is None and where.map is not None:
+        map_file = path.parent / where.map
+    if config.algorithm.name == "bc" and where.id != WORLD_MODEL:
+        raise InputError(path, "environment.id", f"{WORLD_MODEL}: the expert plans in its map")
+    if where.id == WORLD_MODEL and map_file is None:
+        raise InputError(path, "environment.map", "a map file, here or as --map; `vssm-gym map build` makes one")
+    if where.id == SIMULATOR and where.scene is None:
+        raise InputError(path, "environment.scene", "a scene")
+    if map_file is not None:
+        where = where.model_copy(update={"map": str(map_file.resolve())})
+    changes: dict[str, Any] = {"environment": where} | ({} if seed is None else {"seed": seed})
+    return config.model_copy(update=changes)
+
+
+def training_hash(config: TrainingConfig, world_hash: str) -> str:
+    """16 hex digits of what decides a training: the configuration, and the map or scene by content, not by path."""
+    content = config.model_dump(mode="json")
+    content["environment"] |= {"map": world_hash, "scene": None}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

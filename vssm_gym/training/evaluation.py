@@ -1,0 +1,118 @@
+"""``evaluate POLICY``: a trained policy in the simulator, through the ordinary sweep, and beside it in imagination."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.envs.tasks.navigation import load
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.identity import scene_name
+from vssm_gym.eval.episodes.log import read_rows
+from vssm_gym.eval.metrics import aggregate
+from vssm_gym.eval.metrics.aggregate import Interval
+from vssm_gym.eval.sweep.config import SweepConfig, check_names
+from vssm_gym.eval.sweep.runner import run_sweep
+from vssm_gym.files import atomic_write
+from vssm_gym.slam.map_building import Progress
+from vssm_gym.training.imagined_episodes import imagine, real_return
+
+FILE = "evaluation.json"
+METRICS = ("spl", "success", "collisions", "return")
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Means over tasks with 95 % intervals, by metric.
+
+    Attributes:
+        label: the policy's name and hash.
+        real: in the simulator.
+        imagined: in the learned map; None where a task does not fit that map.
+        gap: imagined - real, paired by task; None likewise.
+        notice: why there is no imagined part; empty with one.
+    """
+
+    label: str
+    real: Mapping[str, Interval]
+    imagined: Mapping[str, Interval] | None
+    gap: Mapping[str, Interval] | None
+    notice: str
+
+
+def evaluate_policy(
+    policy: Path,
+    out: Path,
+    *,
+    scene: str,
+    tasks: int,
+    noise: str = "low",
+    map_file: Path | None = None,
+    resume: bool = False,
+    workers: int = 2,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Run the sweep and the imagined episodes; writes ``evaluation.json`` beside the sweep's own files.
+
+    Args:
+        policy: file of `vssm-gym train`.
+        out: new or empty folder, or that of the same evaluation with ``resume``.
+        scene: built-in name or path of a scene file.
+        tasks: the first so many test tasks.
+        noise: of execution.
+        map_file: to imagine in, such as the one trained in; None: the one that the sweep's agents are given.
+        resume: continue.
+        workers: processes.
+        seed: of the drive that the map is learned from, and of imagination.
+        progress: told as by :func:`vssm_gym.eval.sweep.runner.run_sweep`.
+
+    Raises:
+        InputError: what the sweep says, or a file that is no policy.
+    """
+    agent = f"{policy_file.PREFIX}{policy.resolve()}"
+    config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)))
+    check_names(config, "evaluate")
+    log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, progress=progress)
+    rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
+    task_file, given_map = files_of(out, scene)
+    set_ = load(task_file).tasks[:tasks]
+    try:
+        found = imagine(policy_file.load(str(policy)), map_file or given_map, set_, noise, seed)
+    except InputError as error:
+        evaluation = Evaluation(policy_file.agent_label(agent), _means(rows), None, None, str(error))
+    else:
+        same = {key: rows[0][key] for key in (*aggregate.CONDITION, "agent", "seed")}
+        imagined = [{**same, **row, "world": "imagined"} for row in found]
+        pairs = [*rows, *imagined]
+        gap = {metric: aggregate.paired_difference(pairs, metric, "imagined", "real", by="world") for metric in METRICS}
+        evaluation = Evaluation(rows[0]["agent"], _means(rows), _means(imagined), gap, "")
+    with atomic_write(out / FILE) as temporary:
+        temporary.write_text(json.dumps(_plain(evaluation), indent=1) + "\n", encoding="utf-8")
+    return evaluation
+
+
+def files_of(out: Path, scene: str) -> tuple[Path, Path]:
+    """Where the sweep of an evaluation keeps its tasks, and the map that it gives to agents."""
+    name = scene_name(scene)
+    return out / "tasks" / f"{name}-holonomic.json", out / "maps" / f"{name}.npz"
+
+
+def _means(rows: list[dict[str, Any]]) -> dict[str, Interval]:
+    return {metric: aggregate.mean(rows, metric) for metric in METRICS}
+
+
+def _plain(evaluation: Evaluation) -> dict[str, Any]:
+    """As JSON has it: [mean, low, high], null for what one task leaves unknown."""
+    known = lambda value: value if math.isfinite(value) else None
+    numbers = lambda means: means and {k: [known(v) for v in (i.mean, i.low, i.high)] for k, i in means.items()}
+    return {
+        "policy": evaluation.label,
+        "real": numbers(evaluation.real),
+        "imagined": numbers(evaluation.imagined),
+        "gap": numbers(evaluation.gap),
+        "notice": evaluation.notice,
+    }

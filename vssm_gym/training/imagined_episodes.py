@@ -1,0 +1,126 @@
+"""A policy's episodes in imagination: the tasks of a sweep, driven in the learned map, judged by the same rules.
+
+    return = max(0, l - r) - 0.01 steps + 2.5 success,   l geodesic of the start, r what is left of it at the end
+
+That is PointNav's dense reward but for how it counts the last metres inside the success region, and both worlds' rows
+have it, so that ``imagined - real`` of a task is how much too well the model thinks of the policy.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vssm_gym.agents.policy.agent import stop_radius
+from vssm_gym.agents.policy.features import features, size_of
+from vssm_gym.agents.policy.file import Policy
+from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.tasks.navigation import Task
+from vssm_gym.eval.metrics.navigation import spl
+from vssm_gym.inference.status import Status
+from vssm_gym.training.config import EnvironmentSettings
+from vssm_gym.training.environment import make_observing
+
+STEPS = 500  # PointNav's time limit
+POSE_STD = (0.02, 0.02, 0.01)  # m, m, rad: the estimate's error in imagination
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Look:
+    """One step of n imagined robots as a spectator sees it: they have seen and decided, nothing has moved yet.
+
+    Attributes:
+        number: steps before it.
+        planar: ``(n, 3)`` where they are in imagination: x, y (m), heading (rad).
+        observation: of n robots: ``scan``, ``goal`` and ``pose``, which is the estimate.
+        collision: ``(n,)`` whether they touched something in the step before.
+        stop: ``(n,)`` whether they stop.
+    """
+
+    number: int
+    planar: np.ndarray
+    observation: dict[str, np.ndarray]
+    collision: np.ndarray
+    stop: np.ndarray
+
+
+def imagine(
+    policy: Policy,
+    map_file: Path,
+    tasks: Sequence[Task],
+    noise: str,
+    seed: int = 0,
+    spectator: Callable[[Look], None] | None = None,
+) -> list[Row]:
+    """One imagined episode of each task: ``task, success, spl, steps, collisions, path_length, return``.
+
+    Task number i draws from the stream of ``seed + i``, whatever the others are. The spectator is shown every step
+    until the last episode has ended; those that ended before have begun others.
+
+    Raises :class:`InputError` where a task does not fit the map.
+    """
+    n = len(tasks)
+    settings = EnvironmentSettings(map=str(map_file), num_envs=n, max_episode_steps=STEPS)
+    uncertain = "pose_std" in policy.spec.parts
+    env: Any = make_observing(
+        settings, noise=noise, pose_std=POSE_STD, tasks=list(tasks), end_on="stop", show_uncertainty=uncertain
+    )
+    observation, _ = env.reset(seed=seed, options={"task": np.arange(n)})
+    spec, radius = policy.spec, env.success_radius
+    farther = radius - stop_radius(radius, Localization(np.zeros(3), np.array(POSE_STD), Status.OK))
+    seen = np.zeros((n, spec.frames, size_of(spec.parts)), np.float32)
+    at = env.planar[:, :2]
+    way, gained = np.zeros(n), np.zeros(n)
+    steps, collisions = np.zeros(n, int), np.zeros(n, int)
+    success, running = np.zeros(n, bool), np.ones(n, bool)
+    touched, number = np.zeros(n, bool), 0
+    while running.any():
+        goal = observation["goal"].astype(np.float64)
+        goal[:, 0] += farther
+        seen = np.roll(seen, -1, axis=1)
+        seen[:, -1] = features({**observation, "goal": goal}, spec.parts)
+        stop = goal[:, 0] <= radius
+        action = np.concatenate([policy(seen.reshape(n, -1)), stop[:, None]], axis=1)
+        if spectator is not None:
+            spectator(Look(number, env.planar, observation, touched, stop))
+        observation, reward, terminated, truncated, infos = env.step(action.astype(np.float32))
+        touched, number = np.asarray(infos["collision"]), number + 1
+        now = env.planar[:, :2]
+        way += np.where(running, np.linalg.norm(now - at, axis=1), 0.0)
+        gained += np.where(running, reward, 0.0)
+        steps += running
+        collisions += running & infos["collision"]
+        success |= running & terminated & np.asarray(infos.get("success", np.zeros(n)), bool)
+        running &= ~(terminated | truncated)
+        at = now
+    away = np.asarray(env.world.pool.geodesic, np.float64)[:n]  # m to the goal itself; beyond is padding
+    left = away - (gained + STEP_COST * steps - SUCCESS_REWARD * success)
+    geodesic = np.array([task.geodesic for task in tasks])
+    remaining = np.where(success, 0.0, np.maximum(0.0, left - radius))
+    return [
+        {
+            "task": task.id,
+            "success": bool(success[i]),
+            "spl": float(spl(success[i], geodesic[i], way[i])),
+            "steps": int(steps[i]),
+            "collisions": int(collisions[i]),
+            "path_length": float(way[i]),
+            "return": _return(geodesic[i] - remaining[i], int(steps[i]), bool(success[i])),
+        }
+        for i, task in enumerate(tasks)
+    ]
+
+
+def real_return(row: Row) -> float:
+    """The return of an episode of a sweep: its SoftSPL is ``max(0, l - r) / max(p, l)``."""
+    progress = row["soft_spl"] * max(row["path_length"], row["geodesic"])
+    return _return(progress, row["steps"], row["success"])
+
+
+def _return(progress: float, steps: int, success: bool) -> float:
+    return float(max(0.0, progress) - STEP_COST * steps + SUCCESS_REWARD * success)

@@ -1,0 +1,273 @@
+"""``curves RUN ...``: how fast trainings learn, by wall-clock time and by steps, with intervals over seeds (SPEC 10).
+
+    c(t) = mean over seeds of y_seed(t),   y_seed linear between the lines of progress.jsonl
+
+Trainings of one name are one curve, and what is resampled for its 95 % interval is the seed. It is drawn where all of
+its seeds are known. A line counts from the step on at which every robot has had the time for one whole episode: before,
+only fast episodes have ended, and nearly all of those succeeded.
+"""
+
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean
+from vssm_gym.eval.report.figures import PALETTE
+from vssm_gym.files import atomic_write
+from vssm_gym.output_folders import check_file
+from vssm_gym.training.run import read_progress
+from vssm_gym.training.train import MANIFEST, PROGRESS
+from vssm_gym.viz import pictures
+
+SHARES = (0.5, 0.9)  # of success, whose times are told
+POINTS = 121  # of a curve
+KINDS = (".svg", ".png")
+DPI = 150
+MEASURES: dict[str, str] = {"success": "success rate", "returns": "return of an episode"}
+AXES: dict[str, str] = {"minutes": "minutes of training", "steps": "steps of all robots"}
+
+Axis = Literal["minutes", "steps"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """One folder of ``vssm-gym train``, its lines that count.
+
+    Attributes:
+        folder: of the training.
+        name: the configuration's.
+        seed: the configuration's.
+        of: what else decided it, as JSON: the configuration without the seed, and the hash of map or scene.
+        minutes, steps: at each line, neither ever falling.
+        success, returns: means over the last episodes.
+    """
+
+    folder: Path
+    name: str
+    seed: int
+    of: str
+    minutes: Float[np.ndarray, "n"]
+    steps: Float[np.ndarray, "n"]
+    success: Float[np.ndarray, "n"]
+    returns: Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """``x`` is minutes or steps; ``low`` and ``high`` are NaN with one seed."""
+
+    x: Float[np.ndarray, "n"]
+    mean: Float[np.ndarray, "n"]
+    low: Float[np.ndarray, "n"]
+    high: Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What the table says of trainings of one name.
+
+    Attributes:
+        name: theirs.
+        seeds: how many.
+        minutes, steps: medians over seeds until success first was each of SHARES; infinite where half never were.
+        reached: how many ever were.
+        last: success where the curve by minutes ends.
+    """
+
+    name: str
+    seeds: int
+    minutes: tuple[float, ...]
+    steps: tuple[float, ...]
+    reached: tuple[int, ...]
+    last: Interval
+
+
+def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: float | None = None) -> list[Speed]:
+    """Draw the trainings in ``folders`` to ``out`` (.svg or .png).
+
+    Args:
+        folders: of ``vssm-gym train``, finished or not.
+        out: the picture.
+        seed: of the resampling.
+        minutes: where that axis ends; None: with the longest training.
+
+    Raises:
+        InputError: a folder that holds no training, nothing that counts in it, trainings of one name that are not
+            seeds of one configuration; a file that cannot be written.
+    """
+    if out.suffix.lower() not in KINDS:
+        raise InputError(out, "file", f"a name that ends in {' or '.join(KINDS)}")
+    check_file(out)
+    if minutes is not None and not (math.isfinite(minutes) and minutes > 0.0):
+        raise InputError("curves", "minutes", f"more than 0; found {minutes:g}")
+    groups = grouped([read_training(folder) for folder in folders])
+    drawn = figure(groups, seed, minutes)
+    if out.suffix.lower() == ".svg":
+        content = pictures.svg(drawn)
+    else:
+        buffer = io.BytesIO()
+        drawn.savefig(buffer, format="png", dpi=DPI)
+        content = buffer.getvalue()
+    with atomic_write(out) as temporary:
+        temporary.write_bytes(content)
+    return [speed(name, group, seed) for name, group in groups.items()]
+
+
+def read_training(folder: Path) -> Training:
+    """The training of a folder, finished or not; raises like :func:`write_curves`."""
+    manifest = folder / MANIFEST
+    try:
+        told = json.loads(manifest.read_text(encoding="utf-8"))
+        config, world = dict(told["config"]), told["world_hash"]
+        name, number = str(config["name"]), int(config.pop("seed"))
+        where = dict(config["environment"])
+        whole = int(where["num_envs"]) * int(where["max_episode_steps"])
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(folder, "folder", f"a folder of `vssm-gym train`, which has a {MANIFEST}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(manifest, "file", "the JSON that `vssm-gym train` wrote") from error
+    config["environment"] = {key: value for key, value in where.items() if key not in ("map", "scene")}
+    lines = [line for line in _lines(folder / PROGRESS) if line["steps"] >= whole and line["success"] is not None]
+    if len(lines) < 2:
+        since = f"a first episode of all robots has ended ({whole:,} steps)"
+        expected = f"two lines with a success rate at least, written after {since}; found {len(lines)}"
+        if config.get("algorithm", {}).get("name") == "bc":
+            expected = "a training that drives while it learns; cloning (bc) has no success rate until it is evaluated"
+        raise InputError(folder / PROGRESS, "success", expected)
+    seconds, steps, success, returns = (
+        np.array([line[key] for line in lines], np.float64) for key in ("seconds", "steps", "success", "return")
+    )
+    of = json.dumps([config, world], sort_keys=True)
+    return Training(folder, name, number, of, seconds / 60.0, steps, success, returns)
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    """All of ``progress.jsonl``, checked."""
+    try:
+        lines = read_progress(path)
+    except OSError as error:
+        raise InputError(path, "file", "the progress of a training; `vssm-gym train` writes it") from error
+    except ValueError as error:
+        raise InputError(path, "file", f"one JSON object a line ({error})") from error
+    before = (0.0, 0.0)
+    for number, line in enumerate(lines, 1):
+        if not isinstance(line, dict) or not all(_is_number(line.get(key)) for key in ("seconds", "steps")):
+            raise InputError(path, f"line {number}", "numbers as seconds and steps")
+        unknown = line.get("success") is None and line.get("return") is None
+        if not unknown and not (_is_number(line.get("return")) and _is_number(line.get("success"))):
+            raise InputError(path, f"line {number}", "numbers as success and return, or null as both")
+        now = float(line["seconds"]), float(line["steps"])
+        if now[0] < before[0] or now[1] < before[1]:
+            raise InputError(path, f"line {number}", "seconds and steps that do not fall")
+        before = now
+    return [{"success": None, "return": None, **line} for line in lines]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def grouped(trainings: Sequence[Training]) -> dict[str, list[Training]]:
+    """By name, in the order in which names first appear; raises :class:`InputError` where one is no set of seeds."""
+    groups: dict[str, list[Training]] = {}
+    for one in trainings:
+        groups.setdefault(one.name, []).append(one)
+    for group in groups.values():
+        for i, one in enumerate(group):
+            if one.of != group[0].of:
+                expected = f"a name of its own: its configuration or its map is not that of {group[0].folder}"
+                raise InputError(one.folder / MANIFEST, "name", f"{expected}; both are {one.name!r}")
+            if twin := next((other for other in group[:i] if other.seed == one.seed), None):
+                raise InputError(one.folder / MANIFEST, "seed", f"another than {one.seed}, that of {twin.folder}")
+    if not groups:
+        raise InputError("curves", "RUN", "a folder of `vssm-gym train` at least")
+    return groups
+
+
+def curve(group: Sequence[Training], measure: str, axis: Axis, seed: int = 0) -> Curve:
+    """The mean of ``measure`` over the seeds of a group, where all of them are known.
+
+    Raises :class:`InputError` where they never are at the same time.
+    """
+    low = max(float(getattr(one, axis)[0]) for one in group)
+    high = min(float(getattr(one, axis)[-1]) for one in group)
+    if not low < high:
+        expected = f"seeds that are known over the same {axis}; all of them from {low:g} on, but one ends at {high:g}"
+        raise InputError("curves", group[0].name, expected)
+    x = (np.linspace if axis == "minutes" else np.geomspace)(low, high, POINTS)
+    each = np.array([np.interp(x, getattr(one, axis), getattr(one, measure)) for one in group])
+    seeds = [one.seed for one in group]
+    found = [bootstrap_mean(values.tolist(), seeds, seed) for values in each.T]
+    return Curve(x, *(np.array([getattr(one, name) for one in found]) for name in ("mean", "low", "high")))
+
+
+def speed(name: str, group: Sequence[Training], seed: int = 0) -> Speed:
+    """How fast the trainings of a group were."""
+    times = np.array([[time_to(one, share) for share in SHARES] for one in group])  # (seeds, shares, 2)
+    middle = np.median(times, axis=0)
+    end = min(float(one.minutes[-1]) for one in group)
+    last = [float(np.interp(end, one.minutes, one.success)) for one in group]
+    return Speed(
+        name,
+        len(group),
+        tuple(middle[:, 0].tolist()),
+        tuple(middle[:, 1].tolist()),
+        tuple(np.isfinite(times[..., 0]).sum(axis=0).tolist()),
+        bootstrap_mean(last, [one.seed for one in group], seed),
+    )
+
+
+def time_to(training: Training, share: float) -> tuple[float, float]:
+    """Minutes and steps until success first was ``share``, linear between lines; infinite where it never was."""
+    there = np.flatnonzero(training.success >= share)
+    if len(there) == 0:
+        return math.inf, math.inf
+    i = int(there[0])
+    if i == 0:
+        return float(training.minutes[0]), float(training.steps[0])
+    before, now = training.success[i - 1 : i + 1]
+    part = (share - before) / (now - before)
+    minutes, steps = (float(a[i - 1] + part * (a[i] - a[i - 1])) for a in (training.minutes, training.steps))
+    return minutes, steps
+
+
+def figure(groups: Mapping[str, Sequence[Training]], seed: int = 0, minutes: float | None = None) -> Figure:
+    """Success above return; against minutes on the left, against steps (logarithmic) on the right."""
+    drawn = Figure(figsize=(11.5, 6.4), layout="constrained")
+    panels = drawn.subplots(2, 2, sharex="col", sharey="row")
+    for line, (measure, label) in zip(panels, MEASURES.items(), strict=True):
+        for axes, axis in zip(line, AXES, strict=True):
+            for number, (name, group) in enumerate(groups.items()):
+                seeds = f"{len(group)} seeds" if len(group) > 1 else "1 seed"
+                found = curve(group, measure, axis, seed)  # type: ignore[arg-type]
+                _draw(axes, found, PALETTE[number % len(PALETTE)], f"{name} ({seeds})")
+            axes.grid(alpha=0.3, linewidth=0.5)
+            axes.spines[["top", "right"]].set_visible(False)
+        line[0].set_ylabel(label)
+    for axes, label in zip(panels[1], AXES.values(), strict=True):
+        axes.set_xlabel(label)
+    panels[1, 1].set_xscale("log")
+    panels[1, 0].set_xlim(0.0, minutes)
+    panels[0, 0].set_ylim(-0.03, 1.03)
+    for axes in panels[0]:
+        for share in SHARES:
+            axes.axhline(share, color="0.4", linewidth=0.6, linestyle=pictures.DASHES, zorder=1)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    drawn.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    return drawn
+
+
+def _draw(axes: Axes, found: Curve, colour: str, label: str) -> None:
+    axes.plot(found.x, found.mean, color=colour, linewidth=1.6, label=label)
+    if np.isfinite(found.low).all():
+        axes.fill_between(found.x, found.low, found.high, color=colour, alpha=0.18, linewidth=0)

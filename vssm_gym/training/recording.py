@@ -1,0 +1,215 @@
+"""One task driven twice by one policy, in the simulator and in the learned map: what a video shows beside each other.
+
+Both begin at the task's start and end where the policy stops or time is out. The simulator's is the sweep's episode of
+that task over again; the imagined one has the random stream that ``evaluate`` gives it among all tasks.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.registry import make_agent
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.tasks.navigation import Task, load
+from vssm_gym.eval.episodes.identity import scene_name
+from vssm_gym.eval.protocols import pointnav as pointnav_course
+from vssm_gym.eval.protocols.episode import Step
+from vssm_gym.eval.sweep.config import SweepConfig, expand
+from vssm_gym.eval.video.recording import Plan
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.scan import BEAMS, scan_of
+from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import render
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+from vssm_gym.slam.map_building import Progress
+from vssm_gym.training.evaluation import files_of
+from vssm_gym.training.imagined_episodes import STEPS, Look, imagine
+from vssm_gym.viz import pictures
+
+CELL = 0.025  # m, of the simulator's floor plan
+AROUND = 0.3  # m beside it
+ROBOT = HolonomicRobot()
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One moment of a run.
+
+    Attributes:
+        seconds: since the start.
+        planar: where the robot is: x, y (m), heading (rad).
+        believed: where the policy is told that it is.
+        hits: where the rays of its scan end, world, m; those without a reading are left out.
+        image: what its camera sees; in imagination what the belief would look like from there.
+        touched: steps in contact so far.
+        status: what the agent says.
+    """
+
+    seconds: float
+    planar: Float[np.ndarray, "3"]
+    believed: Float[np.ndarray, "3"]
+    hits: Float[np.ndarray, "n 2"]
+    image: UInt8[np.ndarray, "height width 3"]
+    touched: int
+    status: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One of the two.
+
+    Attributes:
+        moments: one a step, the one of the stop among them.
+        plan: of the floor, at the heights of the robot's body.
+        success: whether it stopped at the goal.
+        ending: how it ended, in words.
+    """
+
+    moments: tuple[Moment, ...]
+    plan: Plan
+    success: bool
+    ending: str
+
+    def path(self, name: str, n: int) -> Float[np.ndarray, "n 2"]:
+        """``planar`` or ``believed`` of the first ``n`` moments, m."""
+        return np.array([getattr(moment, name)[:2] for moment in self.moments[:n]])
+
+
+@dataclass(frozen=True)
+class Both:
+    """One task, twice; ``label`` is the policy's name and hash, ``success_radius`` in m."""
+
+    label: str
+    scene: str
+    task: Task
+    success_radius: float
+    real: Run
+    imagined: Run
+
+    def __len__(self) -> int:
+        return max(len(self.real.moments), len(self.imagined.moments))
+
+
+def record_both(
+    policy: Path,
+    out: Path,
+    *,
+    scene: str,
+    task: int,
+    noise: str = "low",
+    map_file: Path | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Both:
+    """Drive one task of an evaluation in both worlds.
+
+    Args:
+        policy: file of `vssm-gym train`.
+        out: folder of :func:`vssm_gym.training.evaluation.evaluate_policy`, which has run with the same arguments.
+        scene: built-in name or path of a scene file.
+        task: number of the test task.
+        noise: of execution.
+        map_file: to imagine in; None: the one that the sweep's agents are given.
+        seed: of imagination.
+        progress: told ("driving" | "imagining", done, total).
+
+    Raises:
+        InputError: a task that does not fit the map.
+    """
+    task_file, given_map = files_of(out, scene)
+    wanted = load(task_file).tasks[task]
+    # First what may be refused
+    imagined = _imagined(policy, map_file or given_map, wanted, noise, seed + task, progress)
+    agent = f"{policy_file.PREFIX}{policy.resolve()}"
+    config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=(task,))
+    real = _real(config, task_file, VoxelMap.load(given_map), progress)
+    radius = policy_file.load(str(policy)).spec.success_radius
+    return Both(policy_file.agent_label(agent), scene_name(scene), wanted, radius, real, imagined)
+
+
+def _real(config: SweepConfig, task_file: Path, m: VoxelMap, progress: Progress | None) -> Run:
+    (episode,) = expand(config)
+    agent: Any = make_agent(episode.agent)
+    spec, moments, touched = agent.policy.spec, [], 0
+
+    def see(step: Step) -> None:
+        nonlocal touched
+        touched += bool(step.info["collision"])
+        assert step.decision.pose is not None
+        hits = ray_ends(step.planar, scan_of(step.observation["depth"], spec.max_depth), spec.hfov)
+        image, status = np.array(step.observation["rgb"]), step.decision.status
+        moments.append(Moment(step.seconds, step.planar, step.decision.pose, hits, image, touched, status))
+        if progress:
+            progress("driving", step.number, STEPS)
+
+    row = pointnav_course.run(episode, agent, task_file, m, see)
+    if progress:
+        progress("driving", STEPS, STEPS)
+    ending = "arrived" if row["success"] else str(row["failure"])
+    return Run(tuple(moments), true_plan(episode.condition.scene), bool(row["success"]), ending)
+
+
+def _imagined(policy: Path, map_file: Path, task: Task, noise: str, seed: int, progress: Progress | None) -> Run:
+    network, moments, touched = policy_file.load(str(policy)), [], 0
+    m, looks, hfov = VoxelMap.load(map_file), [], network.spec.hfov
+
+    def see(look: Look) -> None:
+        looks.append(look)
+        if progress:
+            progress("imagining", look.number, STEPS)
+
+    (row,) = imagine(network, map_file, [task], noise, seed, see)
+    for look in looks:
+        planar, believed = (np.asarray(a[0], np.float64) for a in (look.planar, look.observation["pose"]))
+        touched += bool(look.collision[0])
+        hits = ray_ends(planar, look.observation["scan"][0], hfov)
+        status = "arrived" if look.stop[0] else "driving"
+        image = _seen(m, planar, hfov)
+        moments.append(Moment(look.number * ROBOT.dt, planar, believed, hits, image, touched, status))
+    if progress:
+        progress("imagining", STEPS, STEPS)
+    away = float(np.linalg.norm(moments[-1].planar[:2] - task.goal))
+    failure = f"{'stopped outside' if looks[-1].stop[0] else 'time out'}: {away:.2f} m from the goal"
+    return Run(tuple(moments), Plan.of(m), row["success"], "arrived" if row["success"] else failure)
+
+
+def ray_ends(planar: Float[np.ndarray, "3"], scan: Float[np.ndarray, "beams"], hfov: float) -> Float[np.ndarray, "n 2"]:
+    """World points, m, of a scan's readings; the camera stands on the robot's axis and looks ahead.
+
+    Ray k is left of the middle by ``tan(hfov / 2) (1 - 2 (k + 1/2) / 64)`` a metre of depth
+    (:mod:`vssm_gym.geometry.scan`).
+    """
+    left = math.tan(0.5 * hfov) * (1.0 - 2.0 * (np.arange(BEAMS) + 0.5) / BEAMS)
+    read = scan > 0.0
+    ahead, aside = scan[read], (left * scan)[read]
+    c, s = math.cos(planar[2]), math.sin(planar[2])
+    return planar[:2] + np.stack([c * ahead - s * aside, s * ahead + c * aside], axis=-1)
+
+
+def true_plan(scene: str) -> Plan:
+    """The simulator's floor plan at the robot's height; what lies off the floor is UNKNOWN."""
+    space = FreeSpace.from_apartment(load_scene(scene), ROBOT.radius, ROBOT.height)
+    low, high = (np.array(space.region.bounds[i : i + 2]) + sign * AROUND for i, sign in ((0, -1.0), (2, 1.0)))
+    n = np.ceil((high - low) / CELL).astype(int)
+    axes = [low[a] + CELL * (np.arange(n[a]) + 0.5) for a in range(2)]
+    xy = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    solid, free = space.distance_to_solid(xy) == 0.0, space.distance_to_obstacle(xy) > 0.0
+    cells = np.where(solid, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
+    return Plan(cells, low + 0.5 * CELL, CELL)
+
+
+def _seen(m: VoxelMap, planar: np.ndarray, hfov: float) -> UInt8[np.ndarray, "height width 3"]:
+    """The mean map from the robot's camera; grey where nothing was observed."""
+    T_world_cam = planar_to_matrix(jnp.asarray(planar, jnp.float32)) @ jnp.asarray(ROBOT.T_body_cam, jnp.float32)
+    seen = render(m, T_world_cam, Camera.from_hfov(160, 120, hfov))
+    rgb = np.where(np.asarray(seen.known)[..., None], np.asarray(seen.rgb), pictures.UNKNOWN_COLOUR)
+    return np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8)

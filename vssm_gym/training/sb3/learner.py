@@ -1,0 +1,195 @@
+"""PPO and SAC of stable-baselines3 on vectors of features: made, run, kept, and their networks taken out.
+
+A checkpoint is written by ``torch.save`` and read with ``weights_only=True``: parameters, optimisers, counters and the
+states of the random generators, no code. stable-baselines3's own ``.zip`` files hold pickles and are not used.
+"""
+
+import importlib.util
+import io
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecMonitor
+from torch import nn
+
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+from vssm_gym.training.sb3.vec_env import SB3VecEnv
+
+WINDOW = 500  # episodes that means are taken over
+LEAST_RATE = 0.05  # of the learning rate, in the end
+ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
+REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How far a training is.
+
+    Attributes:
+        steps: of all robots together.
+        episodes: that the means are taken over, at most WINDOW; they are None with none.
+        mean_return, mean_length: of an episode.
+        success: share of them.
+    """
+
+    steps: int
+    episodes: int
+    mean_return: float | None
+    mean_length: float | None
+    success: float | None
+
+
+def wrapped(env: VectorEnv, frames: int) -> VecEnv:
+    """A vector environment as stable-baselines3 steps it, the last ``frames`` observations at once."""
+    monitored = VecMonitor(SB3VecEnv(env))
+    return VecFrameStack(monitored, frames) if frames > 1 else monitored
+
+
+def make_model(
+    algorithm: str,
+    env: VecEnv,
+    hidden: Sequence[int],
+    activation: str,
+    seed: int,
+    settings: Mapping[str, Any],
+    share: Callable[[], float],
+    log_folder: Path,
+) -> BaseAlgorithm:
+    """``ppo`` or ``sac`` with an MLP for the policy and one like it for the values.
+
+    Args:
+        algorithm: ``ppo`` or ``sac``.
+        env: of :func:`wrapped`; actions in [-1, 1].
+        hidden: widths of the hidden layers.
+        activation: between them, ``tanh`` or ``relu``.
+        seed: of network, exploration and environments.
+        settings: the algorithm's own arguments; the learning rate falls linearly to LEAST_RATE of it, and
+            ``log_std_init`` is PPO's first standard deviation.
+        share: of the training that is done, in [0, 1].
+        log_folder: for TensorBoard's events where it is installed, else for ``progress.csv``.
+    """
+    arguments = dict(settings)
+    rate = float(arguments.pop("learning_rate"))
+    network: dict[str, Any] = {"net_arch": list(hidden), "activation_fn": ACTIVATIONS[activation]}
+    if algorithm == "ppo":
+        network |= {"net_arch": {"pi": list(hidden), "vf": list(hidden)}}
+        network |= {"log_std_init": arguments.pop("log_std_init")}
+    model = {"ppo": PPO, "sac": SAC}[algorithm](
+        "MlpPolicy",
+        env,
+        learning_rate=lambda _: rate * max(LEAST_RATE, 1.0 - share()),  # its own argument knows steps only, not time
+        policy_kwargs=network,
+        seed=seed,
+        device="cpu",  # networks this small are slower anywhere else
+        stats_window_size=WINDOW,
+        **arguments,
+    )
+    form = "tensorboard" if importlib.util.find_spec("tensorboard") else "csv"
+    model.set_logger(configure(str(log_folder), [form]))
+    return model
+
+
+class _Watch(BaseCallback):
+    """Tells how far it is between updates, and ends the training there, so that no rollout is thrown away."""
+
+    def __init__(self, told: Callable[[Stage], None], stop: Callable[[], bool]) -> None:
+        super().__init__()
+        self._told, self._stop, self._between = told, stop, True
+
+    def _on_rollout_start(self) -> None:
+        self._between = True
+        self._told(stage(self.model))
+
+    def _on_step(self) -> bool:
+        goes_on = not (self._between and self._stop())
+        self._between = False
+        return goes_on
+
+
+def learn(model: BaseAlgorithm, steps: int, told: Callable[[Stage], None], stop: Callable[[], bool]) -> None:
+    """Train until ``steps`` in all, or until ``stop()``; ``told`` hears of every update."""
+    left = steps - model.num_timesteps
+    if left > 0 and not stop():
+        model.learn(left, callback=_Watch(told, stop), reset_num_timesteps=False, log_interval=1)
+
+
+def stage(model: BaseAlgorithm) -> Stage:
+    """How far the training of ``model`` is."""
+    ended, successes = model.ep_info_buffer or (), model.ep_success_buffer or ()
+    mean = lambda values: float(np.mean(values)) if len(values) else None
+    returns, lengths = [one["r"] for one in ended], [one["l"] for one in ended]
+    return Stage(model.num_timesteps, len(ended), mean(returns), mean(lengths), mean(successes))
+
+
+def save_checkpoint(path: Path, model: BaseAlgorithm, seconds: float) -> None:
+    """Everything that the training goes on from; whole or not at all."""
+    names, variables = model._get_torch_save_params()
+    kind, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002  (stable-baselines3 draws from it)
+    version, words, spare = random.getstate()
+    content: dict[str, Any] = {
+        "parameters": {name: value for name, value in model.get_parameters().items() if name in names},
+        "variables": {name: getattr(model, name).detach() for name in variables},
+        "counters": {"num_timesteps": model.num_timesteps, "_n_updates": getattr(model, "_n_updates", 0)},
+        "seconds": seconds,
+        "torch": torch.get_rng_state(),
+        "numpy": [kind, torch.from_numpy(np.asarray(keys, np.int64)), position, has_gauss, gauss],
+        "python": [version, list(words), spare],
+    }
+    if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
+        buffer = model.replay_buffer
+        rows = slice(None) if buffer.full else slice(0, buffer.pos)
+        content["replay"] = {name: torch.from_numpy(getattr(buffer, name)[rows]) for name in REPLAY}
+        content["replay_at"] = [buffer.pos, buffer.full]
+    with atomic_write(path) as temporary:
+        torch.save(content, temporary)
+
+
+def restore_checkpoint(path: Path, model: BaseAlgorithm) -> float:
+    """Go on from a checkpoint of the same configuration; returns the seconds trained so far.
+
+    Raises :class:`InputError` for a file that is none, or another network's.
+    """
+    try:
+        content = torch.load(io.BytesIO(path.read_bytes()), weights_only=True)
+        model.set_parameters(content["parameters"], exact_match=True, device="cpu")
+        for name, value in content["variables"].items():
+            getattr(model, name).data.copy_(value)
+        for name, value in content["counters"].items():
+            setattr(model, name, value)
+        torch.set_rng_state(content["torch"])
+        kind, keys, *rest = content["numpy"]
+        np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))  # noqa: NPY002
+        version, words, spare = content["python"]
+        random.setstate((version, tuple(words), spare))
+        if "replay" in content and isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
+            buffer = model.replay_buffer
+            for name, value in content["replay"].items():
+                getattr(buffer, name)[: len(value)] = value.numpy()
+            buffer.pos, buffer.full = content["replay_at"]
+        return float(content["seconds"])
+    except Exception as error:  # torch raises many kinds for files that are not its own
+        expected = f"a checkpoint of this training, which `vssm-gym train` wrote ({' '.join(str(error).split()):.100})"
+        raise InputError(path, "file", expected) from error
+
+
+def layers_of(model: BaseAlgorithm) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """``(weight, bias)`` of each layer from observation to action, float32."""
+    network: Any = model.policy
+    if isinstance(model, SAC):
+        modules = [*network.actor.latent_pi, network.actor.mu]
+    else:
+        modules = [*network.mlp_extractor.policy_net, network.action_net]
+    taken = [(one.weight, one.bias) for one in modules if isinstance(one, nn.Linear)]
+    return tuple((weight.detach().numpy().copy(), bias.detach().numpy().copy()) for weight, bias in taken)

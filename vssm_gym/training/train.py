@@ -1,0 +1,143 @@
+"""``train CONFIG --out DIR``: a policy learns until its steps or minutes are over, whatever interrupts it.
+
+The folder holds ``training.json`` (configuration, hashes, versions), ``progress.jsonl`` (one line every few seconds and
+at every checkpoint), ``checkpoint.pt`` (what ``--resume`` goes on from), ``policy.npz`` (what agents load) and
+``logs``. Seconds are of the whole training, the environment's construction and compilation among them.
+"""
+
+import importlib.metadata
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.errors import InputError
+from vssm_gym.files import atomic_write
+from vssm_gym.output_folders import check_folder
+from vssm_gym.training.cloning import DEMONSTRATIONS, clone
+from vssm_gym.training.config import TrainingConfig, training_hash
+from vssm_gym.training.environment import make_training_env, stream, world_hash
+from vssm_gym.training.run import POLICY, ProgressLog, Row, Run, Told, deferred_interrupt
+from vssm_gym.version import package_version
+
+MANIFEST, PROGRESS, CHECKPOINT, LOGS = "training.json", "progress.jsonl", "checkpoint.pt", "logs"
+BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # any of them is worth keeping
+LIBRARIES = ("stable_baselines3", "torch", "numpy", "jax", "gymnasium")
+
+
+def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, told: Told | None = None) -> Path:
+    """Train; returns the policy's file.
+
+    Ctrl-C lets the rollout and the update under way end (seconds), keeps them and raises KeyboardInterrupt; a second
+    one does not wait.
+
+    Args:
+        config: checked by :func:`vssm_gym.training.config.load_training`.
+        out: new or empty folder, or with ``resume`` that of a training of the same configuration.
+        resume: go on from the last checkpoint: parameters, optimiser, steps, seconds, random generators. Episodes that
+            were under way begin anew, so that a training which was interrupted is not the same to the last bit.
+        told: how it goes, after every update.
+
+    Raises:
+        InputError: another training's folder, one that is running, a map, scene or keyword that does not fit.
+    """
+    _check_extra()
+    check_folder(out)
+    manifest = _manifest(config)
+    out.mkdir(parents=True, exist_ok=True)
+    with ProgressLog(out / PROGRESS) as log, deferred_interrupt() as interrupted:
+        _claim(out, manifest, resume)
+        run = Run(config, out, manifest, log, interrupted, told or (lambda row, share: None))
+        if config.algorithm.name == "bc":
+            clone(run)
+        else:
+            _reinforce(run)
+    if interrupted():
+        raise KeyboardInterrupt
+    return out / POLICY
+
+
+def _reinforce(run: Run) -> None:
+    """PPO or SAC."""
+    from vssm_gym.training.sb3.learner import (
+        layers_of,
+        learn,
+        make_model,
+        restore_checkpoint,
+        save_checkpoint,
+        stage,
+        wrapped,
+    )
+
+    config = run.config
+    env = wrapped(make_training_env(config.environment, config.policy.inputs, config.seed), config.policy.frames)
+    settings = config.algorithm.model_dump(exclude={"name"})
+    network = config.policy.hidden, config.policy.activation
+    logs = run.out / LOGS / str(len(list((run.out / LOGS).glob("*"))))
+    model = make_model(config.algorithm.name, env, *network, config.seed, settings, run.share, logs)
+    checkpoint = run.out / CHECKPOINT
+    if checkpoint.is_file():
+        seconds = restore_checkpoint(checkpoint, model)
+        run.go_on(model.num_timesteps, seconds)
+    else:
+        run.begin()
+    env.seed(stream(config.seed, model.num_timesteps))
+
+    def keep() -> None:
+        run.write_policy(layers_of(model), "tanh" if config.algorithm.name == "sac" else "clip")
+        save_checkpoint(checkpoint, model, run.seconds)
+
+    try:
+        learn(model, config.steps, lambda now: run.tell(_row(now), keep), run.over)
+        run.end(_row(stage(model)), keep)
+    finally:
+        model.logger.close()
+        env.close()
+
+
+def _row(now: Any) -> Row:
+    number = lambda value: None if value is None else round(value, 4)
+    return {
+        "steps": now.steps,
+        "episodes": now.episodes,
+        "return": number(now.mean_return),
+        "length": number(now.mean_length),
+        "success": number(now.success),
+    }
+
+
+def _check_extra() -> None:
+    if not all(importlib.util.find_spec(name) for name in LIBRARIES[:2]):
+        raise InputError("train", "stable-baselines3", 'the extra "rl": pip install "vssm-gym[rl]"')
+
+
+def _manifest(config: TrainingConfig) -> dict[str, Any]:
+    world = world_hash(config.environment)
+    return {
+        "config": config.model_dump(mode="json"),
+        "config_hash": training_hash(config, world),
+        "world_hash": world,
+        "version": package_version(),
+        "libraries": {name: importlib.metadata.version(name) for name in LIBRARIES},
+    }
+
+
+def _claim(out: Path, manifest: dict[str, Any], resume: bool) -> None:
+    """Make ``out`` this training's folder, or say why it cannot be."""
+    path = out / MANIFEST
+    others = [one.name for one in out.iterdir() if not one.name.startswith((PROGRESS, f".{MANIFEST}."))]
+    if others and not path.is_file():
+        raise InputError(out, "folder", f"a new or empty folder, or that of a training; it holds {others[0]}")
+    if any((out / name).is_file() for name in BEGUN):
+        if not resume:
+            raise InputError(out, "folder", "a folder without a training; --resume goes on with the one it holds")
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(path, "file", "the JSON that the training wrote") from error
+        if found != manifest["config_hash"]:
+            expected = f"{manifest['config_hash']}, as of this configuration, its map and --seed; found {found}"
+            raise InputError(path, "config_hash", f"{expected}: another training belongs into another folder")
+        return
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
