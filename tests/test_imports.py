@@ -68,6 +68,43 @@ ONE_PLACE = ("envs.physics", "training.sb3")  # folders that exist for one such 
 TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package
 FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout, not packages of their own
 
+# Inside a layer: a row imports from the rows before it, never from its own row or a later one. What is not listed
+# belongs to "", the files at the folder's top.
+FOLDERS = {
+    "inference": [["alignment", "mapping", "linear_gaussian", "status"], ["filter"], ["tracking"], ["prism"], [""]],
+    "planning": [
+        ["clearance", "result", "occupancy_grid"],
+        ["floor_plan", "pursuit"],
+        ["grid_search"],
+        ["car", "exploration"],
+        ["value_iteration"],
+        ["mpc"],
+        [""],
+    ],
+    "agents": [["base"], ["shared"], ["navigation", "car", "exploration", "policy"], [""]],
+    "envs": [
+        ["presets", "validation", "streams"],
+        ["textures", "robots"],
+        ["scenes"],
+        ["rendering"],
+        ["physics"],
+        ["sensors"],
+        ["tasks"],
+        [""],
+        ["world_model"],
+    ],
+    "eval": [
+        ["episodes"],
+        ["metrics"],
+        ["protocols"],
+        ["sweep"],
+        ["report"],
+        ["video"],
+        ["bench", "studies", ""],
+    ],
+}
+EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it
+
 Graph = dict[str, set[str]]
 
 
@@ -150,6 +187,32 @@ def violations(graph: Graph, package: str = "vssm_gym") -> list[str]:
     return found
 
 
+def row(module: str, package: str = "vssm_gym") -> tuple[str, int, str] | None:
+    """Return the layer of ``FOLDERS`` that ``module`` lies in, its row there and its folder; None outside of them."""
+    layer, _, inside = module.removeprefix(f"{package}.").partition(".")
+    if layer not in FOLDERS or not inside:
+        return None
+    rows = {folder: height for height, folders in enumerate(FOLDERS[layer]) for folder in folders}
+    folder = inside.split(".")[0]
+    return (layer, rows[folder], folder) if folder in rows else (layer, rows[""], "")
+
+
+def upward(graph: Graph, package: str = "vssm_gym") -> list[str]:
+    """Return one line for each import inside a layer that leads to a later folder, or to a neighbour in its row."""
+    found = []
+    for module, names in sorted(graph.items()):
+        mine = row(module, package)
+        for name in sorted(names):
+            theirs = row(name, package)
+            if mine is None or theirs is None or mine[0] != theirs[0] or mine[2] == theirs[2]:
+                continue
+            if theirs[1] >= mine[1] and not any(
+                f"{package}.{a}" == module and f"{name}.".startswith(f"{package}.{b}.") for a, b in EXCEPTIONS
+            ):
+                found.append(f"{module}: must not import {name}, whose folder comes after its own")
+    return found
+
+
 def cycle(graph: Graph) -> list[str]:
     """The modules of one import cycle, in order; empty if there is none."""
     try:
@@ -175,6 +238,17 @@ def test_every_folder_is_read():
 
 def test_imports_flow_one_way():
     assert violations(GRAPH) == []
+
+
+def test_folders_of_a_layer_import_downward():
+    assert upward(GRAPH) == []
+    listed = {f"vssm_gym.{layer}.{name}" for layer, rows in FOLDERS.items() for names in rows for name in names if name}
+    assert listed <= MODULES.keys()
+
+
+def test_every_exception_is_needed():
+    for module, folder in EXCEPTIONS:
+        assert any(f"{name}.".startswith(f"vssm_gym.{folder}.") for name in GRAPH[f"vssm_gym.{module}"])
 
 
 def test_no_import_cycle():
@@ -235,6 +309,37 @@ def test_a_bad_module_is_found(tmp_path, file, source, complaint):
     complaints = violations(import_graph(find_modules(package)))
     assert len(complaints) == 1
     assert complaint in complaints[0]
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "complaint"),
+    [
+        ("eval/metrics/leak.py", "from vssm_gym.eval.report import tables", "must not import vssm_gym.eval.report"),
+        ("eval/bench/leak.py", "import vssm_gym.eval.studies.page", "must not import vssm_gym.eval.studies.page"),
+        (
+            "envs/rendering/leak.py",
+            "def f():\n    from ..sensors import lidar",
+            "must not import vssm_gym.envs.sensors",
+        ),
+        ("envs/textures/leak.py", "import vssm_gym.envs.carnav", "must not import vssm_gym.envs.carnav"),
+        ("envs/scenes/leak.py", "import vssm_gym.envs.physics.planar", "must not import vssm_gym.envs.physics.planar"),
+    ],
+)
+def test_an_import_upward_is_found(tmp_path, file, source, complaint):
+    package = tmp_path / "vssm_gym"
+    for name, text in {
+        "envs/carnav.py": "import vssm_gym.envs.physics.a",
+        "envs/physics/a.py": "from ..scenes.importers import mjcf",
+        "envs/scenes/importers/mjcf.py": "from vssm_gym.envs.physics import a",
+        "eval/report/tables.py": "from ..metrics import registry",
+    }.items():
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text(text)
+    assert upward(import_graph(find_modules(package))) == []
+    (package / file).parent.mkdir(parents=True, exist_ok=True)
+    (package / file).write_text(source)
+    [found] = upward(import_graph(find_modules(package)))
+    assert complaint in found
 
 
 def test_a_cycle_is_found(tmp_path):
