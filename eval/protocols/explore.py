@@ -16,7 +16,7 @@ from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.eval.episodes.identity import Episode, ExploreSettings, episode_seed
 from vssm_gym.eval.protocols import episode as pointnav
-from vssm_gym.eval.protocols import pointnav as pointnav_course
+from vssm_gym.eval.protocols import pointnav as pointnav_protocol
 from vssm_gym.eval.protocols.explore_episode import Spectator, map_of, run_episode
 from vssm_gym.eval.protocols.shared import conditions, load, notice, sampler_of, scene_names, tasks_in, world
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -29,7 +29,7 @@ LEAST_TASKS = 40  # of a scene's file, so that there are some to navigate beside
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     """The first test tasks of a scene, at least ``n``, as a file; one that is there and holds them is kept."""
-    pointnav_course.write_tasks(apartment, max(n, LEAST_TASKS), path)
+    pointnav_protocol.write_tasks(apartment, max(n, LEAST_TASKS), path)
 
 
 def run(

@@ -1,6 +1,8 @@
-"""The courses of sweeps: how the episodes of an environment are set, run and judged.
+"""Define the episode protocol: the functions by which a sweep loads scenes, sets tasks and runs the episodes of one
+environment.
 
-Which environments have one, and which robot and task it is for, is in :data:`vssm_gym.envs.registration.ENVIRONMENTS`.
+A protocol is a module of this folder. :data:`vssm_gym.envs.registration.ENVIRONMENTS` says which environments have one,
+and which robot and task it is for.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,44 +18,44 @@ if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from vssm_gym.eval.episodes.identity import Episode
     from vssm_gym.maps.voxel_map import VoxelMap
 
-COURSES = {name: spec for name, spec in ENVIRONMENTS.items() if spec.course}
-"""The environments that sweeps know."""
+SWEPT_ENVIRONMENTS = {name: spec for name, spec in ENVIRONMENTS.items() if spec.protocol}
+"""The environments that sweeps run: those with an episode protocol, by id."""
 
 
-class Course(Protocol):
-    """The protocol of an environment's episodes; the modules that :data:`ENVIRONMENTS` names implement it."""
+class EpisodeProtocol(Protocol):
+    """Define what a sweep asks of an environment; the modules that :data:`ENVIRONMENTS` names implement it."""
 
     def scene_names(self) -> Sequence[str]:
-        """Names of the built-in scenes; any scene file is one, too."""
+        """Return the names of the built-in scenes; a sweep also accepts the path of a scene file."""
         ...
 
     def conditions(self) -> Mapping[str, Sequence[str]]:
-        """The names that ``noise``, ``sensor_noise`` and ``renderer`` may take."""
+        """Return the names that ``noise``, ``sensor_noise`` and ``renderer`` may take."""
         ...
 
     def load(self, scene: str) -> "Apartment":
-        """The scene of a name or file; raises :class:`InputError` where no episode can run in it."""
+        """Load the scene of a name or file; raise :class:`InputError` where no episode can run in it."""
         ...
 
     def notice(self, apartment: "Apartment") -> str:
-        """What a reader of results should know about a scene, in one line; empty where there is nothing."""
+        """Return what a reader of results should know about a scene, in one line; empty where there is nothing."""
         ...
 
     def write_tasks(self, apartment: "Apartment", n: int, path: Path) -> None:
-        """Write the first ``n`` test tasks of a scene to a file; one that is there and holds them is kept."""
+        """Write the first ``n`` test tasks of a scene to a file; keep a file that already holds them."""
         ...
 
     def run(self, episode: "Episode", agent: "Agent", task_file: Path, voxel_map: "VoxelMap | None") -> dict[str, Any]:
-        """Run one episode; returns its measured fields of a row."""
+        """Run one episode and return the measured fields of its row."""
         ...
 
 
 def view_of(env: str) -> Any:
-    """What the report of an environment of :data:`COURSES` shows: a :class:`vssm_gym.eval.report.view.View`."""
-    module, _, name = str(COURSES[env].view).partition(":")
+    """Return the :class:`vssm_gym.eval.report.view.View` that reports of ``env`` use."""
+    module, _, name = str(SWEPT_ENVIRONMENTS[env].view).partition(":")
     return getattr(import_module(module), name)
 
 
-def course_of(env: str) -> Course:
-    """The course of an environment of :data:`COURSES`."""
-    return cast(Course, import_module(str(COURSES[env].course)))
+def protocol_of(env: str) -> EpisodeProtocol:
+    """Return the episode protocol of ``env``, one of :data:`SWEPT_ENVIRONMENTS`."""
+    return cast(EpisodeProtocol, import_module(str(SWEPT_ENVIRONMENTS[env].protocol)))

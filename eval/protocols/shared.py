@@ -1,6 +1,6 @@
-"""What the courses share: scenes of apartments, task files, and worlds that are kept from one episode to the next.
+"""Load scenes, write and read task files, and cache environments for the episode protocols.
 
-Episodes come condition by condition, so that a worker holds few of these at a time; nothing is loaded twice.
+A sweep runs its episodes condition by condition, so that a worker keeps few of these at a time and loads nothing twice.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -11,7 +11,7 @@ from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.manifest import LISTS, MANIFEST, read_manifest
 from vssm_gym.eval.metrics.aggregate import Row, group_rows
 from vssm_gym.eval.metrics.registry import measured
-from vssm_gym.eval.protocols.registry import COURSES, view_of
+from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import figures, tables
 from vssm_gym.eval.report.view import View
 from vssm_gym.files import atomic_write
@@ -54,8 +54,8 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
 
 def _environment(manifest: dict[str, Any], folder: Path) -> str:
     envs = manifest["config"].get("env") or [None]
-    if envs[0] not in COURSES:
-        raise InputError(folder / MANIFEST, "config.env", f"one of {', '.join(COURSES)}; found {envs[0]!r}")
+    if envs[0] not in SWEPT_ENVIRONMENTS:
+        raise InputError(folder / MANIFEST, "config.env", f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {envs[0]!r}")
     return envs[0]
 
 

@@ -13,7 +13,7 @@ from vssm_gym.agents.policy.file import agent_label, policy_at
 from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings, scene_name
-from vssm_gym.eval.protocols.registry import COURSES, course_of
+from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.yaml_file import Names, Seeds, as_tuple, read_yaml
 
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
@@ -82,9 +82,9 @@ def load_config(path: Path) -> SweepConfig:
     """
     config = read_yaml(path, SweepConfig)
     check_environments(config, path)
-    course = course_of(config.env[0])
+    protocol = protocol_of(config.env[0])
     scenes = tuple(
-        scene if scene in course.scene_names() or scene.startswith(PREFIX) else str((path.parent / scene).resolve())
+        scene if scene in protocol.scene_names() or scene.startswith(PREFIX) else str((path.parent / scene).resolve())
         for scene in config.scenes
     )
     agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
@@ -96,14 +96,14 @@ def load_config(path: Path) -> SweepConfig:
 def check_environments(config: SweepConfig, source: object) -> None:
     """Raise :class:`InputError` unless its environments are those of one robot and one task, and sweeps know them."""
     for env in config.env:
-        if env not in COURSES:
-            raise InputError(source, "env", f"one of {', '.join(COURSES)}; found {env!r}")
-    robots = tuple(dict.fromkeys(COURSES[env].robot for env in config.env))
+        if env not in SWEPT_ENVIRONMENTS:
+            raise InputError(source, "env", f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {env!r}")
+    robots = tuple(dict.fromkeys(SWEPT_ENVIRONMENTS[env].robot for env in config.env))
     if len(robots) > 1:
         raise InputError(source, "env", f"environments of one robot; found {' and '.join(robots)}")
-    if len({COURSES[env].task for env in config.env}) > 1:
+    if len({SWEPT_ENVIRONMENTS[env].task for env in config.env}) > 1:
         raise InputError(source, "env", f"environments of one task; found {' and '.join(config.env)}")
-    if config.explore is not None and COURSES[config.env[0]].task != "explore":
+    if config.explore is not None and SWEPT_ENVIRONMENTS[config.env[0]].task != "explore":
         raise InputError(source, "explore", f"no such field with {config.env[0]}: only explorers have it")
 
 
@@ -113,7 +113,7 @@ def check_names(config: SweepConfig, source: object) -> None:
     from vssm_gym.agents.registry import AGENTS, WITH, agent_type
 
     check_environments(config, source)
-    spec, course = COURSES[config.env[0]], course_of(config.env[0])
+    spec, protocol = SWEPT_ENVIRONMENTS[config.env[0]], protocol_of(config.env[0])
     policies = [name for name in config.agents if name.startswith(POLICY)]
     planned = [name for name in config.agents if name.partition(WITH)[0] in AGENTS and name not in AGENTS]
     types = {name: agent_type(name) for name in (*AGENTS, *policies, *planned)}
@@ -125,7 +125,7 @@ def check_names(config: SweepConfig, source: object) -> None:
     known: dict[str, Sequence[str]] = {
         "agents": able,
         "robot": (spec.robot,),
-        **course.conditions(),
+        **protocol.conditions(),
         "physics": spec.physics,
     }
     for field, available in known.items():
@@ -134,7 +134,7 @@ def check_names(config: SweepConfig, source: object) -> None:
                 raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}")
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
         raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
-    names = course.scene_names()
+    names = protocol.scene_names()
     for scene in config.scenes:
         if scene.startswith(PREFIX):
             parse_spec(scene)

@@ -21,7 +21,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, scene_name
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.episodes.manifest import MANIFEST
-from vssm_gym.eval.protocols.registry import COURSES, course_of
+from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.shards import Shard
@@ -59,7 +59,7 @@ def run_sweep(
         InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
     """
     check_arguments(out, workers, seed)
-    apartments = {scene: course_of(config.env[0]).load(scene) for scene in config.scenes}
+    apartments = {scene: protocol_of(config.env[0]).load(scene) for scene in config.scenes}
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
     if shard is not None:
@@ -104,7 +104,7 @@ def _manifest(
     config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Shard | None
 ) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
-    course = course_of(config.env[0])
+    protocol = protocol_of(config.env[0])
     shown = config.model_dump(mode="json") | {
         "scenes": [scene_name(scene) for scene in config.scenes],
         "agents": [agent_label(agent) for agent in config.agents],
@@ -113,7 +113,7 @@ def _manifest(
         "config": shown,
         "config_hash": config_hash(config, hashes, seed),
         "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
-        "notices": {scene_name(scene): course.notice(apartment) for scene, apartment in apartments.items()},
+        "notices": {scene_name(scene): protocol.notice(apartment) for scene, apartment in apartments.items()},
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
@@ -153,11 +153,11 @@ def _jobs(
     """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
     from vssm_gym.agents.registry import agent_type
 
-    apartment, map_file = course_of(config.env[0]).load(scene), None
+    apartment, map_file = protocol_of(config.env[0]).load(scene), None
     task_files = {}
     for env in dict.fromkeys(episode.condition.env for episode in episodes):
-        task_files[env] = out / "tasks" / f"{scene_name(scene)}-{COURSES[env].robot}.json"
-        course_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
+        task_files[env] = out / "tasks" / f"{scene_name(scene)}-{SWEPT_ENVIRONMENTS[env].robot}.json"
+        protocol_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
     if any(agent_type(episode.agent).needs_map for episode in episodes):
         map_file = ensure_map(
             scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, progress=progress
@@ -181,7 +181,7 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
     """Where the map of an explorer's first run in each world is kept; None of other episodes."""
     c = episode.condition
     first = (episode.task, episode.seed) == (config.tasks[0], config.seeds[0])
-    if COURSES[c.env].task != "explore" or not first:
+    if SWEPT_ENVIRONMENTS[c.env].task != "explore" or not first:
         return None
     world = (scene_name(c.scene), c.noise, c.sensor_noise, c.renderer, episode.agent)
     return out / "explored" / f"{'-'.join(world)}.npz"

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vssm_gym.eval.episodes.identity import Episode
-from vssm_gym.eval.protocols.registry import course_of
+from vssm_gym.eval.protocols.registry import protocol_of
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from vssm_gym.agents.base import Agent
@@ -89,9 +89,9 @@ def _leave_with(sentinel: int) -> None:
 def run(job: Job) -> dict[str, Any]:
     """Run one episode; returns its row, ready for the log."""
     episode = job.episode
-    course, agent = course_of(episode.condition.env), _agent(episode.agent)
+    protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
     voxel_map = _map(job.map_file) if job.map_file else None
-    result = course.run(episode, agent, job.task_file, voxel_map)
+    result = protocol.run(episode, agent, job.task_file, voxel_map)
     if job.explored_file:
         result["explored"] = _keep(agent, job)
     signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}

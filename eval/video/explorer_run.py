@@ -10,7 +10,7 @@ from PIL import Image
 from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.eval.episodes.identity import scene_name
-from vssm_gym.eval.protocols import explore as explore_course
+from vssm_gym.eval.protocols import explore as explore_protocol
 from vssm_gym.eval.protocols.explore_episode import Step, map_of
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.runner import config_hash
@@ -49,8 +49,8 @@ def explore(config: SweepConfig, out: Path, progress: Progress | None = None) ->
 
     with tempfile.TemporaryDirectory() as folder:
         task_file = Path(folder) / "tasks.json"
-        explore_course.write_tasks(apartment, episode.task + 1, task_file)
-        result = explore_course.run(episode, agent, task_file, None, see)
+        explore_protocol.write_tasks(apartment, episode.task + 1, task_file)
+        result = explore_protocol.run(episode, agent, task_file, None, see)
     if progress:
         progress("exploring", limit, limit)
     content, version = apartment.content_hash(), package_version()

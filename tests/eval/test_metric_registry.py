@@ -8,7 +8,7 @@ from tests.eval.test_episode_row import BASELINES, ROWS
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.metrics import navigation as metrics
 from vssm_gym.eval.metrics.registry import METRICS, measured, shown_in
-from vssm_gym.eval.protocols.registry import COURSES, view_of
+from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report.tables import Measures, results
 
 STORED = {folder.name: read_rows(folder / FILE) for folder in BASELINES}
@@ -53,7 +53,7 @@ def test_a_metric_is_shown_where_it_says(name):
 
 
 def test_every_report_has_metrics_of_its_own_labels():
-    reports = {view_of(env).measures.report for env in COURSES}
+    reports = {view_of(env).measures.report for env in SWEPT_ENVIRONMENTS}
     assert reports == {report for metric in METRICS.values() for report in metric.reports}
     for report in reports:
         labels = [metric.label for metric in shown_in(report).values()]

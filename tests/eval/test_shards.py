@@ -7,7 +7,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from tests.eval.test_courses import vssm
+from tests.eval.test_protocols import vssm
 from tests.eval.test_sweep import untimed
 from tests.helpers.box_rooms import two_rooms
 from vssm_gym.envs.scenes.scene import save_scene

@@ -1,4 +1,4 @@
-"""Every environment, one row each: Gymnasium's registration, sweeps, reports and tests read this table.
+"""Register the environments with Gymnasium from one table, which sweeps, reports and tests read too.
 
 A row names modules by strings, because importing ``vssm_gym`` must load none of them, and because environments may not
 import the evaluation that runs in them.
@@ -11,19 +11,21 @@ import gymnasium as gym
 
 @dataclass(frozen=True)
 class EnvironmentSpec:
-    """One environment.
+    """Describe one environment: its classes, what agents drive in it, and how sweeps and reports treat it.
 
     Attributes:
-        id: of ``gym.make``.
+        id: the name that ``gym.make`` takes.
         env: ``module:class`` of one environment.
-        vector: ``module:factory`` of many at once.
+        vector: ``module:factory`` of many environments at once.
         max_episode_steps: steps after which an episode is truncated (``gym.make(..., max_episode_steps=N)`` overrides
-            it); None where it ends by itself.
-        robot: what agents must drive to run there (:mod:`vssm_gym.agents.base`). task: what they must be made for.
-        physics: simulators that a sweep may choose from. course: module that sets, runs and judges the episodes of a
-        sweep (:class:`vssm_gym.eval.protocols.registry.Course`); None
-            where no sweep runs.
-        view: ``module:name`` of what its report shows (:class:`vssm_gym.eval.report.view.View`); None likewise.
+            it); None where the environment ends each episode by itself.
+        robot: the robot that an agent must be made for (:mod:`vssm_gym.agents.base`).
+        task: the task that an agent must be made for.
+        physics: simulators that a sweep may choose from.
+        protocol: module that sets the tasks of a sweep's episodes, runs and evaluates them
+            (:class:`vssm_gym.eval.protocols.registry.EpisodeProtocol`); None where no sweep runs.
+        view: ``module:name`` of the layout of its report (:class:`vssm_gym.eval.report.view.View`); None where no sweep
+            runs.
     """
 
     id: str
@@ -33,7 +35,7 @@ class EnvironmentSpec:
     robot: str = ""
     task: str = ""
     physics: tuple[str, ...] = ()
-    course: str | None = None
+    protocol: str | None = None
     view: str | None = None
 
 
@@ -46,7 +48,7 @@ _ROWS = (
         robot="holonomic",
         task="pointgoal",
         physics=("mujoco",),
-        course="vssm_gym.eval.protocols.pointnav",
+        protocol="vssm_gym.eval.protocols.pointnav",
         view="vssm_gym.eval.report.view:POINTNAV_VIEW",
     ),
     EnvironmentSpec(
@@ -57,7 +59,7 @@ _ROWS = (
         robot="holonomic",
         task="imagegoal",
         physics=("mujoco",),
-        course="vssm_gym.eval.protocols.pointnav",  # PointNav's tasks, whose goal is shown instead of told
+        protocol="vssm_gym.eval.protocols.pointnav",  # PointNav's tasks; the goal is an image
         view="vssm_gym.eval.report.view:POINTNAV_VIEW",
     ),
     EnvironmentSpec(
@@ -68,7 +70,7 @@ _ROWS = (
         robot="holonomic",
         task="explore",
         physics=("mujoco",),
-        course="vssm_gym.eval.protocols.explore",
+        protocol="vssm_gym.eval.protocols.explore",
         view="vssm_gym.eval.report.explore:EXPLORE_VIEW",
     ),
     EnvironmentSpec(
@@ -79,7 +81,7 @@ _ROWS = (
         robot="disc",
         task="pointgoal",
         physics=("none",),
-        course="vssm_gym.eval.protocols.lidar_maze",
+        protocol="vssm_gym.eval.protocols.lidar_maze",
         view="vssm_gym.eval.report.lidar_maze:LIDAR_MAZE_VIEW",
     ),
     EnvironmentSpec(
@@ -96,7 +98,7 @@ _ROWS = (
         robot="car",
         task="pointgoal",
         physics=("mujoco", "bullet"),
-        course="vssm_gym.eval.protocols.carnav",
+        protocol="vssm_gym.eval.protocols.carnav",
         view="vssm_gym.eval.report.car:CAR_VIEW",
     ),
     # Imagined: it takes a map instead of a scene, and its vector environment is one compiled step.

@@ -20,7 +20,7 @@ from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks.navigation import Task, load
 from vssm_gym.eval.episodes.identity import scene_name
-from vssm_gym.eval.protocols import pointnav as pointnav_course
+from vssm_gym.eval.protocols import pointnav as pointnav_protocol
 from vssm_gym.eval.protocols.episode import Step
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.video.recording import Plan
@@ -151,7 +151,7 @@ def _real(config: SweepConfig, task_file: Path, m: VoxelMap, progress: Progress 
         if progress:
             progress("driving", step.number, STEPS)
 
-    row = pointnav_course.run(episode, agent, task_file, m, see)
+    row = pointnav_protocol.run(episode, agent, task_file, m, see)
     if progress:
         progress("driving", STEPS, STEPS)
     ending = "arrived" if row["success"] else str(row["failure"])

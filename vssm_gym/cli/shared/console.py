@@ -64,9 +64,9 @@ def print_results(log: Path) -> None:
 def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
     """What a user should know about scenes before anything runs in them, one line each on stderr."""
     from vssm_gym.eval.episodes.identity import scene_name
-    from vssm_gym.eval.protocols.registry import course_of
+    from vssm_gym.eval.protocols.registry import protocol_of
 
-    course = course_of(env)
+    protocol = protocol_of(env)
     for scene in scenes:
-        if notice := course.notice(course.load(scene)):
+        if notice := protocol.notice(protocol.load(scene)):
             print(f"warning: {scene_name(scene)}: {notice}", file=sys.stderr)

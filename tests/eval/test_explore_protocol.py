@@ -18,7 +18,7 @@ from vssm_gym.envs.tasks.navigation import load, task_set
 from vssm_gym.envs.tasks.splits import split_of
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, episode_key, read_rows
-from vssm_gym.eval.protocols import explore as explore_course
+from vssm_gym.eval.protocols import explore as explore_protocol
 from vssm_gym.eval.protocols import explore_episode
 from vssm_gym.eval.protocols.agent_context import context_in
 from vssm_gym.eval.report.page import write_report
@@ -183,7 +183,7 @@ class _Frontier:
 
 @pytest.mark.parametrize("policy", [_Random, _Learned, _Frontier])
 def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy):
-    """Coverage, way and time of the same seed, by a plain Gymnasium loop and by the course."""
+    """Coverage, way and time of the same seed, by a plain Gymnasium loop and by the protocol."""
     agent = _AsAgent(policy())
     row = run(env, agent, seed=7)
     observation, info = env.reset(seed=7, options={"start": START})
@@ -212,11 +212,11 @@ def test_where_a_share_was_reached_lies_on_the_path():
 
 
 def test_starts_are_those_of_the_frozen_navigation_tasks(tmp_path):
-    explore_course.write_tasks(ROOMS, 3, tmp_path / "tasks.json")
+    explore_protocol.write_tasks(ROOMS, 3, tmp_path / "tasks.json")
     tasks = load(tmp_path / "tasks.json", ROOMS)
-    assert len(tasks.tasks) == explore_course.LEAST_TASKS  # some to navigate, however few starts there are
+    assert len(tasks.tasks) == explore_protocol.LEAST_TASKS  # some to navigate, however few starts there are
     assert tasks.split == "test"
-    assert tasks == task_set(ROOMS, HolonomicRobot(), "test", explore_course.LEAST_TASKS)
+    assert tasks == task_set(ROOMS, HolonomicRobot(), "test", explore_protocol.LEAST_TASKS)
 
 
 def written(folder, text):

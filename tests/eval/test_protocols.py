@@ -1,4 +1,4 @@
-"""The table of environments: its rows name what is there, and every environment with a course runs in a sweep."""
+"""The table of environments: its rows name what is there, and every environment with a protocol runs in a sweep."""
 
 import importlib
 import json
@@ -18,7 +18,7 @@ from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, read_rows
-from vssm_gym.eval.protocols.registry import COURSES, Course, course_of, view_of
+from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, EpisodeProtocol, protocol_of, view_of
 from vssm_gym.eval.report.view import View
 from vssm_gym.eval.sweep.config import load_config
 from vssm_gym.eval.sweep.runner import config_hash
@@ -38,23 +38,23 @@ def test_a_row_names_what_is_there(name):
     assert issubclass(imported(spec.env), gym.Env)
     assert callable(imported(spec.vector))
     assert gym.registry[name].max_episode_steps == spec.max_episode_steps
-    assert (spec.course is None) == (spec.view is None)
+    assert (spec.protocol is None) == (spec.view is None)
 
 
-@pytest.mark.parametrize("name", COURSES)
-def test_a_course_offers_what_the_protocol_says(name):
-    """And its environment has agents: a course that nobody can run is decoration."""
-    spec, course = COURSES[name], course_of(name)
-    offered = {method for method in vars(Course) if not method.startswith("_")}
-    assert {method for method in offered if callable(getattr(course, method, None))} == offered
+@pytest.mark.parametrize("name", SWEPT_ENVIRONMENTS)
+def test_every_protocol_has_the_functions_of_the_contract(name):
+    """And its environment has agents: a protocol that nobody can run is decoration."""
+    spec, protocol = SWEPT_ENVIRONMENTS[name], protocol_of(name)
+    offered = {method for method in vars(EpisodeProtocol) if not method.startswith("_")}
+    assert {method for method in offered if callable(getattr(protocol, method, None))} == offered
     assert isinstance(view_of(name), View)
-    assert {"noise", "sensor_noise", "renderer"} == course.conditions().keys()
-    assert course.scene_names()
+    assert {"noise", "sensor_noise", "renderer"} == protocol.conditions().keys()
+    assert protocol.scene_names()
     assert any(agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK) for agent in AGENTS.values())
 
 
-def test_every_agent_has_a_course():
-    able = [(spec.robot, spec.task) for spec in COURSES.values()]
+def test_every_agent_has_an_episode_protocol():
+    able = [(spec.robot, spec.task) for spec in SWEPT_ENVIRONMENTS.values()]
     for agent in AGENTS.values():
         assert any(agent.robot == robot and agent.task in (task, ANY_TASK) for robot, task in able), agent.name
 
@@ -126,9 +126,9 @@ def test_a_maze_is_swept_by_its_own_names(tmp_path, changed, message):
 
 
 def test_more_tasks_than_a_maze_has_are_refused(tmp_path):
-    course = course_of("vssm_gym/LidarMaze-v0")
+    protocol = protocol_of("vssm_gym/LidarMaze-v0")
     with pytest.raises(InputError, match=r"tasks: expected numbers below \d+, as many as the maze has"):
-        course.write_tasks(course.load("rooms-v1"), 10_000, tmp_path / "tasks.json")
+        protocol.write_tasks(protocol.load("rooms-v1"), 10_000, tmp_path / "tasks.json")
 
 
 def test_a_navigating_agent_takes_another_planner_by_name(tmp_path):
