@@ -1,1 +1,1 @@
-"""Geometry that everything stands on: rigid motions, the camera, arcs of wheeled robots, grids in the plane."""
+"""Define the geometry of all layers: rigid motions, the camera, arcs of wheeled robots, grids in the plane."""

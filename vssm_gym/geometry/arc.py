@@ -1,8 +1,8 @@
 """``T' = T exp(s, 0, turn)`` in NumPy and numba: the float64 twin of :func:`vssm_gym.model.transition.bicycle.arc`.
 
 An arc of signed length ``s`` that turns by ``turn`` has the chord ``s sinc(turn / 2)``, in the direction of its middle.
-Planners of the car that do not run in JAX lay their motions here. ``tests/model/test_bicycle_twins.py`` holds this
-module, and every planner's motions, to the transition.
+Planners of the car that do not run in JAX compute their motions here. ``tests/model/test_bicycle_twins.py`` compares
+this module, and every planner's motions, with the transition.
 """
 
 import math
@@ -12,12 +12,12 @@ from numba import njit
 
 
 def turn_of(length: float | np.ndarray, steering: float | np.ndarray, wheelbase: float) -> np.ndarray:
-    """``s tan(steering) / wheelbase``: turns (rad, left positive) of arcs of signed ``length`` (m), broadcast."""
+    """Return turns ``s tan(steering) / wheelbase`` (rad, left positive) of arcs of signed length ``s`` (m)."""
     return np.asarray(length * np.tan(steering) / wheelbase)
 
 
 def chord_of(length: float | np.ndarray, turn: float | np.ndarray) -> np.ndarray:
-    """``s sinc(turn / 2)``: signed chords (m) of arcs of signed ``length`` (m) that turn by ``turn`` (rad)."""
+    """Return ``s sinc(turn / 2)``: signed chords (m) of arcs of signed ``length`` (m) that turn by ``turn`` (rad)."""
     return np.asarray(length * np.sinc(0.5 * turn / np.pi))
 
 
@@ -43,8 +43,8 @@ def poses_after(
 def pose_after(x: float, y: float, heading: float, chord: float, turn: float) -> tuple[float, float, float]:
     """Drive one arc with a given signed ``chord`` (m) that turns by ``turn`` (rad); the heading is not wrapped.
 
-    Compiled searches take many short parts, whose chords they know or approximate: ``s (1 - turn^2 / 24)`` errs by
-    ``s turn^4 / 1920``, ``s`` by ``s turn^2 / 24``.
+    Compiled searches pass many short arcs, whose chords they know or approximate: ``s (1 - turn^2 / 24)`` has an error
+    of ``s turn^4 / 1920``, ``s`` one of ``s turn^2 / 24``.
     """
     direction = heading + 0.5 * turn
     return x + chord * math.cos(direction), y + chord * math.sin(direction), heading + turn

@@ -1,4 +1,4 @@
-"""The glossary of array axes; every shape in a docstring or annotation uses these words.
+"""Define the names of array axes; every shape in a docstring or annotation uses these words.
 
 ========  ==================================================================================
 word      meaning

@@ -1,4 +1,4 @@
-"""The pinhole camera: ``u = fx x / z + cx``, ``v = fy y / z + cy``, pixel centres at integers, depth along z."""
+"""Define the pinhole camera: ``u = fx x / z + cx``, ``v = fy y / z + cy``, pixel centres at integers, depth along z."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 
 class Camera(eqx.Module):
-    """Pinhole intrinsics; a pytree whose size is static and whose intrinsics can be differentiated or learned."""
+    """Represent pinhole intrinsics: a pytree of static size whose intrinsics can be differentiated or learned."""
 
     width: int = eqx.field(static=True)  # pixels
     height: int = eqx.field(static=True)  # pixels
@@ -19,23 +19,26 @@ class Camera(eqx.Module):
 
     @classmethod
     def from_hfov(cls, width: int, height: int, hfov: float) -> "Camera":
-        """Square pixels, principal point in the image's middle; ``hfov`` in radians, edge to edge of the image."""
+        """Make a camera with square pixels and central principal point; ``hfov`` in rad, from edge to edge."""
         f = 0.5 * width / np.tan(0.5 * hfov)
         return cls(width, height, float(f), float(f), 0.5 * (width - 1), 0.5 * (height - 1))
 
     @classmethod
     def from_matrix(cls, K: np.ndarray, width: int, height: int) -> "Camera":
-        """From a 3x3 intrinsic matrix in pixels."""
+        """Make a camera from a 3x3 intrinsic matrix in pixels."""
         K = np.asarray(K, dtype=float)
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
 
     @property
     def K(self) -> np.ndarray:
-        """The 3x3 intrinsic matrix, pixels, float64."""
+        """Return the 3x3 intrinsic matrix, pixels, float64."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]], dtype=np.float64)
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same view at another size: pixel *edges* keep their place, so centres move by half a pixel."""
+        """Return the camera of the same view at another size.
+
+        Pixel *edges* keep their place, so that centres move by half a pixel.
+        """
         sx, sy = width / self.width, height / self.height
         return Camera(
             width,
@@ -47,16 +50,21 @@ class Camera(eqx.Module):
         )
 
     def rays(self) -> Float[Array, "height width 3"]:
-        """``K^-1 [i, j, 1]^T`` of every pixel: camera-frame directions with unit z, so depth scales them."""
+        """Return ``K^-1 [i, j, 1]^T`` of every pixel: camera-frame directions with unit z, which depth scales."""
         u, v = jnp.meshgrid(jnp.arange(self.width), jnp.arange(self.height))
         return jnp.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, jnp.ones(u.shape)], axis=-1)
 
     def backproject(self, depth: Float[Array, "height width"]) -> Float[Array, "height width 3"]:
-        """``p_cam = d K^-1 [i, j, 1]^T``: metres, camera frame; where depth is 0 (none read), the origin."""
+        """``p_cam = d K^-1 [i, j, 1]^T``: metres, camera frame; the origin where there is no depth reading (0)."""
         return self.rays() * depth[..., None]
 
     def project(self, p_cam: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-        """Pixel ``(u, v)`` and z-depth of camera-frame points; points at or behind the camera land far outside."""
+        """Return pixel ``(u, v)`` and z-depth of camera-frame points.
+
+        Pixels of points at or behind the camera are far outside.
+
+        Pixels of points at or behind the camera are far outside.
+        """
         z = p_cam[..., 2]
         safe = jnp.where(z > 1e-6, z, 1.0)
         uv = jnp.stack([p_cam[..., 0] / safe * self.fx + self.cx, p_cam[..., 1] / safe * self.fy + self.cy], axis=-1)

@@ -1,7 +1,7 @@
-"""The robot car as everyone knows it: what it measures and what it may be told (SPEC 7).
+"""Define the robot car's geometry, limits and camera pose, which simulators, planners and agents share (thesis, 5.6.1).
 
-Its body frame is on the floor below the middle of the rear axle, x forward, y left. Simulators, planners and agents
-share these numbers; how the car really answers a command is the simulator's business.
+The body frame is on the floor below the middle of the rear axle, x forward, y left. These are the nominal values; the
+simulators add their own execution errors.
 """
 
 import math
@@ -16,7 +16,7 @@ from vssm_gym.geometry.transforms import R_BODY_CAM
 
 @dataclass(frozen=True)
 class Car:
-    """A 1:10 car with Ackermann steering, after the Quanser QCar (39 x 19 cm, +-30 deg).
+    """Describe a 1:10 car with Ackermann steering, after the Quanser QCar (39 x 19 cm, +-30 deg).
 
     One command ``(speed, steering)`` lasts ``dt``: m/s, negative backwards, and rad, left positive.
     """
@@ -46,29 +46,29 @@ class Car:
 
     @property
     def turning_radius(self) -> float:
-        """Of the rear axle at full lock, m."""
+        """Return the turning radius of the rear axle at full lock, m."""
         return self.wheelbase / math.tan(self.max_steering)
 
     @property
     def limits(self) -> np.ndarray:
-        """``(max_speed, max_steering)``, m/s and rad; float64 ``(2,)``."""
+        """Return ``(max_speed, max_steering)``, m/s and rad; float64 ``(2,)``."""
         return np.array([self.max_speed, self.max_steering])
 
     @property
     def center_forward(self) -> float:
-        """From the rear axle to the middle of the footprint, m."""
+        """Return the distance from the rear axle to the middle of the footprint, m."""
         return 0.5 * self.length - self.rear_overhang
 
     @property
     def T_body_cam(self) -> Matrix4:
-        """Camera frame to body frame, constant; float64 ``(4, 4)``."""
+        """Return the constant transform from camera frame to body frame; float64 ``(4, 4)``."""
         T = np.eye(4)
         T[:3, :3] = R_BODY_CAM
         T[:3, 3] = self.camera_forward, 0.0, self.camera_height
         return T
 
     def corners(self, planar: np.ndarray) -> np.ndarray:
-        """The footprint's corners, counter-clockwise from the rear right: ``(..., 3)`` poses to ``(..., 4, 2)``, m."""
+        """Return footprint corners ``(..., 4, 2)``, m, of poses ``(..., 3)``; counter-clockwise from the rear right."""
         planar = np.asarray(planar, dtype=np.float64)
         rear, front, half = -self.rear_overhang, self.length - self.rear_overhang, 0.5 * self.width
         x, y = np.array([rear, front, front, rear]), np.array([-half, -half, half, half])
@@ -76,5 +76,5 @@ class Car:
         return planar[..., None, :2] + np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
     def clip(self, command: np.ndarray) -> np.ndarray:
-        """The nearest command within the limits, component by component: ``(speed, steering)`` float64 ``(2,)``."""
+        """Return the nearest command within the limits, per component: ``(speed, steering)`` float64 ``(2,)``."""
         return np.clip(np.asarray(command, dtype=np.float64), -self.limits, self.limits)

@@ -1,8 +1,8 @@
-"""The 16-neighbour graph of a uniform 2D grid: straight, diagonal and knight's moves, an edge's cost its length.
+"""Build the 16-neighbour graph of a uniform 2D grid: straight, diagonal and knight's moves, edge cost = length.
 
-A path along its edges is at most 2.75 % longer than the straight line that it stands for (1 / cos of half of the
-largest angle between two moves, 26.6 degrees). Who searches the graph decides which edges are free: planners by the
-cells that an interpolated clearance reads, the simulator by exact polygons, the imagined environments by samples.
+A path along its edges is at most 2.75 % longer than the straight line that it approximates (1 / cos of half of the
+largest angle between two moves, 26.6 degrees). The caller decides which edges are free: planners by the cells that an
+interpolated clearance reads, the simulator by exact polygons, the imagined environments by samples.
 """
 
 import numpy as np
@@ -28,8 +28,8 @@ _ONE_WAY = MOVES[(MOVES[:, 0] > 0) | ((MOVES[:, 0] == 0) & (MOVES[:, 1] > 0))]
 def edge_free(free: np.ndarray, i: int, j: int, di: int, dj: int) -> bool:
     """Return whether every cell that a bilinear interpolation along the move reads is free.
 
-    The interpolated value is a convex combination of those cells, so the whole segment is free then. The cell
-    ``(i, j)`` that the move starts from is not looked at.
+    The interpolated value is a convex combination of those cells, so the whole segment is free then. The start cell
+    ``(i, j)`` is not tested.
     """
     nx, ny = free.shape
     if not (0 <= i + di < nx and 0 <= j + dj < ny) or not free[i + di, j + dj]:
@@ -49,7 +49,7 @@ def edge_free(free: np.ndarray, i: int, j: int, di: int, dj: int) -> bool:
 def edges(free: Bool[np.ndarray, "nx ny"]) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """List the edges between free nodes, each once: flat indices of both ends and the length in cells.
 
-    Only the two ends are looked at; what lies between them is for the caller to judge.
+    Only the two ends are tested; the caller tests what lies between them.
     """
     nx, ny = free.shape
     index = np.arange(free.size).reshape(free.shape)
@@ -67,5 +67,5 @@ def edges(free: Bool[np.ndarray, "nx ny"]) -> tuple[Int[np.ndarray, "k"], Int[np
 def graph(
     nodes: int, begin: Int[np.ndarray, "k"], end: Int[np.ndarray, "k"], length: Float[np.ndarray, "k"]
 ) -> csr_array:
-    """Build the sparse ``(nodes, nodes)`` graph of edges that hold both ways, each stored once."""
+    """Build the sparse ``(nodes, nodes)`` graph of undirected edges, each stored once."""
     return csr_array((length, (begin, end)), shape=(nodes, nodes))

@@ -1,20 +1,20 @@
-"""Depth images as scans: 64 depths of the camera's horizontal plane, as ``vssm_gym/WorldModelNav-v0`` observes them.
+"""Convert depth images to the scans that ``vssm_gym/WorldModelNav-v0`` observes: 64 depths in a horizontal plane.
 
     scan_k = min over rows v in {floor(cy), ceil(cy)} of depth(v, round(u_k)),   u_k = (k + 1/2) W / 64 - 1/2
 
-``k = 0`` is the left edge; depths are z-depths, m, 0 = no reading. Of the two rows beside the horizon (one, where the
-height is odd) the nearer reading counts; what is farther than ``max_depth`` gives none. With a camera of 64 x 1 pixels
-the rays are those of the imagined scan exactly, with others they are off by half a pixel.
+``k = 0`` is the left edge; depths are z-depths, m, 0 = no reading. The scan takes the nearer reading of the two rows
+beside the horizon (of one row where the height is odd); readings beyond ``max_depth`` become 0. With a camera of 64 x 1
+pixels the rays are exactly those of the imagined scan, with others they are off by half a pixel.
 """
 
 import numpy as np
 
 BEAMS = 64
-MAX_DEPTH = 8.0  # m, as far as the emission looks
+MAX_DEPTH = 8.0  # m, the range of the emission (vssm_gym.model.emission.MAX_DEPTH)
 
 
 def scan_of(depth: np.ndarray, max_depth: float = MAX_DEPTH) -> np.ndarray:
-    """``(*batch, 64)`` float32 of depth images ``(*batch, height, width)``, m."""
+    """Return scans ``(*batch, 64)`` float32 of depth images ``(*batch, height, width)``, m."""
     height, width = depth.shape[-2:]
     middle = 0.5 * (height - 1)
     rows = depth[..., sorted({int(np.floor(middle)), int(np.ceil(middle))}), :]

@@ -1,4 +1,4 @@
-"""Rigid motions: SE(3) as 4x4 matrices, SE(2) as ``(x, y, heading)``.
+"""Compute rigid motions: SE(3) as 4x4 matrices, SE(2) as ``(x, y, heading)``.
 
 Frames cancel in names: ``p_world = T_world_cam @ p_cam``. The functions serve NumPy (float64, the simulator) and JAX
 (float32, the model) alike: they compute in the namespace of their argument.
@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
-# Columns: the camera's axes in the body frame; z looks along body x, x to body -y, y down (DESIGN, Conventions).
+# Columns: the camera's axes in the body frame; z looks along body x, x to body -y, y down.
 R_BODY_CAM = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 
 def wrap_angle(angle):
-    """``angle`` modulo 2 pi, in [-pi, pi); radians, any shape."""
+    """Return ``angle`` modulo 2 pi, in [-pi, pi); rad, any shape."""
     if isinstance(angle, float):
         return (angle + math.pi) % (2 * math.pi) - math.pi
     xp = angle.__array_namespace__() if hasattr(angle, "__array_namespace__") else jnp
@@ -37,7 +37,7 @@ def transform(T_a_b, p_b):
 
 
 def inverse(T_a_b):
-    """``T_b_a = [R^T, -R^T t]``, the exact inverse of a rigid ``(..., 4, 4)`` matrix."""
+    """``T_b_a = [R^T, -R^T t]``: the exact inverse of rigid ``(..., 4, 4)`` matrices."""
     xp = T_a_b.__array_namespace__()
     R_b_a = xp.swapaxes(T_a_b[..., :3, :3], -1, -2)
     t_b_a = -xp.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3])
@@ -47,7 +47,7 @@ def inverse(T_a_b):
 
 
 def planar_to_matrix(planar):
-    """SE(2) to SE(3): ``(..., 3)`` planar poses ``(x, y, heading)`` to ``T_world_body`` ``(..., 4, 4)`` at height 0."""
+    """Convert planar poses ``(x, y, heading)`` ``(..., 3)`` to ``T_world_body`` ``(..., 4, 4)`` at height 0."""
     xp = planar.__array_namespace__()
     x, y, heading = planar[..., 0], planar[..., 1], planar[..., 2]
     c, s = xp.cos(heading), xp.sin(heading)
@@ -57,16 +57,16 @@ def planar_to_matrix(planar):
 
 
 def matrix_to_planar(T_world_body):
-    """``(x, y, heading)`` of ``(..., 4, 4)`` poses: the position on the floor and the yaw of the body's x axis."""
+    """Return ``(x, y, heading)`` of ``(..., 4, 4)`` poses: position on the floor and yaw of the body's x axis."""
     xp = T_world_body.__array_namespace__()
     heading = xp.arctan2(T_world_body[..., 1, 0], T_world_body[..., 0, 0])
     return xp.stack([T_world_body[..., 0, 3], T_world_body[..., 1, 3], heading], axis=-1)
 
 
 def se3_exp(delta: Float[Array, "*batch 6"]) -> Float[Array, "*batch 4 4"]:
-    """``exp(delta^)``: tangent (translation, rotation) to a rigid motion; beliefs are ``T exp(delta)`` (SPEC 1)."""
+    """``exp(delta^)``: the rigid motion of a tangent (translation, rotation); beliefs are ``T exp(delta)``."""
     v, w = delta[..., :3], delta[..., 3:]
-    # t = V v, V = 1 + a w^ + b w^ w^. Not jaxlie's, which below 3 mrad takes V = R: wrong in its first order.
+    # t = V v, V = 1 + a w^ + b w^ w^. jaxlie's own takes V = R below 3 mrad, which is wrong in its first order.
     theta2 = jnp.sum(w * w, axis=-1, keepdims=True)
     near = theta2 < 0.1
     safe2 = jnp.where(near, 1.0, theta2)
@@ -82,10 +82,10 @@ def se3_exp(delta: Float[Array, "*batch 6"]) -> Float[Array, "*batch 4 4"]:
 
 
 def se3_log(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6"]:
-    """``log(T)``: the tangent (translation, rotation) of a rigid motion, inverse of :func:`se3_exp`."""
+    """``log(T)``: the tangent (translation, rotation) of a rigid motion, the inverse of :func:`se3_exp`."""
     return jaxlie.SE3.from_matrix(T).log()
 
 
 def se3_adjoint(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6 6"]:
-    """``Ad_T`` with ``T exp(delta) T^-1 = exp(Ad_T delta)``: carries covariances between frames."""
+    """``T exp(delta) T^-1 = exp(Ad_T delta)``: the adjoint, which transforms covariances between frames."""
     return jaxlie.SE3.from_matrix(T).adjoint()

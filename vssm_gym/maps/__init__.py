@@ -1,1 +1,1 @@
-"""The dense map: a voxel grid of independent Gaussians, its storage, its index of empty space and its files."""
+"""Store the dense map: a voxel grid of independent Gaussians, its index of empty space and its files."""

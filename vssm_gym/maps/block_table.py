@@ -1,8 +1,8 @@
-"""Where a cell lies: blocks of 8^3 cells, each one row of storage; of all blocks, or only of those that a table lists.
+"""Store a voxel grid in blocks of 8^3 cells, one row of storage each: all blocks, or only those listed in a table.
 
-A *dense* grid has a row for every block: ``row = (bx * by_count + by) * bz_count + bz``. A *sparse* one has as many
-rows as it was given and a table from blocks to rows (*slots*). Slot 0 is never written: it holds the prior and stands
-for every block that has no slot of its own, so that queries need no branch.
+A *dense* grid has a row for every block: ``row = (bx * by_count + by) * bz_count + bz``. A *sparse* grid has a fixed
+number of rows and a table from blocks to rows (*slots*). Slot 0 is never written: it holds the prior and represents
+every block without a slot of its own, so that queries need no branch.
 """
 
 from collections.abc import Sequence
@@ -17,26 +17,29 @@ CELLS = BLOCK**3  # cells of a block
 PRIOR_SLOT = 0
 
 Blocks = tuple[int, ...]  # blocks along x, y, z
-Coordinates = Sequence[Array]  # x, y, z, one array each: what runs over an axis of three does not vectorise
+Coordinates = Sequence[Array]  # x, y, z, one array each: operations over an axis of three do not vectorise
 
 
 class BlockTable(eqx.Module):
-    """Which blocks of a grid have storage. ``free`` is a permutation of the slots: the first ``used`` are taken."""
+    """Map the blocks of a grid to slots. ``free`` is a permutation of the slots, of which the first ``used`` are taken.
+
+    ``free`` is a permutation of the slots, of which the first ``used`` are taken.
+    """
 
     slot: Int[Array, "bx by bz"]  # PRIOR_SLOT: none of its own
     free: Int[Array, "slots"]
     used: Int[Array, ""]  # slots taken, that of the prior included
-    refused: Int[Array, ""]  # observations of whole blocks that were left out because no slot was free
+    refused: Int[Array, ""]  # number of times that a block was not updated because no slot was free
 
     @classmethod
     def empty(cls, blocks: Blocks, slots: int) -> "BlockTable":
-        """No block stored."""
+        """Return a table without stored blocks."""
         one, none = jnp.asarray(1, jnp.int32), jnp.asarray(0, jnp.int32)
         return cls(jnp.zeros(blocks, jnp.int32), jnp.arange(slots, dtype=jnp.int32), one, none)
 
     @classmethod
     def of(cls, blocks: Blocks, slots: int, stored: np.ndarray) -> "BlockTable":
-        """Block number ``stored[i]`` in slot ``i + 1``."""
+        """Return a table that stores block number ``stored[i]`` in slot ``i + 1``."""
         table = cls.empty(blocks, slots)
         slot = table.slot.reshape(-1).at[stored].set(1 + jnp.arange(len(stored), dtype=jnp.int32))
         return cls(slot.reshape(blocks), table.free, table.used + len(stored), table.refused)
@@ -44,11 +47,11 @@ class BlockTable(eqx.Module):
     def allocate(
         self, block: Int[Array, "n"], wanted: Bool[Array, "n"]
     ) -> tuple["BlockTable", Int[Array, "n"], Bool[Array, "n"]]:
-        """Slots for the ``wanted`` ones among distinct blocks, new ones where they have none.
+        """Find slots for the ``wanted`` ones among distinct blocks; allocate new slots where they have none.
 
         Returns:
-            The table; the slots, past the last where a block is not wanted or no slot is left, which is counted; and
-            which blocks are new.
+            The table, which counts refused blocks; the slots (past the last slot where a block is not wanted or no
+            slot is left); and which blocks are new.
         """
         slots, blocks = self.free.shape[0], self.slot.size
         have = self.rows(jnp.minimum(block, blocks - 1))
@@ -66,38 +69,38 @@ class BlockTable(eqx.Module):
         return table, jnp.where(new, given, jnp.where(wanted & ~lacking, have, slots)), new
 
     def rows(self, block: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
-        """The slots of block numbers."""
+        """Return the slots of block numbers."""
         return self.slot.reshape(-1).at[block].get(mode="promise_in_bounds")
 
 
 def rows(block: Int[Array, "*batch"], table: BlockTable | None) -> Int[Array, "*batch"]:
-    """The storage rows of block numbers."""
+    """Return the storage rows of block numbers."""
     return block if table is None else table.rows(block)
 
 
 def block_number(b: Coordinates, blocks: Blocks) -> Array:
-    """The number of the block at block coordinates ``b``: z runs fastest."""
+    """Return the number of the block at block coordinates ``b``; z runs fastest."""
     return (b[0] * blocks[1] + b[1]) * blocks[2] + b[2]
 
 
 def block_coordinates(block: Int[Array, "*batch"], blocks: Blocks) -> tuple[Array, Array, Array]:
-    """``bx, by, bz`` of block numbers."""
+    """Return the coordinates ``bx, by, bz`` of block numbers."""
     by, bz = blocks[1], blocks[2]
     return block // (by * bz), (block // bz) % by, block % bz
 
 
 def cell_offset(cell: Coordinates, blocks: Blocks, table: BlockTable | None) -> Array:
-    """The position of cell ``(i, j, k)`` in block storage read as one flat array."""
+    """Return the position of cell ``(i, j, k)`` in block storage read as one flat array."""
     row = rows(block_number([c >> 3 for c in cell], blocks), table)
     i, j, k = (c & (BLOCK - 1) for c in cell)
     return row * CELLS + (i * BLOCK + j) * BLOCK + k
 
 
 def corner_offsets(cell: Coordinates, blocks: Blocks, table: BlockTable | None) -> list[Array]:
-    """Flat positions of the eight cells ``(i..i+1, j..j+1, k..k+1)``, x slowest, z fastest."""
+    """Return the flat positions of the eight cells ``(i..i+1, j..j+1, k..k+1)``, x slowest, z fastest."""
     block_strides, cell_strides = (blocks[1] * blocks[2], blocks[2], 1), (BLOCK * BLOCK, BLOCK, 1)
 
-    def parts(c, axis):  # of a coordinate: its share of the block's number and of the place in the block
+    def parts(c, axis):  # a coordinate's contributions to the block number and to the position in the block
         return (c >> 3) * block_strides[axis], (c & (BLOCK - 1)) * cell_strides[axis]
 
     x, y, z = ([parts(c, axis), parts(c + 1, axis)] for axis, c in enumerate(cell))

@@ -1,9 +1,9 @@
-"""The floor plan of a map: what a body of some height would meet in each column, and how far that is from anywhere.
+"""Project a map to the floor plan: the highest occupancy of each column, and the distance to the nearest obstacle.
 
     top(x, y) = max over z of o(x, y, z)      o the mean occupancy (m, positive inside objects) where it was observed
 
-Planners (:mod:`vssm_gym.planning.clearance`) and the imagined robots of :mod:`vssm_gym.envs.world_model` collide with
-the same columns.
+Planners (:mod:`vssm_gym.planning.clearance`) and the imagined robots of :mod:`vssm_gym.envs.world_model` test
+collisions against the same columns.
 """
 
 from functools import partial
@@ -15,18 +15,20 @@ from scipy.spatial import cKDTree
 
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 
-KNOWN_SHARE = 0.5  # of a column's heights that must have been observed: under a visible table top the rest is unseen
+KNOWN_SHARE = 0.5  # of a column's heights that must be observed; below a visible table top they are unobserved
 
 
 def observed_columns(
     voxel_map: VoxelMap, z_min: float, z_max: float, resolution: float, deviations: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Highest mean occupancy (m, -inf where nothing was observed) and observed share of the heights of each column.
+    """Return each column's highest mean occupancy (m, -inf where unobserved) and the observed share of its heights.
 
-    With ``deviations`` the highest ``mean + deviations std``, ``std = 0.03 m / sqrt(n)`` after ``n`` observations.
+    With ``deviations``, return the highest ``mean + deviations std`` instead, ``std = 0.03 m / sqrt(n)`` after ``n``
+    observations.
 
-    Column ``[ix, iy]`` stands ``resolution * (ix, iy)`` m from the lowest cell centre of the map and is looked at from
-    ``z_min`` to ``z_max`` m; both results are float64 ``(nx, ny)``.
+    Column ``[ix, iy]`` lies ``resolution * (ix, iy)`` m from the lowest cell centre of the map; heights from ``z_min``
+    to
+    ``z_max`` m are evaluated. Both results are float64 ``(nx, ny)``.
     """
     low, high = voxel_map.bounds
     shape = tuple(int(n) for n in np.floor((high - low)[:2] / resolution).astype(int) + 1)
@@ -42,7 +44,7 @@ def observed_columns(
 def _columns(
     voxel_map: VoxelMap, heights: jax.Array, resolution: jax.Array, shape: tuple[int, int], deviations: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Highest occupancy and observed share of each column, ``(nx, ny)`` both; one layer of points at a time."""
+    """Return highest occupancy and observed share of each column, both ``(nx, ny)``, computed layer by layer."""
     x = voxel_map.origin[0] + resolution * jnp.arange(shape[0])
     y = voxel_map.origin[1] + resolution * jnp.arange(shape[1])
     xy = jnp.stack(jnp.meshgrid(x, y, indexing="ij"), axis=-1)
@@ -53,7 +55,7 @@ def _columns(
         precision = voxel_map.precision(p_world)[..., 0]
         observed = precision > OBSERVED_PRECISION
         highest = voxel_map.occupancy_at(p_world) + deviations * OBSERVATION_STD * jax.lax.rsqrt(precision)
-        # The prior's mean is a value, not a reading: an unobserved point says nothing about a surface.
+        # The prior mean is no measurement: an unobserved point carries no information about a surface.
         occupancy = jnp.where(observed, highest, -jnp.inf)
         return (jnp.maximum(top, occupancy), known + observed), None
 
@@ -62,11 +64,11 @@ def _columns(
 
 
 def level_distance(depth: np.ndarray, resolution: float) -> np.ndarray:
-    """Signed distance (m, positive where ``depth <= 0``) of every cell centre to the zero level of ``depth (nx, ny)``.
+    """Return the signed distance of cell centres to the zero level of ``depth (nx, ny)``, m; positive outside.
 
-    The level crosses the grid's lines where the linear interpolation of two neighbours does; the distance to the
-    nearest such crossing is what a transform of whole cells misses by up to half a cell. Depths (m, positive inside
-    obstacles) only place the surface between two neighbours: they need not be distances further away.
+    The level is located by linear interpolation between neighbouring cells, and each cell gets its distance to the
+    nearest crossing; a distance transform of whole cells would be off by up to half a cell. Depths (m, positive inside
+    obstacles) only locate the surface between neighbours: away from it they need not be distances.
     """
     depth = np.clip(np.asarray(depth, dtype=np.float64), -resolution, resolution)
     inside = depth > 0.0

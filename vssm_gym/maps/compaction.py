@@ -1,6 +1,6 @@
-"""Lists of set flags with static shapes: what a loop with a dynamic trip count needs to visit only what matters.
+"""Compact flags into lists of static shape, so that a loop with a dynamic trip count visits only the set ones.
 
-``jnp.nonzero`` of a large mask costs milliseconds on a CPU, of which most are spent on flags that are not set.
+``jnp.nonzero`` of a large mask takes milliseconds on a CPU, most of them for flags that are not set.
 """
 
 import jax
@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 ROW = 128
-GROUP = 64  # flags that are looked at together
-TURN = 1024  # flags a loop turn
+GROUP = 64  # flags that are tested together
+TURN = 1024  # flags per loop iteration
 
 
 def first_set(mask: Bool[Array, "n"], size: int) -> Int[Array, "size"]:
@@ -24,12 +24,12 @@ def first_set(mask: Bool[Array, "n"], size: int) -> Int[Array, "size"]:
 
 
 def empty_list(n: int) -> tuple[Array, Array]:
-    """A list with room for the numbers ``0..n-1``, each once, filled with ``n``; and its length, 0."""
+    """Return a list with room for the numbers ``0..n-1``, each once, filled with ``n``; and its length, 0."""
     return jnp.full(n + TURN, n, jnp.int32), jnp.asarray(0, jnp.int32)
 
 
 def append(listed: tuple[Array, Array], numbers: Int[Array, "turn"], mask: Bool[Array, "turn"]) -> tuple[Array, Array]:
-    """The list with those of ``TURN`` numbers whose flag is set at its end."""
+    """Append those of ``TURN`` numbers whose flag is set to the list."""
     buffer, length = listed
     fill = buffer.shape[0] - TURN
     chosen = numbers.at[first_set(mask, TURN)].get(mode="fill", fill_value=fill)
@@ -37,7 +37,7 @@ def append(listed: tuple[Array, Array], numbers: Int[Array, "turn"], mask: Bool[
 
 
 def set_numbers(mask: Bool[Array, "n"]) -> tuple[Array, Array]:
-    """The numbers of the set flags in ascending order, then ``n``; and how many they are."""
+    """Return the numbers of the set flags in ascending order, then fill ``n``; and their count."""
     n = mask.shape[0]
     table = jnp.pad(mask, (0, -n % GROUP)).reshape(-1, GROUP)
     busy = jnp.any(table, axis=1)

@@ -1,11 +1,11 @@
-"""Where a ray may skip: certified empty boxes of a voxel grid, kept up to date block by block.
+"""Index certified empty boxes of a voxel grid, which rays may skip; updated block by block.
 
 The field is the trilinear interpolation of its cells, hence a convex combination of the eight around a point: where all
 eight are at or below the threshold there is no surface between them. A *cube* is the region between eight neighbouring
 cells, named by its lowest one; it is *occupied* when any of the eight exceeds the threshold. For every cube the index
 stores the size of the largest aligned empty box (1, 2, 4 or 8 cubes wide) around it inside its 8^3 block, and for every
-block how many rings of blocks around it are empty. A projective, truncated distance is no bound on the distance to the
-surface (SPEC 3, step 5); these boxes are, so a search that skips by them passes no hit of the fixed march.
+block how many rings of blocks around it are empty. A projective, truncated distance (PRISM's map update) does not bound
+the distance to the surface. These boxes do: a search that skips them misses no hit of the fixed march.
 """
 
 import equinox as eqx
@@ -16,18 +16,18 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT, Blocks, BlockTable, block_coordinates, cell_offset
 
-MAX_RINGS = 12  # rings of empty blocks that are counted; a ray re-reads the index after 12 blocks
+MAX_RINGS = 12  # rings of empty blocks that are counted; a ray reads the index again after 12 blocks
 
 _EDGE = np.arange(BLOCK + 1)
-# The 9^3 cells that a block's cubes touch
+# The 9^3 cells that a block's cubes use
 _WINDOW = np.stack(np.meshgrid(_EDGE, _EDGE, _EDGE, indexing="ij"), -1).reshape(-1, 3)
 
 
 class EmptySpace(eqx.Module):
-    """Certified empty boxes. ``level`` 0: occupied cube; 1, 2, 3, 4: in an empty aligned box of 1, 2, 4, 8 cubes.
+    """Hold certified empty boxes. ``level`` 0: occupied cube; 1, 2, 3, 4: in an empty aligned box of 1, 2, 4, 8 cubes.
 
-    A sparse grid has no levels for blocks without storage: where such a block is not empty (its last cubes touch cells
-    of the next blocks) the prior's row says 0, "look", everywhere.
+    A sparse grid has no levels for blocks without storage. Such a block need not be empty, because its last cubes use
+    cells of the next blocks; therefore the prior's row has level 0 (must be searched) everywhere.
     """
 
     level: UInt8[Array, "rows cells"]
@@ -35,7 +35,7 @@ class EmptySpace(eqx.Module):
 
     @classmethod
     def of_prior(cls, rows: int, blocks: Blocks, sparse: bool) -> "EmptySpace":
-        """No surface anywhere."""
+        """Return the index of a map without surfaces."""
         level = jnp.full((rows, CELLS), 4, jnp.uint8)
         level = level.at[PRIOR_SLOT].set(0) if sparse else level
         return cls(level, jnp.full(blocks, MAX_RINGS, jnp.uint8))
@@ -48,7 +48,7 @@ def block_levels(
     threshold: float,
     table: BlockTable | None = None,
 ) -> UInt8[Array, "n cells"]:
-    """``level`` rows of the blocks ``ids``, read from their cells and the first layer of the next blocks."""
+    """Compute ``level`` rows of the blocks ``ids``, read from their cells and the first layer of the next blocks."""
     # Cubes past the last cell repeat it: there is nothing beyond the grid.
     cells = [
         jnp.minimum(b[:, None] * BLOCK + _WINDOW[:, a], blocks[a] * BLOCK - 1)
@@ -56,7 +56,7 @@ def block_levels(
     ]
     flat = cell_offset(cells, blocks, table)
     above = occupancy.reshape(-1).at[flat].get(mode="promise_in_bounds") > threshold
-    # Nine cells along z as nine bits: what follows handles a whole row of cubes in one operation.
+    # Nine cells along z as nine bits: each operation below handles a whole row of cubes.
     bits = jnp.sum(above.reshape(-1, BLOCK + 1, BLOCK + 1, BLOCK + 1).astype(jnp.int32) << _EDGE, axis=-1)
     bits = bits | (bits >> 1)
     bits = bits[:, :-1] | bits[:, 1:]
@@ -74,7 +74,7 @@ def block_levels(
 
 
 def empty_rings(occupied: Bool[Array, "bx by bz"]) -> UInt8[Array, "bx by bz"]:
-    """Chebyshev distance, in blocks, to the nearest occupied block; capped at ``MAX_RINGS``."""
+    """Return the Chebyshev distance, in blocks, to the nearest occupied block, at most ``MAX_RINGS``."""
     bx, by, bz = occupied.shape
     words = -(-bz // 32)
     bit = np.arange(32, dtype=np.uint32)
@@ -102,7 +102,7 @@ def empty_rings(occupied: Bool[Array, "bx by bz"]) -> UInt8[Array, "bx by bz"]:
 def build(
     occupancy: Float[Array, "rows cells"], blocks: Blocks, table: BlockTable | None = None, threshold: float = 0.0
 ) -> EmptySpace:
-    """The index of a whole grid, in chunks so that the 9^3 windows never stand in memory together."""
+    """Build the index of a whole grid, in chunks, so that the 9^3 windows are never all in memory together."""
     n, rows = blocks[0] * blocks[1] * blocks[2], occupancy.shape[0]
     chunk = min(n, 256)
 

@@ -1,6 +1,7 @@
-"""Map files: an ``.npz`` without pickle, with a version, that appears whole or not at all.
+"""Write and read map files: a versioned ``.npz`` without pickle, written atomically.
 
-Version 1 holds the rows of all blocks of a grid; version 2 those of a block-sparse map, and whose they are.
+Version 1 holds the rows of all blocks of a grid; version 2 holds the stored rows of a block-sparse map and the numbers
+of their blocks.
 """
 
 import json
@@ -22,7 +23,7 @@ _POSITIVE = ("occupancy_precision", "colour_precision", "voxel_size")
 
 @dataclass(frozen=True)
 class StoredMap:
-    """What a map file holds: whole, of a known version, and checked."""
+    """Hold the complete and checked content of a map file of a known version."""
 
     blocks: tuple[int, int, int]
     arrays: dict[str, np.ndarray]  # BELIEF, origin, voxel_size; float32
@@ -85,7 +86,7 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
 
 
 def _unpacked(path: Path) -> tuple[Any, dict[str, np.ndarray]]:
-    """The header and the arrays of a file of this package, unchecked."""
+    """Return the header and the arrays of a file of this package, unchecked."""
     if not path.is_file():
         found = "; this is a folder" if path.is_dir() else ""
         raise InputError(path, "file", f"an existing map file (.npz); `vssm-gym map build` makes one{found}")
@@ -95,13 +96,13 @@ def _unpacked(path: Path) -> tuple[Any, dict[str, np.ndarray]]:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         header = json.loads(arrays.pop("header").tobytes().decode())
-    except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them to
+    except Exception as error:  # zipfile, zlib and NumPy raise errors of many types on damaged files
         raise InputError(path, "file", f"a whole vssm_gym map; it cannot be read ({error})") from error
     return header, arrays
 
 
 def _blocks(path: str | Path, header: dict) -> tuple[int, int, int]:
-    """The blocks along x, y, z that a header declares."""
+    """Return the number of blocks along x, y, z that a header declares."""
     match header.get("blocks"):
         case [int(x), int(y), int(z)] if min(x, y, z) > 0:
             return x, y, z
@@ -109,7 +110,7 @@ def _blocks(path: str | Path, header: dict) -> tuple[int, int, int]:
 
 
 def _stored(path: str | Path, header: dict, arrays: dict[str, np.ndarray], blocks: int) -> tuple[np.ndarray, int]:
-    """The numbers of the blocks that a sparse map's rows belong to, and how many slots it has."""
+    """Return the block numbers of a sparse map's rows, and its number of slots."""
     stored, slots = arrays.get("stored"), header.get("slots")
     if not isinstance(stored, np.ndarray) or stored.ndim != 1 or stored.dtype.kind != "i":
         raise InputError(path, "stored", "a list of block numbers")
@@ -121,7 +122,7 @@ def _stored(path: str | Path, header: dict, arrays: dict[str, np.ndarray], block
 
 
 def read_metadata(path: str | Path) -> dict:
-    """The header of a map file: format, version and what was passed to ``VoxelMap.save``."""
+    """Return the header of a map file: format, version and the metadata passed to ``VoxelMap.save``."""
     return _read(Path(path))[0]
 
 

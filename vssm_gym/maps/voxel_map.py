@@ -1,4 +1,4 @@
-"""The map: independent Gaussians over a voxel grid, ``p(M) = prod_cells N(occupancy) N(rgb)`` (SPEC 1, VSSM-LM, PRISM).
+"""Define the map: independent Gaussians over a voxel grid, ``p(M) = prod_cells N(occupancy) N(rgb)`` (VSSM-LM, PRISM).
 
 Occupancy is the negative signed distance in metres, positive inside objects; colour is RGB in [0, 1]. The continuous
 field is the trilinear interpolation of the cells and its zero level set is the surface.
@@ -19,8 +19,8 @@ from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT, BlockTable, bloc
 from vssm_gym.maps.empty_space import EmptySpace
 from vssm_gym.maps.map_file import read_metadata as read_metadata
 
-PRIOR_OCCUPANCY_STD = 10.0  # m; the information gain of exploration depends on it (SPEC 1, 8)
-PRIOR_COLOUR_STD = 10.0
+PRIOR_OCCUPANCY_STD = 10.0  # m; broad (VSSM-LM); the information gain of exploration depends on it
+PRIOR_COLOUR_STD = 10.0  # of each channel in [0, 1]
 PRIOR_OCCUPANCY_MEAN = -0.001  # m: unknown space is just free, so an empty map renders nothing
 # Std of one real observation. The update's own std, 1, counts observations: the real variance of a cell is
 # OBSERVATION_STD^2 / (precision std^2), see docs/slam.md.
@@ -37,22 +37,24 @@ Box = Sequence[int] | np.ndarray  # block coordinates
 def _cube(
     centre: Array | np.ndarray | Sequence[float], extent: float, voxel_size: float
 ) -> tuple[np.ndarray, float, tuple[int, int, int]]:
-    """Origin, voxel size and shape of a cubic grid."""
+    """Return origin, voxel size and shape of a cubic grid."""
     n = round(extent / voxel_size)
     return np.asarray(centre, dtype=float) - 0.5 * voxel_size * (n - 1), voxel_size, (n, n, n)
 
 
 def trilinear(corners: list[Array], x: Array, y: Array, z: Array) -> Array:
-    """Interpolation between eight corner values (x slowest, z fastest) at fractions ``x, y, z`` in [0, 1]."""
+    """Interpolate between eight corner values (x slowest, z fastest) at fractions ``x, y, z`` in [0, 1]."""
     edges = [a + z * (b - a) for a, b in zip(corners[0::2], corners[1::2], strict=True)]
     faces = [a + y * (b - a) for a, b in zip(edges[0::2], edges[1::2], strict=True)]
     return faces[0] + x * (faces[1] - faces[0])
 
 
 class VoxelMap(eqx.Module):
-    """A Gaussian belief over a grid, stored in blocks of 8^3 cells; consumers use the queries, not the arrays.
+    """Represent a Gaussian belief over a grid, stored in blocks of 8^3 cells.
 
-    A *dense* map has a row for every block. A *block-sparse* one has as many rows as it was given slots; a table says
+    Consumers use the queries, not the arrays.
+
+    A *dense* map has a row for every block. A *block-sparse* map has as many rows as it was given slots; a table says
     which blocks have one, and all others are at the prior (:mod:`vssm_gym.maps.block_table`). Queries do not differ.
     """
 
@@ -74,7 +76,7 @@ class VoxelMap(eqx.Module):
         shape: tuple[int, int, int],
         slots: int | None = None,
     ) -> "VoxelMap":
-        """``p(M)``: the broad prior over a grid of at least ``shape`` cells (rounded up to whole blocks).
+        """Return ``p(M)``, the broad prior over a grid of at least ``shape`` cells (rounded up to whole blocks).
 
         With ``slots`` the map is block-sparse: at most ``slots - 1`` blocks can be observed.
         """
@@ -96,7 +98,12 @@ class VoxelMap(eqx.Module):
     def cube(
         cls, centre: Array | np.ndarray | Sequence[float], extent: float = 14.0, voxel_size: float = 0.07
     ) -> "VoxelMap":
-        """The published grid: ``extent`` metres along each axis around ``centre`` (PRISM: 200^3 over 14 m)."""
+        """Return the prior on the published grid: ``extent`` m along each axis around ``centre``.
+
+        PRISM has 200^3 over 14 m.
+
+        PRISM has 200^3 over 14 m.
+        """
         return cls.prior(*_cube(centre, extent, voxel_size))
 
     @classmethod
@@ -107,27 +114,30 @@ class VoxelMap(eqx.Module):
         voxel_size: float = 0.07,
         slots: int = DEFAULT_SLOTS,
     ) -> "VoxelMap":
-        """A block-sparse map of a cube whose memory is that of ``slots`` blocks, 12.8 kB each, whatever its volume."""
+        """Return a block-sparse prior on a cube.
+
+        Its memory is that of ``slots`` blocks, 12.8 kB each, whatever its volume.
+        """
         return cls.prior(*_cube(centre, extent, voxel_size), slots=slots)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Cells along x, y, z."""
+        """Return the number of cells along x, y, z."""
         return (self.blocks[0] * BLOCK, self.blocks[1] * BLOCK, self.blocks[2] * BLOCK)
 
     @property
     def bounds(self) -> np.ndarray:
-        """``(2, 3)`` world positions of the lowest and highest cell centres, m."""
+        """Return the ``(2, 3)`` world positions of the lowest and highest cell centres, m."""
         low = np.asarray(self.origin, dtype=float)
         return np.stack([low, low + (np.array(self.shape) - 1) * float(self.voxel_size)])
 
     def to_grid(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        """Continuous cell coordinates of world points; integers are cell centres."""
+        """Return continuous cell coordinates of world points; integers are cell centres."""
         return (p_world - self.origin) / self.voxel_size
 
     def corners(self, p_world: Array) -> tuple[list[Array], list[Array], Array]:
-        """Flat positions of the eight cells around points, the fractions between them, and which points are inside."""
-        # One array a coordinate: what runs over an axis of three does not vectorise over points.
+        """Return the flat positions of the eight cells around points, the fractions, and which points lie inside."""
+        # One array a coordinate: operations over an axis of three do not vectorise over points.
         g = [(p_world[..., a] - self.origin[a]) / self.voxel_size for a in range(3)]
         low, inside = [], jnp.ones(p_world.shape[:-1], bool)
         for c, n in zip(g, self.shape, strict=True):
@@ -137,18 +147,18 @@ class VoxelMap(eqx.Module):
         return offsets, [c - d for c, d in zip(g, low, strict=True)], inside
 
     def _interpolate(self, p_world: Array, array: Array, outside: float) -> Array:
-        """Trilinear interpolation of a ``(rows, cells)`` array; ``outside`` beyond the grid."""
+        """Interpolate a ``(rows, cells)`` array trilinearly; return ``outside`` beyond the grid."""
         offsets, fraction, inside = self.corners(p_world)
         flat = array.reshape(-1)
         corners = [flat.at[offset].get(mode="promise_in_bounds") for offset in offsets]
         return jnp.where(inside, trilinear(corners, *fraction), outside)
 
     def occupancy_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """Mean occupancy (negative signed distance, m) at world points; the prior mean outside the grid."""
+        """Return mean occupancy (negative signed distance, m) at world points; the prior mean outside the grid."""
         return self._interpolate(p_world, self.occupancy, PRIOR_OCCUPANCY_MEAN)
 
     def colour_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        """Mean RGB at world points; the prior mean outside the grid."""
+        """Return mean RGB at world points; the prior mean outside the grid."""
         offsets, fraction, inside = self.corners(p_world)
         flat, plane = self.colour.reshape(-1), CELLS * jnp.arange(3)
         # A row holds three planes of cells: from row CELLS + cell to (3 row + channel) CELLS + cell.
@@ -161,16 +171,17 @@ class VoxelMap(eqx.Module):
         return jnp.concatenate([self.occupancy_at(p_world)[..., None], self.colour_at(p_world)], axis=-1)
 
     def precision(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
-        """Precision of occupancy and of each colour channel, interpolated; the prior's outside the grid."""
+        """Interpolate the precision of occupancy and of each colour channel; the prior's outside the grid."""
         occupancy = self._interpolate(p_world, self.occupancy_precision, PRIOR_OCCUPANCY_STD**-2)
         colour = self._interpolate(p_world, self.colour_precision, PRIOR_COLOUR_STD**-2)
         return jnp.stack([occupancy, colour, colour, colour], axis=-1)
 
     def observed_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """Share of the field's value at a point that comes from cells whose occupancy and colour were observed, [0, 1].
+        """Return the interpolation weight at each point of cells whose occupancy and colour were observed, [0, 1].
 
-        Behind the band that an image updates the field falls back to "just free"; that crossing is no surface, and it
-        lies close to a cell that nothing observed, which gives it away.
+        Behind the truncation band that an image updates, the field falls back to the prior, "just free". That zero
+        crossing is
+        no surface: it lies close to unobserved cells, which this weight reveals.
         """
         offsets, fraction, inside = self.corners(p_world)
         occupancy, colour = self.occupancy_precision.reshape(-1), self.colour_precision.reshape(-1)
@@ -182,14 +193,14 @@ class VoxelMap(eqx.Module):
         return jnp.where(inside, trilinear(seen, *fraction), 0.0)
 
     def with_occupancy(self, occupancy: Float[Array, "rows cells"]) -> "VoxelMap":
-        """The same map with other occupancy means; the empty-space index follows."""
-        if self.table is not None:  # one row stands for all blocks without storage: it stays at the prior
+        """Return the same map with other occupancy means and an updated empty-space index."""
+        if self.table is not None:  # the row of all blocks without storage stays at the prior
             occupancy = occupancy.at[PRIOR_SLOT].set(PRIOR_OCCUPANCY_MEAN)
         empty = _build_empty(occupancy, self.blocks, self.table)
         return eqx.tree_at(lambda m: (m.occupancy, m.empty), self, (occupancy, empty))
 
     def dense(self, array: Array, low: Box = (0, 0, 0), high: Box | None = None) -> Array:
-        """A ``(rows, ..., cells)`` array laid out as ``(nx, ny, nz, ...)``: for pictures, meshes and tests.
+        """Lay out a ``(rows, ..., cells)`` array as ``(nx, ny, nz, ...)``, for pictures, meshes and tests.
 
         Only blocks from ``low`` to before ``high`` along x, y, z are laid out; all by default.
         """
@@ -201,15 +212,15 @@ class VoxelMap(eqx.Module):
         return a.reshape(bx * BLOCK, by * BLOCK, bz * BLOCK, *array.shape[1:-1])
 
     def blocked(self, dense: Array) -> Array:
-        """The inverse of :meth:`dense` for a dense map: ``(nx, ny, nz[, channels])`` to block storage."""
+        """Convert ``(nx, ny, nz[, channels])`` to block storage: the inverse of :meth:`dense` for a dense map."""
         bx, by, bz = self.blocks
         a = dense.reshape(bx, BLOCK, by, BLOCK, bz, BLOCK, -1).transpose(0, 2, 4, 6, 1, 3, 5)
         return a.reshape((bx * by * bz, *dense.shape[3:], CELLS))
 
     def save(self, path: str | Path, **metadata: Any) -> None:
-        """Write an ``.npz`` (no pickle) with a version and ``metadata``; the file appears whole or not at all.
+        """Write an ``.npz`` (no pickle) with a version and ``metadata``, atomically.
 
-        Of a block-sparse map only the blocks that have storage are written.
+        Only stored blocks of a block-sparse map are written.
         """
         arrays = {name: np.asarray(getattr(self, name)) for name in map_file.BELIEF}
         place = {"origin": np.asarray(self.origin), "voxel_size": np.asarray(self.voxel_size)}

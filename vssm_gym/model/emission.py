@@ -1,4 +1,4 @@
-"""The emission: ``p(x | z, M) = Laplace(x; mu_rgbd(z, M), diag(sigma_E))``, a differentiable RGB-D renderer (SPEC 1).
+"""Render RGB-D images differentiably: ``p(x | z, M) = Laplace(x; mu_rgbd(z, M), diag(sigma_E))`` (VSSM-LM, PRISM).
 
 Along the ray of pixel (i, j), ``p(d) = c + d R K^-1 [i, j, 1]^T`` is sampled at ``d_k = k e``. With ``k`` the first
 sample whose occupancy exceeds ``tau``, the surface is at ``d* = a d_k + (1 - a) d_k-1``,
@@ -24,54 +24,54 @@ TAU = 0.0  # occupancy of the surface: zero for signed distances
 STEP = 0.4  # e, in voxels (PRISM)
 MAX_DEPTH = 8.0  # m
 HIT = 1 << 20  # added to the sample of a hit; no ray has as many samples
-NARROWING = (2, 4, 8, 16, 32, 64)  # batches of rays: of all, shares
-FLIGHT = 3  # leaps before the first look: rays start in the open
-KNOWN_SHARE = 0.75  # a pixel is known where so much of its value comes from observed cells
+NARROWING = (2, 4, 8, 16, 32, 64)  # divisors of the number of rays: sizes of ever narrower batches
+FLIGHT = 3  # leaps before the first test of a cube: rays start in free space
+KNOWN_SHARE = 0.75  # a pixel is known where observed cells have at least this interpolation weight
 SAMPLES_IN_CUBE = 5  # a ray crosses a cube's diagonal, sqrt(3) voxels, in at most floor(sqrt(3) / STEP) + 1 samples
 
 
 class RGBD(eqx.Module):
-    """An RGB-D image of the model."""
+    """Represent an RGB-D image of the model."""
 
     depth: Float[Array, "height width"]  # z-depth, m; 0 where there is none
     rgb: Float[Array, "height width 3"]  # [0, 1]
     hit: Bool[Array, "height width"]  # where depth means anything
-    known: Bool[Array, "height width"]  # where the surface has been observed: elsewhere the map only guesses
+    known: Bool[Array, "height width"]  # where the surface was observed; elsewhere it follows from the prior mean
 
 
 class EmissionScales(eqx.Module):
-    """``sigma_E``: scales of the Laplace emission; colour is 10 times narrower than depth by default (SPEC 1)."""
+    """Hold ``sigma_E``, the scales of the Laplace emission; colour's is a tenth of depth's by default (VSSM-LM)."""
 
     depth: Float[Array, ""] | float = 0.1  # m
     rgb: Float[Array, ""] | float = 0.01  # [0, 1]
 
 
 class _Rays(NamedTuple):
-    """Rays in cell coordinates: position ``start + k * stride`` at sample ``k``.
+    """Hold rays in cell coordinates: position ``start + k * stride`` at sample ``k``.
 
     One array a coordinate: a reduction over an axis of three keeps the compiler from vectorising over rays. One array
-    for where a ray stands and whether it hit: the compiler works out again for each array that a step writes all that
-    leads to it, so two of them cost twice as much.
+    encodes both the position and the hit: the compiler repeats the whole computation for each array that a step
+    writes, so that two arrays would cost twice as much.
     """
 
     start: tuple[Array, ...]  # scalars: all rays leave the camera
     stride: tuple[Array, ...]  # (rays,) cells a sample
-    k: Array  # (rays,) the sample the search stands at; plus HIT where it found the surface
+    k: Array  # (rays,) the current sample of the search; plus HIT where it found the surface
     last: Array  # (rays,) the last sample inside the grid and the depth range
 
     @property
     def inverse(self) -> tuple[Array, ...]:
-        """1 / stride, finite where the ray is parallel to a face."""
+        """Return 1 / stride, finite where the ray is parallel to a face."""
         return tuple(1.0 / jnp.where(jnp.abs(s) > 1e-9, s, 1e-9) for s in self.stride)
 
     @property
     def unfinished(self) -> Array:
-        """Rays that neither hit nor left."""
+        """Return which rays neither hit nor left."""
         return self.k <= self.last
 
 
 def world_rays(T_world_cam: Float[Array, "4 4"], camera: Camera) -> tuple[Array, Array]:
-    """Camera centre (3,) and ray directions (height*width, 3) in the world, per metre of z-depth."""
+    """Return the camera centre (3,) and ray directions (height*width, 3) in the world, per metre of z-depth."""
     # One array a coordinate: a product (N, 3) @ (3, 3) costs as much as a tenth of an image.
     v, u = (a.reshape(-1) for a in jnp.indices((camera.height, camera.width), jnp.float32))
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
@@ -81,7 +81,7 @@ def world_rays(T_world_cam: Float[Array, "4 4"], camera: Camera) -> tuple[Array,
 
 
 def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
-    """The published search: every sample of every ray in order. The reference that :func:`search` is held to.
+    """Search every sample of every ray in order: the published search, to which :func:`search` is compared in tests.
 
     Returns:
         ``k`` (rays,), the first sample above the threshold, and ``hit`` (rays,).
@@ -112,21 +112,21 @@ def _start(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arr
         near, far = -s * i, (n - 1.0 - s) * i
         enter = jnp.maximum(enter, jnp.minimum(near, far))
         leave = jnp.minimum(leave, jnp.maximum(near, far))
-    # The slack keeps a sample on the grid's face; a ray beside the grid "enters" at 1e9 samples, which fits no int32.
+    # The slack keeps a sample on the grid's face. A ray that misses it "enters" at 1e9 samples, too large for int32.
     k = jnp.minimum(jnp.ceil(enter - 1e-3), jnp.floor(max_depth / e) + 1.0)
     last = jnp.where(enter > leave, 0.0, jnp.floor(leave + 1e-3))
     return rays._replace(k=k.astype(jnp.int32), last=last.astype(jnp.int32))
 
 
 def _cube(m: VoxelMap, rays: _Rays) -> list[Array]:
-    """The cube each ray's sample lies in, by coordinate; samples off the grid by rounding take the nearest one."""
+    """Return the cube of each ray's sample, by coordinate; samples off the grid by rounding take the nearest one."""
     k = rays.k.astype(jnp.float32)
     at = (jnp.floor(start + stride * k) for start, stride in zip(rays.start, rays.stride, strict=True))
     return [jnp.clip(p.astype(jnp.int32), 0, n - 2) for p, n in zip(at, m.shape, strict=True)]
 
 
 def _beyond(rays: _Rays, low: list[Array], size: Array | int) -> Array:
-    """The first sample past the box from ``low`` to ``low + size``, at least one further than now."""
+    """Return the first sample past the box from ``low`` to ``low + size``, at least one further than now."""
     exits = [
         (jnp.where(inverse > 0, edge + size, edge) - start) * inverse
         for start, inverse, edge in zip(rays.start, rays.inverse, low, strict=True)
@@ -136,7 +136,7 @@ def _beyond(rays: _Rays, low: list[Array], size: Array | int) -> Array:
 
 
 def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
-    """Move each ray to the first sample beyond the certified empty box it stands in; not where its cube is occupied."""
+    """Move each ray to the first sample beyond its certified empty box; rays in occupied cubes stay."""
     cube = _cube(m, rays)
     block = block_number([c >> 3 for c in cube], m.blocks)
     rings = m.empty.rings.reshape(-1).at[block].get(mode="promise_in_bounds").astype(jnp.int32)
@@ -150,7 +150,7 @@ def _leap(m: VoxelMap, rays: _Rays) -> _Rays:
 
 
 def _look(m: VoxelMap, rays: _Rays) -> _Rays:
-    """Test every sample that a ray has in its present cube: the first one above the threshold is the hit."""
+    """Test every sample of a ray in its current cube: the first one above the threshold is the hit."""
     cube = _cube(m, rays)
     occupancy = m.occupancy.reshape(-1)
     offsets = corner_offsets(cube, m.blocks, m.table)
@@ -166,14 +166,14 @@ def _look(m: VoxelMap, rays: _Rays) -> _Rays:
 
 
 def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
-    """First sample above the threshold, as :func:`march` finds it, skipping certified empty boxes.
+    """Find the first sample above the threshold, as :func:`march` does, but skip certified empty boxes.
 
-    The two form positions in other units, so where a sample meets the threshold to the last bits (one ray in 10^5 of a
-    learned map) they may differ by one sample; the crossing between samples, hence the depth, is continuous there.
+    The two compute positions in different units. Where a sample equals the threshold to the last bits (one ray in 10^5
+    of a learned map) they may differ by one sample; the crossing between samples, hence the depth, is continuous there.
 
-    Rays move in lock step, so a few that graze a surface would hold up all others: whenever few are left they are
-    gathered into a narrower batch. ``directions`` are at least 1 long, as those of a camera per metre of z-depth are:
-    shorter ones would have more samples in a cube than are looked at.
+    Rays move in lock step, so that a few that graze a surface would delay all others: when few are left they are
+    gathered into a narrower batch. ``directions`` have length 1 at least, as those of a camera per metre of z-depth do:
+    shorter ones would have more samples in a cube than are tested.
 
     Returns:
         ``k`` (rays,) and ``hit`` (rays,).
@@ -203,12 +203,12 @@ def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arr
 
 
 def _along(centre: Array, directions: Array, depth: Array) -> Array:
-    """Points (rays, 3) at z-depths, formed a coordinate at a time."""
+    """Return points (rays, 3) at z-depths, computed one coordinate at a time."""
     return jnp.stack([centre[a] + directions[:, a] * depth for a in range(3)], axis=-1)
 
 
 def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays"]) -> Float[Array, "rays"]:
-    """``d* = a d_k + (1 - a) d_k-1``: z-depth of the crossing before sample ``k``; differentiable, see the module."""
+    """``d* = a d_k + (1 - a) d_k-1``: the z-depth of the crossing before sample ``k``; differentiable."""
     e = STEP * m.voxel_size
     d_k = k.astype(jnp.float32) * e
     d_before = d_k - e
@@ -227,7 +227,7 @@ def render_with(
     camera: Camera,
     max_depth: float | Array = MAX_DEPTH,
 ) -> RGBD:
-    """:func:`render` with a given search (``march`` or ``search``)."""
+    """Render as :func:`render`, with a given search (``march`` or ``search``)."""
     centre, directions = world_rays(T_world_cam, camera)
     k, hit = searcher(*jax.lax.stop_gradient((m, centre, directions)), max_depth)
     k = jnp.where(hit, k, 2)
@@ -243,13 +243,13 @@ def render_with(
 
 @jax.jit
 def render(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float | Array = MAX_DEPTH) -> RGBD:
-    """``mu_rgbd(z, M)``: the RGB-D image of the mean map from a pose.
+    """Render ``mu_rgbd(z, M)``, the RGB-D image of the mean map from a pose.
 
     Args:
         m: The map.
         T_world_cam: ``(4, 4)`` camera pose.
         camera: Intrinsics and image size.
-        max_depth: z-depth (m) up to which surfaces are looked for.
+        max_depth: z-depth (m) up to which surfaces are searched.
 
     Returns:
         Depth (z, metres), colour, and the masks of pixels that hit a surface and that hit an observed one.

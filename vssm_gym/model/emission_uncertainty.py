@@ -1,12 +1,12 @@
-"""Map uncertainty in images: ``p(x | z) = int p(x | z, M) q(M) dM``, propagated or sampled (SPEC 1, emission).
+"""Propagate map uncertainty to images: ``p(x | z) = int p(x | z, M) q(M) dM``, to first order or by samples.
 
-The published update counts observations with std 1; a real reading errs by a few centimetres. So the variance of a cell
-is ``s^2 / n``, ``s`` the std of one reading and ``n`` the precision in units of observations. Two kinds of cell keep
-their mean: those that nothing observed (independent draws of the broad prior would fill unknown space with surfaces)
-and those two voxels or more from the surface, where an observation was clipped: a bound, not a reading.
+The published update gives each observation the std 1; the error of a real reading is a few centimetres. The variance of
+a cell is therefore ``s^2 / n``, with ``s`` the std of one reading and ``n`` the precision in units of observations. Two
+kinds of cell keep their mean: unobserved cells (independent draws from the broad prior would fill unknown space with
+surfaces), and cells two voxels or more from the surface, whose observations were clipped and are only bounds.
 
-Cells are independent in ``q(M)`` although one ray's error moves them together, so averaging over a pixel's eight cells
-makes depth look more certain than a single reading by up to ``sqrt(8)`` (docs/equations.md, approximations).
+Cells are independent in ``q(M)`` although the error of one ray is common to them. Averaging over a pixel's eight cells
+therefore understates the std of depth by a factor of up to ``sqrt(8)``.
 """
 
 from functools import partial
@@ -22,27 +22,27 @@ from vssm_gym.maps.block_table import cell_offset
 from vssm_gym.maps.voxel_map import OBSERVATION_COLOUR_STD, OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD, STEP, render, world_rays
 
-BAND = 2.0  # voxels: cells farther from the surface hold bounds, and take no part in its crossing
-MIN_SLOPE = 0.1  # of occupancy over depth: a ray that grazes a surface magnifies errors by ten at most
+BAND = 2.0  # voxels, the default truncation of the map update: cells farther from the surface hold bounds only
+MIN_SLOPE = 0.1  # of occupancy over depth, so that a ray that grazes a surface magnifies errors tenfold at most
 
-# Two samples 0.4 voxels apart lie in one cube or in two that touch: cells 0, 1, 2 from the lower one along each axis
+# Two samples 0.4 voxels apart lie in one cube or in adjacent ones: cells 0, 1, 2 from the lower one along each axis
 _CELLS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
 class Readings(eqx.Module):
-    """How well one image knows what it sees; the map's precision counts readings of std ``counted``."""
+    """Hold the measurement noise of map cells. Precisions in the map count observations of std ``counted``."""
 
     depth: Float[Array, ""] | float = OBSERVATION_STD  # m
     rgb: Float[Array, ""] | float = OBSERVATION_COLOUR_STD
     counted: Float[Array, ""] | float = 1.0  # MapUpdateConfig.std
 
     def occupancy_variance(self, mean: Array, precision: Array, voxel_size: Array) -> Array:
-        """Of cells, m^2, any shape; 0 where the cell keeps its mean."""
+        """Return the variance of cells' occupancy, m^2, any shape; 0 where the cell keeps its mean."""
         measured = (precision > OBSERVED_PRECISION) & (jnp.abs(mean) < BAND * voxel_size * (1.0 - 1e-4))
         return jnp.where(measured, self.depth**2 / (precision * self.counted**2), 0.0)
 
     def colour_variance(self, precision: Array) -> Array:
-        """Of cells' colour channels, any shape; 0 where the cell keeps its mean."""
+        """Return the variance of cells' colour channels, any shape; 0 where the cell keeps its mean."""
         return jnp.where(precision > OBSERVED_PRECISION, self.rgb**2 / (precision * self.counted**2), 0.0)
 
 
@@ -53,7 +53,7 @@ ONE_READING = Readings()
 def image_std(
     m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, image: RGBD, readings: Readings = ONE_READING
 ) -> tuple[Float[Array, "height width"], Float[Array, "height width 3"]]:
-    """Std of a rendered image under ``q(M)``, to first order at the hit.
+    """Return the std of a rendered image under ``q(M)``, to first order at the hit.
 
     With ``d* = d_k-1 + a e``, ``a = -o_k-1 / (o_k - o_k-1)`` as rendered and ``g = (o_k - o_k-1) / e``,
     ``var d = var(a o_k + (1 - a) o_k-1) / g^2`` and ``var c = var(colour(p)) + (dc/dd)^2 var d``: sums over cells of
@@ -100,14 +100,14 @@ def image_std(
 
 
 def _hat(g: Array, cell: list[Array]) -> Array:
-    """The trilinear weight that points at cell coordinates ``g`` (rays, 3) give a cell; 0 for one of another cube."""
+    """Return a cell's trilinear weight at cell coordinates ``g`` (rays, 3); 0 for cells of other cubes."""
     x, y, z = (jnp.maximum(1.0 - jnp.abs(g[:, axis] - c), 0.0) for axis, c in enumerate(cell))
     return x * y * z
 
 
 @jax.jit
 def sample_map(key: PRNGKeyArray, m: VoxelMap, readings: Readings = ONE_READING) -> VoxelMap:
-    """``M ~ q(M)``: a map whose means are drawn cell by cell; precisions stay those of the belief.
+    """Draw ``M ~ q(M)``: a map whose means are drawn cell by cell; precisions stay those of the belief.
 
     The empty-space index is built anew, which costs more than the draw.
     """
@@ -129,7 +129,7 @@ def sample_images(
     max_depth: float | Array = MAX_DEPTH,
     readings: Readings = ONE_READING,
 ) -> RGBD:
-    """``mu_rgbd(z, M_k)``, ``M_k ~ q(M)``: the same view of ``samples`` maps, one after the other.
+    """Render ``mu_rgbd(z, M_k)``, ``M_k ~ q(M)``: the same view of ``samples`` maps, one after the other.
 
     Returns:
         An image whose arrays have ``samples`` as first axis.

@@ -1,7 +1,7 @@
-"""``q(z_t) q(M)``: what inference knows of the state and the map, independent of each other (PRISM).
+"""Represent the posterior ``q(z_t) q(M)``: independent beliefs over state and map (PRISM).
 
-Map samples and densities are those of :class:`~vssm_gym.model.emission_uncertainty.Readings`: cells that an image
-measured vary, all others keep their mean.
+Map samples and densities are those of :class:`~vssm_gym.model.emission_uncertainty.Readings`: measured cells vary, all
+others keep their mean.
 """
 
 import json
@@ -23,7 +23,7 @@ from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold
 
 MANIFOLDS: dict[str, Manifold] = {"planar": PLANAR, "rigid": RIGID}
-FORMAT, VERSION = "vssm_gym.Belief", 1  # of a file that holds a belief and no map
+FORMAT, VERSION = "vssm_gym.Belief", 1  # of a file with a belief and no map
 
 
 class Draw(NamedTuple):
@@ -34,25 +34,25 @@ class Draw(NamedTuple):
 
 
 class LogPosterior(NamedTuple):
-    """The terms of ``log q(z, M)``; in float32 the cells' sum dwarfs the state's term."""
+    """Hold the terms of ``log q(z, M)``; in float32 the sum over cells dwarfs the state's term."""
 
     state: Float[Array, ""]
     map: Float[Array, ""]  # 0 without a map
 
 
 class Entropy(NamedTuple):
-    """Entropies in nats."""
+    """Hold entropies in nats."""
 
     state: float
     map: float  # of occupancy, relative to the prior; 0 without a map
 
 
 class Posterior(eqx.Module):
-    """A belief over the state and one over the map; None where a filter keeps no map."""
+    """Combine a belief over the state with one over the map; the map is None where a filter keeps none."""
 
     belief: Belief
     map: VoxelMap | None
-    readings: Readings = ONE_READING  # how well one observation counted in the map knows what it saw
+    readings: Readings = ONE_READING  # of one observation counted in the map
 
     def sample(self, key: PRNGKeyArray) -> Draw:
         """Draw one state and one map; :meth:`Belief.sample` draws many states."""
@@ -61,7 +61,7 @@ class Posterior(eqx.Module):
         return Draw(state, None if self.map is None else sample_map(by_map, self.map, self.readings))
 
     def log_prob(self, draw: Draw) -> LogPosterior:
-        """``log q(z) + log q(M)``, term by term; of the map over the cells that :meth:`sample` varies."""
+        """``log q(z) + log q(M)``, term by term; the map's over the cells that :meth:`sample` varies."""
         cells = jnp.float32(0.0)
         if self.map is not None and draw.map is not None:
             m, M = self.map, draw.map
@@ -75,7 +75,7 @@ class Posterior(eqx.Module):
         return Entropy(float(self.belief.entropy()), 0.0 if self.map is None else map_entropy(self.map))
 
     def save(self, path: str | Path, **metadata: Any) -> None:
-        """Write an ``.npz`` without pickle that appears whole or not at all; with a map it is a map file.
+        """Write an ``.npz`` without pickle, atomically; with a map it is a map file.
 
         Raises:
             InputError: a belief that is no Gaussian on a known manifold.
@@ -96,7 +96,7 @@ class Posterior(eqx.Module):
 
     @classmethod
     def load(cls, path: str | Path) -> "Posterior":
-        """Read what :meth:`save` wrote.
+        """Read a file written by :meth:`save`.
 
         Raises:
             InputError: the file is missing, damaged or of another version, or a map file without a belief.
@@ -132,19 +132,21 @@ class Posterior(eqx.Module):
 
 
 def map_entropy(m: VoxelMap) -> float:
-    """``H(M) - H(prior) = sum_cells 1/2 log(lambda_0 / lambda)``, nats; 0 for an empty map, less for a known one.
+    """``H(M) - H(prior) = sum_cells 1/2 log(lambda_0 / lambda)``, nats; 0 for an empty map, negative for others.
 
-    Relative to the prior, ``lambda_0 = PRIOR_OCCUPANCY_STD^-2``, because the absolute entropy of a grid grows with its
-    extent: cells that nothing observed, inside the grid or beyond it, contribute nothing, and a dense and a
-    block-sparse map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72``
-    nats a cell.
+    Entropy is relative to the prior, ``lambda_0 = PRIOR_OCCUPANCY_STD^-2``, because the absolute entropy of a grid
+    grows
+    with its extent. Unobserved cells, inside the grid or beyond it, contribute nothing, so that a dense and a block-
+    sparse
+    map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72`` nats a cell.
 
-    Occupancy alone (VSSM-LM): colour is observed in the band around surfaces only, so its entropy adds little but a
-    second count of the same cells, and nothing that a robot plans with.
+    Only occupancy counts (VSSM-LM): colour is observed in the band around surfaces only, so that its entropy would
+    mostly
+    count the same cells twice, and no planner uses it.
     """
     precision = np.asarray(m.occupancy_precision)
     prior = np.float32(PRIOR_OCCUPANCY_STD**-2)  # as cells hold it, so that an empty map's entropy is 0
-    known = precision[precision != prior].astype(np.float64)  # most are not: a tenth of the time
+    known = precision[precision != prior].astype(np.float64)  # most cells are unobserved: ten times faster
     return 0.5 * float(np.sum(np.log(float(prior) / known)))
 
 
@@ -156,7 +158,7 @@ def _log_normal(off: Array, variance: Array) -> Array:
 
 
 def _rotation(R: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix; zeros where there is none."""
+    """Return the rotation nearest to a matrix; zeros where there is none."""
     try:
         U, _, V = np.linalg.svd(R)
     except np.linalg.LinAlgError:
@@ -170,7 +172,7 @@ def _manifold(belief: Belief) -> Any:
 
 def _arrays(path: str | Path, field: str, values: Any, shapes: list[tuple[int, ...]]) -> list[Array]:
     try:
-        with np.errstate(over="ignore"):  # what float32 does not hold is refused below
+        with np.errstate(over="ignore"):  # values that overflow float32 are refused below
             arrays = [np.asarray(value, np.float64).astype(np.float32) for value in values]
     except (TypeError, ValueError, OverflowError):
         arrays = []

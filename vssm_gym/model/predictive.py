@@ -1,4 +1,4 @@
-"""The posterior predictive in few numbers: envelopes of states, means and variances of images (SPEC 1).
+"""Summarise the posterior predictive: envelopes of states, means and variances of images (VSSM-LM, PRISM).
 
 From samples of :func:`vssm_gym.model.spatial_model.rollout`: at every step a mean state on the manifold, the covariance
 of the errors ``xi`` with ``z = perturb(mean, xi)``, and the ellipsoid that holds a given share of the futures.
@@ -15,20 +15,20 @@ from jaxtyping import Array, Bool, Float
 from vssm_gym.model.emission import RGBD, EmissionScales
 from vssm_gym.model.transition.manifold import Manifold
 
-MEAN_STEPS = 5  # of the mean on the manifold; it converges in two or three unless rotations spread by a radian
-STD_FLOOR = 1e-6  # m, rad: what float32 poses resolve; keeps ellipsoids that have no volume from dividing by zero
+MEAN_STEPS = 5  # iterations of the mean on the manifold; two or three suffice unless rotations spread by a radian
+STD_FLOOR = 1e-6  # m, rad: the resolution of float32 poses; avoids division by zero for degenerate ellipsoids
 
 
 class Envelope(eqx.Module):
-    """A region ``(xi^T covariance^-1 xi <= radius2)`` at every step."""
+    """Represent a region ``(xi^T covariance^-1 xi <= radius2)`` at every step."""
 
     mean: Any  # a state pytree with leading time axis
     covariance: Float[Array, "time n n"]  # of xi, in the order of the manifold's errors: (m, rad[, m/s, rad/s])
-    radius2: Float[Array, "time"]  # chi-square quantile's place, but from the samples: futures need not be Gaussian
+    radius2: Float[Array, "time"]  # a quantile of the samples, not of chi-square: futures need not be Gaussian
 
 
 class ImageSummary(eqx.Module):
-    """Mean and variance of each pixel among the futures that see a surface there."""
+    """Hold mean and variance of each pixel over the futures that see a surface there."""
 
     depth_mean: Float[Array, "*batch height width"]  # m; 0 where no future sees one
     depth_variance: Float[Array, "*batch height width"]  # m^2; infinite there
@@ -40,14 +40,14 @@ class ImageSummary(eqx.Module):
 
 @partial(jax.jit, static_argnames=("manifold", "level", "coordinates"))
 def envelope(manifold: Manifold, states: Any, level: float = 0.95, coordinates: int | None = None) -> Envelope:
-    """The region that holds a share ``level`` of the futures at each step.
+    """Compute the region that holds a share ``level`` of the futures at each step.
 
     Args:
         manifold: Of the states.
         states: Pytree of (samples, time, ...).
         level: Share of the futures inside.
-        coordinates: Only the first so many of ``xi``: 6 for the pose of a rigid body; default all. The samples must
-            be several times as many.
+        coordinates: How many of the first coordinates of ``xi`` to use: 6 for the pose of a rigid body; default all.
+            There must be several times as many samples.
 
     Returns:
         Mean, covariance and squared radius a step.
@@ -58,7 +58,7 @@ def envelope(manifold: Manifold, states: Any, level: float = 0.95, coordinates: 
     xi = manifold.error(mean, states)[..., :coordinates]
     n = xi.shape[0]
     covariance = jnp.einsum("kti,ktj->tij", xi, xi) / (n - 1)
-    # Each sample against mean and covariance of the others: its own share in them would make the region too small.
+    # Compare each sample with mean and covariance of the others: its own contribution would shrink the region.
     q = _distance2(xi, covariance) / (n - 1)
     left_out = (n / (n - 1)) ** 2 * (n - 2) * q / jnp.maximum(1.0 - n / (n - 1) * q, 1e-6)
     return Envelope(mean, covariance, jnp.quantile(left_out, level, axis=0))
@@ -66,20 +66,20 @@ def envelope(manifold: Manifold, states: Any, level: float = 0.95, coordinates: 
 
 @partial(jax.jit, static_argnames="manifold")
 def distance2(manifold: Manifold, region: Envelope, states: Any) -> Float[Array, "*batch time"]:
-    """``xi^T covariance^-1 xi`` of states (..., time): the squared Mahalanobis distance to the mean."""
+    """``xi^T covariance^-1 xi``: the squared Mahalanobis distance of states (..., time) to the mean."""
     xi = manifold.error(region.mean, states)[..., : region.covariance.shape[-1]]
     return _distance2(xi, region.covariance)
 
 
 @partial(jax.jit, static_argnames="manifold")
 def inside(manifold: Manifold, region: Envelope, states: Any) -> Bool[Array, "*batch time"]:
-    """Whether states (..., time) lie in the region of their step."""
+    """Return which states (..., time) lie in the region of their step."""
     return distance2(manifold, region, states) <= region.radius2
 
 
 @jax.jit
 def image_summary(images: RGBD, scales: EmissionScales) -> ImageSummary:
-    """``E[x]`` and ``var[x] = var[mu] + 2 sigma^2`` a pixel: the spread between futures plus the Laplace emission's.
+    """``E[x]`` and ``var[x] = var[mu] + 2 sigma^2`` of each pixel: spread between futures plus Laplace emission noise.
 
     Args:
         images: Arrays (samples, ..., height, width[, 3]) of :class:`~vssm_gym.model.spatial_model.Rollouts`.

@@ -1,4 +1,4 @@
-"""The model: ``p(x_1:T, z_1:T, M | u) = p(M) p(z_1) prod_t p(z_t | z_t-1, u_t-1) prod_t p(x_t | z_t, M)`` (SPEC 1).
+"""``p(x_1:T, z_1:T, M | u) = p(M) p(z_1) prod_t p(z_t | z_t-1, u_t-1) prod_t p(x_t | z_t, M)`` (VSSM-LM).
 
 Its joint density, and ancestral samples of the future from a belief over map and state,
 
@@ -27,24 +27,24 @@ State = Any  # a pytree: what the transition calls its state
 
 
 class SpatialModel(eqx.Module):
-    """Transition, map and camera. The map is a belief: the prior ``p(M)``, or the filter's ``q(M)``."""
+    """Combine transition, map and camera. The map is a belief: the prior ``p(M)``, or the filter's ``q(M)``."""
 
     transition: Transition
     m: VoxelMap
     camera: Camera
     T_body_cam: Float[Array, "4 4"]
     scales: EmissionScales = EmissionScales()
-    readings: Readings = Readings()  # what one observation counted in ``m`` is worth
+    readings: Readings = Readings()  # of one observation counted in ``m``
     max_depth: Float[Array, ""] | float = MAX_DEPTH  # m
 
     def image(self, m: VoxelMap, state: State) -> RGBD:
-        """``mu_rgbd(z, M)``: what the camera sees from a single state in a map."""
+        """Render ``mu_rgbd(z, M)``, the image from a single state in a map."""
         T_world_cam = self.transition.manifold.pose(state) @ self.T_body_cam
         return emission.render(m, T_world_cam, self.camera, self.max_depth)
 
 
 class LogJoint(NamedTuple):
-    """The terms of ``log p(x, z, M | u)``. In float32: compare them term by term, the sum is dominated by the cells."""
+    """Hold the terms of ``log p(x, z, M | u)``. Compare float32 values term by term: the cells dominate the sum."""
 
     cells: Float[Array, ""]  # log p(M)
     start: Float[Array, ""]  # log p(z_1)
@@ -58,7 +58,7 @@ class LogJoint(NamedTuple):
 
 
 class Rollouts(eqx.Module):
-    """Futures drawn from the posterior predictive."""
+    """Hold futures drawn from the posterior predictive."""
 
     states: State  # a pytree of (samples, time, ...): the state after each control
     images: RGBD | None  # arrays (samples, time, height, width[, 3]): mu_rgbd, without emission noise
@@ -122,17 +122,17 @@ def rollout(
     samples: int,
     images: Literal["none", "mean map", "sampled maps"] = "none",
 ) -> Rollouts:
-    """Ancestral samples: ``M ~ q(M)``, ``z ~ q(z)``, then ``z' ~ p(z' | z, u)`` and its image, control by control.
+    """Sample ancestrally: ``M ~ q(M)``, ``z ~ q(z)``, then ``z' ~ p(z' | z, u)`` and its image, control by control.
 
     Args:
         key: Random key.
         model: Transition, map belief and camera.
         belief: ``q(z_t)``, now.
-        controls: What will be done, one row a step.
+        controls: Future controls, one row a step.
         dt: Length of a step, s.
         samples: How many futures; their states are drawn together.
-        images: Whether to render them: not at all, in the map's mean, or each future in its own sample of the map
-            (which takes a new empty-space index a sample). Images are rendered one after the other.
+        images: Render no images, in the map's mean, or each future in its own sample of the map (which needs a new
+            empty-space index a sample). Images are rendered one after the other.
 
     Returns:
         The futures. Images are the emission's means; :mod:`vssm_gym.model.predictive` adds its noise.
@@ -151,7 +151,7 @@ def rollout(
 
 
 def _log_normal(value: Array, mean: Array, precision: Array) -> Array:
-    # Sums apart: millions of equal constants would swallow the small squares in float32
+    # Separate sums: in float32 millions of equal constants would swallow the small squares
     squares = jnp.sum(precision * (value - mean) ** 2)
     logs = jnp.sum(jnp.broadcast_to(jnp.log(precision / (2.0 * jnp.pi)), value.shape))
     return 0.5 * (logs - squares)

@@ -1,4 +1,4 @@
-"""Transitions ``p(z' | z, u)``: robots on the floor, rigid body, IMU, car; and beliefs over their states."""
+"""Define transitions ``p(z' | z, u)`` of robots on the floor, rigid bodies, IMUs and cars; and beliefs over states."""
 
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief, GaussianBelief

@@ -1,4 +1,4 @@
-"""``exp(s, 0, turn)``: the arc that a body drives which moves along its heading and turns evenly."""
+"""``exp(s, 0, turn)``: the arc of a body that moves along its heading at a constant curvature."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float

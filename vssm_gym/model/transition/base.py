@@ -1,4 +1,4 @@
-"""``p(z' | z, u)``: what every transition offers filters, rollouts, planners and imagined environments."""
+"""Define the interface of a transition ``p(z' | z, u)`` for filters, rollouts, planners and imagined environments."""
 
 import abc
 from collections.abc import Callable
@@ -12,20 +12,20 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.model.transition.belief import GaussianBelief, normal_log_prob
 from vssm_gym.model.transition.manifold import Manifold
 
-QUOTED_STEP = 0.1  # s: standard deviations are quoted for steps this long; variances grow with time
+QUOTED_STEP = 0.1  # s, the step for which papers and defaults quote standard deviations; variances grow with time
 
 
 class Transition(eqx.Module):
     """``p(z' | z, u)`` over ``dt`` seconds; its noise and geometry are fields.
 
-    A transition states :meth:`mean` and :meth:`noise_covariance`; everything else follows to first order, and a
-    subclass replaces what it knows exactly. Subclasses are final. ``mean``, ``sample`` and ``log_prob`` take leading
-    batch axes; the others take one state. A control that is a displacement by itself does not depend on ``dt``.
+    A transition implements :meth:`mean` and :meth:`noise_covariance`; the other methods follow to first order, and a
+    subclass overrides those that it knows exactly. Subclasses are final. ``mean``, ``sample`` and ``log_prob`` take
+    leading batch axes; the others take one state. Controls that are displacements do not depend on ``dt``.
     """
 
     manifold: eqx.AbstractClassVar[Manifold]  # the space of its states
     controls: eqx.AbstractClassVar[int]  # numbers in a control
-    commanded: eqx.AbstractClassVar[bool]  # whether a control says where the body goes: prediction needs no image
+    commanded: eqx.AbstractClassVar[bool]  # whether the control determines the motion: prediction needs no image
 
     @abc.abstractmethod
     def mean(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
@@ -36,7 +36,7 @@ class Transition(eqx.Module):
         """Return the covariance of the errors ``xi`` about :meth:`mean` after a step from a known state."""
 
     def jacobian(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
-        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: how a step carries errors along."""
+        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: the propagation of errors over a step."""
         manifold, after = self.manifold, self.mean(state, control, dt)
         carried = lambda xi: manifold.error(after, self.mean(manifold.perturb(state, xi), control, dt))
         return jax.jacfwd(carried)(jnp.zeros(len(manifold.turns)))
@@ -95,7 +95,7 @@ class Transition(eqx.Module):
         return jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), paths)
 
     def _every_covariance(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Array:
-        """:meth:`noise_covariance` of each state of a batch."""
+        """Return :meth:`noise_covariance` of each state of a batch."""
         one = lambda state, control: self.noise_covariance(state, control, dt)
         for _ in range(control.ndim - 1):
             one = jax.vmap(one)

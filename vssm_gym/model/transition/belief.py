@@ -1,4 +1,4 @@
-"""Beliefs over a state: ``q(z)`` with a mean, samples and a density; the Gaussian in the tangent is the usual one."""
+"""Represent beliefs over a state: ``q(z)`` with a mean, samples and a density; usually a Gaussian in the tangent."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -13,11 +13,11 @@ from vssm_gym.model.transition.manifold import Manifold
 
 @runtime_checkable
 class Belief(Protocol):
-    """``q(z)``; it need not be Gaussian."""
+    """Describe a distribution ``q(z)``, which need not be Gaussian."""
 
     @property
     def mean(self) -> Any:
-        """A state in the middle of the belief."""
+        """Return a central state of the belief."""
 
     def sample(self, key: PRNGKeyArray, samples: int) -> Any:
         """Draw ``z ~ q(z)``: a pytree of states with leading axis ``samples``."""
@@ -48,7 +48,7 @@ class GaussianBelief(eqx.Module):
         return normal_log_prob(xi, self.covariance) - self.manifold.log_volume(xi)
 
     def entropy(self) -> Float[Array, ""]:
-        """``1/2 log det(2 pi e covariance)``, nats, of the errors ``xi``; -inf of a known state."""
+        """``1/2 log det(2 pi e covariance)``, nats: the entropy of the errors ``xi``; -inf of a known state."""
         n = self.covariance.shape[0]
         variances = jnp.linalg.eigvalsh(self.covariance)
         return 0.5 * (n * jnp.log(2.0 * jnp.pi * jnp.e) + jnp.sum(jnp.log(jnp.maximum(variances, 0.0))))

@@ -1,9 +1,9 @@
-"""Kinematic bicycle: ``p(z' | z, u)`` of a car's ``(x, y, heading)`` at the rear axle (thesis 5.6.1).
+"""Model a car as a kinematic bicycle: ``p(z' | z, u)`` of ``(x, y, heading)`` at the rear axle (thesis, 5.6.1).
 
     T' = T exp(s, 0, s k),   s = (speed + e_v) dt,   k = tan(steering + e_d) / wheelbase
 
 Under a constant control the rear axle drives an arc of length ``s`` and curvature ``k``, integrated exactly. Then slip
-moves the pose by ``exp(e)``. Speed errs in proportion to itself: a car that stands does not creep.
+moves the pose by ``exp(e)``. The error of speed is proportional to speed: a car at rest does not creep.
 """
 
 import equinox as eqx
@@ -18,22 +18,22 @@ from vssm_gym.model.transition.manifold import PLANAR
 
 
 class BicycleNoise(eqx.Module):
-    """Standard deviations of a step of 0.1 s; the variance of what they displace is proportional to ``dt``."""
+    """Hold standard deviations of a step of 0.1 s; the variance of the displacement is proportional to ``dt``."""
 
-    speed: Float[Array, ""] | float = 0.05  # share of the commanded speed
+    speed: Float[Array, ""] | float = 0.05  # relative to the commanded speed
     steering: Float[Array, ""] | float = 0.02  # rad
     slip_forward: Float[Array, ""] | float = 0.002  # m
     slip_left: Float[Array, ""] | float = 0.002  # m
     slip_turn: Float[Array, ""] | float = 0.002  # rad
 
     def control_stds(self, control: Float[Array, "*batch 2"], dt: float | Array) -> Float[Array, "*batch 2"]:
-        """Of the executed speed (m/s) and steering (rad): errors average out over a longer step."""
+        """Return stds of the executed speed (m/s) and steering (rad): errors average out over a longer step."""
         shrink = jnp.sqrt(QUOTED_STEP / dt)
         speed = self.speed * jnp.abs(control[..., 0]) * shrink
         return jnp.stack([speed, jnp.full_like(speed, self.steering) * shrink], axis=-1)
 
     def slip_variances(self, dt: float | Array) -> Float[Array, "3"]:
-        """Of (forward, left, turn) after ``dt`` seconds."""
+        """Return variances of slip (forward, left, turn) after ``dt`` seconds."""
         return jnp.stack([jnp.asarray(s) for s in (self.slip_forward, self.slip_left, self.slip_turn)]) ** 2 * (
             dt / QUOTED_STEP
         )
@@ -53,7 +53,7 @@ def arc(control: Float[Array, "*batch 2"], dt: float | Array, wheelbase: float |
 
 
 class Bicycle(Transition):
-    """The car; controls (..., 2) = (speed, steering), m/s and rad."""
+    """Model the car; controls (..., 2) = (speed, steering), m/s and rad."""
 
     noise: BicycleNoise = BicycleNoise()
     wheelbase: Float[Array, ""] | float = 0.26  # m, of the QCar
@@ -72,7 +72,7 @@ class Bicycle(Transition):
         return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
 
     def jacobian(self, state: Float[Array, "3"], control: Float[Array, "2"], dt: float | Array) -> Float[Array, "3 3"]:
-        """``xi' = Ad(exp(u)^-1) xi``: the old error seen from the new body frame."""
+        """``xi' = Ad(exp(u)^-1) xi``: the old error in the new body frame."""
         dx, dy, turn = arc(control, dt, self.wheelbase)
         c, s = jnp.cos(turn), jnp.sin(turn)
         return jnp.array([[c, s, c * -dy + s * dx], [-s, c, s * dy + c * dx], [0.0, 0.0, 1.0]])
@@ -101,8 +101,7 @@ class Bicycle(Transition):
     ) -> Float[Array, "*batch time 3"]:
         """Return ``z_1 .. z_T``, headings not wrapped, of one or many sequences of controls.
 
-        A bicycle's arc does not depend on its pose, so headings are sums of turns and places are sums of turned arcs:
-        all steps of all sequences at once.
+        A bicycle's arc does not depend on its pose: headings are cumulative sums of turns, positions of rotated arcs.
         """
         arcs = arc(controls, dt, self.wheelbase)
         turned = state[2] + jnp.cumsum(arcs[..., 2], axis=-1)

@@ -1,11 +1,11 @@
-"""Differential drive: ``p(z' | z, u)`` of ``(x, y, heading)``, the point between the wheels.
+"""Model a differential drive: ``p(z' | z, u)`` of ``(x, y, heading)``, the point between the wheels.
 
     T' = T exp(s, 0, turn),   s = (l + r) / 2,   turn = (r - l) / track
     l' = sign(l) max(0, |l| + e_l),   e_l ~ N(0, (slip l)^2 + play^2)        where l != 0, and r alike
 
 Control ``u = (l, r)``: how far the left and the right wheel roll in a step, m, negative backwards. Noise acts only on
-a wheel that is driven and never reverses it. :meth:`DifferentialDrive.executed` is the law of this noise; the
-simulator's twin of it is in NumPy.
+a wheel that is driven and never reverses it. :meth:`DifferentialDrive.executed` implements this noise; the simulator
+has a NumPy twin of it, which a test compares with this one.
 """
 
 import equinox as eqx
@@ -20,23 +20,23 @@ from vssm_gym.model.transition.manifold import PLANAR
 
 
 class WheelNoise(eqx.Module):
-    """How far each wheel strays from a commanded travel in a step, as the robot believes it."""
+    """Hold the noise of each wheel's travel in a step, as the robot believes it."""
 
     slip: Float[Array, ""] | float  # share of the travel, standard deviation
     play: Float[Array, ""] | float  # m, standard deviation of a step however short
 
     def stds(self, travel: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """Standard deviations of both wheels, m; zero for a wheel at rest."""
+        """Return standard deviations of both wheels, m; zero for a wheel at rest."""
         driven = travel != 0.0
         safe = jnp.where(driven, travel, 1.0)  # the root has no derivative at zero
         return jnp.where(driven, jnp.sqrt((self.slip * safe) ** 2 + self.play**2), 0.0)
 
 
 class DifferentialDrive(Transition):
-    """A robot on two wheels; controls (..., 2) = (left, right), m, which do not depend on ``dt``.
+    """Model a robot on two wheels; controls (..., 2) = (left, right), m, which do not depend on ``dt``.
 
-    Two errors a step move three coordinates, so the wheels alone have no density: ``skid``, what the motion model
-    misses (contacts), gives it one.
+    Two errors a step move three coordinates, so that wheel noise alone has no density. ``skid``, which covers what the
+    motion model misses (contacts), makes the covariance regular.
     """
 
     noise: WheelNoise
@@ -61,7 +61,7 @@ class DifferentialDrive(Transition):
     ) -> Float[Array, "3 3"]:
         """``G Q G^T + skid`` in the body frame after the step, to first order in the errors of the wheels.
 
-        The rectification (noise never reverses a wheel) is left out: it matters only for steps shorter than the noise.
+        The rectification (noise never reverses a wheel) is neglected: it matters only for steps shorter than the noise.
         """
         turn = self._arc(control)[2]
         c, s = jnp.cos(turn), jnp.sin(turn)
@@ -72,7 +72,7 @@ class DifferentialDrive(Transition):
     def sample(
         self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """Draw a step as executed, then skid."""
+        """Draw an executed step, then skid."""
         by_wheels, by_skid = jax.random.split(key)
         reached = self.executed(state, control, jax.random.normal(by_wheels, (*state.shape[:-1], 2)))
         return PLANAR.perturb(reached, jax.random.normal(by_skid, state.shape) * jnp.asarray(self.skid))
@@ -80,7 +80,7 @@ class DifferentialDrive(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], normal: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after a command as it is carried out, given a standard normal a wheel."""
+        """Return the pose after the executed command, given one standard normal a wheel."""
         rolled = jnp.sign(control) * jnp.maximum(0.0, jnp.abs(control) + self.noise.stds(control) * normal)
         return self.mean(state, rolled, 0.0)
 

@@ -1,10 +1,10 @@
-"""A body that carries an IMU: ``p(z' | z, u)`` driven by its gyroscope and accelerometer (VSSM-LM).
+"""Model a body that carries an IMU: ``p(z' | z, u)`` driven by gyroscope and accelerometer (VSSM-LM).
 
     v' = v + (R a + g) dt      t' = t + (v + v') dt / 2      R' = R exp(w_b dt)      w' = R' w_b
 
 ``u = (a, w_b)``: specific force and rate in the body frame, biases removed; ``g = (0, 0, -9.81)`` in the world.
 Velocities in the state are in the world frame, as of :mod:`vssm_gym.model.transition.rigid`, whose states these are.
-The pose takes the mean of the two velocities, so a constant acceleration is integrated exactly at 10 Hz too. Gaussian
+The pose moves by the mean of the two velocities, which integrates a constant acceleration exactly at any rate. Gaussian
 noise is added to the new velocity, and moves the new pose by ``exp(e)``, e in the body frame.
 """
 
@@ -21,7 +21,7 @@ GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, world
 
 
 class ImuNoise(eqx.Module):
-    """Standard deviations of a step of 0.1 s (VSSM-LM); variances are proportional to ``dt``."""
+    """Hold standard deviations of a step of 0.1 s (VSSM-LM); variances are proportional to ``dt``."""
 
     location: Float[Array, ""] | float = 0.01  # m
     orientation: Float[Array, ""] | float = 0.001  # rad
@@ -29,22 +29,22 @@ class ImuNoise(eqx.Module):
     rate: Float[Array, ""] | float = 0.001  # rad/s, of the angular velocity read from the gyroscope
 
     def variances(self, dt: float | Array) -> Float[Array, "12"]:
-        """Of ``(dt, dr, dv, dw)`` after ``dt`` seconds."""
+        """Return variances of ``(dt, dr, dv, dw)`` after ``dt`` seconds."""
         stds = [jnp.full(3, std) for std in (self.location, self.orientation, self.velocity, self.rate)]
         return jnp.concatenate(stds) ** 2 * (dt / QUOTED_STEP)
 
 
 class Imu(Transition):
-    """The IMU-driven body; controls (..., 6) = (a, w_b): specific force (m/s^2) and rate (rad/s), body frame."""
+    """Model the IMU-driven body; controls (..., 6) = (a, w_b): specific force (m/s^2) and rate (rad/s), body frame."""
 
     noise: ImuNoise = ImuNoise()
 
     manifold = RIGID
     controls = 6
-    commanded = False  # velocity errors grow without bound: an image must come soon
+    commanded = False  # velocity errors grow without bound: prediction needs images
 
     def mean(self, state: RigidState, control: Float[Array, "*batch 6"], dt: float | Array) -> RigidState:
-        """Integrate the readings; the old angular velocity is not used, the gyroscope reads it anew."""
+        """Integrate the readings; the gyroscope's rate replaces the old angular velocity."""
         R, t = state.T_world_body[..., :3, :3], state.T_world_body[..., :3, 3]
         v = state.velocity[..., :3]
         v_after = v + (_rotate(R, control[..., :3]) + jnp.asarray(GRAVITY)) * dt
@@ -54,13 +54,13 @@ class Imu(Transition):
         return RigidState(T, jnp.concatenate([v_after, _rotate(R_after, control[..., 3:])], axis=-1))
 
     def jacobian(self, state: RigidState, control: Float[Array, "6"], dt: float | Array) -> Float[Array, "12 12"]:
-        """``dr' = exp(-w_b h) dr``, ``dv' = dv - h R a^ dr``, and what follows from them, ``h`` the step.
+        """``dr' = exp(-w_b h) dr``, ``dv' = dv - h R a^ dr``, ``h`` the step.
 
         ``dt' = R'^T (R dt + h dv - h^2/2 R a^ dr)``, ``dw' = -R' w_b^ dr'``.
         """
         R, R_after = state.T_world_body[:3, :3], self.mean(state, control, dt).T_world_body[:3, :3]
         turned_back = R_after.T @ R
-        tilt = -R @ _cross_matrix(control[:3]) * dt  # d v' / d dr: a tilted body pushes elsewhere
+        tilt = -R @ _cross_matrix(control[:3]) * dt  # d v' / d dr: the force turns with the body
         spin = -R_after @ _cross_matrix(control[3:]) @ turned_back
         zero, one = jnp.zeros((3, 3)), jnp.eye(3)
         return jnp.block(

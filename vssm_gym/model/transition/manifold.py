@@ -1,4 +1,4 @@
-"""The spaces that states live in: poses with their tangents, in whose coordinates beliefs are Gaussian.
+"""Define state spaces: poses with their tangents, in whose coordinates beliefs are Gaussian.
 
     z = perturb(mean, xi),    xi = error(mean, z),    T_world_body of z' = T_world_body of z exp(twists xi_pose)
 
@@ -20,15 +20,18 @@ from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_ma
 
 @runtime_checkable
 class Manifold(Protocol):
-    """A space of states. Implementations are frozen and without fields, so that they are static in compiled code."""
+    """Describe a space of states.
+
+    Implementations are frozen and without fields, so that they are static in compiled code.
+    """
 
     @property
     def twists(self) -> np.ndarray:
-        """``(6, p)`` body twists (translation, rotation) of the pose's ``p`` coordinates, which come first."""
+        """Return ``(6, p)`` body twists (translation, rotation) of the pose's ``p`` coordinates, which come first."""
 
     @property
     def turns(self) -> np.ndarray:
-        """``(n,)`` bool: which coordinates of an error are angles or angular rates."""
+        """Return which coordinates of an error are angles or angular rates, ``(n,)`` bool."""
 
     def perturb(self, state: Any, xi: Array) -> Any:
         """Return the state an error ``xi`` (..., n) away from ``state``."""
@@ -47,7 +50,7 @@ class Manifold(Protocol):
 
 
 class RigidState(eqx.Module):
-    """A moving rigid body."""
+    """Represent the state of a moving rigid body."""
 
     T_world_body: Float[Array, "*batch 4 4"]
     velocity: Float[Array, "*batch 6"]  # linear (m/s), angular (rad/s), both in the world frame
@@ -55,7 +58,7 @@ class RigidState(eqx.Module):
 
 @dataclass(frozen=True)
 class PlanarPoses:
-    """SE(2): states ``(x, y, heading)`` (..., 3), m and rad; errors (forward, left, turn) in the body frame."""
+    """Describe SE(2): states ``(x, y, heading)`` (..., 3), m, rad; errors (forward, left, turn) in the body frame."""
 
     twists: ClassVar[np.ndarray] = np.eye(6)[:, [0, 1, 5]]
     turns: ClassVar[np.ndarray] = np.array([False, False, True])
@@ -86,7 +89,7 @@ class PlanarPoses:
 
 @dataclass(frozen=True)
 class RigidMotions:
-    """SE(3) x R^6: :class:`RigidState`; errors ``(dt, dr, dv, dw)``, the pose's in the body frame.
+    """Describe SE(3) x R^6: :class:`RigidState`; errors ``(dt, dr, dv, dw)``, the pose's in the body frame.
 
     ``T_true = T exp(dt, dr)``, ``v_true = v + dv``, ``w_true = w + dw``; velocities in the world frame.
     """

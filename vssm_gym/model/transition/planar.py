@@ -1,9 +1,9 @@
-"""Planar holonomic robot: ``p(z' | z, u)`` of ``(x, y, heading)`` (TNP-SM).
+"""Model a planar holonomic robot: ``p(z' | z, u)`` of ``(x, y, heading)`` (TNP-SM).
 
 Control ``u = (turn, o, s)`` a step, rad, rad, m: ``heading' = heading + sign(turn) max(0, |turn| + e_a)``,
 ``xy' = xy + [cos phi, sin phi] max(0, s + e_s)``, ``phi = heading + o + e_a``; ``e_a`` acts on the heading only where
-the robot turns, and nothing acts on a robot that does not try to move. :meth:`Planar.executed` is the law of
-this noise; the simulator's twin of it is in NumPy.
+the robot turns, and no noise acts on a robot that does not try to move. :meth:`Planar.executed` implements this noise;
+the simulator has a NumPy twin of it, which a test compares with this one.
 """
 
 import equinox as eqx
@@ -18,17 +18,17 @@ from vssm_gym.model.transition.manifold import PLANAR
 
 
 class MotionNoise(eqx.Module):
-    """Standard deviations of a control step's execution, as the robot believes them."""
+    """Hold standard deviations of a control step's execution, as the robot believes them."""
 
     turn: Float[Array, "*batch"] | float  # sigma_a, rad
     step: Float[Array, "*batch"] | float  # sigma_s, m
 
 
 class Planar(Transition):
-    """The planar robot; controls (..., 3) = (turn, o, s), which do not depend on ``dt``.
+    """Model the planar robot; controls (..., 3) = (turn, o, s), which do not depend on ``dt``.
 
-    Two errors a step move three coordinates, so the execution alone has no density: ``slip``, what the motion model
-    misses (contacts), gives it one.
+    Two errors a step move three coordinates, so that execution noise alone has no density. ``slip``, which covers what
+    the motion model misses (contacts), makes the covariance regular.
     """
 
     noise: MotionNoise
@@ -48,7 +48,7 @@ class Planar(Transition):
         return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
 
     def jacobian(self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array) -> Float[Array, "3 3"]:
-        """``xi' = Ad(exp(u)^-1) xi``: the old error seen from the new body frame."""
+        """``xi' = Ad(exp(u)^-1) xi``: the old error in the new body frame."""
         turn, offset, step = control
         c, s = jnp.cos(turn), jnp.sin(turn)
         dx, dy = step * jnp.cos(offset), step * jnp.sin(offset)
@@ -59,9 +59,9 @@ class Planar(Transition):
     ) -> Float[Array, "3 3"]:
         """Return the covariance of execution noise and slip in the body frame after the step.
 
-        The rectification in the execution (noise never reverses a motion) is left out: it matters only for steps
-        shorter than the noise. ``e_a`` moves both heading and direction, so the two are correlated: alike where the
-        robot turns left, oppositely where it turns right.
+        The rectification in the execution (noise never reverses a motion) is neglected: it matters only for steps
+        shorter than the noise. ``e_a`` moves both heading and direction, so that the two are correlated: positively
+        where the robot turns left, negatively where it turns right.
         """
         turn, offset, step = control
         driving = step > 0.0
@@ -76,7 +76,7 @@ class Planar(Transition):
     def sample(
         self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """Draw a step as executed, then slip."""
+        """Draw an executed step, then slip."""
         by_execution, by_slip = jax.random.split(key)
         normal = jnp.moveaxis(jax.random.normal(by_execution, (2, *state.shape[:-1])), 0, -1)
         reached = self.executed(state, control, normal)
@@ -85,7 +85,7 @@ class Planar(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], normal: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after a command as it is carried out, given two standard normals a step for (e_a, e_s).
+        """Return the pose after the executed command, given two standard normals a step for (e_a, e_s).
 
         Noise acts only where the robot tries to move, and never reverses a motion.
         """

@@ -1,4 +1,4 @@
-"""Rigid body in space: ``p(z' | z, u)`` of a pose and its velocities (VSSM-LM, PRISM).
+"""Model a rigid body in space: ``p(z' | z, u)`` of a pose and its velocities (VSSM-LM, PRISM).
 
     v' = v + u_lin dt + e_v      t' = t + v dt           e_v ~ N(0, vel_translation^2 dt / 0.1 s), e_w alike
     w' = w + u_ang dt + e_w      R' = exp(w dt) R        and (t', R') is then moved by exp(e), e in the body frame
@@ -21,7 +21,7 @@ from vssm_gym.model.transition.manifold import RIGID, RigidState
 
 
 class RigidNoise(eqx.Module):
-    """Standard deviations of a step of 0.1 s; those of PRISM. Variances are proportional to ``dt``."""
+    """Hold PRISM's standard deviations of a step of 0.1 s; variances are proportional to ``dt``."""
 
     vel_translation: Float[Array, ""] | float = 0.03  # m/s
     pose_translation: Float[Array, ""] | float = 0.05  # m
@@ -29,7 +29,7 @@ class RigidNoise(eqx.Module):
     pose_rotation: Float[Array, ""] | float = 0.02  # rad
 
     def variances(self, dt: float | Array) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
-        """Of the pose noise (m^2, rad^2; body frame) and of the velocity noise (world frame), after ``dt`` seconds."""
+        """Return pose variances (m^2, rad^2; body frame) and velocity variances (world frame) after ``dt`` seconds."""
         pose = _pair(self.pose_translation, self.pose_rotation)
         velocity = _pair(self.vel_translation, self.vel_rotation)
         return pose**2 * (dt / QUOTED_STEP), velocity**2 * (dt / QUOTED_STEP)
@@ -69,7 +69,7 @@ def right_jacobian(phi: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 class Rigid(Transition):
-    """The rigid body; controls (..., 6) are linear (m/s^2) and angular (rad/s^2) acceleration in the world frame."""
+    """Model the rigid body; controls (..., 6): linear (m/s^2) and angular (rad/s^2) acceleration in the world frame."""
 
     noise: RigidNoise = RigidNoise()
     velocity_first: bool = eqx.field(static=True, default=True)  # the new velocity moves the pose (PRISM) or the old
@@ -84,7 +84,7 @@ class Rigid(Transition):
         return RigidState(move(state.T_world_body, velocity if self.velocity_first else state.velocity, dt), velocity)
 
     def jacobian(self, state: RigidState, control: Float[Array, "6"], dt: float | Array) -> Float[Array, "12 12"]:
-        """Carry errors along: ``dt' = R'^T (R dt + h dv)``, ``dr' = dr + R^T Jr(w h) h dw``, ``h`` the step.
+        """``dt' = R'^T (R dt + h dv)``, ``dr' = dr + R^T Jr(w h) h dw``, ``h`` the step.
 
         ``R' = exp(w h) R``, ``Jr`` the right Jacobian; ``dv`` and ``dw`` are the new velocity's errors where it moves
         the pose.
@@ -125,7 +125,7 @@ class Rigid(Transition):
         return normal_log_prob(xi, jnp.diag(variances)) - RIGID.log_volume(xi)
 
     def _moving(self, state: RigidState, control: Float[Array, "6"], dt: float | Array) -> Float[Array, "6"]:
-        """The velocity that moves the pose."""
+        """Return the velocity that moves the pose."""
         return state.velocity + control * dt if self.velocity_first else state.velocity
 
 
