@@ -102,7 +102,7 @@ def _penetration(world: Any) -> Callable[[], float]:
     A robot on the floor that has left the part of free space where it started, through a wall, is infinitely deep.
     """
     if hasattr(world, "simulation"):
-        space, radius = world.simulation.stage.sampler.space, world.simulation.robot.radius
+        space, radius = world.simulation.scene_cache.sampler.space, world.simulation.robot.radius
         reachable = space.largest.buffer(FLOOR)
         prepare(reachable)
 
@@ -131,7 +131,7 @@ def _penetration(world: Any) -> Callable[[], float]:
         )
     from vssm_gym.envs.scenes.solids import footprint
 
-    solids = [(box, footprint(box)) for box in world.scenery.boxes]
+    solids = [(box, footprint(box)) for box in world.renderer.boxes]
 
     def of_ball() -> float:
         x, y, z = world.state.position

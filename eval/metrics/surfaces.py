@@ -22,7 +22,7 @@ from trimesh.triangles import closest_point
 
 from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.envs.tasks.coverage import REACH
-from vssm_gym.envs.tasks.scene_cache import Stage
+from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import KNOWN_SHARE, TAU
 from vssm_gym.viz.mesh import Mesh, surface_mesh
@@ -53,9 +53,9 @@ class Surface:
         return Surface(self.points[chosen], self.normals[chosen])
 
 
-def observable_surface(stage: Stage) -> Surface:
+def observable_surface(scene_cache: SceneCache) -> Surface:
     """``S``; see the module. About one point a ``SPACING``^2 of every face, in an order that follows from the scene."""
-    space, config = stage.sampler.space, stage.scenery.config
+    space, config = scene_cache.sampler.space, scene_cache.renderer.config
     low, high = np.split(np.array(space.largest.bounds), 2)
     xs, ys = (np.arange(a, b, POSITIONS) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -67,11 +67,11 @@ def observable_surface(stage: Stage) -> Surface:
     a, slope = (g.ravel() for g in np.meshgrid(bearing, np.linspace(-half, half, UPWARDS), indexing="ij"))
     # z-depth 1 each: a camera that turns has every bearing in the middle of its image
     directions = np.stack([np.cos(a), np.sin(a), slope], axis=-1).astype(np.float32)
-    faces = _Faces.of(stage.scenery.boxes)
+    faces = _Faces.of(scene_cache.renderer.boxes)
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for x, y in places:
-        origin = np.array([x, y, stage.robot.camera_height])
-        t, box = stage.scenery.tracer.trace(origin, directions)
+        origin = np.array([x, y, scene_cache.robot.camera_height])
+        t, box = scene_cache.renderer.tracer.trace(origin, directions)
         seen = (box >= 0) & (t <= REACH)
         points = origin + t[seen, None] * directions[seen].astype(np.float64)
         keys, normals = faces.cells(points, box[seen])

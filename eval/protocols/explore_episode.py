@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from vssm_gym.agents.base import Agent, Decision
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.tasks.scene_cache import Stage
+from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.eval.metrics.exploration import GOAL, Recorder
 from vssm_gym.eval.metrics.failure import lost_track, stuck_at
 from vssm_gym.eval.metrics.navigation import location_errors, path_length
@@ -55,7 +55,7 @@ def run_episode(
     observation, info = env.reset(seed=seed, options={"start": start})
     world: Any = env.unwrapped
     context = context_in(world, info, None, (world.noise.turn, world.noise.step))
-    surface = _surface(world.simulation.stage)
+    surface = _surface(world.simulation.scene_cache)
     judged = _thinned(surface)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
 
@@ -90,7 +90,7 @@ def run_episode(
     coverage, final = float(info["coverage"]), map_of(agent)
     success = 100.0 * coverage >= GOAL - 1e-9
     why = None if success else _failure(statuses, stopped, coverage, path, estimates, contact, context.body_length)
-    quality = {} if final is None else mesh_quality(final, surface, world.simulation.scenery.boxes)
+    quality = {} if final is None else mesh_quality(final, surface, world.simulation.renderer.boxes)
     curve = recorder.curve
     return {
         "success": success,
@@ -156,8 +156,8 @@ def _place(path: np.ndarray, metres: float) -> list[float]:
 
 
 @lru_cache(maxsize=1)
-def _surface(stage: Stage) -> Surface:
-    return observable_surface(stage)
+def _surface(cache: SceneCache) -> Surface:
+    return observable_surface(cache)
 
 
 @lru_cache(maxsize=1)

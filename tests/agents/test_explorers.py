@@ -112,7 +112,7 @@ def test_the_plan_of_the_belief_is_the_room(world):
     explore(agent, world, 34)
     plan = agent._explorer._own.plan()
     free = plan.centres(np.argwhere(plan.cells == FREE))
-    space = world.simulation.stage.sampler.space
+    space = world.simulation.scene_cache.sampler.space
     assert len(free) * plan.resolution**2 > 4.0
     assert np.mean(space.distance_to_obstacle(free) > 0.0) > 0.99
 

@@ -25,10 +25,10 @@ def test_the_goal_image_is_a_view_from_the_goal():
     env = ImageNavEnv(**KEYWORDS)
     observation, _ = env.reset(seed=0, options={"task": TASK})
     assert set(observation) == {"rgb", "depth", "goal_rgb"}  # and so no position of the goal
-    robot, scenery = env.navigation.robot, env.simulation.scenery
+    robot, renderer = env.navigation.robot, env.simulation.renderer
     headings = np.linspace(-np.pi, np.pi, 1440, endpoint=False)
     poses = (planar_to_matrix(np.array([*TASK.goal, heading])) @ robot.T_body_cam for heading in headings)
-    views = (scenery.render(pose)[0].astype(float) for pose in poses)
+    views = (renderer.render(pose)[0].astype(float) for pose in poses)
     error = min(np.abs(view - observation["goal_rgb"]).mean() for view in views)
     assert error < 2.5  # grey levels, a quarter of a degree away at most
 

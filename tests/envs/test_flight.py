@@ -154,7 +154,7 @@ def test_a_wall_ends_the_flight_and_is_not_passed():
     env.world.reset(env.state.position)
     for _ in range(20):
         env.advance(HOVERING)
-        env.look()
+        env.sense()
         _, _, terminated, _, info = env.report()
         if info["collision"]:
             break

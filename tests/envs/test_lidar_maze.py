@@ -81,17 +81,17 @@ def test_pose_is_observed_where_asked_for():
 def test_stages_are_what_a_step_is_made_of():
     """What a vector environment calls one after the other is what ``reset`` and ``step`` do."""
     noisy = {"noise": "high", "sensor_noise": "high"}
-    env, staged = make(**noisy), make(**noisy)
+    env, phased = make(**noisy), make(**noisy)
     observation, info = env.reset(seed=9)
-    staged.begin(9, None)
-    staged.look()
-    first = staged.report()
+    phased.begin(9, None)
+    phased.sense()
+    first = phased.report()
     np.testing.assert_array_equal(observation["scan"], first[0]["scan"])
     assert info["task"] == first[4]["task"] and set(info) == set(first[4])
     for action in random_actions(env, 5):
-        staged.advance(action)
-        staged.look()
-        one, other = env.step(action), staged.report()
+        phased.advance(action)
+        phased.sense()
+        one, other = env.step(action), phased.report()
         np.testing.assert_array_equal(one[0]["scan"], other[0]["scan"])
         assert one[1:4] == other[1:4]
 

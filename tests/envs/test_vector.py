@@ -130,7 +130,7 @@ def test_attributes_and_methods_of_all():
     env.close()
 
 
-def test_closing_one_leaves_those_that_share_its_scenery():
+def test_closing_one_leaves_those_that_share_its_renderer():
     one, other = make_vec("vssm_gym/PointNav-v0"), make_vec("vssm_gym/PointNav-v0")
     one.reset(seed=0)
     other.reset(seed=0)
@@ -167,8 +167,8 @@ def test_environments_take_a_list_of_scenes_in_turn():
     env = make_vec("vssm_gym/PointNav-v0", scene=[SCENE, "oak"])
     assert [one.apartment.name for one in env.unwrapped.envs] == ["two_rooms", "oak", "two_rooms"]
     one, other, third = env.unwrapped.envs
-    assert one.simulation.stage is third.simulation.stage is not other.simulation.stage
-    assert one.simulation.scenery is third.simulation.scenery
+    assert one.simulation.scene_cache is third.simulation.scene_cache is not other.simulation.scene_cache
+    assert one.simulation.renderer is third.simulation.renderer
     env.close()
 
 

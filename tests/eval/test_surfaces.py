@@ -10,8 +10,8 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.apartment_parts import Material
 from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.envs.sensors import CameraConfig
-from vssm_gym.envs.sensors.shared_renderer import scenery_of
-from vssm_gym.envs.tasks.scene_cache import stage_of
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
+from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.eval.metrics import surfaces
 from vssm_gym.eval.metrics.surfaces import Surface, completeness, distance_to_mesh, mesh_quality, observable_surface
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -22,19 +22,19 @@ CRATE = SolidBox("crate", "furniture", (0.0, 0.0, 0.6), (0.6, 0.4, 0.8), 0.4, Ma
 
 
 @pytest.fixture(scope="module")
-def stage():
+def cache():
     cabinet = furniture("cabinet", (2.675, 3.65, 1.0), (0.55, 0.6, 2.0))  # in the corner of the west room
     shut = two_rooms(openness=0.0, leaves=1, pieces=(cabinet,))
-    return stage_of(scenery_of(shut, CameraConfig(), "raycast"), HolonomicRobot())
+    return SceneCache.of(SharedRenderer.of(shut, CameraConfig(), "raycast"), HolonomicRobot())
 
 
 @pytest.fixture(scope="module")
-def seen(stage):
-    return observable_surface(stage)
+def seen(cache):
+    return observable_surface(cache)
 
 
-def test_what_can_be_seen_lies_on_faces_and_looks_out_of_the_solid(stage, seen):
-    boxes = stage.scenery.boxes
+def test_what_can_be_seen_lies_on_faces_and_looks_out_of_the_solid(cache, seen):
+    boxes = cache.renderer.boxes
     to_boxes = [np.array([signed_distance(box, seen.points + s * seen.normals) for box in boxes]) for s in (0.0, 0.002)]
     assert np.abs(to_boxes[0]).min(axis=0).max() < 1e-5
     outside = to_boxes[1].min(axis=0) > 0.0
@@ -57,8 +57,8 @@ def test_the_floor_has_about_a_point_every_ten_centimetres(seen):
     assert 0.9 * area / 0.01 < len(floor) < 1.25 * area / 0.01  # cells that a face cuts count as whole ones
 
 
-def test_the_surface_is_the_same_whenever_it_is_asked_for(stage, seen):
-    np.testing.assert_array_equal(observable_surface(stage).points, seen.points)
+def test_the_surface_is_the_same_whenever_it_is_asked_for(cache, seen):
+    np.testing.assert_array_equal(observable_surface(cache).points, seen.points)
     some = seen.thinned(100)
     assert len(some.points) == 100
     np.testing.assert_array_equal(some.points, seen.thinned(100).points)

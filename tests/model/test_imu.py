@@ -48,7 +48,7 @@ def test_a_falling_imu_reads_nothing_and_follows_its_parabola() -> None:
 
 
 def test_a_body_on_a_carousel_returns() -> None:
-    """Radius 1 m, 1 rad/s, facing along its path: it feels ``w^2 r`` to its left and g upwards; 200 Hz."""
+    """Radius 1 m, 1 rad/s, facing along its path: it measures ``w^2 r`` to its left and g upwards; 200 Hz."""
     n = 1256
     control = np.array([0.0, 1.0, G, 0.0, 0.0, 1.0], np.float32)
     start = state([1.0, 0.0, 0.0, 0.0, 0.0, 1.0], np.eye(3), (0.0, -1.0, 0.0))

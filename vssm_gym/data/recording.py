@@ -134,7 +134,7 @@ def recorded_episode(
         about: what else to tell in ``recording.json``.
     """
     check_new(out)
-    with folder_for(out, simulation.apartment, about | {"renderer": simulation.scenery.renderer_name}) as unfinished:
+    with folder_for(out, simulation.apartment, about | {"renderer": simulation.renderer.name}) as unfinished:
         writer = SequenceWriter(unfinished, simulation.camera, simulation.robot.T_body_cam)
         frames = itertools.count()
 

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import shapely
 
-from vssm_gym.envs.phased import Report, StagedEnv
+from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.physics import MujocoCar
 from vssm_gym.envs.rendering.car_picture import draw_run
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
@@ -27,9 +27,9 @@ from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
 from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as sensor_noise_of
-from vssm_gym.envs.sensors.shared_renderer import scenery_of
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
-from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.car import REACHED, TARGETS, CarTask, Targets, car_sampler_of
 from vssm_gym.envs.validation import choose, parse_action
@@ -42,7 +42,7 @@ STEP_COST, TOUCH_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
 ALIGNING = 0.1  # m that a radian between the car's heading and the target's is worth
 
 
-class CarNavEnv(StagedEnv):
+class CarNavEnv(PhasedEnv):
     """One arena, one car; see the module. Registered as ``vssm_gym/CarNav-v0``, truncated after 600 steps: 60 s.
 
     Args:
@@ -96,21 +96,21 @@ class CarNavEnv(StagedEnv):
         self.reward, self.render_mode = reward, render_mode
         self.apartment: Apartment = load_scene(scene)
         carried, seen = parse_sensors("CarNav", sensors), sensor_noise_of(sensor_noise)
-        scenery = scenery_of(self.apartment, camera_config(camera), renderer)
-        self.camera, self._images = scenery.camera, images
+        shared = SharedRenderer.of(self.apartment, camera_config(camera), renderer)
+        self.camera, self._images = shared.camera, images
         self._K = self.camera.K
-        self.renderer_name = scenery.renderer_name if images else "none"
-        mounted: list[Sensor[GroundBody]] = [RGBDSensor(scenery, seen)] if images else []
-        mounted += [config.mount(scenery) for config in carried]
+        self.renderer_name = shared.name if images else "none"
+        mounted: list[Sensor[GroundBody]] = [RGBDSensor(shared, seen)] if images else []
+        mounted += [config.mount(shared) for config in carried]
         far = np.array([EXTENT, EXTENT, np.pi], np.float32)
         goal = far if targets == "poses" else far[:2]
         oracle: list[Sensor[GroundBody]] = [PoseSensor()] if observe_pose else []
-        told = Told("goal", gym.spaces.Box(-goal, goal), self._goal)
+        told = TaskObservation("goal", gym.spaces.Box(-goal, goal), self._goal)
         self.sensors = SensorSuite("CarNav", [*mounted, told, *oracle])
         self.parallel = self.sensors.parallel
         self.sampler = car_sampler_of(self.apartment, self.car)
         self.body = _make_body(physics, self.apartment, self.car)
-        self.body.feels = self.sensors.feels
+        self.body.reads_contacts = self.sensors.reads_contacts
         self._goal_distance = self.sampler.goal_distance() if reward == "dense" else None
         self.action_space, self.observation_space = self._action_space(), gym.spaces.Dict(self.sensors.spaces())
 
@@ -221,14 +221,14 @@ class CarNavEnv(StagedEnv):
             info["reason"] = "overturned or off the floor" if lost else "reached"
         self._outcome = self._reward(reached and not lost), reached or lost, info
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Let the sensors measure."""
-        self.sensors.look(self._carrier)
+        self.sensors.sense(self._carrier)
 
     def report(self) -> Report:
         """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
         assert self.task is not None
-        self.look()
+        self.sense()
         reward, terminated, info = self._outcome
         return self.sensors.observation(), reward, terminated, False, info
 
@@ -242,7 +242,7 @@ class CarNavEnv(StagedEnv):
         plan = draw_run(self._plan, path, self.car, self._planar, goal, REACHED)
         if not self._images:
             return plan
-        self.look()
+        self.sense()
         return beside_plan(self.sensors.reading("rgb"), plan)
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.phased import Report, StagedEnv
+from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.coverage import Coverage
 from vssm_gym.envs.tasks.navigation import MARGIN
@@ -21,7 +21,7 @@ from vssm_gym.geometry.axes import PlanarPose
 STEP_COST, COVERAGE_REWARD = 0.005, 10.0
 
 
-class ExploreEnv(StagedEnv):
+class ExploreEnv(PhasedEnv):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
 
     Args:
@@ -52,9 +52,9 @@ class ExploreEnv(StagedEnv):
         self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
-        self.renderer_name = self.simulation.scenery.renderer_name
+        self.renderer_name = self.simulation.renderer.name
         self.parallel = self.simulation.parallel
-        self.coverage = Coverage(self.simulation.stage.observable, self.simulation.scenery.config.hfov)
+        self.coverage = Coverage(self.simulation.scene_cache.observable, self.simulation.renderer.config.hfov)
         self.action_space = self.simulation.action_space()
         self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
         self._outcome: tuple[float, bool, dict[str, Any]] | None = None  # reward, terminated, info
@@ -92,9 +92,9 @@ class ExploreEnv(StagedEnv):
             info["success"] = finished
         self._outcome = reward, stop or finished, info
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Take the image."""
-        self.simulation.look()
+        self.simulation.sense()
 
     def report(self) -> Report:
         """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
@@ -111,7 +111,7 @@ class ExploreEnv(StagedEnv):
         return self.simulation.info(command, collision) | driven
 
     def _start(self, given: Any) -> np.ndarray:
-        space, stream = self.simulation.stage.sampler.space, self.simulation.streams["task"]
+        space, stream = self.simulation.scene_cache.sampler.space, self.simulation.streams["task"]
         drawn = np.array([*space.sample(stream, 1, MARGIN)[0], stream.uniform(-np.pi, np.pi)])
         if given is None:
             return drawn

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flight_noise, fly
-from vssm_gym.envs.phased import StagedEnv
+from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.physics import FlightWorld
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.scenes.free_space import FreeSpace
@@ -26,9 +26,9 @@ from vssm_gym.envs.sensors.imu import imu_noise as imu_model
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
 from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as noise_model
-from vssm_gym.envs.sensors.shared_renderer import scenery_of
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
-from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
 from vssm_gym.envs.validation import choose, parse_action
@@ -44,7 +44,7 @@ CRASH = 5.0  # what a collision costs
 HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
 
 
-class FlightEnv(StagedEnv):
+class FlightEnv(PhasedEnv):
     """One hall, one body, one reference flight an episode; see the module. Registered as ``vssm_gym/Flight-v0``.
 
     No wrapper counts its steps: an episode lasts as long as its reference, LONGEST seconds at most, whatever the rate.
@@ -105,16 +105,16 @@ class FlightEnv(StagedEnv):
         if flight is not None:
             self._checked(self._reference(flight, SPEEDS[0] if speed is None else speed))
         self.world = FlightWorld(self.apartment, self.body.radius)
-        self.scenery = scenery_of(self.apartment, camera_config(camera), renderer)
-        self.camera, self.renderer_name = self.scenery.camera, self.scenery.renderer_name
+        self.renderer = SharedRenderer.of(self.apartment, camera_config(camera), renderer)
+        self.camera, self.renderer_name = self.renderer.camera, self.renderer.name
         self._K = self.camera.K
 
         low, high = self.body.limits
         self.action_space = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
-        reference = Told("reference", gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32), self._wanted)
+        reference = TaskObservation("reference", gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32), self._wanted)
         oracle: list[Sensor[FlyingBody]] = [FlightPoseSensor()] if observe_pose else []
         sensors: list[Sensor[FlyingBody]] = [
-            RGBDSensor(self.scenery, seen),
+            RGBDSensor(self.renderer, seen),
             ImuSensor(felt, self.substeps),
             reference,
             *oracle,
@@ -174,9 +174,9 @@ class FlightEnv(StagedEnv):
         self.sensors.moved()
         self._path.append(self.state.position)
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Let the sensors measure, once a step however often it is asked for; touches no other state."""
-        self.sensors.look(self._carrier())
+        self.sensors.sense(self._carrier())
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """What :meth:`step` returns, of the state that it has left."""
@@ -208,7 +208,7 @@ class FlightEnv(StagedEnv):
             return None
         if self._plan is None:
             self._plan = TopDown(self.world.boxes, PICTURE, PICTURE)
-        self.look()
+        self.sense()
         planar = matrix_to_planar(self.state.T_world_body)
         goal = self.task.at(np.array([self.time])).position[0, :2]
         plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * NEAR)

@@ -9,17 +9,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.phased import Report, StagedEnv
+from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.rendering.topdown import PICTURE, beside_plan
-from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.geometry.transforms import planar_to_matrix
 
 HEADINGS = 8  # directions, evenly spread, in which a goal image may look
 OPEN = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place
 
 
-class ImageNavEnv(StagedEnv):
+class ImageNavEnv(PhasedEnv):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
 
     Args:
@@ -39,7 +39,7 @@ class ImageNavEnv(StagedEnv):
         size = (self.navigation.camera.height, self.navigation.camera.width, 3)
         sensors = self.simulation.sensors
         sensors.remove("goal")  # its image is told in place of its position
-        sensors.add(Told("goal_rgb", gym.spaces.Box(0, 255, size, np.uint8), self._goal))
+        sensors.add(TaskObservation("goal_rgb", gym.spaces.Box(0, 255, size, np.uint8), self._goal))
         self.observation_space = gym.spaces.Dict(sensors.spaces())
         self._goal_rgb: np.ndarray | None = None
 
@@ -52,9 +52,9 @@ class ImageNavEnv(StagedEnv):
         """Carry out ``(turn, o, s, stop)`` as PointNav does."""
         self.navigation.advance(action)
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Take the image and, at the start of an episode, the goal's."""
-        self.navigation.look()
+        self.navigation.sense()
 
     def report(self) -> Report:
         """What PointNav reports, with the goal's image in place of its position."""
@@ -79,14 +79,14 @@ class ImageNavEnv(StagedEnv):
 
         Where none is (a niche), the one that sees farthest.
         """
-        task, scenery = self.navigation.task, self.simulation.scenery
+        task, renderer = self.navigation.task, self.simulation.renderer
         assert task is not None
         spread = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
         drawn = np.random.default_rng([task.id, *np.frombuffer(np.array(task.goal).tobytes(), np.uint32)])
         views = []
         for heading in drawn.uniform(0.0, 2.0 * np.pi) + drawn.permutation(spread):
             pose = np.array([*task.goal, heading])
-            rgb, depth = scenery.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
+            rgb, depth = renderer.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
             views.append((float(np.median(depth)), rgb))
             if views[-1][0] >= OPEN:
                 return rgb

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from vssm_gym.envs.maze_noise import motion_noise, range_noise
-from vssm_gym.envs.phased import StagedEnv
+from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.physics.planar import clearance, slide
 from vssm_gym.envs.rendering.topdown import TopDown
 from vssm_gym.envs.robots import ExecutionNoise, execute
@@ -24,7 +24,7 @@ from vssm_gym.envs.sensors.lidar import LidarConfig, LidarNoise
 from vssm_gym.envs.sensors.maze_scan import MazeScan
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.suite import SensorSuite
-from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.maze_objectives import Approach, Coverage
 from vssm_gym.envs.tasks.mazes import ROBOT, load_maze
@@ -39,7 +39,7 @@ PICTURE = 480  # pixels, height and width of a rendered picture
 _RAY = (236, 140, 40)
 
 
-class LidarMazeEnv(StagedEnv):
+class LidarMazeEnv(PhasedEnv):
     """One maze, one robot; see the module. Registered as ``vssm_gym/LidarMaze-v0``, truncated after 1000 steps.
 
     Args:
@@ -97,7 +97,7 @@ class LidarMazeEnv(StagedEnv):
         scanner = LidarConfig(beams=beams, max_range=LONGEST, noise=range_noise(sensor_noise))
         sensors: list[Sensor[HasPlanar]] = [MazeScan(scanner, self.maze.rectangles)]
         if task == "navigate":
-            sensors.append(Told("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
+            sensors.append(TaskObservation("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
         if observe_pose:
             sensors.append(PoseSensor(np.array([[0.0, 0.0, -np.pi], [1.0, 1.0, np.pi]])))
         self.sensors = SensorSuite("LidarMaze", sensors)
@@ -153,9 +153,9 @@ class LidarMazeEnv(StagedEnv):
             info["success"] = reached
         self._outcome = reward, terminated, info
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Let the sensors measure at the robot's pose; once, however often it is asked for."""
-        self.sensors.look(self)
+        self.sensors.sense(self)
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """The last stage: what Gymnasium's ``step`` returns; ``reset`` returns its first and last."""
@@ -171,7 +171,7 @@ class LidarMazeEnv(StagedEnv):
             self._plan = TopDown(self.maze.apartment.boxes(), PICTURE, PICTURE, margin=0.02)
         goal = np.asarray(self.task.goal) if isinstance(self.objective, Approach) else None
         picture = self._plan.draw(np.array(self._path), self.planar, self.robot.radius, goal, self.success_radius)
-        self.look()
+        self.sense()
         ranges = self.sensors.reading("scan")
         angle = self.planar[2] + 2.0 * np.pi * np.arange(self.beams) / self.beams
         ends = self.planar[:2] + ranges[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

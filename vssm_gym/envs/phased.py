@@ -1,9 +1,9 @@
-"""Environments whose step has stages: move, look, report.
+"""Define environments whose reset and step run in phases: move, sense, report.
 
-    reset = begin, look, report        step = advance, look, report
+    reset = begin, sense, report        step = advance, sense, report
 
-Moving takes microseconds and is done one environment after another; looking renders an image and is done in parallel
-by a vector environment (:mod:`vssm_gym.envs.vector`). An environment of this suite implements the stages only.
+Moving takes microseconds and is done one environment after another; sensing renders an image and is done in parallel by
+a vector environment (:mod:`vssm_gym.envs.vector`). An environment of this suite implements the phases only.
 
 After the step that terminates or truncates an episode comes a reset: a further step raises ``ResetNeeded``. A wrapper's
 truncation (``TimeLimit``) is outside: only the wrapper knows of it.
@@ -24,15 +24,15 @@ _SCANNER = 'sensors=["lidar"], or sensors=[{"sensor": "lidar", "beams": 64, "noi
 _REPLACED = {"lidar": _SCANNER, "lidar_noise": _SCANNER}  # keywords of earlier versions, and what they are now
 
 
-class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
-    """Gymnasium's ``reset`` and ``step`` out of the four stages."""
+class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
+    """Compose Gymnasium's ``reset`` and ``step`` of ``begin``, ``advance``, ``sense`` and ``report``."""
 
-    passes_to: ClassVar[type | None] = None  # whose keywords the constructor takes besides its own
-    parallel: bool = False  # whether several environments may look at once, in threads of one process
+    passes_to: ClassVar[type | None] = None  # the class whose keywords the constructor accepts besides its own
+    parallel: bool = False  # True if several environments may sense at once, in threads of one process
     _running: bool = False  # whether an episode has begun by a reset and not ended by a step
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
-        """Refuse keywords that the constructor does not take, with those that it does."""
+        """Raise :class:`InputError`, which lists the keywords of the constructor, for any other keyword."""
         taken = keywords_of(cls)
         for name in given:
             if name in _REPLACED and "sensors" in taken:
@@ -47,15 +47,15 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     @abc.abstractmethod
     def advance(self, action: np.ndarray) -> None:
-        """Carry out an action, without looking."""
+        """Carry out an action, without sensing."""
 
     @abc.abstractmethod
-    def look(self) -> None:
-        """Render what the sensors see now; it changes nothing else and may run in another thread."""
+    def sense(self) -> None:
+        """Let the sensors measure; it changes nothing else and may run in another thread."""
 
     @abc.abstractmethod
     def report(self) -> Report:
-        """Observation, reward, terminated, truncated and info of what happened last."""
+        """Return observation, reward, terminated, truncated and info of the last reset or step."""
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -63,7 +63,7 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         """Start an episode; see :meth:`begin` for seed and options."""
         super().reset(seed=seed)
         self.begin(seed, options)
-        self.look()
+        self.sense()
         observation, *_, info = self.report()
         self._running = True
         return observation, info
@@ -73,14 +73,14 @@ class StagedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         if not self._running:
             raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
         self.advance(action)
-        self.look()
+        self.sense()
         observation, reward, terminated, truncated, info = self.report()
         self._running = not (terminated or truncated)
         return observation, reward, terminated, truncated, info
 
 
 def keywords_of(cls: type) -> list[str]:
-    """Return the keywords of a class, and of the one that it passes the rest to."""
+    """Return the keywords of a class, and those of the class that it passes the rest to."""
     own = [
         name
         for name, parameter in inspect.signature(cls.__init__).parameters.items()  # type: ignore[misc]

@@ -11,9 +11,9 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.phased import StagedEnv
+from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.sensors.base import EXTENT
-from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.validation import choose
@@ -23,7 +23,7 @@ from vssm_gym.geometry.axes import PlanarPose
 STEP_COST, SUCCESS_REWARD = 0.01, 2.5
 
 
-class PointNavEnv(StagedEnv):
+class PointNavEnv(PhasedEnv):
     """One apartment, one robot; see the module. Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
 
     Args:
@@ -55,18 +55,18 @@ class PointNavEnv(StagedEnv):
         self.end_on, self.reward, self.render_mode = end_on, reward, self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
-        self.renderer_name = self.simulation.scenery.renderer_name
+        self.renderer_name = self.simulation.renderer.name
         self.parallel = self.simulation.parallel
         self.success_radius = SUCCESS * self.robot.body_length
-        self.sampler = self.simulation.stage.sampler
+        self.sampler = self.simulation.scene_cache.sampler
         if names := self.sampler.space.cut_off_rooms():
             kept = "tasks are drawn from the largest connected part"
             warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
         self.tasks = None if tasks is None else checked_set("PointNav", tasks, self.apartment)
-        self._goal_distance = self.simulation.stage.goal_distance() if reward == "dense" else None
+        self._goal_distance = self.simulation.scene_cache.goal_distance() if reward == "dense" else None
         self.action_space = self.simulation.action_space()
         goal = gym.spaces.Box(-EXTENT, EXTENT, (2,), np.float32)
-        self.simulation.sensors.add(Told("goal", goal, self._goal))
+        self.simulation.sensors.add(TaskObservation("goal", goal, self._goal))
         self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
 
         self.task: Task | None = None
@@ -122,9 +122,9 @@ class PointNavEnv(StagedEnv):
             info["success"] = arrived
         self._outcome = self._reward(terminated and arrived), terminated, info
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Take the image."""
-        self.simulation.look()
+        self.simulation.sense()
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""

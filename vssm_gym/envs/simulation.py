@@ -2,7 +2,7 @@
 
 An environment owns one :class:`Simulation`, tells it to :meth:`~Simulation.place` and :meth:`~Simulation.drive` the
 robot, and adds goals, rewards and ends of its own. Moving and looking are apart: images are rendered when
-:meth:`~Simulation.look` is called, so that a vector environment moves all robots first and then renders in parallel.
+:meth:`~Simulation.sense` is called, so that a vector environment moves all robots first and then renders in parallel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,16 +17,16 @@ from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.robots.registry import ROBOTS
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
-from vssm_gym.envs.sensors.base import NOTHING_FELT, GroundBody, Sensor, SensorConfig
+from vssm_gym.envs.sensors.base import NO_CONTACTS, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
 from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as sensor_noise_of
-from vssm_gym.envs.sensors.shared_renderer import scenery_of
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.tasks.scene_cache import stage_of
+from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
@@ -75,14 +75,14 @@ class Simulation:
         self.robot, self.render_mode = ROBOTS[robot](), render_mode
         self.noise = self.robot.parse_noise(noise)
         carried, seen = parse_sensors("environment", sensors), sensor_noise_of(sensor_noise)
-        self.scenery = scenery_of(load_scene(scene), camera_config(camera), renderer)
-        self.stage = stage_of(self.scenery, self.robot)
-        self.apartment, self.camera = self.scenery.apartment, self.scenery.camera
+        self.renderer = SharedRenderer.of(load_scene(scene), camera_config(camera), renderer)
+        self.scene_cache = SceneCache.of(self.renderer, self.robot)
+        self.apartment, self.camera = self.renderer.apartment, self.renderer.camera
         self.world = World(self.apartment, self.robot)
-        mounted: list[Sensor[GroundBody]] = [config.mount(self.scenery) for config in carried]
+        mounted: list[Sensor[GroundBody]] = [config.mount(self.renderer) for config in carried]
         oracle = [PoseSensor()] if observe_pose else []
-        self.sensors = SensorSuite("environment", [RGBDSensor(self.scenery, seen), *mounted, *oracle])
-        self.world.feels = self.sensors.feels
+        self.sensors = SensorSuite("environment", [RGBDSensor(self.renderer, seen), *mounted, *oracle])
+        self.world.reads_contacts = self.sensors.reads_contacts
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
@@ -115,7 +115,7 @@ class Simulation:
     def body(self) -> GroundBody:
         """The true state of the robot, for its sensors; not for agents."""
         if self._body is None:
-            contacts = self.world.contact_bearings() if self.world.feels else NOTHING_FELT
+            contacts = self.world.contact_bearings() if self.world.reads_contacts else NO_CONTACTS
             self._body = GroundBody.at(self.planar, self._T_body_cam, self.robot.dt, contacts)
         return self._body
 
@@ -159,13 +159,13 @@ class Simulation:
         values = parse_action(action, self._named)
         return np.clip(values[:-1], *self._bounds), bool(values[-1] > 0.5)
 
-    def look(self) -> None:
+    def sense(self) -> None:
         """Let the sensors measure the robot's surroundings; once a pose, however often it is asked for."""
-        self.sensors.look(self.body)
+        self.sensors.sense(self.body)
 
     def observation(self) -> dict[str, np.ndarray]:
         """What the sensors have measured; the arrays are the caller's."""
-        self.look()
+        self.sense()
         return self.sensors.observation()
 
     def info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
@@ -177,7 +177,7 @@ class Simulation:
         if self.render_mode is None or not self.path:
             return None
         if self._plan is None:
-            self._plan = TopDown(self.scenery.boxes, PICTURE, PICTURE)
-        self.look()
+            self._plan = TopDown(self.renderer.boxes, PICTURE, PICTURE)
+        self.sense()
         plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
         return beside_plan(self.sensors.reading("rgb"), plan)

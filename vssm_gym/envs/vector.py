@@ -18,12 +18,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
-from vssm_gym.envs.phased import StagedEnv
+from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.errors import InputError
 
 
-class StagedVectorEnv(VectorEnv):
+class PhasedVectorEnv(VectorEnv):
     """``num_envs`` environments of one class; see the module.
 
     Args:
@@ -39,7 +39,7 @@ class StagedVectorEnv(VectorEnv):
 
     def __init__(
         self,
-        make: Callable[..., StagedEnv],
+        make: Callable[..., PhasedEnv],
         num_envs: int = 1,
         max_episode_steps: int = -1,
         scene: Any = None,
@@ -67,7 +67,7 @@ class StagedVectorEnv(VectorEnv):
         self.max_episode_steps = max_episode_steps
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self._threads = min(num_envs, cores if threads is None else threads) if first.parallel else 1
-        self._pool = ThreadPoolExecutor(self._threads - 1, "look") if self._threads > 1 else None
+        self._pool = ThreadPoolExecutor(self._threads - 1, "sense") if self._threads > 1 else None
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended, self._begun = np.zeros(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
 
@@ -152,7 +152,7 @@ class StagedVectorEnv(VectorEnv):
 
     def _gather(self, fresh: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Look everywhere and stack the reports; infos are of the ``fresh`` environments."""
-        self._look()
+        self._sense()
         reports = [env.report() for env in self.envs]
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(fresh):
@@ -164,20 +164,20 @@ class StagedVectorEnv(VectorEnv):
         truncated = np.array([report[3] for report in reports], dtype=bool)
         return observation, rewards, terminated, truncated, infos
 
-    def _look(self) -> None:
+    def _sense(self) -> None:
         if self._pool is None:
             for env in self.envs:
-                env.look()
+                env.sense()
             return
-        shares = [self._pool.submit(_look_in_turn, self.envs[k :: self._threads]) for k in range(1, self._threads)]
-        _look_in_turn(self.envs[:: self._threads])
+        shares = [self._pool.submit(_sense_in_turn, self.envs[k :: self._threads]) for k in range(1, self._threads)]
+        _sense_in_turn(self.envs[:: self._threads])
         for share in shares:
             share.result()
 
 
-def _look_in_turn(envs: list[StagedEnv]) -> None:
+def _sense_in_turn(envs: list[PhasedEnv]) -> None:
     for env in envs:
-        env.look()
+        env.sense()
 
 
 def _whole(value: Any) -> bool:
@@ -188,17 +188,17 @@ def _single(seed: Any) -> bool:
     return seed is None or isinstance(seed, int | np.integer)
 
 
-def _of(path: str) -> Callable[..., StagedVectorEnv]:
+def _of(path: str) -> Callable[..., PhasedVectorEnv]:
     """The vector entry point of the environment class at ``module:name``."""
 
-    def make(**keywords: Any) -> StagedEnv:
+    def make(**keywords: Any) -> PhasedEnv:
         module, name = path.split(":")
         return getattr(import_module(module), name)(**keywords)
 
-    return partial(StagedVectorEnv, make)
+    return partial(PhasedVectorEnv, make)
 
 
-def __getattr__(name: str) -> Callable[..., StagedVectorEnv]:
+def __getattr__(name: str) -> Callable[..., PhasedVectorEnv]:
     """The vector entry point that a row of the environments' table calls ``name``."""
     for spec in ENVIRONMENTS.values():
         if spec.vector == f"{__name__}:{name}":

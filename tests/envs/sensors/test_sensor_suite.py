@@ -18,7 +18,7 @@ from vssm_gym.envs.phased import keywords_of
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.sensors.registry import SENSORS, parse_sensors
 from vssm_gym.envs.sensors.suite import SensorSuite
-from vssm_gym.envs.sensors.told import Told
+from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.errors import InputError
 
 SMALL = {"camera": {"width": 32, "height": 24}, "noise": "mid", "sensor_noise": "kinect"}
@@ -166,19 +166,19 @@ class Teller:
 def test_two_sensors_of_one_key_are_refused():
     space, tell = gym.spaces.Box(0.0, 1.0, (1,), np.float32), Teller().tell
     with pytest.raises(InputError, match="'a' would be measured twice"):
-        SensorSuite("test", [Told(key, space, tell) for key in "aba"])
+        SensorSuite("test", [TaskObservation(key, space, tell) for key in "aba"])
 
 
 def test_a_suite_measures_once_a_pose_and_hands_out_copies():
     teller, space = Teller(), gym.spaces.Box(0.0, 9.0, (1,), np.float32)
-    suite: SensorSuite[None] = SensorSuite("test", [Told("a", space, teller.tell)])
+    suite: SensorSuite[None] = SensorSuite("test", [TaskObservation("a", space, teller.tell)])
     suite.begin(None)
     for _ in range(3):
-        suite.look(None)
+        suite.sense(None)
     suite.observation()["a"][:] = 7.0
     assert suite.observation()["a"] == suite.reading("a") == 1.0
     suite.moved()
-    suite.look(None)
+    suite.sense(None)
     assert suite.reading("a") == 2.0
 
 

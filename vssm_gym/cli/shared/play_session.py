@@ -168,7 +168,7 @@ class Session:
     def _plan_picture(self) -> np.ndarray:
         """The floor plan with the robot, its path and its goal; few pixels, so that the robot is still seen in them."""
         if self._plan is None:
-            self._plan = TopDown(self._world.simulation.scenery.boxes, PLAN, PLAN)
+            self._plan = TopDown(self._world.simulation.renderer.boxes, PLAN, PLAN)
         goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (None, 0.0)
         return self._plan.draw(np.array(self._path), self._planar(), self._world.simulation.robot.radius, goal, radius)
 

@@ -35,7 +35,7 @@ class BulletCar:
     A pickled car goes on from the same poses and velocities, to rounding: those caches are not part of its state.
     """
 
-    feels = True  # whether contacts are kept for :meth:`contact_bearings`
+    reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
     _bearings: list[float]  # of obstacles touched in the last drive, rad
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
@@ -66,7 +66,7 @@ class BulletCar:
             "velocity": p.getBaseVelocity(self._body, physicsClientId=client),
             "joints": [p.getJointState(self._body, j, physicsClientId=client)[:2] for j in range(6)],
             "bearings": self._bearings,
-            "feels": self.feels,
+            "reads_contacts": self.reads_contacts,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -76,7 +76,7 @@ class BulletCar:
         p.resetBaseVelocity(self._body, *state["velocity"], physicsClientId=client)
         for j, (angle, speed) in enumerate(state["joints"]):
             p.resetJointState(self._body, j, angle, speed, physicsClientId=client)
-        self._bearings, self.feels = state["bearings"], state["feels"]
+        self._bearings, self.reads_contacts = state["bearings"], state["reads_contacts"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
@@ -221,7 +221,7 @@ class BulletCar:
                 for contact in p.getContactPoints(self._body, linkIndexA=-1, physicsClientId=client):
                     if contact[8] <= 0.0:  # the distance: Bullet keeps points before they touch
                         touched.add(contact[2])
-                        if self.feels:
+                        if self.reads_contacts:
                             _, rotation = self._where()
                             outwards = -np.array(contact[7]) @ rotation  # the normal points to the chassis
                             self._bearings.append(math.atan2(outwards[1], outwards[0]))

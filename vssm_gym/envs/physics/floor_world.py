@@ -95,7 +95,9 @@ def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
 class World:
     """The robot among the apartment's boxes; one object is one simulation, for one thread."""
 
-    feels = True  # whether contacts are kept for :meth:`contact_bearings`; it costs a quarter of a step in contact
+    reads_contacts = (
+        True  # whether contacts are kept for :meth:`contact_bearings`; it costs a quarter of a step in contact
+    )
 
     def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.apartment, self.robot = apartment, robot
@@ -113,11 +115,16 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def __getstate__(self) -> dict[str, Any]:
-        state = {"apartment": self.apartment, "robot": self.robot, "planar": self.pose(), "feels": self.feels}
+        state = {
+            "apartment": self.apartment,
+            "robot": self.robot,
+            "planar": self.pose(),
+            "reads_contacts": self.reads_contacts,
+        }
         return state | {"touched": self._touched, "meetings": self._meetings}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.apartment, self.robot, self.feels = state["apartment"], state["robot"], state["feels"]
+        self.apartment, self.robot, self.reads_contacts = state["apartment"], state["robot"], state["reads_contacts"]
         self._build()
         self.reset(state["planar"])
         self._touched, self._meetings = state["touched"], state["meetings"]
@@ -165,7 +172,7 @@ class World:
             if data.ncon:
                 met = data.contact.geom
                 pairs.add(met.tobytes())
-                if self.feels:
+                if self.reads_contacts:
                     # Copied: the arrays are views of memory that the next substep reuses. Contacts are those of the
                     # substep's begin, and so is the body's pose; qpos is that of its end.
                     normals = data.contact.frame[:, :3].copy()

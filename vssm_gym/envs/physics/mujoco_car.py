@@ -118,7 +118,7 @@ def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
 class MujocoCar:
     """A :class:`~vssm_gym.envs.robots.car_body.CarBody` in MuJoCo; one object is one simulation, for one thread."""
 
-    feels = True  # whether contacts are kept for :meth:`contact_bearings`
+    reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
     _bearings: list[np.ndarray]  # of obstacles touched in the last drive, rad, one array a substep
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
@@ -143,11 +143,11 @@ class MujocoCar:
             "car": self.car,
             "state": state,
             "bearings": self._bearings,
-            "feels": self.feels,
+            "reads_contacts": self.reads_contacts,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.apartment, self.car, self.feels = state["apartment"], state["car"], state["feels"]
+        self.apartment, self.car, self.reads_contacts = state["apartment"], state["car"], state["reads_contacts"]
         self._build()
         mujoco.mj_setState(self.model, self.data, state["state"], _STATE)
         self._bearings = state["bearings"]
@@ -173,7 +173,7 @@ class MujocoCar:
                     boxes = self._box_of_geom[data.contact.geom]
                     met = boxes.max(axis=1).tolist()
                     touched.update(met)
-                    if self.feels and max(met) >= 0:  # not the floor alone; the body is that of the substep's begin
+                    if self.reads_contacts and max(met) >= 0:  # an obstacle, not the floor alone
                         which, R_world_body = np.array(met) >= 0, data.xmat[self._body]
                         self._bearings.append(bearings(boxes[which], data.contact.frame[which, :3], R_world_body))
         return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(touched - {-1})))

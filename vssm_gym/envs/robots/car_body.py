@@ -22,7 +22,7 @@ BUMPER = 0.2  # friction of the chassis on obstacles
 class CarBody(Protocol):
     """A car among a scene's boxes."""
 
-    feels: bool  # whether contacts are kept for :meth:`contact_bearings`
+    reads_contacts: bool  # whether contacts are kept for :meth:`contact_bearings`
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""

@@ -13,13 +13,13 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.envs.sensors.shared_renderer import Scenery
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.transforms import planar_to_matrix
 
 EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
 
-NOTHING_FELT = np.zeros(0)  # no contact
+NO_CONTACTS = np.zeros(0)  # no contact
 
 Body = TypeVar("Body", contravariant=True)
 
@@ -40,7 +40,7 @@ class Sensor(Protocol[Body]):
         """Whether sensors of several robots may measure at once, in threads of one process."""
 
     @property
-    def feels(self) -> bool:
+    def reads_contacts(self) -> bool:
         """Whether it reads the body's contacts, which the simulator keeps only then."""
 
     def seed(self, rng: np.random.Generator) -> None:
@@ -59,7 +59,7 @@ class SensorConfig(Protocol):
     Every field has a default.
     """
 
-    def mount(self, scenery: Scenery) -> "Sensor[GroundBody]":
+    def mount(self, renderer: SharedRenderer) -> "Sensor[GroundBody]":
         """Build the sensor in a scene."""
 
 
@@ -74,7 +74,7 @@ class GroundBody(NamedTuple):
 
     @classmethod
     def at(
-        cls, planar: PlanarPose, T_body_cam: Matrix4, dt: float, contacts: Float[np.ndarray, "n"] = NOTHING_FELT
+        cls, planar: PlanarPose, T_body_cam: Matrix4, dt: float, contacts: Float[np.ndarray, "n"] = NO_CONTACTS
     ) -> "GroundBody":
         """Return the state of a robot with a camera at ``T_body_cam``."""
         T_world_body = planar_to_matrix(planar)

@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.sensors.base import GroundBody
-from vssm_gym.envs.sensors.shared_renderer import Scenery
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.errors import InputError
 
 
@@ -28,7 +28,7 @@ class BumperConfig:
         if isinstance(self.sectors, bool) or not (isinstance(self.sectors, int) and 1 <= self.sectors <= 64):
             raise InputError("BumperConfig", "sectors", f"1 to 64, not {self.sectors!r}")
 
-    def mount(self, scenery: Scenery) -> "BumperSensor":
+    def mount(self, renderer: SharedRenderer) -> "BumperSensor":
         """Build the sensor; it sees nothing of the scene."""
         return BumperSensor(self)
 
@@ -38,7 +38,7 @@ class BumperSensor:
 
     stream = "bumper"
     parallel = True
-    feels = True
+    reads_contacts = True
 
     def __init__(self, config: BumperConfig) -> None:
         self.config = config

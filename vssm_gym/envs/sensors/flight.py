@@ -43,7 +43,7 @@ class ImuSensor:
 
     stream = "imu"
     parallel = True
-    feels = False
+    reads_contacts = False
 
     def __init__(self, noise: ImuNoise, substeps: int) -> None:
         self.noise = noise
@@ -71,7 +71,7 @@ class FlightPoseSensor:
 
     stream = "pose"
     parallel = True
-    feels = False
+    reads_contacts = False
 
     def __init__(self) -> None:
         self.spaces: dict[str, gym.Space[Any]] = {

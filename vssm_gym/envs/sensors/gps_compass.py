@@ -21,7 +21,7 @@ from gymnasium.vector import VectorEnv, VectorObservationWrapper
 
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.sensors.base import EXTENT, GroundBody
-from vssm_gym.envs.sensors.shared_renderer import Scenery
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.transforms import wrap_angle
@@ -63,7 +63,7 @@ class GpsCompassConfig:
     def __post_init__(self) -> None:
         object.__setattr__(self, "noise", gps_compass_noise(self.noise))
 
-    def mount(self, scenery: Scenery) -> "GpsCompassSensor":
+    def mount(self, renderer: SharedRenderer) -> "GpsCompassSensor":
         """Build the sensor; it sees nothing of the scene."""
         return GpsCompassSensor(self)
 
@@ -73,7 +73,7 @@ class GpsCompassSensor:
 
     stream = "gps_compass"
     parallel = True
-    feels = False
+    reads_contacts = False
 
     def __init__(self, config: GpsCompassConfig) -> None:
         self.config = config

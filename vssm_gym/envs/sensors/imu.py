@@ -74,7 +74,7 @@ imu_noise = Presets("environment", "imu_noise", ImuNoise, PRESETS)
 def specific_force(
     R_world_body: Float[np.ndarray, "*batch 3 3"], acceleration: Float[np.ndarray, "*batch 3"]
 ) -> Float[np.ndarray, "*batch 3"]:
-    """``R^T (a - g)``, m/s^2, body frame: what an accelerometer feels; +9.81 upwards at rest.
+    """``R^T (a - g)``, m/s^2, body frame: what an accelerometer measures; +9.81 upwards at rest.
 
     Args:
         R_world_body: orientation of the body.

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from vssm_gym.envs.physics.tracing import Tracer
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.sensors.base import HasPose
-from vssm_gym.envs.sensors.shared_renderer import Scenery
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4
 
@@ -95,9 +95,9 @@ class LidarConfig:
         """Direction of each beam, rad, rising."""
         return self.fov * ((np.arange(self.beams) + 0.5) / self.beams - 0.5)
 
-    def mount(self, scenery: Scenery) -> "LidarSensor":
+    def mount(self, renderer: SharedRenderer) -> "LidarSensor":
         """Build the scanner in a scene."""
-        return LidarSensor(self, scenery)
+        return LidarSensor(self, renderer)
 
 
 class LidarSensor:
@@ -105,17 +105,17 @@ class LidarSensor:
 
     Args:
         config: the fan and its noise.
-        scenery: what is scanned; the robot itself is transparent.
+        renderer: what is scanned; the robot itself is transparent.
     """
 
     stream = "lidar"
-    feels = False
+    reads_contacts = False
 
-    def __init__(self, config: LidarConfig, scenery: Scenery) -> None:
-        self.config, self._lidar = config, Lidar(config, scenery.tracer)
+    def __init__(self, config: LidarConfig, renderer: SharedRenderer) -> None:
+        self.config, self._lidar = config, Lidar(config, renderer.tracer)
         space = gym.spaces.Box(0.0, config.max_range, (config.beams,), np.float32)
         self.spaces: dict[str, gym.Space[Any]] = {"scan": space}
-        self.parallel = scenery.tracer.parallel
+        self.parallel = renderer.tracer.parallel
         self._rng: np.random.Generator | None = None
 
     def seed(self, rng: np.random.Generator) -> None:

@@ -21,7 +21,7 @@ class MazeScan:
 
     stream = "sensors"
     parallel = True
-    feels = False
+    reads_contacts = False
 
     def __init__(self, config: LidarConfig, rectangles: Float[np.ndarray, "m 6"]) -> None:
         self.config, self._rectangles = config, rectangles

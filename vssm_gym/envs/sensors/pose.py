@@ -20,7 +20,7 @@ class PoseSensor:
 
     stream = "pose"
     parallel = True
-    feels = False
+    reads_contacts = False
 
     def __init__(self, bounds: Float[np.ndarray, "2 3"] = ANYWHERE) -> None:
         self.spaces: dict[str, gym.Space[Any]] = {"pose": gym.spaces.Box(*bounds.astype(np.float32))}

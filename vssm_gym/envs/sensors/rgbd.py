@@ -12,33 +12,33 @@ import numpy as np
 
 from vssm_gym.envs.sensors.base import EXTENT, HasCamera
 from vssm_gym.envs.sensors.rgbd_noise import NoisySensor, SensorNoise
-from vssm_gym.envs.sensors.shared_renderer import Scenery
+from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 
 
 class RGBDSensor:
     """``rgb`` uint8 ``(H, W, 3)`` and ``depth`` float32 ``(H, W)``, z-depth in m, 0 = no reading: one image, two keys.
 
     Args:
-        scenery: what is seen, and the renderer.
+        renderer: what is seen, and the renderer.
         noise: what the sensor adds to the exact image.
     """
 
     stream = "sensors"
-    feels = False
+    reads_contacts = False
 
-    def __init__(self, scenery: Scenery, noise: SensorNoise) -> None:
-        self.scenery, self.noise = scenery, noise
-        size = (scenery.camera.height, scenery.camera.width)
+    def __init__(self, renderer: SharedRenderer, noise: SensorNoise) -> None:
+        self.renderer, self.noise = renderer, noise
+        size = (renderer.camera.height, renderer.camera.width)
         self.spaces: dict[str, gym.Space[Any]] = {
             "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
             "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
         }
-        self.parallel = scenery.parallel
+        self.parallel = renderer.parallel
         self._sensor: NoisySensor | None = None
 
     def seed(self, rng: np.random.Generator) -> None:
         """Measure with a new sensor, whose noise is of this stream."""
-        self._sensor = NoisySensor(self.noise, self.scenery.camera, rng)
+        self._sensor = NoisySensor(self.noise, self.renderer.camera, rng)
 
     def begin(self, body: HasCamera) -> None:
         """Go on as before."""
@@ -46,5 +46,5 @@ class RGBDSensor:
     def measure(self, body: HasCamera) -> dict[str, np.ndarray]:
         """Take the image, ``body.dt`` s after the one before."""
         assert self._sensor is not None
-        rgb, depth = self._sensor(*self.scenery.render(body.T_world_cam), body.dt)
+        rgb, depth = self._sensor(*self.renderer.render(body.T_world_cam), body.dt)
         return {"rgb": rgb, "depth": depth}

@@ -1,14 +1,14 @@
-"""What every camera of one kind in one apartment shares: the solid boxes and the renderer over them.
+"""Share one renderer among all cameras of one kind in one apartment.
 
-Building a renderer takes a tenth of a second and ten megabytes. A process therefore keeps one :class:`Scenery` for each
-(apartment, camera, renderer) as long as an environment uses it: vector environments, and environments made one
-after another, render from the same tables.
+Building a renderer takes a tenth of a second and ten megabytes. A process therefore keeps one :class:`SharedRenderer`
+for each (apartment, camera, backend) as long as an environment uses it: the environments of a vector, and environments
+made one after another, render from the same tables.
 """
 
 import threading
 import weakref
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,61 +21,61 @@ from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.envs.sensors.camera import CameraConfig, SceneCamera, make_camera, make_tracer
 from vssm_gym.geometry.axes import Matrix4
 
-Key = tuple[str, CameraConfig, str]
-
-_SCENERIES: "weakref.WeakValueDictionary[Key, Scenery]" = weakref.WeakValueDictionary()
-_BUILDING = threading.Lock()
+_Key = tuple[str, CameraConfig, str]
 
 
-def scenery_of(apartment: Apartment, config: CameraConfig, renderer: str) -> "Scenery":
-    """The process's scenery of these, built where there is none."""
-    key = (apartment.content_hash(), config, renderer)
-    with _BUILDING:
-        scenery = _SCENERIES.get(key)
-        if scenery is None:
-            scenery = _SCENERIES[key] = Scenery(apartment, config, renderer)
-    return scenery
+class SharedRenderer:
+    """Render images and trace rays in one apartment. Get it by :meth:`of`; it is immutable to its users.
 
-
-class Scenery:
-    """One apartment made ready for one kind of camera; immutable to its users. Get it by :func:`scenery_of`.
-
-    It holds a renderer's context until nothing uses it any more: no user may close what others share.
+    It keeps the renderer's context until nothing uses it any more: no user may close what others share.
 
     Args:
         apartment: the scene.
-        config: size and angle of the images.
-        renderer: what makes them.
+        config: size and field of view of the images.
+        backend: ``raycast`` or ``gl``.
     """
 
-    def __init__(self, apartment: Apartment, config: CameraConfig, renderer: str) -> None:
-        self.apartment, self.config, self.renderer = apartment, config, renderer
+    _instances: ClassVar["weakref.WeakValueDictionary[_Key, SharedRenderer]"] = weakref.WeakValueDictionary()
+    _lock: ClassVar = threading.Lock()
+
+    def __init__(self, apartment: Apartment, config: CameraConfig, backend: str) -> None:
+        self.apartment, self.config, self._backend = apartment, config, backend
         self.boxes: list[SolidBox] = apartment.boxes()
         self.camera = config.intrinsics()
 
+    @classmethod
+    def of(cls, apartment: Apartment, config: CameraConfig, backend: str) -> "SharedRenderer":
+        """Return the process's renderer of these three, which is built where there is none."""
+        key = (apartment.content_hash(), config, backend)
+        with cls._lock:
+            shared = cls._instances.get(key)
+            if shared is None:
+                shared = cls._instances[key] = cls(apartment, config, backend)
+        return shared
+
     def __reduce__(self) -> Any:
-        return scenery_of, (self.apartment, self.config, self.renderer)
+        return SharedRenderer.of, (self.apartment, self.config, self._backend)
 
     @cached_property
-    def _eye(self) -> SceneCamera:
-        """The renderer, built when it is first asked for: who sees nothing needs none."""
-        return make_camera(self.boxes, self.config, self.renderer)
+    def _scene_camera(self) -> SceneCamera:
+        """The backend, built on first use: an environment without images needs none."""
+        return make_camera(self.boxes, self.config, self._backend)
 
     @property
-    def renderer_name(self) -> str:
-        """What makes the images, to be recorded with results."""
-        return self._eye.name
+    def name(self) -> str:
+        """Name of the backend that makes the images, to be recorded with results."""
+        return self._scene_camera.name
 
     @property
     def parallel(self) -> bool:
-        """Whether several threads may render at once."""
-        return isinstance(self._eye, RaycastCamera)
+        """True if several threads may render at once."""
+        return isinstance(self._scene_camera, RaycastCamera)
 
     @cached_property
     def tracer(self) -> Tracer:
-        """What finds the first box along rays."""
+        """The ray tracer that finds the first box along each ray."""
         return make_tracer(World(self.apartment, HolonomicRobot()))  # the robot is transparent
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
-        """The exact image at a camera pose: uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)``, m, 0 = nothing."""
-        return self._eye.render(T_world_cam)
+        """Return the exact image at a camera pose: uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)``, m, 0 = none."""
+        return self._scene_camera.render(T_world_cam)

@@ -56,9 +56,9 @@ class SensorSuite(Generic[Body]):
         return all(sensor.parallel for sensor in self._sensors)
 
     @property
-    def feels(self) -> bool:
+    def reads_contacts(self) -> bool:
         """Whether any of them reads contacts."""
-        return any(sensor.feels for sensor in self._sensors)
+        return any(sensor.reads_contacts for sensor in self._sensors)
 
     def seed(self, streams: Mapping[str, np.random.Generator]) -> None:
         """Switch every sensor on, each with its stream."""
@@ -75,7 +75,7 @@ class SensorSuite(Generic[Body]):
         """Forget the readings: the robot has moved, and the next look measures anew."""
         self._readings = None
 
-    def look(self, body: Body) -> None:
+    def sense(self, body: Body) -> None:
         """Let every sensor measure, unless they have done so since the robot moved."""
         if self._readings is None:
             self._readings = {}
