@@ -14,9 +14,10 @@ import numpy as np
 from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
+from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import GaussianBelief, planar_belief, world_covariance
 
@@ -101,7 +102,7 @@ class FilteredPose:
 
     def _image(self, observation: Observation) -> Any:
         """What the filter looks at; None for one that looks at nothing."""
-        return None if self._entry.blind else observe(observation["rgb"], observation["depth"])
+        return None if self._entry.blind else RGBD.from_camera(observation["rgb"], observation["depth"])
 
 
 def rig_of(context: AgentContext) -> Rig:

@@ -14,12 +14,12 @@ from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.agents.shared.localization import START_STD, Localization, TruePose, localization, rig_of
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
-from vssm_gym.inference.filter import observe
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import GaussianBelief, planar_belief
 
@@ -75,12 +75,12 @@ class MapAndPose:
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
         """The first image at the known start; what a lost robot does is compiled here, so that it delays no step."""
         rig = rig_of(context)
-        image = observe(observation["rgb"], observation["depth"])
+        image = RGBD.from_camera(observation["rgb"], observation["depth"])
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), START_STD**2 * jnp.eye(3))
         self._filter, self._dt = FILTERS["prism"].make(rig, context.transition), context.dt
         self._state = self._filter.init(Posterior(start, prior), image, jax.random.key(0))
         # An image without depth fits nothing, so the map stays as it is.
-        dark = observe(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))
+        dark = RGBD.from_camera(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))
         lost = replace(self._state, lost=True)
         self._filter.step(lost, jnp.zeros(len(context.limits)), dark, self._dt)
         return localization(start, Status.OK)
@@ -92,7 +92,7 @@ class MapAndPose:
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
         """One step of the filter; the pose is against the map, whose own frame may have drifted."""
-        image = observe(observation["rgb"], observation["depth"])
+        image = RGBD.from_camera(observation["rgb"], observation["depth"])
         control = jnp.asarray(command, jnp.float32)
         self._state, info = self._filter.step(self._state, control, image, self._dt)
         belief = self._filter.posterior(self._state).belief

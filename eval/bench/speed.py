@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from vssm_gym.model.emission import RGBD
 from vssm_gym.slam.map_building import Progress
 
 EXTENT, VOXEL = 14.0, 0.07  # m: the published grid of 200^3 cells
@@ -66,7 +67,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     from vssm_gym.envs.pointnav import PointNavEnv
     from vssm_gym.envs.tasks.navigation import TaskSampler
     from vssm_gym.eval.protocols.agent_context import context_in
-    from vssm_gym.inference.filter import Rig, observe
+    from vssm_gym.inference.filter import Rig
     from vssm_gym.inference.mapping import map_update
     from vssm_gym.inference.tracking.map_tracker import FrameTracker, MapTracker
     from vssm_gym.maps.voxel_map import VoxelMap
@@ -86,7 +87,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     m = VoxelMap.cube(centre, EXTENT, VOXEL)
 
     def images(observation: dict, info: dict) -> tuple[Any, Any]:
-        return observe(observation["rgb"], observation["depth"]), jnp.asarray(info["T_world_cam"], jnp.float32)
+        return RGBD.from_camera(observation["rgb"], observation["depth"]), jnp.asarray(info["T_world_cam"], jnp.float32)
 
     # A tour that turns and drives through the open, at random; timed as it goes: this is the environment's own speed.
     rng = np.random.default_rng(seed)

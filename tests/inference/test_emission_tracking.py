@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.inference.test_tracking import ELSEWHERE, MOTION, RIG, ROBOT, drive, error, see, start, step
-from vssm_gym.inference.filter import observe
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import emission_tracking
 from vssm_gym.inference.tracking.camera_filter import camera_pose
 from vssm_gym.inference.tracking.emission_tracking import EmissionTracker, EmissionTrackerConfig
+from vssm_gym.model.emission import RGBD
 
 TRACKERS = {name: FILTERS[name].make(RIG, MOTION) for name in ("adam", "emission")}
 each = pytest.mark.parametrize("name", TRACKERS)
@@ -34,7 +34,7 @@ def test_the_robot_is_tracked_in_its_map(name: str) -> None:
 @pytest.mark.parametrize("kind", ["another place", "no depth"])
 def test_images_that_do_not_fit_are_not_believed(name: str, kind: str) -> None:
     command = drive(1, 5)[0][0]
-    blind = observe(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64), np.float32))
+    blind = RGBD.from_camera(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64), np.float32))
     bad = {"another place": see(ELSEWHERE), "no depth": blind}[kind]
     tracker = TRACKERS[name]
     state, info = step(start(tracker), command, bad, tracker)

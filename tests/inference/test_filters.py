@@ -10,7 +10,7 @@ import pytest
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix, se3_log
-from vssm_gym.inference.filter import Filter, Rig, observe
+from vssm_gym.inference.filter import Filter, Rig
 from vssm_gym.inference.registry import FILTERS, filters_for
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.camera_filter import at_rest
@@ -38,7 +38,7 @@ START = np.array([-0.5, -0.4, 2.9])
 TURN, STEP = 0.18, 0.06  # rad and m of every step: a circle of a third of a metre
 STEPS = 6
 ROOM_MAP = ROOM.to_map(*GRID)
-DARK = observe(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
+DARK = RGBD.from_camera(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
 
 SPEED, RATE = STEP / DT, TURN / DT
 TRANSITIONS: dict[str, Transition] = {
@@ -61,7 +61,7 @@ def pose(k: float) -> np.ndarray:
 
 def see(k: float) -> RGBD:
     image = ROOM.image(pose(k) @ T_BODY_CAM, CAMERA)
-    return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+    return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
 def control(kind: str, k: int) -> jax.Array:

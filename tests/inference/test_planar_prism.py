@@ -13,7 +13,7 @@ from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
-from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.prism.config import ROBOT as ROBOT_PRISM
 from vssm_gym.inference.prism.filter import Prism, PrismState
 from vssm_gym.inference.status import Status
@@ -29,12 +29,12 @@ RIG = Rig.of(CAMERA, ROBOT.T_body_cam)
 EXECUTION = ExecutionNoise(np.radians(3.0), 0.02)
 PRISM = Prism(RIG, Planar(MotionNoise(EXECUTION.turn, EXECUTION.step)), ROBOT_PRISM)
 START = np.array([-0.5, -0.4, 2.9])
-DARK = observe(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
+DARK = RGBD.from_camera(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
 
 
 def see(planar: np.ndarray) -> RGBD:
     image = ROOM.image(planar_to_matrix(planar) @ ROBOT.T_body_cam, CAMERA)
-    return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+    return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
 def begin() -> PrismState:

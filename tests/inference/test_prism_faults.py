@@ -23,7 +23,7 @@ from tests.helpers.prism_room import (
 )
 from tests.helpers.prism_room import step as filtered
 from vssm_gym.errors import InputError
-from vssm_gym.inference.filter import FilterInfo, observe
+from vssm_gym.inference.filter import FilterInfo
 from vssm_gym.inference.prism.config import PrismConfig
 from vssm_gym.inference.prism.filter import PrismState
 from vssm_gym.inference.status import Status
@@ -171,7 +171,7 @@ def test_readings_that_are_none(value: float, share: float) -> None:
         depth = ROOM.depth(true_pose(k), CAMERA).astype(np.float32)
         depth[rng.uniform(size=depth.shape) < share] = value
         rgb = np.rint(255.0 * np.asarray(image(k).rgb)).astype(np.uint8)
-        state, info = step(state, observe(rgb, depth))
+        state, info = step(state, RGBD.from_camera(rgb, depth))
         assert info.status == OK
         assert error(info.belief, true_pose(k))[0] < 0.015
     assert all(np.isfinite(np.asarray(a)).all() for a in (state.map.occupancy, state.map.colour))
@@ -181,7 +181,9 @@ def test_readings_that_are_none(value: float, share: float) -> None:
 def test_a_depth_image_of_nan_alone() -> None:
     state, _ = walked(WALKED)
     before = copy(state).map
-    state, info = step(state, observe(np.full((60, 80, 3), 90, np.uint8), np.full((60, 80), np.nan, np.float32)))
+    state, info = step(
+        state, RGBD.from_camera(np.full((60, 80, 3), 90, np.uint8), np.full((60, 80), np.nan, np.float32))
+    )
     assert info.status == NO_READING
     assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 2)
@@ -215,7 +217,7 @@ def test_noise_in_place_of_an_image() -> None:
     rng = np.random.default_rng(1)
     for _ in range(3):
         depth = rng.uniform(0.3, 6.0, (60, 80)).astype(np.float32)
-        state, info = step(state, observe(rng.integers(0, 256, (60, 80, 3)).astype(np.uint8), depth))
+        state, info = step(state, RGBD.from_camera(rng.integers(0, 256, (60, 80, 3)).astype(np.uint8), depth))
         assert info.status == LOST
         assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 4)

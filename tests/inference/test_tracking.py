@@ -8,7 +8,7 @@ import pytest
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
-from vssm_gym.inference.filter import Filter, FilterInfo, Rig, observe
+from vssm_gym.inference.filter import Filter, FilterInfo, Rig
 from vssm_gym.inference.mapping import map_update
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter
@@ -31,7 +31,7 @@ START = np.array([-0.5, -0.4, 2.9])  # turning left from here wraps the heading
 def see(planar: np.ndarray) -> RGBD:
     """The camera image of a robot at a pose, through the bytes that a camera delivers."""
     image = ROOM.image(planar_to_matrix(planar) @ ROBOT.T_body_cam, CAMERA)
-    return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+    return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
 def drive(steps: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -149,8 +149,8 @@ def test_images_that_do_not_fit_are_not_believed(kind: str) -> None:
     assert info.status is OK
     bad = {
         "another place": see(ELSEWHERE),
-        "no depth": observe(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64))),
-        "black": observe(np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.3)),
+        "no depth": RGBD.from_camera(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64))),
+        "black": RGBD.from_camera(np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 0.3)),
     }[kind]
     predicted = MOTION.predict(state.past.belief, jnp.asarray(second_command, jnp.float32), ROBOT.dt)
     lost, info = step(state, second_command, bad)
@@ -174,7 +174,7 @@ def test_readings_that_are_no_numbers_are_none() -> None:
     depth = np.array(image.depth)
     depth[5:9, 10:20] = np.nan
     depth[20:24, 30:40] = np.inf
-    spoiled = observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), depth)
+    spoiled = RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), depth)
     state, info = step(start(), command, spoiled)
     assert info.status is OK
     assert error(state, planar)[0] < 0.015
@@ -197,7 +197,7 @@ def test_the_first_state_is_the_known_start() -> None:
 def test_an_observation_is_what_the_camera_delivered() -> None:
     rgb, depth = np.full((48, 64, 3), 51, np.uint8), np.ones((48, 64), np.float32)
     depth[0, 0] = 0.0
-    image = observe(rgb, depth)
+    image = RGBD.from_camera(rgb, depth)
     np.testing.assert_allclose(np.asarray(image.rgb), 0.2, rtol=1e-6)
     np.testing.assert_array_equal(np.asarray(image.depth), depth)
     np.testing.assert_array_equal(np.asarray(image.hit), depth > 0)
@@ -233,7 +233,7 @@ def test_the_rig_takes_any_camera() -> None:
 
     def see_back(planar: np.ndarray) -> RGBD:
         image = ROOM.image(planar_to_matrix(planar) @ T_body_cam, CAMERA)
-        return observe(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
+        return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
     known = planar_belief(jnp.asarray(START, jnp.float32), 1e-6 * jnp.eye(3))
     state = tracker.init(Posterior(known, MAP), see_back(START), jax.random.key(0))

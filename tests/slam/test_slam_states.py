@@ -19,11 +19,11 @@ from tests.helpers.slam_recordings import (
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.data.trajectories import velocities
 from vssm_gym.geometry.transforms import inverse, se3_exp
-from vssm_gym.inference.filter import observe
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.block_table import BlockTable
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RigidState, rigid_belief
 from vssm_gym.slam import output as slam_output
@@ -146,7 +146,7 @@ def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
 
 def test_slices_read_a_sparse_map_as_a_dense_one():
     """Where cells are and which points are known: by storage row, without laying out the cube."""
-    image, config = observe(*frame_of(0)), options().filter(CAMERA).config.update
+    image, config = RGBD.from_camera(*frame_of(0)), options().filter(CAMERA).config.update
     dense = update(options().prior().map, image.depth, image.rgb, jnp.eye(4), CAMERA, config)
     sparse = stored_sparsely(dense, 900)
     for below in (np.inf, -0.1):

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
@@ -75,9 +74,3 @@ class Filter(Protocol):
 
     def posterior(self, state: Any) -> Posterior:
         """Return ``q(z_t) q(M)``, the state against the map; it shares the state's arrays."""
-
-
-def observe(rgb: np.ndarray, depth: np.ndarray) -> RGBD:
-    """Return a camera image (uint8 colour, metres with 0 = no reading) as the model's."""
-    metres = jnp.where(np.isfinite(depth), jnp.asarray(depth, jnp.float32), 0.0)
-    return RGBD(metres, jnp.asarray(rgb, jnp.float32) / 255.0, metres > 0.0, metres > 0.0)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from vssm_gym.geometry.camera import Camera
@@ -37,6 +38,20 @@ class RGBD(eqx.Module):
     rgb: Float[Array, "height width 3"]  # [0, 1]
     hit: Bool[Array, "height width"]  # where depth means anything
     known: Bool[Array, "height width"]  # where the surface was observed; elsewhere it follows from the prior mean
+
+    @classmethod
+    def from_camera(cls, rgb: np.ndarray, depth: np.ndarray) -> "RGBD":
+        """Convert an image as a camera delivers it.
+
+        Args:
+            rgb: ``(height, width, 3)`` uint8.
+            depth: ``(height, width)`` z-depth, m; 0 or not finite where there is no reading.
+
+        Returns:
+            The image with colour in [0, 1]; pixels with a reading are marked as hit and known.
+        """
+        metres = jnp.where(np.isfinite(depth), jnp.asarray(depth, jnp.float32), 0.0)
+        return cls(metres, jnp.asarray(rgb, jnp.float32) / 255.0, metres > 0.0, metres > 0.0)
 
 
 class EmissionScales(eqx.Module):

@@ -16,9 +16,10 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.envs.robots import NOISE_LEVELS
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
-from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.maps.voxel_map import DEFAULT_SLOTS, VoxelMap
+from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
 
@@ -62,11 +63,13 @@ def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None =
     motion = Planar(MotionNoise(noise.turn, noise.step))
     prism = FILTERS["prism"].make(rig, motion)
     known = planar_belief(start, START_STD**2 * jnp.eye(3))
-    state = prism.init(Posterior(known, sparse), observe(*reader[0]), jax.random.key(0))
+    state = prism.init(Posterior(known, sparse), RGBD.from_camera(*reader[0]), jax.random.key(0))
     planar, fits = [np.asarray(start, float)], [True]
     for i in range(1, len(reader)):
         control = jnp.asarray(sequence.controls[i, 1:], jnp.float32)
-        state, info = prism.step(state, control, observe(*reader[i]), float(sequence.times[i] - sequence.times[i - 1]))
+        state, info = prism.step(
+            state, control, RGBD.from_camera(*reader[i]), float(sequence.times[i] - sequence.times[i - 1])
+        )
         planar.append(np.asarray(prism.posterior(state).belief.mean, float))
         fits.append(info.status.fits)
         if np.abs(planar[-1][:2] - planar[0][:2]).max() > REACH - 1.0:

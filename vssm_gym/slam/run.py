@@ -19,7 +19,7 @@ from vssm_gym.data.trajectories import from_tum
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.residuals import AlignConfig
-from vssm_gym.inference.filter import Rig, observe
+from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig
 from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import Prism
@@ -30,6 +30,7 @@ from vssm_gym.inference.tracking.localise import readable
 from vssm_gym.inference.tracking.map_tracker import MapTracker
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RIGID
 
@@ -367,7 +368,7 @@ class _Tracker:
         start, stages = time.perf_counter(), _Stages()
         info = None
         status = Status.OK
-        image = observe(rgb, depth)
+        image = RGBD.from_camera(rgb, depth)
         if self.state is not None and (self._misses is None or self._misses < PATIENCE):
             control, dt = self._control(self.state, stamp), stamp - self.stamp
             self.state, info = self.filter.step(self.state, control, image, dt, clock=stages)
