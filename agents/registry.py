@@ -9,16 +9,16 @@ from vssm_gym.agents.car.greedy import GreedyAgent
 from vssm_gym.agents.car.hybrid_astar import HybridAStarAgent
 from vssm_gym.agents.car.vi_ipopt import ViIpoptAgent
 from vssm_gym.agents.car.vi_mpc import ViMpcAgent
-from vssm_gym.agents.car.vi_mpc_tracked import ViMpcTrackedAgent
+from vssm_gym.agents.car.vi_mpc_estimated_pose import ViMpcEstimatedPoseAgent
 from vssm_gym.agents.car.vi_mppi import ViMppiAgent
-from vssm_gym.agents.exploration.candidate_random import CandidateRandomAgent
 from vssm_gym.agents.exploration.frontier_gain import FrontierGainAgent
-from vssm_gym.agents.exploration.frontier_gain_tracked import FrontierGainTrackedAgent
-from vssm_gym.agents.exploration.frontier_looking import FrontierLookingAgent
-from vssm_gym.agents.exploration.frontier_looking_tracked import FrontierLookingTrackedAgent
+from vssm_gym.agents.exploration.frontier_gain_estimated_pose import FrontierGainEstimatedPoseAgent
+from vssm_gym.agents.exploration.frontier_gain_scan import FrontierGainScanAgent
+from vssm_gym.agents.exploration.frontier_gain_scan_estimated_pose import FrontierGainScanEstimatedPoseAgent
 from vssm_gym.agents.exploration.frontier_nearest import FrontierNearestAgent
 from vssm_gym.agents.exploration.mi_explorer import MiExplorerAgent
-from vssm_gym.agents.exploration.mi_explorer_tracked import MiExplorerTrackedAgent
+from vssm_gym.agents.exploration.mi_explorer_estimated_pose import MiExplorerEstimatedPoseAgent
+from vssm_gym.agents.exploration.random_viewpoint import RandomViewpointAgent
 from vssm_gym.agents.exploration.random_walk import RandomWalkAgent
 from vssm_gym.agents.navigation.astar import AStarAgent
 from vssm_gym.agents.navigation.dead_reckoning import DeadReckoningAgent
@@ -28,6 +28,7 @@ from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
 from vssm_gym.agents.policy.agent import PolicyAgent
 from vssm_gym.agents.policy.file import PREFIX
+from vssm_gym.agents.renamed import refuse_former
 from vssm_gym.errors import InputError
 from vssm_gym.planning.planners import find_planner
 
@@ -42,7 +43,7 @@ AGENTS: dict[str, type[Agent]] = {
         ViMpcAgent,
         ViIpoptAgent,
         ViMppiAgent,
-        ViMpcTrackedAgent,
+        ViMpcEstimatedPoseAgent,
         HybridAStarAgent,
         GreedyAgent,
         DwaAgent,
@@ -50,12 +51,12 @@ AGENTS: dict[str, type[Agent]] = {
         MiExplorerAgent,
         FrontierNearestAgent,
         FrontierGainAgent,
-        FrontierLookingAgent,
-        CandidateRandomAgent,
+        FrontierGainScanAgent,
+        RandomViewpointAgent,
         RandomWalkAgent,
-        MiExplorerTrackedAgent,
-        FrontierGainTrackedAgent,
-        FrontierLookingTrackedAgent,
+        MiExplorerEstimatedPoseAgent,
+        FrontierGainEstimatedPoseAgent,
+        FrontierGainScanEstimatedPoseAgent,
     )
 }
 
@@ -67,7 +68,7 @@ def agent_type(name: str) -> type[Agent]:
     """The class of an agent of the table, whichever planner it has, or of ``policy:FILE``.
 
     Raises:
-        InputError: a planner that nobody registered, or of an agent that takes none.
+        InputError: an agent or a planner that nobody registered, a former name, a planner for an agent that takes none.
     """
     if name.startswith(PREFIX):
         return PolicyAgent
@@ -77,6 +78,9 @@ def agent_type(name: str) -> type[Agent]:
         if base not in takers:
             raise InputError("agent", name, f"a planner after one of {', '.join(takers)}")
         find_planner(planner)
+    refuse_former(base, "agent", "name")
+    if base not in AGENTS:
+        raise InputError("agent", "name", f"one of {', '.join(AGENTS)}; found {base!r}")
     return AGENTS[base]
 
 

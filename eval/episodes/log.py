@@ -14,6 +14,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
+from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
 from vssm_gym.eval.episodes.row import KEY, checked, written
@@ -29,7 +30,8 @@ def episode_key(row: Mapping[str, Any]) -> tuple:
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Every finished episode of a log, in the order of writing; an unfinished last line is ignored.
 
-    Rows that leave out what all of the sweep's rows share are completed from the ``sweep.json`` beside the log.
+    Rows that leave out what all of the sweep's rows share are completed from the ``sweep.json`` beside the log. Agents
+    that were renamed since have their present names; the file keeps what was written.
 
     Raises:
         InputError: the file is missing, a line is not an episode, or an episode appears twice.
@@ -70,6 +72,7 @@ def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
             field = ".".join(str(part) for part in problem["loc"])
             expected = f"one episode as JSON; {field}: {problem['msg'].removeprefix('Input should be ')}"
             raise InputError(path, f"line {number}", expected) from error
+        row["agent"] = current_name(row["agent"])
         key = episode_key(row)
         if key in seen:
             raise InputError(path, f"line {number}", f"each episode once; it repeats line {seen[key]}")

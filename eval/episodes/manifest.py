@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
 
 MANIFEST = "sweep.json"
@@ -16,6 +17,8 @@ LISTS |= {"scene": "scenes", "agent": "agents", "task": "tasks", "seed": "seeds"
 
 def read_manifest(path: Path) -> dict[str, Any]:
     """What a sweep wrote about itself: ``config``, ``config_hash``, ``version``, ``seed``, ``episodes``.
+
+    Agents that were renamed since have their present names.
 
     Raises:
         InputError: no such file, no JSON, or a field that is missing.
@@ -31,6 +34,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
         raise InputError(path, min(missing), "this field")
     if not isinstance(manifest["config"], dict):
         raise InputError(path, "config", "the sweep's configuration")
+    if "agents" in manifest["config"]:
+        manifest["config"]["agents"] = [current_name(agent) for agent in manifest["config"]["agents"]]
     return manifest
 
 

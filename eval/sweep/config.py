@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from vssm_gym.agents.base import ANY_TASK
 from vssm_gym.agents.policy.file import PREFIX as POLICY
 from vssm_gym.agents.policy.file import agent_label, policy_at
+from vssm_gym.agents.renamed import refuse_former
 from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings, scene_name
@@ -113,6 +114,8 @@ def check_names(config: SweepConfig, source: object) -> None:
     from vssm_gym.agents.registry import AGENTS, WITH, agent_type
 
     check_environments(config, source)
+    for name in config.agents:
+        refuse_former(name, source, "agents")
     spec, protocol = SWEPT_ENVIRONMENTS[config.env[0]], protocol_of(config.env[0])
     policies = [name for name in config.agents if name.startswith(POLICY)]
     planned = [name for name in config.agents if name.partition(WITH)[0] in AGENTS and name not in AGENTS]

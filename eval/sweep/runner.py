@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.agents.policy.file import agent_label
+from vssm_gym.agents.renamed import hashed_name
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, scene_name
@@ -96,7 +97,7 @@ def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) ->
     """16 hex digits of what decides the results: configuration, scenes and policies (by content, not by path), seed."""
     content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
     content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
-    content["agents"] = [agent_label(agent) for agent in config.agents]
+    content["agents"] = [hashed_name(agent_label(agent)) for agent in config.agents]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 

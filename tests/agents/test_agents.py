@@ -19,7 +19,8 @@ from vssm_gym.agents.base import ANY_TASK, Agent, AgentContext, Decision
 from vssm_gym.agents.navigation.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent, RandomConfig
-from vssm_gym.agents.registry import AGENTS
+from vssm_gym.agents.registry import AGENTS, make_agent
+from vssm_gym.agents.renamed import RENAMED
 from vssm_gym.agents.shared.localization import FilteredPose, TruePose
 from vssm_gym.agents.shared.navigator import NavigationConfig
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
@@ -350,3 +351,14 @@ def test_agents_that_see_arrive(name, learned):
     assert run.stopped
     assert run.away(goal) <= 0.4
     assert np.max(errors) < 0.1
+
+
+@pytest.mark.parametrize("former", RENAMED)
+def test_a_former_name_is_refused_with_the_present_one(former):
+    with pytest.raises(InputError, match=f"expected '{RENAMED[former]}', the present name .* found '{former}'"):
+        make_agent(former)
+
+
+def test_an_unknown_agent_is_refused_with_those_that_there_are():
+    with pytest.raises(InputError, match=r"expected one of astar, .*; found 'nobody'"):
+        make_agent("nobody")

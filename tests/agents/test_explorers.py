@@ -25,7 +25,11 @@ from vssm_gym.planning.exploration.information import entropy
 from vssm_gym.planning.occupancy_grid import FREE
 
 EXPLORERS = [name for name, agent in AGENTS.items() if agent.task == "explore"]
-TRACKED = {"mi_explorer_tracked", "frontier_gain_tracked", "frontier_looking_tracked"}  # PRISM estimates their pose
+ESTIMATED = {
+    "mi_explorer_estimated_pose",
+    "frontier_gain_estimated_pose",
+    "frontier_gain_scan_estimated_pose",
+}  # PRISM estimates their pose
 SCENE = two_rooms(pieces=(furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6)),))
 START = np.array([1.0, 1.0, 0.0])
 
@@ -67,9 +71,9 @@ def explore(agent: Agent, world: gym.Env, steps: int, seed: int = 0) -> tuple[li
 
 
 def test_all_are_registered():
-    frontiers = {"frontier_nearest", "frontier_gain", "frontier_looking"}
-    observed = {"mi_explorer", "candidate_random", "random_walk"} | frontiers
-    assert set(EXPLORERS) == observed | TRACKED
+    frontiers = {"frontier_nearest", "frontier_gain", "frontier_gain_scan"}
+    observed = {"mi_explorer", "random_viewpoint", "random_walk"} | frontiers
+    assert set(EXPLORERS) == observed | ESTIMATED
     for name in EXPLORERS:
         agent = AGENTS[name]
         assert (agent.robot, agent.needs_pose, agent.needs_map) == ("holonomic", name in observed, False)
@@ -95,7 +99,7 @@ def test_explorers_see_everything_and_stop(name, world):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow) if n == "mi_explorer" or n in TRACKED else n for n in EXPLORERS],
+    [pytest.param(n, marks=pytest.mark.slow) if n == "mi_explorer" or n in ESTIMATED else n for n in EXPLORERS],
 )
 def test_same_seed_same_actions(name, world):
     """Twice the same, from two objects and from one that has run another episode before."""
@@ -199,7 +203,7 @@ def test_a_full_map_ends_the_run(world):
 @pytest.mark.slow
 def test_a_tracked_explorer_knows_where_it_is_and_says_when_it_does_not(world):
     """Without the pose it stays within centimetres of it; in the dark it turns, changes nothing and gives up."""
-    agent = AGENTS["mi_explorer_tracked"]()
+    agent = AGENTS["mi_explorer_estimated_pose"]()
     observation, info = world.reset(seed=0, options={"start": START})
     agent.reset(context(world, info), _without_pose(observation), 0)
     off = []

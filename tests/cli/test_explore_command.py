@@ -68,7 +68,8 @@ def test_a_run_is_kept_with_all_that_shows_it(vssm, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--agent", "astar"), "explore: agents: expected one of candidate_random, "),
+        (("--agent", "astar"), "explore: agents: expected one of frontier_gain, "),
+        (("--agent", "frontier_looking"), "expected 'frontier_gain_scan', the present name of that agent; found "),
         (("--agent", "nobody"), "mi_explorer"),
         (("--scene", "nowhere"), "explore: scenes: expected a built-in scene"),
         (("--noise", "loud"), "explore: noise: expected one of none, low, "),

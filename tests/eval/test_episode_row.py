@@ -10,6 +10,8 @@ from tests.eval.report.test_report import episode as navigated
 from tests.eval.report.test_report_car import episode as driven
 from tests.helpers.explore_runs import run as explored
 from tests.helpers.paths import CHECKOUT
+from vssm_gym.agents.registry import AGENTS
+from vssm_gym.agents.renamed import RENAMED, current_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
@@ -77,12 +79,29 @@ def test_committed_rows_are_read_in_whole(folder):
     assert len(rows) == len(lines) > 0
     config, hashes = manifest["config"], manifest["scene_hashes"]
     for row, line in zip(rows, lines, strict=True):
+        line["agent"] = current_name(line["agent"])
         assert row.items() >= line.items()
         assert row.items() >= (manifest["common"] | line).items()
         assert row["env"] == config["env"][0]
         assert row["robot"] == config["robot"][0]
         assert row["agent"] in config["agents"]
         assert row["scene_hash"] == hashes[row["scene"]]
+
+
+def test_rows_of_renamed_agents_are_read_under_their_present_names(tmp_path):
+    """Rows and manifest are translated as they are read; a new row of the same agent is the same episode."""
+    manifest = {"config": {"agents": list(RENAMED)}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
+    former = "".join(json.dumps(ROWS["explore"] | {"agent": name}) + "\n" for name in RENAMED)
+    (tmp_path / FILE).write_text(former)
+    present = list(RENAMED.values())
+    assert [row["agent"] for row in read_rows(tmp_path / FILE)] == present
+    assert read_manifest(tmp_path / MANIFEST)["config"]["agents"] == present
+    with EpisodeLog(tmp_path / FILE) as log:
+        assert [row["agent"] for row in log.rows] == present
+    assert (tmp_path / FILE).read_text() == former  # the file stays as it was written
+    assert set(present) <= set(AGENTS)
+    assert not set(RENAMED) & set(AGENTS)
 
 
 def test_what_a_row_says_stands_before_what_all_share():

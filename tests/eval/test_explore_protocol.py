@@ -231,7 +231,8 @@ EXPLORE = "env: vssm_gym/Explore-v0\nscenes: rooms.json\ntasks: 1\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (EXPLORE + "agents: astar\n", r"agents: expected one of candidate_random, .*; found 'astar'"),
+        (EXPLORE + "agents: astar\n", r"agents: expected one of frontier_gain, .*; found 'astar'"),
+        (EXPLORE + "agents: candidate_random\n", "agents: expected 'random_viewpoint', the present name .*_random'"),
         ("scenes: rooms.json\ntasks: 1\nagents: random_walk\n", r"agents: expected one of astar, .*'random_walk'"),
         ("scenes: rooms.json\ntasks: 1\nagents: astar\nexplore: {}\n", "explore: expected no such field with"),
         (EXPLORE + "agents: random_walk\nexplore: {steps: 0}\n", r"explore\.steps: "),
@@ -257,7 +258,7 @@ def test_settings_of_explorers_reach_episodes_and_decide_the_hash(tmp_path):
     assert config_hash(config, hashes, 0) != config_hash(without, hashes, 0)
 
 
-@pytest.mark.parametrize("name", ["exploration", "exploration_short", "exploration_tracked"])
+@pytest.mark.parametrize("name", ["exploration", "exploration_short", "exploration_estimated_pose"])
 def test_the_configurations_are_of_explorers_in_scenes_of_the_test_split(name):
     config = load_config(CONFIGS / f"{name}.yaml")
     assert {AGENTS[agent].task for agent in config.agents} == {"explore"}

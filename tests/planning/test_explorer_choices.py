@@ -11,11 +11,11 @@ import pytest
 from tests.agents.test_explorers import EXPLORERS
 from tests.planning.test_frontier import drawn
 from vssm_gym.agents.exploration import mi_explorer
-from vssm_gym.agents.exploration.candidate_random import CandidateRandomConfig, RandomCandidate
 from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
-from vssm_gym.agents.exploration.frontier_looking import FrontierLookingConfig, LookingFrontier
+from vssm_gym.agents.exploration.frontier_gain_scan import FrontierGainScan, FrontierGainScanConfig
 from vssm_gym.agents.exploration.frontier_nearest import NearestFrontier
 from vssm_gym.agents.exploration.mi_explorer import NEAR, MiExplorerConfig, MutualInformation
+from vssm_gym.agents.exploration.random_viewpoint import RandomViewpoint, RandomViewpointConfig
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.agents.shared.explorer import ExploringConfig
 from vssm_gym.agents.shared.own_map import OwnMapConfig
@@ -63,7 +63,7 @@ def test_the_nearest_frontier_is_the_nearest():
 @pytest.mark.parametrize("looking", [False, True])
 def test_gain_at_the_frontier_counts_against_the_way_there(looking):
     """Four times the area is worth a way that is up to log(4) / 0.2 = 6.9 m longer."""
-    strategy = LookingFrontier(FrontierLookingConfig()) if looking else FrontierGain(FrontierGainConfig())
+    strategy = FrontierGainScan(FrontierGainScanConfig()) if looking else FrontierGain(FrontierGainConfig())
     for x, end in ((5.0, 10.5), (2.5, 10.5), (1.5, 0.6)):  # ways to the left end shorter by 1, 5 and 8 m
         choice = chosen(strategy, believed(CORRIDOR, (x, 0.55)))
         assert choice.goal is not None
@@ -73,7 +73,7 @@ def test_gain_at_the_frontier_counts_against_the_way_there(looking):
 
 
 def test_who_looks_on_the_way_turns_once_in_every_metre():
-    strategy = LookingFrontier(FrontierLookingConfig())
+    strategy = FrontierGainScan(FrontierGainScanConfig())
     strategy.reset(0)
     turns = []
     for k in range(23):
@@ -86,7 +86,7 @@ def test_who_looks_on_the_way_turns_once_in_every_metre():
 
 def test_a_random_candidate_is_gone_to_and_no_place_twice():
     """What a place still promises after a look around is not there: the robot ends, though its map never changes."""
-    strategy = RandomCandidate(CandidateRandomConfig())
+    strategy = RandomViewpoint(RandomViewpointConfig())
     strategy.reset(3)
     at, goals = (5.0, 0.55), []
     choice = strategy.choose(believed(CORRIDOR, at, arrived=True))
@@ -104,7 +104,7 @@ def test_a_random_candidate_is_gone_to_and_no_place_twice():
 
 
 def test_a_random_candidate_that_was_not_reached_may_be_drawn_again():
-    strategy = RandomCandidate(CandidateRandomConfig())
+    strategy = RandomViewpoint(RandomViewpointConfig())
     strategy.reset(3)
     for _ in range(60):  # carried out, and always still where it began
         assert strategy.choose(believed(CORRIDOR, (5.0, 0.55), arrived=True)) is not None

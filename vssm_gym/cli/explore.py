@@ -24,8 +24,8 @@ def explore(
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
         out: new or empty folder; it appears when all of it is there.
-        agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, frontier_looking, candidate_random or
-            random_walk; mi_explorer_tracked, frontier_gain_tracked or frontier_looking_tracked.
+        agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, frontier_gain_scan, random_viewpoint or
+            random_walk; mi_explorer_estimated_pose, frontier_gain_estimated_pose or frontier_gain_scan_estimated_pose.
         start: of which of the scene's test tasks, 0 to 99.
         noise: of execution: none, low, mid or high.
         steps: of 0.2 s, after which time is out.

@@ -1,7 +1,8 @@
-"""``frontier_gain_tracked``: ``frontier_gain`` that is told its start and from then on sees RGB-D images only (SPEC 8).
+"""Explore by the frontier of greatest utility, with the pose estimated together with the map.
 
-``q(M, z_t | x_<=t, u_<t)`` is PRISM's on the floor. The baseline of ``mi_explorer_tracked``: it does not ask what a
-view would tell of its pose.
+``frontier_gain`` on ``q(M, z_t | x_<=t, u_<t)`` of PRISM, restricted to planar motion: the agent knows its start pose
+and then sees RGB-D images only. It is the baseline of ``mi_explorer_estimated_pose`` and does not value the information
+that a view gives about the pose. Described in ``docs/agents/exploration.md``.
 """
 
 from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
@@ -10,10 +11,10 @@ from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.maps.voxel_map import VoxelMap
 
 
-class FrontierGainTrackedAgent:
+class FrontierGainEstimatedPoseAgent:
     """Frontier exploration by gain and cost; map and pose are estimated together."""
 
-    name = "frontier_gain_tracked"
+    name = "frontier_gain_estimated_pose"
     robot = "holonomic"
     task = "explore"
     needs_pose = False

@@ -1,7 +1,8 @@
-"""``mi_explorer_tracked``: ``mi_explorer`` that is told its start and from then on sees RGB-D images only (SPEC 8).
+"""Explore by mutual information, with the pose estimated together with the map.
 
-``q(M, z_t | x_<=t, u_<t)`` is PRISM's on the floor; what a view would tell of the own pose, ``1/2 log det(I + S F)``,
-counts beside what it would teach the map.
+``mi_explorer`` on ``q(M, z_t | x_<=t, u_<t)`` of PRISM, restricted to planar motion: the agent knows its start pose and
+then sees RGB-D images only. The information of a view about the pose, ``1/2 log det(I + S F)``, is added to its
+information about the map. Described in ``docs/agents/exploration.md``.
 """
 
 from vssm_gym.agents.exploration.mi_explorer import MiExplorerConfig, MutualInformation, Tour
@@ -10,10 +11,10 @@ from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.maps.voxel_map import VoxelMap
 
 
-class MiExplorerTrackedAgent:
+class MiExplorerEstimatedPoseAgent:
     """Exploration by mutual information; map and pose are estimated together."""
 
-    name = "mi_explorer_tracked"
+    name = "mi_explorer_estimated_pose"
     robot = "holonomic"
     task = "explore"
     needs_pose = False

@@ -1,4 +1,4 @@
-"""``candidate_random``: the candidates of ``mi_explorer``, one of them at random: what choosing by information adds.
+"""``random_viewpoint``: the candidates of ``mi_explorer``, one of them at random: what choosing by information adds.
 
 goal ~ U({q : A(q) >= least area, q not visited})          A: expected unknown area in sight of a candidate, m^2
 """
@@ -17,18 +17,18 @@ from vssm_gym.planning.exploration.candidates import candidates
 
 
 @dataclass(frozen=True)
-class CandidateRandomConfig:
-    """Settings of ``candidate_random``: the candidates are those of ``mi_explorer``."""
+class RandomViewpointConfig:
+    """Settings of ``random_viewpoint``: the candidates are those of ``mi_explorer``."""
 
     spacing: float = 0.5  # m between candidates
     hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
     least_area: float = 0.05  # m^2 of unknown space in sight
 
 
-class RandomCandidate:
+class RandomViewpoint:
     """:class:`~vssm_gym.agents.shared.explorer.Strategy`: any candidate; it is gone to before another is drawn."""
 
-    def __init__(self, config: CandidateRandomConfig) -> None:
+    def __init__(self, config: RandomViewpointConfig) -> None:
         self._config = config
 
     def reset(self, seed: int) -> None:
@@ -58,17 +58,17 @@ class RandomCandidate:
         return Choice(self._goal, around(situation.planar[2]), None, f"to one of {len(xy)} candidates")
 
 
-class CandidateRandomAgent:
+class RandomViewpointAgent:
     """Random candidates; the pose is observed."""
 
-    name = "candidate_random"
+    name = "random_viewpoint"
     robot = "holonomic"
     task = "explore"
     needs_pose = True
     needs_map = False
 
-    def __init__(self, config: CandidateRandomConfig | None = None) -> None:
-        self._explorer = Explorer(RandomCandidate(config or CandidateRandomConfig()))
+    def __init__(self, config: RandomViewpointConfig | None = None) -> None:
+        self._explorer = Explorer(RandomViewpoint(config or RandomViewpointConfig()))
         self.reset, self.act = self._explorer.reset, self._explorer.act
 
     @property

@@ -1,4 +1,4 @@
-"""``frontier_looking``: ``frontier_gain`` that also turns around on its way, once in every metre.
+"""``frontier_gain_scan``: ``frontier_gain`` that also turns around on its way, once in every metre.
 
 goal = argmax_f A(f) exp(-lambda d(f)), and a whole turn wherever the last one was ``every`` metres away. Turning costs
 time and no way: what an explorer gains by looking aside as it goes, without any idea of what there is to see.
@@ -16,17 +16,17 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 
 @dataclass(frozen=True)
-class FrontierLookingConfig:
-    """Settings of ``frontier_looking``."""
+class FrontierGainScanConfig:
+    """Settings of ``frontier_gain_scan``."""
 
     every: float = 1.0  # m between turns
     frontiers: FrontierGainConfig = field(default_factory=FrontierGainConfig)
 
 
-class LookingFrontier:
+class FrontierGainScan:
     """:class:`~vssm_gym.agents.shared.strategy.Strategy`: gain against cost, and turns on the way."""
 
-    def __init__(self, config: FrontierLookingConfig) -> None:
+    def __init__(self, config: FrontierGainScanConfig) -> None:
         self._config, self._frontiers = config, FrontierGain(config.frontiers)
 
     def reset(self, seed: int) -> None:
@@ -44,17 +44,17 @@ class LookingFrontier:
         return Choice(None, around(float(situation.planar[2])), None, "turns around on its way")
 
 
-class FrontierLookingAgent:
+class FrontierGainScanAgent:
     """Frontier exploration by gain and cost with turns on the way; the pose is observed."""
 
-    name = "frontier_looking"
+    name = "frontier_gain_scan"
     robot = "holonomic"
     task = "explore"
     needs_pose = True
     needs_map = False
 
-    def __init__(self, config: FrontierLookingConfig | None = None) -> None:
-        self._explorer = Explorer(LookingFrontier(config or FrontierLookingConfig()))
+    def __init__(self, config: FrontierGainScanConfig | None = None) -> None:
+        self._explorer = Explorer(FrontierGainScan(config or FrontierGainScanConfig()))
         self.reset, self.act = self._explorer.reset, self._explorer.act
 
     @property

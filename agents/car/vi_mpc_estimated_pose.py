@@ -1,6 +1,7 @@
-"""``vi_mpc_tracked``: ``vi_mpc`` that is told its start and from then on sees RGB-D images only.
+"""Drive a car by value iteration and model-predictive control, with the pose tracked in the learned map.
 
-The pose is tracked against the learned map, with the car's arc as prior.
+``vi_mpc`` without the observed pose: the agent knows its start pose and then sees RGB-D images only. The motion prior
+of the tracker is the car's arc. Described in ``docs/agents/car.md``.
 """
 
 from vssm_gym.agents.car.vi_mpc import PROBLEM, ValueMpc
@@ -9,10 +10,10 @@ from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.planning.mpc.random_search import RandomSearch
 
 
-class ViMpcTrackedAgent:
+class ViMpcEstimatedPoseAgent:
     """Localises against the map; value iteration and random search with an augmented Lagrangian."""
 
-    name = "vi_mpc_tracked"
+    name = "vi_mpc_estimated_pose"
     robot = "car"
     task = "pointgoal"
     needs_pose = False
