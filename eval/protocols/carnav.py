@@ -120,8 +120,8 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         failure = f"planner: {decisions[-1].status}"
     return {
         **metrics,
-        "touches": int(info["touches"]),
-        "touched": bool(info["touches"]),
+        "touches": int(info["collisions"]),
+        "touched": bool(info["collisions"]),
         "seconds": round(len(contacts) * context.dt, 3),
         "direction_changes": direction_changes(np.array(speeds)),
         "heading_error": task.turn(path[-1]),

@@ -54,7 +54,7 @@ def test_a_chain_of_targets_is_driven_as_one():
             observation, _, terminated, truncated, info = env.step(decision.action)
             ended = terminated or truncated
         assert info["success"], (target, decision.status)
-        assert info["touches"] == 0
+        assert info["collisions"] == 0
         moving.append(abs(float(decision.action[0])) > 0.1)
         before = np.array(env.unwrapped.planar)
         observation, info = env.reset()

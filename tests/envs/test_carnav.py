@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.box_rooms import furniture
 from tests.helpers.car_yard import arc, two_yards, yard
-from vssm_gym.envs.carnav import MAX_ACCELERATION, STEP_COST, SUCCESS_REWARD, TOUCH_COST, CarNavEnv
+from vssm_gym.envs.carnav import COLLISION_COST, MAX_ACCELERATION, STEP_COST, SUCCESS_REWARD, CarNavEnv
 from vssm_gym.envs.robots.car_noise import NOISE_LEVELS, CarNoise
 from vssm_gym.envs.tasks.car import REACHED, CarTask, car_sampler_of
 from vssm_gym.errors import InputError
@@ -48,7 +48,7 @@ def rollout(env: gym.Env, seed: int, steps: int = 25) -> bytes:
     rng, said = np.random.default_rng(0), []
     for _ in range(steps):
         said += [observation[key].tobytes() for key in sorted(observation)]
-        said += [np.asarray(info[key]).tobytes() for key in ("T_world_cam", "K", "collision", "touches", "control")]
+        said += [np.asarray(info[key]).tobytes() for key in ("T_world_cam", "K", "collision", "collisions", "control")]
         action = rng.uniform(env.action_space.low, env.action_space.high).astype(np.float32)
         observation, reward, terminated, truncated, info = env.step(action)
         said.append(repr((float(reward), terminated, truncated)).encode())
@@ -81,7 +81,7 @@ def test_observations_are_of_their_space(targets, images):
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert set(observation) == ({"rgb", "depth", "goal"} if images else {"goal"})  # and so no pose
-    assert set(info) == {"T_world_cam", "K", "collision", "touches", "control", "task", "start_pose"}
+    assert set(info) == {"T_world_cam", "K", "collision", "collisions", "control", "task", "start_pose"}
     np.testing.assert_allclose(observation["goal"], info["task"].goal, rtol=1e-6)
     np.testing.assert_allclose(info["start_pose"], info["task"].start, atol=1e-6)
     observation, *_, info = env.step(act(9.0, -9.0))
@@ -138,7 +138,7 @@ def test_it_terminates_where_it_reaches_the_target(physics):
             assert terminated == (away <= REACHED) and not truncated
             if terminated:
                 break
-        assert info["success"] is True and info["reason"] == "reached" and info["touches"] == 0
+        assert info["success"] is True and info["reason"] == "reached" and info["collisions"] == 0
         with pytest.raises(gym.error.ResetNeeded):
             env.step(act())
     with pytest.raises(gym.error.ResetNeeded):
@@ -168,23 +168,23 @@ def test_a_pose_is_not_reached_across():
     assert not any(env.step(act(0.3))[2] for _ in range(70))
 
 
-def test_touches_are_counted_when_they_begin(physics):
+def test_collisions_are_counted_when_they_begin(physics):
     env = make(physics=physics)
     env.reset(options={"task": task(env, start=(3.3, 1.0, 0.0), goal=(1.0, 1.0, 0.0))})
-    collisions, touches = [], []
+    collided, collisions = [], []
     for speed in [0.3] * 20 + [-0.3] * 15 + [0.3] * 30:
         info = env.step(act(speed))[4]
-        collisions.append(info["collision"])
-        touches.append(info["touches"])
-    assert not collisions[0] and touches[0] == 0
-    assert collisions[19] and touches[19] == 1 and env.touched == ("wall 1",)
-    assert not collisions[34] and touches[34] == 1
-    assert touches[-1] == 2
-    assert env.reset(seed=0)[1]["touches"] == 0
+        collided.append(info["collision"])
+        collisions.append(info["collisions"])
+    assert not collided[0] and collisions[0] == 0
+    assert collided[19] and collisions[19] == 1 and env.collided_with == ("wall 1",)
+    assert not collided[34] and collisions[34] == 1
+    assert collisions[-1] == 2
+    assert env.reset(seed=0)[1]["collisions"] == 0
 
 
 @pytest.mark.parametrize("noise", ["none", "high"])
-def test_no_touch_in_the_open(physics, noise):
+def test_no_contact_in_the_open(physics, noise):
     env = make(physics=physics, scene=OPEN, noise=noise)
     env.reset(options={"task": env.sampler.task((3.0, 3.0, 0.0), (1.0, 1.0, 0.0))})
     rng = np.random.default_rng(0)
@@ -226,7 +226,7 @@ def test_a_chain_goes_on_from_a_wall():
     pressed = env.planar
     _, info = env.reset()
     np.testing.assert_array_equal(info["start_pose"], pressed)
-    assert env.step(act(0.3))[4]["touches"] == 0  # that touch began before
+    assert env.step(act(0.3))[4]["collisions"] == 0  # that contact began before
     assert env.step(act(-0.3))[4]["control"][0] == pytest.approx(-0.3)
 
 
@@ -301,7 +301,7 @@ def test_dense_rewards_are_progress_less_costs_plus_the_prize():
     env.reset(options={"task": env.sampler.task((3.6, 1.5, 0.0), (2.0, 1.5, 0.0))})
     for _ in range(5):
         reward = env.step(act(0.3))[1]
-    assert reward == pytest.approx(-STEP_COST - TOUCH_COST, abs=2e-3)
+    assert reward == pytest.approx(-STEP_COST - COLLISION_COST, abs=2e-3)
 
 
 def test_sparse_rewards_success_only():

@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.flight_hall import hall
 from vssm_gym.envs.flight import HOVERING, STRAYED, FlightEnv
-from vssm_gym.envs.flight_body import NOISE_LEVELS, FlightBody, FlightNoise, FlightState, Follower, fly, rotation
+from vssm_gym.envs.flight_body import (
+    NOISE_LEVELS,
+    FlightBody,
+    FlightController,
+    FlightNoise,
+    FlightState,
+    fly,
+    rotation,
+)
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.envs.tasks.reference_flights import CURVES, Placement, ReferenceFlight
@@ -92,7 +100,7 @@ def test_the_imu_feels_what_moves_the_body():
     """Dead reckoning from perfect readings is the flight: no drag or gust escapes the accelerometer."""
     env = make(noise="high")
     env.reset(seed=3)
-    pilot, state = Follower(env.body), env.state
+    pilot, state = FlightController(env.body), env.state
     h = env.dt / env.substeps
     for _ in range(80):
         observation, *_ = env.step(pilot(env.state, env.task, env.time, env.dt))
@@ -123,7 +131,7 @@ def test_the_pilot_keeps_to_the_reference(name, speed, scale, noise, error):
     reference = ReferenceFlight(name, speed, Placement((0.0, 0.0), scale, 0.3), drag=BODY.drag)
     start = reference.at(np.zeros(1))
     state = FlightState(start.position[0], start.velocity[0], start.R_world_body[0])
-    pilot, gust, dt = Follower(BODY), np.zeros(6), 0.05
+    pilot, gust, dt = FlightController(BODY), np.zeros(6), 0.05
     rng, errors = np.random.default_rng(0), []
     for k in range(int(reference.duration / dt)):
         command = pilot(state, reference, k * dt, dt)
@@ -137,7 +145,7 @@ def test_the_pilot_keeps_to_the_reference(name, speed, scale, noise, error):
 def test_a_flight_completed_is_a_success():
     env = make(speed=4.0, reward="sparse")
     env.reset(seed=0)
-    pilot, terminated, earned = Follower(env.body), False, 0.0
+    pilot, terminated, earned = FlightController(env.body), False, 0.0
     while not terminated:
         _, reward, terminated, truncated, info = env.step(pilot(env.state, env.task, env.time, env.dt))
         earned += reward

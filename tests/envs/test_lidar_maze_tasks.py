@@ -113,7 +113,11 @@ def test_a_chained_task_may_begin_where_contacts_left_the_robot():
     [
         (TASK.model_copy(update={"goal": (0.4, 0.3)}), "goal", "wall"),
         (TASK.model_copy(update={"start": (0.4, 0.3, 0.0)}), "start", "wall"),
-        (MAZE.sampler.task((0.365, 0.3, 0.0), (0.3, 0.1)), "start", "touches no wall"),  # 7 mm in: fine for a flat
+        (
+            MAZE.sampler.task((0.365, 0.3, 0.0), (0.3, 0.1)),
+            "start",
+            "collides with no wall",
+        ),  # 7 mm: fine for a flat
         (TASK.model_copy(update={"scene": "elsewhere"}), "scene", "rooms-v1"),
         ({"goal": (0.5, 0.5)}, "options['task']", "dict"),
     ],

@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.helpers.box_rooms import furniture, two_rooms
-from vssm_gym.envs.physics import World, build_spec
+from vssm_gym.envs.physics import FloorWorld, build_floor_spec
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.geometry.transforms import wrap_angle
 
 ROBOT = HolonomicRobot()
-EMPTY = World(two_rooms(), ROBOT)
+EMPTY = FloorWorld(two_rooms(), ROBOT)
 WALL = 0.05 + ROBOT.radius  # m from a wall's centre line to the robot's centre when they touch
 
 
@@ -51,15 +51,15 @@ def test_a_wall_stops_the_robot_and_lets_it_slide_and_back_off(angle, distance, 
     """Driving at the wall x = 0 at ``angle`` from its normal: x stays outside, y goes on as without the wall."""
     EMPTY.reset(np.array([WALL + gap, 2.0, 0.0]))
     push = distance * np.array([-math.cos(angle), math.sin(angle) * 0.5, 0.0])
-    touched = False
+    collided = False
     for _ in range(4):
         before = EMPTY.pose()
-        touched |= EMPTY.drive(before + push)
+        collided |= EMPTY.drive(before + push)
         after = EMPTY.pose()
         assert after[0] > WALL - 0.005
         assert after[1] - before[1] == pytest.approx(push[1], abs=1e-3)
     if 4 * -push[0] > gap + 0.01:
-        assert touched and EMPTY.contacts() == ["wall 3"]
+        assert collided and EMPTY.contacts() == ["wall 3"]
     back = np.add(EMPTY.pose(), [0.1, 0.0, 0.3])
     EMPTY.drive(back)
     np.testing.assert_allclose(EMPTY.pose()[:2], back[:2], atol=0.006)
@@ -86,17 +86,17 @@ def test_a_corner_holds_the_robot():
 )
 def test_what_is_at_the_robots_height_blocks_it(low, high, blocks):
     slab = furniture("slab", (2.0, 2.0, 0.5 * (low + high)), (0.3, 1.0, high - low))
-    world = World(two_rooms(pieces=(slab,)), ROBOT)
+    world = FloorWorld(two_rooms(pieces=(slab,)), ROBOT)
     world.reset(np.array([1.2, 2.0, 0.0]))
-    touched = [world.drive(np.add(world.pose(), [0.16, 0.0, 0.0])) for _ in range(8)]
-    assert any(touched) == blocks
+    collided = [world.drive(np.add(world.pose(), [0.16, 0.0, 0.0])) for _ in range(8)]
+    assert any(collided) == blocks
     assert world.pose()[0] == pytest.approx(1.85 - ROBOT.radius if blocks else 1.2 + 8 * 0.16, abs=0.005)
 
 
 def test_nothing_is_tunnelled_through():
     """A 1 cm panel holds against the longest step that high noise can produce."""
     panel = furniture("panel", (2.0, 2.0, 0.5), (0.01, 2.0, 1.0), yaw=0.4)
-    world = World(two_rooms(pieces=(panel,)), ROBOT)
+    world = FloorWorld(two_rooms(pieces=(panel,)), ROBOT)
     normal = np.array([math.cos(0.4), math.sin(0.4)])
     for start in np.random.default_rng(1).uniform([1.4, 1.7], [1.7, 2.3], (20, 2)):
         world.reset(np.array([*start, 0.0]))
@@ -117,18 +117,18 @@ def test_contacts_agree_with_free_space(seed):
         for i in range(4)
     )
     apartment = two_rooms(pieces=pieces)
-    world = World(apartment, ROBOT)
+    world = FloorWorld(apartment, ROBOT)
     points = rng.uniform([0.2, 0.2], [5.8, 3.8], (20, 2))
     # Free space is a polygon inside the true one: at most 0.9 % of the radius of grown corners is missing.
     free = FreeSpace.from_apartment(apartment, ROBOT.radius, ROBOT.height)
     roomy = FreeSpace.from_apartment(apartment, ROBOT.radius - 0.003, ROBOT.height)
     for point in points:
         world.reset(np.array([*point, 0.0]))
-        touched = world.drive(np.add(world.pose(), [0.0, 0.0, 0.1]))
+        collided = world.drive(np.add(world.pose(), [0.0, 0.0, 0.1]))
         if free.contains(point):
-            assert not touched
+            assert not collided
         elif not roomy.contains(point):
-            assert touched and set(world.contacts()) <= set(free.obstacles_at(point))
+            assert collided and set(world.contacts()) <= set(free.obstacles_at(point))
 
 
 def test_rays_hit_boxes_and_pass_through_the_robot():
@@ -154,7 +154,7 @@ def test_a_pickled_world_goes_on_where_it_was():
 
 
 def test_the_spec_is_a_model_others_can_save(tmp_path):
-    spec = build_spec(two_rooms(), ROBOT)
+    spec = build_floor_spec(two_rooms(), ROBOT)
     spec.compile()
     xml = spec.to_xml()
     assert (

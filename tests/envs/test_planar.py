@@ -84,11 +84,11 @@ def test_a_disc_stays_outside_and_moves_freely_where_nothing_is_near(rows, x, y,
     for length, angle in steps:
         dx, dy = length * math.cos(angle), length * math.sin(angle)
         swept = world.distance(shapely.LineString([(x, y), (x + dx, y + dy)])) - RADIUS - SKIN
-        x_new, y_new, touched = slide(x, y, dx, dy, RADIUS, rows)
+        x_new, y_new, collided = slide(x, y, dx, dy, RADIUS, rows)
         if swept > 1e-9:
-            assert not touched and math.hypot(x_new - x - dx, y_new - y - dy) <= 1e-12
+            assert not collided and math.hypot(x_new - x - dx, y_new - y - dy) <= 1e-12
         if swept < -1e-9:
-            assert touched
+            assert collided
         assert math.hypot(x_new - x, y_new - y) <= length + 1e-12  # a wall never pushes
         x, y = x_new, y_new
         assert clearance(x, y, rows) >= RADIUS
@@ -96,12 +96,12 @@ def test_a_disc_stays_outside_and_moves_freely_where_nothing_is_near(rows, x, y,
 
 def test_sliding_by_hand():
     """Against the left face of the block: what is along it remains, all of it."""
-    x, y, touched = slide(0.3, 0.5, 0.2, 0.1, RADIUS, BLOCK)
-    assert touched and (x, y) == (pytest.approx(0.4 - RADIUS - SKIN, abs=1e-12), pytest.approx(0.6))
-    x, y, touched = slide(x, y, 0.05, 0.0, RADIUS, BLOCK)
-    assert touched and y == pytest.approx(0.6)
-    x, y, touched = slide(x, y, -0.05, 0.0, RADIUS, BLOCK)
-    assert not touched and x == pytest.approx(0.35 - RADIUS - SKIN)
+    x, y, collided = slide(0.3, 0.5, 0.2, 0.1, RADIUS, BLOCK)
+    assert collided and (x, y) == (pytest.approx(0.4 - RADIUS - SKIN, abs=1e-12), pytest.approx(0.6))
+    x, y, collided = slide(x, y, 0.05, 0.0, RADIUS, BLOCK)
+    assert collided and y == pytest.approx(0.6)
+    x, y, collided = slide(x, y, -0.05, 0.0, RADIUS, BLOCK)
+    assert not collided and x == pytest.approx(0.35 - RADIUS - SKIN)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7])
@@ -114,8 +114,8 @@ def test_a_corner_is_round_to_a_disc(turned, east, north):
     corner = np.array([0.5, 0.5]) + np.array([[c, -s], [s, c]]) @ (0.1 * east, 0.2 * north)
     out = np.array([[c, -s], [s, c]]) @ (0.8 * east, 0.6 * north)
     start = corner + 0.1 * out
-    x, y, touched = slide(*start, *(-0.1 * out), RADIUS, block)
-    assert touched
+    x, y, collided = slide(*start, *(-0.1 * out), RADIUS, block)
+    assert collided
     np.testing.assert_allclose((x, y), corner + (RADIUS + SKIN) * out, atol=1e-9)
 
 
@@ -129,9 +129,9 @@ def test_a_wedge_holds_a_disc_and_lets_it_out():
     wedge = np.array(rows)
     x, y = 0.5, 0.0
     for _ in range(20):
-        x, y, touched = slide(x, y, -0.1, 0.003, RADIUS, wedge)
+        x, y, collided = slide(x, y, -0.1, 0.003, RADIUS, wedge)
         assert clearance(x, y, wedge) >= RADIUS
-    assert touched
+    assert collided
     deepest = (RADIUS + SKIN + 0.001) / math.sin(half)
     assert (x, y) == (pytest.approx(deepest, abs=1e-3), pytest.approx(0.0, abs=1e-3))
     assert slide(x, y, 0.1, 0.0, RADIUS, wedge)[:2] == (pytest.approx(x + 0.1), pytest.approx(y))

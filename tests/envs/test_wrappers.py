@@ -109,12 +109,12 @@ def test_relative_goal_never_uses_the_true_pose(noise):
     blind, seeing = (wrappers.RelativeGoal(make(noise=noise, observe_pose=p)) for p in (False, True))
     (a, info), (b, _) = blind.reset(seed=5), seeing.reset(seed=5)
     np.testing.assert_allclose(a["goal"], b["goal"], atol=1e-5)
-    touched = False
+    collided = False
     for _ in range(12):
         a, _, _, _, info = blind.step(np.array([0.1, 0.02, 0.05, 0.0], np.float32))
         b, *_ = seeing.step(np.array([0.1, 0.02, 0.05, 0.0], np.float32))
-        touched |= info["collision"]
-    assert not touched
+        collided |= info["collision"]
+    assert not collided
     off = np.abs(a["goal"] - b["goal"]).max()
     assert off < 2e-3 if noise == "none" else off > 0.02
 

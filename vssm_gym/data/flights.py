@@ -11,7 +11,7 @@ import numpy as np
 from vssm_gym.data.recording import Progress, check_new, folder_for
 from vssm_gym.data.sequences import SequenceWriter, imu_line
 from vssm_gym.envs.flight import FlightEnv
-from vssm_gym.envs.flight_body import Follower
+from vssm_gym.envs.flight_body import FlightController
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.reference_flights import Yaw
@@ -76,7 +76,7 @@ def record_flight(
 
 def _fly(env: FlightEnv, folder: Path, seed: int, progress: Progress | None) -> int:
     writer = SequenceWriter(folder, env.camera, env.body.T_body_cam, depth_scale=DEPTH_SCALE)
-    pilot = Follower(env.body)
+    pilot = FlightController(env.body)
     observation, info = env.reset(seed=seed)
     assert env.task is not None
     total, terminated, lines = int(np.ceil(env.task.duration / env.dt)) + 1, False, []

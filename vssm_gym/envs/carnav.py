@@ -38,7 +38,7 @@ from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.car import Car
 
 MAX_ACCELERATION = 2.0  # m/s^2, of control="acceleration"
-STEP_COST, TOUCH_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
+STEP_COST, COLLISION_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
 ALIGNING = 0.1  # m that a radian between the car's heading and the target's is worth
 
 
@@ -55,11 +55,12 @@ class CarNavEnv(PhasedEnv):
         physics: ``mujoco``, or ``bullet`` where PyBullet is installed.
         targets: ``poses`` (x, y, heading) or ``points`` (x, y).
         control: the action's first number: ``speed``, m/s, or ``acceleration``, m/s^2.
-        chain: whether an episode begins where the one before has ended, speed and touch included.
+        chain: whether an episode begins where the one before has ended, speed and contact included.
         sensors: what the car carries besides its camera, as PointNav's: names, configurations or mappings.
         observe_pose: whether the observation holds the true pose (an oracle's privilege).
         images: whether it holds ``rgb`` and ``depth``; without them nothing is rendered.
-        reward: ``dense`` (metres gained along free space, costs a step and a touch, a prize for success) or ``sparse``.
+        reward: ``dense`` (metres gained along free space, costs of steps and collisions, a success reward) or
+            ``sparse``.
         render_mode: ``rgb_array`` or None.
     """
 
@@ -116,8 +117,8 @@ class CarNavEnv(PhasedEnv):
 
         self.task: CarTask | None = None
         self.path_length = 0.0  # m driven in this episode
-        self.touches = 0  # in this episode: times that the car came to touch something
-        self.touched: tuple[str, ...] = ()  # names of what it touched in the last step
+        self.collisions = 0  # in this episode: contacts that the car has begun
+        self.collided_with: tuple[str, ...] = ()  # names of the obstacles that it hit in the last step
         self._streams: dict[str, np.random.Generator] = {}
         self._actuators: CarActuators | None = None
         self._speed = 0.0  # m/s, as commanded
@@ -181,9 +182,9 @@ class CarNavEnv(PhasedEnv):
             self.task = task or self.sampler.draw(stream, self.targets)
             self.body.reset(np.array(self.task.start))
             self._actuators = CarActuators(self.noise, self._streams["dynamics"])
-            self._speed, self.touched = 0.0, ()
+            self._speed, self.collided_with = 0.0, ()
         self._planar = self.body.pose()
-        self.path_length, self.touches, self._path = 0.0, 0, [self._planar[:2]]
+        self.path_length, self.collisions, self._path = 0.0, 0, [self._planar[:2]]
         self._body = None
         self.sensors.begin(self._carrier)
         if self._goal_distance is not None:
@@ -204,8 +205,8 @@ class CarNavEnv(PhasedEnv):
         self._speed = float(command[0])
         ramp = np.array([before if self.control == "acceleration" else self._speed, self._speed])
         points, friction = self._actuators(ramp, float(command[1]), self.car.dt)
-        already, self.touched = bool(self.touched), self.body.drive(points, friction)
-        self.touches += bool(self.touched) and not already
+        already, self.collided_with = bool(self.collided_with), self.body.drive(points, friction)
+        self.collisions += bool(self.collided_with) and not already
         now = self.body.pose()
         self._planar = now if np.isfinite(now).all() else was
         self.path_length += float(np.hypot(*(self._planar[:2] - was[:2])))
@@ -263,8 +264,8 @@ class CarNavEnv(PhasedEnv):
         return {
             "T_world_cam": self.T_world_cam,
             "K": self._K.copy(),
-            "collision": bool(self.touched),
-            "touches": self.touches,
+            "collision": bool(self.collided_with),
+            "collisions": self.collisions,
             "control": control,
         }
 
@@ -305,7 +306,7 @@ class CarNavEnv(PhasedEnv):
         now = self._cost_to_go(self._potential)
         gained = self._potential - now if np.isfinite(self._potential) else 0.0
         self._potential = now
-        return gained - STEP_COST - TOUCH_COST * bool(self.touched) + prize
+        return gained - STEP_COST - COLLISION_COST * bool(self.collided_with) + prize
 
 
 def _make_body(physics: str, apartment: Apartment, car: Car) -> CarBody:

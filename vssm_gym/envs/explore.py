@@ -122,6 +122,7 @@ class ExploreEnv(PhasedEnv):
         if start.shape != (3,) or not np.isfinite(start).all():
             raise InputError("reset", "options['start']", f"finite numbers (x, y, heading); found {given!r:.80}")
         if not space.contains(start[:2]):
-            touched = ", ".join(space.obstacles_at(start[:2])[:3]) or "the end of the floor"
-            raise InputError("reset", "options['start']", f"a position where the robot fits; it would touch {touched}")
+            obstacles = ", ".join(space.obstacles_at(start[:2])[:3]) or "the end of the floor"
+            expected = f"a position where the robot fits; it would collide with {obstacles}"
+            raise InputError("reset", "options['start']", expected)
         return start

@@ -21,7 +21,7 @@ from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
 from vssm_gym.envs.sensors.base import EXTENT, Sensor
 from vssm_gym.envs.sensors.flight import FlightPoseSensor, FlyingBody, ImuSensor
-from vssm_gym.envs.sensors.imu import GRAVITY, ImuNoise
+from vssm_gym.envs.sensors.imu import GRAVITY, ImuSensorNoise
 from vssm_gym.envs.sensors.imu import imu_noise as imu_model
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
@@ -53,7 +53,7 @@ class FlightEnv(PhasedEnv):
         scene: built-in name, path of a scene file, or an :class:`Apartment`.
         noise: gusts and actuator errors: ``none``, ``low``, ``mid``, ``high`` or a :class:`FlightNoise`.
         sensor_noise: what the camera adds to exact images: a name of ``sensor_noise.PRESETS`` or a `SensorNoise`.
-        imu_noise: what the IMU adds: a name of ``imu.PRESETS`` or an :class:`ImuNoise`.
+        imu_noise: what the IMU adds: a name of ``imu.PRESETS`` or an :class:`ImuSensorNoise`.
         camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
         rate: steps and images a second, 5 to 100. A step is ``substeps`` equal periods of the IMU, ``imu_period`` s
             each: the whole number that comes nearest to 5 ms.
@@ -73,7 +73,7 @@ class FlightEnv(PhasedEnv):
         scene: Any = "hall",
         noise: str | FlightNoise = "low",
         sensor_noise: str | SensorNoise = "none",
-        imu_noise: str | ImuNoise = "adis16448",
+        imu_noise: str | ImuSensorNoise = "adis16448",
         camera: CameraConfig | Mapping[str, Any] | None = None,
         rate: float = 20.0,
         renderer: str = "raycast",
@@ -175,7 +175,7 @@ class FlightEnv(PhasedEnv):
         self._path.append(self.state.position)
 
     def sense(self) -> None:
-        """Let the sensors measure, once a step however often it is asked for; touches no other state."""
+        """Let the sensors measure, once a step however often it is asked for; it changes no other state."""
         self.sensors.sense(self._carrier())
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -248,8 +248,8 @@ class FlightEnv(PhasedEnv):
             space = FreeSpace.from_apartment(self.apartment, self.body.radius, HEIGHT + LIFT + self.body.radius)
             path = reference.at(np.linspace(0.0, reference.duration, 2048)).position[:, :2]
             if not (free := space.contains(path)).all():
-                touched = ", ".join(space.obstacles_at(path[~free][0])[:3]) or "the end of the floor"
-                raise InputError("reset", "options['task']", f"a path free of obstacles; it meets {touched}")
+                obstacles = ", ".join(space.obstacles_at(path[~free][0])[:3]) or "the end of the floor"
+                raise InputError("reset", "options['task']", f"a path free of obstacles; it meets {obstacles}")
         return reference
 
     def _command(self, action: np.ndarray) -> Float[np.ndarray, "6"]:

@@ -136,7 +136,7 @@ def rotation(phi: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 
 @dataclass(frozen=True)
-class Follower:
+class FlightController:
     """A geometric controller (Mellinger and Kumar 2011): rotors push along body z; rates turn it to where it should be.
 
     a = a_ref + k_p (p_ref - p) + k_v (v_ref - v),   f_z = |a - g + drag v|,   w = w_ref + k_R log(R^T R_wanted)

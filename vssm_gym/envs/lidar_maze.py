@@ -26,7 +26,7 @@ from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.tasks.maze_objectives import Approach, Coverage
+from vssm_gym.envs.tasks.maze_objectives import Approach, MazeCoverage
 from vssm_gym.envs.tasks.mazes import ROBOT, load_maze
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.validation import choose, parse_action
@@ -85,7 +85,7 @@ class LidarMazeEnv(PhasedEnv):
         self.robot, self.beams = ROBOT, beams
         self.success_radius = SUCCESS * self.robot.body_length
         self.tasks = self.maze.tasks if tasks is None else checked_set("LidarMaze", tasks, self.maze.apartment)
-        self.objective: Approach | Coverage = Coverage(self.maze.space)
+        self.objective: Approach | MazeCoverage = MazeCoverage(self.maze.space)
         if task == "navigate":
             dense = reward == "dense"
             self.objective = Approach(self.maze.space, self.robot.body_length, self.success_radius, dense)
@@ -191,18 +191,19 @@ class LidarMazeEnv(PhasedEnv):
         turn, step = command
         wanted = execute(self.planar, np.array([turn, 0.0, step]), self.noise, self._streams["dynamics"])
         x, y = self.planar[:2]
-        x, y, touched = slide(x, y, wanted[0] - x, wanted[1] - y, self.robot.radius, self.maze.rectangles)
+        x, y, collided = slide(x, y, wanted[0] - x, wanted[1] - y, self.robot.radius, self.maze.rectangles)
         self.path_length += math.hypot(x - self.planar[0], y - self.planar[1])
         self.planar = np.array([x, y, wanted[2]])
         self._path.append(self.planar[:2])
-        return touched
+        return collided
 
     def _check(self, task: Any) -> None:
         if not isinstance(task, Task):
             raise InputError("reset", "options['task']", f"a Task; found {type(task).__name__}")
         self.maze.sampler.validate(task)
         if clearance(*task.start[:2], self.maze.rectangles) < self.robot.radius:
-            raise InputError(f"task {task.id} of {task.scene}", "start", "a position where the robot touches no wall")
+            expected = "a position where the robot collides with no wall"
+            raise InputError(f"task {task.id} of {task.scene}", "start", expected)
 
     def _command(self, action: np.ndarray) -> tuple[np.ndarray, bool]:
         values = parse_action(action, ("turn", "s", "stop"))
@@ -211,6 +212,6 @@ class LidarMazeEnv(PhasedEnv):
 
     def _info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
         info = {"pose": self.planar.copy(), "collision": collision, "control": command}
-        if isinstance(self.objective, Coverage):
+        if isinstance(self.objective, MazeCoverage):
             info["coverage"] = self.objective.ratio
         return info

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.physics import World
+from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.robots.registry import ROBOTS
@@ -78,7 +78,7 @@ class Simulation:
         self.renderer = SharedRenderer.of(load_scene(scene), camera_config(camera), renderer)
         self.scene_cache = SceneCache.of(self.renderer, self.robot)
         self.apartment, self.camera = self.renderer.apartment, self.renderer.camera
-        self.world = World(self.apartment, self.robot)
+        self.world = FloorWorld(self.apartment, self.robot)
         mounted: list[Sensor[GroundBody]] = [config.mount(self.renderer) for config in carried]
         oracle = [PoseSensor()] if observe_pose else []
         self.sensors = SensorSuite("environment", [RGBDSensor(self.renderer, seen), *mounted, *oracle])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.helpers.box_rooms import furniture, two_rooms
-from vssm_gym.envs.physics import World
+from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.physics.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.envs.rendering import shading
 from vssm_gym.envs.rendering.raycast import RaycastCamera
@@ -207,7 +207,7 @@ def test_embree_and_mujoco_agree(x, y, heading):
     rays = (np.asarray(CAMERA.rays(), dtype=np.float64).reshape(-1, 3) @ T_world_cam[:3, :3].T).astype(np.float32)
     (t, box), (t_mujoco, box_mujoco) = (
         tracer.trace(T_world_cam[:3, 3], rays)
-        for tracer in (EmbreeTracer(apartment.boxes()), MujocoTracer(World(apartment, ROBOT)))
+        for tracer in (EmbreeTracer(apartment.boxes()), MujocoTracer(FloorWorld(apartment, ROBOT)))
     )
     close = np.abs(t - t_mujoco) <= 1e-4
     assert np.mean(close) > 0.998  # the rest: rays through an edge
@@ -285,7 +285,7 @@ def test_a_pickled_camera_renders_the_same():
 
 
 def test_without_embree_the_fallback_says_so(monkeypatch):
-    world = World(two_rooms(), ROBOT)
+    world = FloorWorld(two_rooms(), ROBOT)
     assert make_tracer(world).name == "embree"
     monkeypatch.setitem(sys.modules, "embreex", None)  # makes the import fail as it does without a wheel
     with pytest.warns(RuntimeWarning, match="embreex cannot be imported"):

@@ -20,7 +20,7 @@ def true_clearance(obstacles: list[shapely.Polygon], points: np.ndarray) -> np.n
 
 
 @given(obstacles=layouts, radius=st.sampled_from([0.05, 0.1, 0.2]), seed=seeds)
-def test_free_means_that_the_disc_touches_nothing(obstacles: list, radius: float, seed: int) -> None:
+def test_a_free_disc_collides_with_nothing(obstacles: list, radius: float, seed: int) -> None:
     try:
         space = free_space(obstacles, radius)
     except InputError:

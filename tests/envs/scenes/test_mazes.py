@@ -7,7 +7,7 @@ import shapely
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.envs.physics.planar import clearance, scan
 from vssm_gym.envs.scenes.scene import Apartment, save_scene
-from vssm_gym.envs.tasks.maze_objectives import TILES, Coverage
+from vssm_gym.envs.tasks.maze_objectives import TILES, MazeCoverage
 from vssm_gym.envs.tasks.mazes import FOLDER, GRID, MAZES, ROBOT, grid_tasks, load_maze
 from vssm_gym.envs.tasks.navigation import SUCCESS, load
 from vssm_gym.errors import InputError
@@ -148,7 +148,7 @@ def test_a_grid_without_two_free_positions_has_no_tasks():
 @pytest.mark.parametrize("name", MAZES)
 def test_tiles_count_where_half_of_them_is_free(name):
     maze = load_maze(name)
-    tiles = Coverage(maze.space)
+    tiles = MazeCoverage(maze.space)
     assert 0.7 * TILES**2 < tiles.counted.sum() <= TILES**2
     share = shapely.area(maze.space.region.intersection(shapely.box(0.3, 0.5, 0.4, 0.6))) / 0.01
     assert tiles.counted[3, 5] == (share >= 0.5)

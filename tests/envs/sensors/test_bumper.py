@@ -9,7 +9,7 @@ import pytest
 import vssm_gym  # noqa: F401  (registers the environments)
 from tests.helpers.box_rooms import two_rooms
 from tests.helpers.car_yard import yard
-from vssm_gym.envs.physics import World, obstacles
+from vssm_gym.envs.physics import FloorWorld, obstacles
 from vssm_gym.envs.physics.planar import clearance, rectangles
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.free_space import FreeSpace
@@ -51,7 +51,7 @@ def test_impossible_sectors_are_refused(sectors: object) -> None:
 @pytest.mark.parametrize("heading", np.linspace(-math.pi, math.pi, 9)[:-1])
 def test_contacts_point_at_the_wall(heading: float) -> None:
     """Pushed east against a wall, whichever way it looks: the obstacle is east of it."""
-    world = World(two_rooms(), ROBOT)  # the west room is [0.05, 2.95] x [0.05, 3.95]
+    world = FloorWorld(two_rooms(), ROBOT)  # the west room is [0.05, 2.95] x [0.05, 3.95]
     world.reset(np.array([2.80, 0.7, heading]))
     assert len(world.contact_bearings()) == 0
     assert world.drive(np.array([2.90, 0.7, heading + 0.1]))
@@ -69,7 +69,7 @@ def test_contacts_point_at_the_wall(heading: float) -> None:
 def test_among_furniture_every_collision_has_a_direction_that_leads_to_an_obstacle() -> None:
     """Hundreds of collisions in a furnished apartment: a radius along each bearing, somewhere on the path, is a box."""
     apartment, rng = load_scene("oak"), np.random.default_rng(0)
-    world, space = World(apartment, ROBOT), FreeSpace.from_apartment(apartment, ROBOT.radius, ROBOT.height)
+    world, space = FloorWorld(apartment, ROBOT), FreeSpace.from_apartment(apartment, ROBOT.radius, ROBOT.height)
     boxes = apartment.boxes()
     walls = rectangles([boxes[i] for i in obstacles(boxes, ROBOT.height)])
     met = 0

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.envs.sensors.imu import PRESETS, ImuNoise, NoisyImu, imu_noise, readings, specific_force
+from vssm_gym.envs.sensors.imu import PRESETS, ImuSensorNoise, NoisyImu, imu_noise, readings, specific_force
 from vssm_gym.errors import InputError
 from vssm_gym.model.transition import Imu, RigidState
 
@@ -67,7 +67,7 @@ def test_at_rest_it_feels_the_ground_and_in_fall_nothing(angles: tuple[float, fl
 
 @pytest.mark.parametrize("rate", [10.0, 200.0, 1000.0])
 def test_white_noise_is_its_density_times_the_root_of_the_rate(rate: float) -> None:
-    noise = ImuNoise(accel_density=0.02, gyro_density=0.003)
+    noise = ImuSensorNoise(accel_density=0.02, gyro_density=0.003)
     read = NoisyImu(noise, np.random.default_rng(0))(np.zeros((20_000, 6)), 1.0 / rate)
     np.testing.assert_allclose(read.std(axis=0), np.repeat([0.02, 0.003], 3) * np.sqrt(rate), rtol=0.03)
     assert np.abs(np.corrcoef(read.T) - np.eye(6)).max() < 0.03
@@ -77,7 +77,7 @@ def test_white_noise_is_its_density_times_the_root_of_the_rate(rate: float) -> N
 @pytest.mark.parametrize("dt", [0.005, 0.1])
 def test_the_bias_walks(dt: float) -> None:
     """Its variance after a time t is ``walk^2 t``, whatever the rate."""
-    noise = ImuNoise(accel_walk=0.01, gyro_walk=0.002)
+    noise = ImuSensorNoise(accel_walk=0.01, gyro_walk=0.002)
     for seconds in (1.0, 4.0):
         ends = []
         for seed in range(400):
@@ -90,7 +90,7 @@ def test_the_bias_walks(dt: float) -> None:
 
 def test_allan_deviation_falls_and_rises_as_the_sheet_says() -> None:
     """Of clusters of time tau: ``density / sqrt(tau)`` while noise rules, ``walk sqrt(tau / 3)`` once the bias does."""
-    noise, dt, n = ImuNoise(gyro_density=1e-3, gyro_walk=1e-3), 0.01, 2**18
+    noise, dt, n = ImuSensorNoise(gyro_density=1e-3, gyro_walk=1e-3), 0.01, 2**18
     read = NoisyImu(noise, np.random.default_rng(0))(np.zeros((n, 6)), dt)[:, 3:]
     for length in (4, 16, 2048):
         means = read.reshape(-1, length, 3).mean(axis=1)
@@ -118,7 +118,7 @@ def test_the_same_stream_gives_the_same_bytes_in_any_portions(name: str) -> None
 
 @pytest.mark.parametrize("change", [{"accel_density": -1.0}, {"gyro_walk": np.nan}, {"gyro_bias": np.inf}])
 def test_impossible_noise_is_refused(change: dict) -> None:
-    with pytest.raises(InputError, match="ImuNoise"):
-        ImuNoise(**change)
+    with pytest.raises(InputError, match="ImuSensorNoise"):
+        ImuSensorNoise(**change)
     with pytest.raises(InputError, match="one of none, adis16448, realsense"):
         imu_noise("perfect")

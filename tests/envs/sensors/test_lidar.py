@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import vssm_gym  # noqa: F401  (registers the environments)
 from tests.helpers.box_rooms import two_rooms
-from vssm_gym.envs.physics import World
+from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.physics.tracing import EmbreeTracer, MujocoTracer
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import make_tracer
@@ -74,7 +74,7 @@ def test_out_of_range_is_zero() -> None:
 
 
 def test_both_tracers_see_the_same(monkeypatch) -> None:
-    world = World(ROOMS, HolonomicRobot())
+    world = FloorWorld(ROOMS, HolonomicRobot())
     config = LidarConfig(beams=128)
     scans = [Lidar(config, tracer).scan(at(1.2, 2.0, 0.3)) for tracer in (TRACER, MujocoTracer(world))]
     assert np.mean(np.abs(scans[0] - scans[1]) > 1e-4) < 0.02  # the rest: beams along an edge

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import two_rooms
-from vssm_gym.envs.physics import World
+from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import CameraConfig, camera_config, make_camera
 from vssm_gym.envs.sensors.rgbd_noise import NoisySensor, sensor_noise
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix
 
-WORLD = World(two_rooms(), HolonomicRobot())
+WORLD = FloorWorld(two_rooms(), HolonomicRobot())
 
 
 def test_a_camera_is_configured_by_itself_a_mapping_or_nothing() -> None:

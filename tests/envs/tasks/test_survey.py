@@ -63,7 +63,7 @@ def check(apartment: Apartment, seed: int = 0) -> None:
 
 @settings(max_examples=8)
 @given(boxes=pieces, seed=seeds)
-def test_sees_everything_and_touches_nothing(boxes: list, seed: int) -> None:
+def test_sees_everything_and_collides_with_nothing(boxes: list, seed: int) -> None:
     furnished = tuple(
         furniture(f"piece {i}", (x, y, 0.3), (w, d, 0.6), yaw) for i, (x, y, w, d, yaw) in enumerate(boxes)
     )

@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from tests.helpers.box_rooms import furniture, two_rooms
-from vssm_gym.envs.physics import World
+from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.scene import Door, built_in_scenes, load_scene
 from vssm_gym.envs.tasks import navigation as tasks_module
@@ -160,9 +160,9 @@ def test_impossible_tasks_name_the_field() -> None:
     good = sampler.task((0.4, 2.0, 0.0), (4.5, 2.0), task_id=3)
     assert good.geodesic > 4.1 - 0.4 and good.scene == "two_rooms"
     for start, goal, message in (
-        ((0.4, 2.0, 0.0), (1.2, 2.0), r"task 3 of two_rooms: goal: .* it would touch sofa"),
-        ((0.4, 2.0, 0.0), (3.0, 1.0), r"goal: .* it would touch wall 4"),
-        ((1.2, 2.0, 0.0), (0.4, 2.0), r"start: .* it would touch sofa"),
+        ((0.4, 2.0, 0.0), (1.2, 2.0), r"task 3 of two_rooms: goal: .* it would collide with sofa"),
+        ((0.4, 2.0, 0.0), (3.0, 1.0), r"goal: .* it would collide with wall 4"),
+        ((1.2, 2.0, 0.0), (0.4, 2.0), r"start: .* it would collide with sofa"),
         ((0.4, 2.0, 0.0), (9.0, 9.0), r"goal: .* off the floor"),
         ((0.4, 2.0, 0.0), (float("nan"), 1.0), r"task: goal\[0\]: expected a finite number"),
         ((0.4, 2.0), (1.0, 1.0), r"task: start\[2\]"),
@@ -176,7 +176,7 @@ def test_impossible_tasks_name_the_field() -> None:
     closed = TaskSampler(two_rooms(openness=0.0, leaves=1), ROBOT)
     with pytest.raises(InputError, match="goal: expected a position that the robot can reach"):
         closed.task((1.0, 1.0, 0.0), (5.0, 1.0))
-    with pytest.raises(InputError, match=r"start: .* it would touch wall 3"):
+    with pytest.raises(InputError, match=r"start: .* it would collide with wall 3"):
         sampler.task((0.115, 1.0, 0.0), (0.5, 3.5))
 
 
@@ -189,12 +189,12 @@ def test_a_task_may_start_where_contacts_left_the_robot(thickness: float) -> Non
         wall=3, offset=1.5, width=0.9, height=2.0, openness=0.0, leaves=1, swing="back", rooms=("west", None)
     )
     flat = flat.model_copy(update={"walls": walls, "doors": (*flat.doors, front_door)})
-    world, sampler = World(flat, ROBOT), TaskSampler(flat, ROBOT)
-    for y, touched in ((1.0, "wall 3"), (2.0, "door 1")):
+    world, sampler = FloorWorld(flat, ROBOT), TaskSampler(flat, ROBOT)
+    for y, obstacle in ((1.0, "wall 3"), (2.0, "door 1")):
         world.reset(np.array([0.4, y, np.pi]))
         for _ in range(5):
             world.drive(world.pose() - [0.1, 0.0, 0.0])
-        assert world.contacts()[0].startswith(touched)
+        assert world.contacts()[0].startswith(obstacle)
         x = world.pose()[0]
         assert not sampler.space.contains(np.array([x, y]))
         task = sampler.task((x, y, 0.0), (2.5, y))

@@ -6,18 +6,18 @@ No module outside this folder imports MuJoCo.
 """
 
 from vssm_gym.envs.physics.flight_world import FlightWorld, build_flight_spec
-from vssm_gym.envs.physics.floor_world import World, build_spec, obstacles
+from vssm_gym.envs.physics.floor_world import FloorWorld, build_floor_spec, obstacles
 from vssm_gym.envs.physics.mujoco_car import MujocoCar, build_car_spec
 from vssm_gym.envs.physics.static_geoms import StaticGeom, static_geoms
 
 __all__ = [
     "FlightWorld",
+    "FloorWorld",
     "MujocoCar",
     "StaticGeom",
-    "World",
     "build_car_spec",
     "build_flight_spec",
-    "build_spec",
+    "build_floor_spec",
     "obstacles",
     "static_geoms",
 ]

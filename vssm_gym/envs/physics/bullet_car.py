@@ -36,7 +36,7 @@ class BulletCar:
     """
 
     reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
-    _bearings: list[float]  # of obstacles touched in the last drive, rad
+    _bearings: list[float]  # of obstacles hit in the last drive, rad
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
@@ -212,7 +212,7 @@ class BulletCar:
         p, client = self._bullet, self._client
         for j in (1, 3, 4, 5):
             p.changeDynamics(self._body, j, lateralFriction=friction, physicsClientId=client)
-        touched: set[int] = set()
+        collided: set[int] = set()
         self._bearings = []
         for speed, steering in points.tolist():
             self._hold(speed, steering)
@@ -220,12 +220,12 @@ class BulletCar:
                 p.stepSimulation(physicsClientId=client)
                 for contact in p.getContactPoints(self._body, linkIndexA=-1, physicsClientId=client):
                     if contact[8] <= 0.0:  # the distance: Bullet keeps points before they touch
-                        touched.add(contact[2])
+                        collided.add(contact[2])
                         if self.reads_contacts:
                             _, rotation = self._where()
                             outwards = -np.array(contact[7]) @ rotation  # the normal points to the chassis
                             self._bearings.append(math.atan2(outwards[1], outwards[0]))
-        return tuple(dict.fromkeys(self._names[body] for body in sorted(touched)))
+        return tuple(dict.fromkeys(self._names[body] for body in sorted(collided)))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
         """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""

@@ -45,7 +45,7 @@ def obstacles(boxes: Sequence[SolidBox], height: float) -> list[int]:
     ]
 
 
-def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
+def build_floor_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
     """The apartment's boxes, fixed, and the robot on two slides and a hinge ``(x, y, heading)``; SI units, z up.
 
     Geoms are named ``box I`` and ``prism I`` after the index in ``apartment.boxes()``; the body is named ``robot``.
@@ -83,7 +83,7 @@ def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
         contype=1,
         conaffinity=1,
         priority=1,  # the disc's contact parameters alone count, not a mixture with the prisms'
-        condim=1,  # frictionless: the robot slides along what it touches
+        condim=1,  # frictionless: the robot slides along obstacles
         solref=[1e-4, 1.0],  # as stiff as the substep allows: MuJoCo raises the time constant to two substeps
         group=CONTACTS,
         mass=1.0,
@@ -92,12 +92,10 @@ def build_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
     return spec
 
 
-class World:
+class FloorWorld:
     """The robot among the apartment's boxes; one object is one simulation, for one thread."""
 
-    reads_contacts = (
-        True  # whether contacts are kept for :meth:`contact_bearings`; it costs a quarter of a step in contact
-    )
+    reads_contacts = True  # keep contacts for :meth:`contact_bearings`: a quarter of the time of a step in contact
 
     def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.apartment, self.robot = apartment, robot
@@ -105,13 +103,13 @@ class World:
 
     def _build(self) -> None:
         self.boxes = self.apartment.boxes()
-        self.model = build_spec(self.apartment, self.robot).compile()
+        self.model = build_floor_spec(self.apartment, self.robot).compile()
         self.data = mujoco.MjData(self.model)
         self._box_of_geom = boxes_of_geoms(self.model)
         self._body = self.model.body("robot").id
         self._rectangles = rectangles([self.boxes[i] for i in obstacles(self.boxes, self.robot.height)])
-        self._touched: set[int] = set()
-        self._meetings: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # a substep's geoms, normals, heading
+        self._collided: set[int] = set()
+        self._contacts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # a substep's geoms, normals, heading
         mujoco.mj_forward(self.model, self.data)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -121,20 +119,20 @@ class World:
             "planar": self.pose(),
             "reads_contacts": self.reads_contacts,
         }
-        return state | {"touched": self._touched, "meetings": self._meetings}
+        return state | {"collided": self._collided, "contacts": self._contacts}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.apartment, self.robot, self.reads_contacts = state["apartment"], state["robot"], state["reads_contacts"]
         self._build()
         self.reset(state["planar"])
-        self._touched, self._meetings = state["touched"], state["meetings"]
+        self._collided, self._contacts = state["collided"], state["contacts"]
 
     def reset(self, planar: PlanarPose) -> None:
         """Put the robot at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = planar
         mujoco.mj_kinematics(self.model, self.data)  # rays need the geoms' places
-        self._touched, self._meetings = set(), []
+        self._collided, self._contacts = set(), []
 
     def pose(self) -> PlanarPose:
         """The robot's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
@@ -153,7 +151,7 @@ class World:
         model, data = self.model, self.data
         displacement = np.asarray(target, dtype=np.float64) - data.qpos
         displacement[2] = wrap_angle(displacement[2])
-        self._touched, self._meetings = set(), []
+        self._collided, self._contacts = set(), []
         travel = math.hypot(displacement[0], displacement[1])
         free = clearance(data.qpos[0], data.qpos[1], self._rectangles) - self.robot.radius - KEEP
         if free > 0.0 and travel <= free:
@@ -165,7 +163,7 @@ class World:
         substeps = max(1, math.ceil((1.0 - ahead) * travel / SUBSTEP))
         model.opt.timestep = (1.0 - ahead) * self.robot.dt / substeps
         qvel, step = data.qvel, mujoco.mj_step
-        pairs = set()  # of geoms that touched, a substep's as bytes: sliding along a wall they are the same ones
+        pairs = set()  # of geoms in contact, a substep's as bytes: sliding along a wall they are the same ones
         for _ in range(substeps):
             qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
             step(model, data)
@@ -176,14 +174,14 @@ class World:
                     # Copied: the arrays are views of memory that the next substep reuses. Contacts are those of the
                     # substep's begin, and so is the body's pose; qpos is that of its end.
                     normals = data.contact.frame[:, :3].copy()
-                    self._meetings.append((met.copy(), normals, data.xmat[self._body].copy()))
+                    self._contacts.append((met.copy(), normals, data.xmat[self._body].copy()))
         geoms = np.frombuffer(b"".join(pairs), dtype=np.int32)
-        self._touched = set(self._box_of_geom[geoms].tolist()) - {-1}
-        return bool(self._touched)
+        self._collided = set(self._box_of_geom[geoms].tolist()) - {-1}
+        return bool(self._collided)
 
     def contacts(self) -> list[str]:
         """Names of the obstacles that the last :meth:`drive` touched, in the order of the apartment's boxes."""
-        return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._touched)))
+        return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._collided)))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
         """Directions in which obstacles pressed against the robot during the last :meth:`drive`, rad.
@@ -191,7 +189,7 @@ class World:
         Against the contact's normal, from the robot to the obstacle, counter-clockwise from body x; one a contact and
         substep, none where nothing was touched.
         """
-        met = [bearings(self._box_of_geom[geoms], normals, R) for geoms, normals, R in self._meetings]
+        met = [bearings(self._box_of_geom[geoms], normals, R) for geoms, normals, R in self._contacts]
         return np.concatenate(met) if met else np.zeros(0)
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

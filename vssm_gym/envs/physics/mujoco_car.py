@@ -119,7 +119,7 @@ class MujocoCar:
     """A :class:`~vssm_gym.envs.robots.car_body.CarBody` in MuJoCo; one object is one simulation, for one thread."""
 
     reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
-    _bearings: list[np.ndarray]  # of obstacles touched in the last drive, rad, one array a substep
+    _bearings: list[np.ndarray]  # of obstacles hit in the last drive, rad, one array a substep
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
@@ -163,7 +163,7 @@ class MujocoCar:
         """Follow ``(speed, steering)`` set points, one a TICK; the names of the obstacles touched, in their order."""
         model, data = self.model, self.data
         model.geom_friction[self._tyres, 0] = friction
-        touched: set[int] = set()
+        collided: set[int] = set()
         self._bearings = []
         for speed, steering in points.tolist():
             data.ctrl[:] = self._controls(speed, steering)
@@ -172,11 +172,11 @@ class MujocoCar:
                 if data.ncon:
                     boxes = self._box_of_geom[data.contact.geom]
                     met = boxes.max(axis=1).tolist()
-                    touched.update(met)
+                    collided.update(met)
                     if self.reads_contacts and max(met) >= 0:  # an obstacle, not the floor alone
                         which, R_world_body = np.array(met) >= 0, data.xmat[self._body]
                         self._bearings.append(bearings(boxes[which], data.contact.frame[which, :3], R_world_body))
-        return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(touched - {-1})))
+        return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(collided - {-1})))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
         """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""

@@ -20,7 +20,7 @@ from vssm_gym.envs.scenes.solids import SolidBox
 # over a million steps is smaller by some orders of magnitude.
 SKIN = 1e-6
 CONTACTS = 8  # walls that one step may slide along; what is left of the step after them is not driven
-_TOUCH = 1.0 + 1e-12  # squared distances up to this share of the squared radius touch: beyond it no rounding decides
+_CONTACT = 1.0 + 1e-12  # squared distances up to this share of the squared radius touch: beyond it no rounding decides
 _LEAST = 1e-12  # m: a shorter push moves nothing, and none is so short that its square vanishes
 _PARALLEL = 1e-30  # a direction's smallest component: its inverse stays finite, and 0 times it is 0
 
@@ -75,13 +75,13 @@ def clearance(x: float, y: float, rectangles: np.ndarray) -> float:
 
 @njit(cache=True, nogil=True)
 def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: np.ndarray) -> tuple[float, float, bool]:
-    """A disc at ``(x, y)`` is pushed by ``(dx, dy)``: where it ends, and whether it touched a rectangle.
+    """A disc at ``(x, y)`` is pushed by ``(dx, dy)``: where it ends, and whether it collided a rectangle.
 
     At a contact with normal n the rest d of the push becomes ``d - min(0, d . n) n``: walls stop without friction.
     The centre keeps ``radius + SKIN`` from every rectangle (to rounding), if it did so before.
     """
     grown = radius + SKIN
-    touched = False
+    collided = False
     for _ in range(CONTACTS):
         if math.hypot(dx, dy) < _LEAST:
             break
@@ -101,18 +101,18 @@ def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: n
         x, y = x + first * dx, y + first * dy
         if first == 1.0:
             break
-        touched = True
+        collided = True
         dx, dy = (1.0 - first) * dx, (1.0 - first) * dy
         into = min(0.0, dx * normal_x + dy * normal_y)
         dx, dy = dx - into * normal_x, dy - into * normal_y
-    return x, y, touched
+    return x, y, collided
 
 
 @njit(cache=True, nogil=True)
 def _contact(x: float, y: float, dx: float, dy: float, half_x: float, half_y: float, grown: float) -> float:
     """Share of the way ``d`` after which the point meets the rectangle grown by a disc; inf where it does not."""
     away_x, away_y = _away(x, y, half_x, half_y)
-    if away_x * away_x + away_y * away_y <= _TOUCH * grown * grown:
+    if away_x * away_x + away_y * away_y <= _CONTACT * grown * grown:
         # Touching already: the grown rectangle is convex, so a point that does not move inwards never enters it.
         inwards = away_x * dx + away_y * dy < 0.0
         return 0.0 if inwards else np.inf

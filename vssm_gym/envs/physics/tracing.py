@@ -13,7 +13,7 @@ import numpy as np
 from vssm_gym.envs.scenes.solids import SolidBox
 
 if TYPE_CHECKING:
-    from vssm_gym.envs.physics import FlightWorld, World
+    from vssm_gym.envs.physics import FlightWorld, FloorWorld
 
 
 _TRIANGLES = 12  # a box
@@ -74,7 +74,7 @@ class MujocoTracer:
     name = "mujoco"
     parallel = False
 
-    def __init__(self, world: "World | FlightWorld") -> None:
+    def __init__(self, world: "FloorWorld | FlightWorld") -> None:
         self._world = world
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,10 +8,10 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vssm_gym.envs.scenes.apartment_parts import Door, Furniture, Material, Part, Positive, Room, Wall, Window
+from vssm_gym.envs.scenes.apartment_parts import Door, Furniture, Material, Positive, Room, Wall, Window
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.solids import SolidBox, solid_boxes
-from vssm_gym.envs.validation import validated
+from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 
 EXTENT = 250.0  # m, largest apartment
@@ -20,7 +20,7 @@ ROOMS, WALLS, HOLES, PIECES = 1000, 20_000, 5000, 20_000  # most of one apartmen
 _FIT = 1e-6  # metres of rounding allowed when a hole is checked against its wall
 
 
-class Apartment(Part):
+class Apartment(StrictModel):
     """A whole apartment; see the fields' own types for frames and units.
 
     ``ceiling_height`` m is the ceiling's underside. ``notes`` are sentences for the user about how the scene came to

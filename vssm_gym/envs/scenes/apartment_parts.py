@@ -8,9 +8,10 @@ import math
 from typing import Annotated, Literal, Self
 
 import shapely
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from vssm_gym.envs.textures.registry import TEXTURES
+from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError
 
 FAR = 1000.0  # m, largest coordinate
@@ -24,13 +25,7 @@ XY = tuple[Coordinate, Coordinate]
 XYZ = tuple[Coordinate, Coordinate, Coordinate]
 
 
-class Part(BaseModel):
-    """Refuse unknown fields, NaN and infinities; never change."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Material(Part):
+class Material(StrictModel):
     """How a surface looks: a named texture tinted by a colour.
 
     ``color`` RGB in [0, 1], multiplied into the texture; ``texture`` a key of `textures.TEXTURES`; ``scale`` metres
@@ -50,7 +45,7 @@ class Material(Part):
         return self
 
 
-class Box(Part):
+class Box(StrictModel):
     """An upright box: ``center`` (x, y, z) m, ``size`` full extents m along its own axes, ``yaw`` rad about z."""
 
     center: XYZ
@@ -59,7 +54,7 @@ class Box(Part):
     material: Material
 
 
-class Furniture(Part):
+class Furniture(StrictModel):
     """A piece of furniture: a unique ``name``, a ``category`` such as "chair", and the solid boxes it is made of."""
 
     name: str = Field(min_length=1)
@@ -67,7 +62,7 @@ class Furniture(Part):
     boxes: tuple[Box, ...] = Field(min_length=1, max_length=PIECES)
 
 
-class Room(Part):
+class Room(StrictModel):
     """A room: unique ``name``, ``kind`` such as "kitchen", ``floor`` material and its outline.
 
     ``polygon`` (n, 2) m runs along the centre lines of the surrounding walls, in either direction and without
@@ -87,7 +82,7 @@ class Room(Part):
         return self
 
 
-class Wall(Part):
+class Wall(StrictModel):
     """A straight wall around the centre line ``start`` -> ``end`` (x, y) m.
 
     It spans z from ``base`` to ``base + height`` and ``thickness`` across. ``front`` covers the side to the left of
@@ -119,7 +114,7 @@ class Wall(Part):
         return self
 
 
-class Door(Part):
+class Door(StrictModel):
     """A hole from the wall's base up to ``height``, ``offset`` m from the wall's start, ``width`` m along it.
 
     Each of its ``leaves`` stands at ``openness * 90`` degrees from closed: 0 leaves is an open doorway, 1 is hinged at
@@ -144,7 +139,7 @@ class Door(Part):
         return 0.0
 
 
-class Window(Part):
+class Window(StrictModel):
     """A hole filled with a pane, ``sill`` m above the wall's base and ``offset`` m from its start."""
 
     wall: Annotated[int, Field(ge=0)]

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vssm_gym.envs.physics import FlightWorld, World
+from vssm_gym.envs.physics import FlightWorld, FloorWorld
 from vssm_gym.envs.physics.tracing import EmbreeTracer, MujocoTracer, Tracer
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.rendering.raycast import RaycastCamera
@@ -81,7 +81,7 @@ def make_camera(boxes: Sequence[SolidBox], config: CameraConfig, renderer: str =
     return RaycastCamera(boxes, config.intrinsics())
 
 
-def make_tracer(world: World | FlightWorld) -> Tracer:
+def make_tracer(world: FloorWorld | FlightWorld) -> Tracer:
     """What finds the first box along rays: Embree, or, with a warning that says why not, MuJoCo's own rays."""
     try:
         return EmbreeTracer(world.boxes)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.sensors.base import EXTENT
-from vssm_gym.envs.sensors.imu import ImuNoise, NoisyImu
+from vssm_gym.envs.sensors.imu import ImuSensorNoise, NoisyImu
 from vssm_gym.geometry.axes import Matrix4
 
 
@@ -45,7 +45,7 @@ class ImuSensor:
     parallel = True
     reads_contacts = False
 
-    def __init__(self, noise: ImuNoise, substeps: int) -> None:
+    def __init__(self, noise: ImuSensorNoise, substeps: int) -> None:
         self.noise = noise
         self.spaces: dict[str, gym.Space[Any]] = {"imu": gym.spaces.Box(-EXTENT, EXTENT, (substeps, 6), np.float32)}
         self._rng: np.random.Generator | None = None

@@ -27,7 +27,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, world
 
 
 @dataclass(frozen=True)
-class ImuNoise:
+class ImuSensorNoise:
     """Parameters of the sensor; zero switches an effect off."""
 
     accel_density: float = 0.0  # m/s^2 / sqrt(Hz)
@@ -41,13 +41,13 @@ class ImuNoise:
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < math.inf:
-                raise InputError("ImuNoise", field.name, f"a finite number >= 0, not {value!r}")
+                raise InputError("ImuSensorNoise", field.name, f"a finite number >= 0, not {value!r}")
 
 
 PRESETS = {
-    "none": ImuNoise(),
+    "none": ImuSensorNoise(),
     # Analog Devices ADIS16448, EuRoC's drone: its calibration sheet. Switch-on biases: the part's data sheet.
-    "adis16448": ImuNoise(
+    "adis16448": ImuSensorNoise(
         accel_density=2.0e-3,
         accel_walk=3.0e-3,
         accel_bias=0.2,
@@ -57,7 +57,7 @@ PRESETS = {
     ),
     # Intel RealSense D455 (Bosch BMI055): Allan deviations published with OpenVINS. Switch-on biases: the part's data
     # sheet, before any calibration.
-    "realsense": ImuNoise(
+    "realsense": ImuSensorNoise(
         accel_density=1.038e-3,
         accel_walk=4.13e-5,
         accel_bias=0.69,
@@ -68,7 +68,7 @@ PRESETS = {
 }
 
 
-imu_noise = Presets("environment", "imu_noise", ImuNoise, PRESETS)
+imu_noise = Presets("environment", "imu_noise", ImuSensorNoise, PRESETS)
 
 
 def specific_force(
@@ -114,7 +114,7 @@ class NoisyImu:
         rng: its stream; the same stream gives the same bytes, in whatever portions the readings are passed.
     """
 
-    def __init__(self, noise: str | ImuNoise, rng: np.random.Generator) -> None:
+    def __init__(self, noise: str | ImuSensorNoise, rng: np.random.Generator) -> None:
         noise = imu_noise(noise)
         self.noise = noise
         self._rng = rng

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vssm_gym.envs.physics import World
+from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.physics.tracing import Tracer
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.robots import HolonomicRobot
@@ -74,7 +74,7 @@ class SharedRenderer:
     @cached_property
     def tracer(self) -> Tracer:
         """The ray tracer that finds the first box along each ray."""
-        return make_tracer(World(self.apartment, HolonomicRobot()))  # the robot is transparent
+        return make_tracer(FloorWorld(self.apartment, HolonomicRobot()))  # the robot is transparent
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
         """Return the exact image at a camera pose: uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)``, m, 0 = none."""

@@ -13,13 +13,13 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.car_space import CarSpace
 from vssm_gym.envs.tasks.goal_progress import GoalDistance
-from vssm_gym.envs.validation import validated
+from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
@@ -35,10 +35,8 @@ START_SLACK = 0.01  # m that a start may overlap obstacles: contacts give a litt
 _BLOCK, _ATTEMPTS = 256, 64  # poses drawn at once, and how often
 
 
-class CarTask(BaseModel):
+class CarTask(StrictModel):
     """Drive from ``start`` to ``goal``: (x, y) or (x, y, heading) of the rear axle; world frame, metres and radians."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     id: Annotated[int, Field(ge=0)] = 0
     scene: str
@@ -129,8 +127,8 @@ class CarTaskSampler:
             raise InputError(source, "scene", f"{self.apartment.name!r}; found {task.scene!r}")
         for field, pose, margin in (("start", task.start, -START_SLACK), ("goal", task.goal, 0.0)):
             if len(pose) == 3 and not self.space.free(np.array(pose), margin):
-                touched = ", ".join(self.space.obstacles_at(np.array(pose))[:3])
-                why = f"it would touch {touched}" if touched else "that is off the floor"
+                obstacles = ", ".join(self.space.obstacles_at(np.array(pose))[:3])
+                why = f"it would collide with {obstacles}" if obstacles else "that is off the floor"
                 raise InputError(source, field, f"a pose where the car fits; at {_written(pose)} {why}")
         within = self.space.parts_within(np.array(task.goal), REACHED, ALIGNED)
         if self.space.part(np.array(task.start)) not in within:

@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.car import CarTask, Targets, car_sampler_of
 from vssm_gym.envs.tasks.navigation import Split, read
+from vssm_gym.envs.validation import StrictModel
 from vssm_gym.files import atomic_write
 from vssm_gym.geometry.car import Car
 
 
-class CarTaskSet(BaseModel):
+class CarTaskSet(StrictModel):
     """The tasks of one scene, kind of target and split; ``hash`` is :meth:`content_hash`, verified on loading."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     format: Literal[1] = 1
     scene: str

@@ -58,7 +58,7 @@ class Approach:
         return bool(np.hypot(*(xy - self._goal)) <= self._radius)
 
 
-class Coverage:
+class MazeCoverage:
     """Visit every tile of which at least half is free; :attr:`ratio` is the share visited, the exploration ratio."""
 
     def __init__(self, space: FreeSpace) -> None:

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from vssm_gym.envs.robots.base import Robot
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import ASSETS, Apartment
 from vssm_gym.envs.tasks.geodesic import Geodesics
-from vssm_gym.envs.validation import validated
+from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 
@@ -39,11 +39,7 @@ START_SLACK = 0.03
 _ATTEMPTS = 256  # pairs of positions tried for one task before giving up
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Task(_Model):
+class Task(StrictModel):
     """Drive from ``start`` and stop within the success radius of ``goal``; world frame, metres and radians."""
 
     id: Annotated[int, Field(ge=0)]
@@ -53,7 +49,7 @@ class Task(_Model):
     geodesic: Annotated[float, Field(ge=0.0)]  # shortest path of the footprint from start to success region
 
 
-class Footprint(_Model):
+class Footprint(StrictModel):
     """What of a robot decides where it fits and when it has arrived, metres."""
 
     body_length: float
@@ -66,7 +62,7 @@ class Footprint(_Model):
         return cls(body_length=robot.body_length, radius=robot.radius, height=robot.height)
 
 
-class TaskSet(_Model):
+class TaskSet(StrictModel):
     """The tasks of one scene, robot and split; ``hash`` is :meth:`content_hash`, verified on loading."""
 
     format: Literal[1] = 1
@@ -215,8 +211,8 @@ class TaskSampler:
             ("goal", goal, not self.space.contains(goal)),
         ):
             if away:
-                touched = ", ".join(self.space.obstacles_at((x, y))[:3])
-                why = f"it would touch {touched}" if touched else "that is off the floor"
+                obstacles = ", ".join(self.space.obstacles_at((x, y))[:3])
+                why = f"it would collide with {obstacles}" if obstacles else "that is off the floor"
                 raise InputError(source, field, f"a position where the robot fits; at ({x:.2f}, {y:.2f}) {why}")
         length = self.geodesics.length(fitting, goal, self._success)
         if not np.isfinite(length):

@@ -36,7 +36,7 @@ _TURNS, _SAMPLES = 12, 256  # orientations that are tried, points of the curve t
 
 
 @dataclass(frozen=True)
-class Curve:
+class FlightCurve:
     """Fourier coefficients by frequency: ``plane`` of x + iy, ``rise`` of z. Half-extent and rise are scaled to 1."""
 
     plane: Mapping[int, complex]
@@ -51,10 +51,10 @@ class Curve:
         return np.stack([plane.real, plane.imag, rise.real], axis=-1)
 
 
-def _unit(plane: Mapping[int, complex], rise: Mapping[int, complex]) -> Curve:
-    samples = Curve(plane, rise).derivative(np.linspace(0.0, 2.0 * np.pi, 4096), 0)
+def _unit(plane: Mapping[int, complex], rise: Mapping[int, complex]) -> FlightCurve:
+    samples = FlightCurve(plane, rise).derivative(np.linspace(0.0, 2.0 * np.pi, 4096), 0)
     across, up = np.linalg.norm(samples[:, :2], axis=1).max(), np.abs(samples[:, 2]).max()
-    return Curve({k: c / across for k, c in plane.items()}, {k: c / up for k, c in rise.items()})
+    return FlightCurve({k: c / across for k, c in plane.items()}, {k: c / up for k, c in rise.items()})
 
 
 CURVES = {

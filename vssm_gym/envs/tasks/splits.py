@@ -11,12 +11,12 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.scene import ASSETS, built_in_scenes, load_scene
 from vssm_gym.envs.tasks.navigation import SPLITS, Split
-from vssm_gym.envs.validation import validated
+from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 
@@ -24,11 +24,7 @@ FROZEN = ASSETS / "splits" / "scenes.json"
 _PROCEDURAL = re.compile(r"procedural:(\d{1,18})(?::[a-z]+)?")
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Seeds(_Model):
+class Seeds(StrictModel):
     """Procedural seeds from ``first`` to ``last``, both included; without end where ``last`` is None."""
 
     first: Annotated[int, Field(ge=0)]
@@ -38,7 +34,7 @@ class Seeds(_Model):
         return self.first <= seed and (self.last is None or seed <= self.last)
 
 
-class SceneSplits(_Model):
+class SceneSplits(StrictModel):
     """The frozen file. A hash is None for a scene that this version of the package cannot make.
 
     ``train`` and ``test`` map built-in scenes to their hashes; ``seeds`` are the procedural ones of each split, in all

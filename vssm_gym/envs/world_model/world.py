@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from vssm_gym.envs.carnav import COLLISION_COST
 from vssm_gym.envs.carnav import STEP_COST as CAR_STEP_COST
 from vssm_gym.envs.carnav import SUCCESS_REWARD as CAR_SUCCESS_REWARD
-from vssm_gym.envs.carnav import TOUCH_COST
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.tasks.car import APART as CAR_APART
@@ -73,7 +73,7 @@ def robot_of(wanted: Imagination) -> Robot:
 def _rules(wanted: Imagination, robot: Robot) -> Rules:
     dense, price = wanted.reward == "dense", UNKNOWN_COST if wanted.unknown == "penalised" else 0.0
     if isinstance(robot, Car):
-        return Rules(REACHED, dense, False, CAR_STEP_COST, TOUCH_COST, CAR_SUCCESS_REWARD, price)
+        return Rules(REACHED, dense, False, CAR_STEP_COST, COLLISION_COST, CAR_SUCCESS_REWARD, price)
     radius, stops = SUCCESS * robot.body_length, wanted.end_on == "stop"
     return Rules(radius, dense, stops, STEP_COST, 0.0, SUCCESS_REWARD, price)
 

@@ -58,7 +58,7 @@ class WindowPlan:
 
 
 @dataclass(frozen=True)
-class Plan:
+class BuildingPlan:
     """A whole floor plan; thicknesses are those of the walls between rooms and towards the outside."""
 
     name: str
@@ -73,7 +73,7 @@ class Plan:
     outer: float = 0.14
 
 
-def build(plan: Plan) -> Apartment:
+def build(plan: BuildingPlan) -> Apartment:
     """The unfurnished apartment of a plan.
 
     A wall runs along every edge of a room, one for each stretch with the same two rooms on its sides.
@@ -150,7 +150,12 @@ def _edge_at(room: RoomPlan, at: XY) -> int:
 
 
 def _on_wall(
-    plan: Plan, at: XY, width: float, walls: list[Wall], sides: list[tuple[str, str | None]], rooms: set[str | None]
+    plan: BuildingPlan,
+    at: XY,
+    width: float,
+    walls: list[Wall],
+    sides: list[tuple[str, str | None]],
+    rooms: set[str | None],
 ) -> tuple[int, float]:
     """The wall under a hole and the hole's offset from the wall's start."""
     for i, wall in enumerate(walls):
@@ -164,7 +169,7 @@ def _on_wall(
     raise InputError(plan.name, f"hole at {at}", expected)
 
 
-def _door(plan: Plan, door: DoorPlan, walls: list[Wall], sides: list[tuple[str, str | None]]) -> Door:
+def _door(plan: BuildingPlan, door: DoorPlan, walls: list[Wall], sides: list[tuple[str, str | None]]) -> Door:
     index, offset = _on_wall(plan, door.at, door.width, walls, sides, set(door.rooms))
     near_start = offset < walls[index].length - offset - door.width
     outside = door.rooms[1] is None
@@ -182,7 +187,7 @@ def _door(plan: Plan, door: DoorPlan, walls: list[Wall], sides: list[tuple[str, 
     )
 
 
-def _window(plan: Plan, window: WindowPlan, walls: list[Wall], sides: list[tuple[str, str | None]]) -> Window:
+def _window(plan: BuildingPlan, window: WindowPlan, walls: list[Wall], sides: list[tuple[str, str | None]]) -> Window:
     index, offset = _on_wall(plan, window.at, window.width, walls, sides, {None})
     glass = Material(color=(1.0, 1.0, 1.0), texture="window", scale=max(window.width, window.height))
     return Window(wall=index, offset=offset, width=window.width, height=window.height, sill=window.sill, material=glass)

@@ -11,7 +11,7 @@ import numpy as np
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import XY
 from vssm_gym.envs.scenes.generator import looks
-from vssm_gym.envs.scenes.generator.floorplan import DoorPlan, Plan, WindowPlan, build
+from vssm_gym.envs.scenes.generator.floorplan import BuildingPlan, DoorPlan, WindowPlan, build
 from vssm_gym.envs.scenes.generator.furnish import furnish
 
 
@@ -54,7 +54,7 @@ class Home:
             room_plan, edges = looks.room_plan(look, room.name, room.kind, room.polygon)
             rooms.append(room_plan)
             bare[room.name] = edges
-        plan = Plan(
+        plan = BuildingPlan(
             self.name,
             tuple(rooms),
             self.doors,

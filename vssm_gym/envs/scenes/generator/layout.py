@@ -11,7 +11,7 @@ import numpy as np
 
 from vssm_gym.envs.scenes.apartment_parts import XY
 from vssm_gym.envs.scenes.generator import looks
-from vssm_gym.envs.scenes.generator.floorplan import DoorPlan, Plan, RoomPlan, WindowPlan
+from vssm_gym.envs.scenes.generator.floorplan import BuildingPlan, DoorPlan, RoomPlan, WindowPlan
 from vssm_gym.envs.scenes.generator.furniture.pieces import cm, pick
 from vssm_gym.envs.scenes.generator.openings import NoPlan, place_doors, place_windows
 
@@ -42,7 +42,7 @@ _STRIPS = {
 }
 
 
-def layout(name: str, rng: np.random.Generator, size: str) -> tuple[Plan, dict[str, frozenset[int]]]:
+def layout(name: str, rng: np.random.Generator, size: str) -> tuple[BuildingPlan, dict[str, frozenset[int]]]:
     """A plan of 1 to 3 (small), 4 to 6 (medium) or 7 to 9 rooms (large), and which edges of its rooms are bare.
 
     Raises:
@@ -67,7 +67,7 @@ def layout(name: str, rng: np.random.Generator, size: str) -> tuple[Plan, dict[s
     doors: tuple[DoorPlan, ...] = place_doors(rng, tuple(plans), links, max(inner, outer))
     windows: tuple[WindowPlan, ...] = place_windows(rng, tuple(plans), doors)
     facade, leaf, entrance = looks.facade(rng), looks.leaf(rng), looks.entrance(rng)
-    return Plan(name, tuple(plans), doors, windows, facade, leaf, entrance, height, inner, outer), bare
+    return BuildingPlan(name, tuple(plans), doors, windows, facade, leaf, entrance, height, inner, outer), bare
 
 
 def _rect(x0: float, y0: float, x1: float, y1: float) -> Polygon:

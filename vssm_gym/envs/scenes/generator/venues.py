@@ -12,7 +12,7 @@ import shapely
 
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Material
-from vssm_gym.envs.scenes.generator.floorplan import DoorPlan, Plan, RoomPlan, build
+from vssm_gym.envs.scenes.generator.floorplan import BuildingPlan, DoorPlan, RoomPlan, build
 from vssm_gym.envs.scenes.generator.furniture.decor import PAINTINGS
 from vssm_gym.envs.scenes.generator.furniture.pieces import WHITE, pick, tinted
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
@@ -107,7 +107,7 @@ def one_room(
     entrance: tuple[float, float],
 ) -> Apartment:
     """An empty room with walls 0.2 m thick, one material a side, and a closed door in its first one; m."""
-    plan = Plan(
+    plan = BuildingPlan(
         name,
         (RoomPlan(name, name, polygon, floor, walls),),
         (DoorPlan(entrance, (name, None), 1.0, name),),

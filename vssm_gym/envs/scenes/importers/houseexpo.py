@@ -34,7 +34,7 @@ _Corner = tuple[Coordinate, Coordinate]
 _Box = tuple[Annotated[float, Field(ge=-FAR_BOX, le=FAR_BOX)], ...]
 
 
-class Plan(BaseModel):
+class HouseExpoPlan(BaseModel):
     """What is read of a HouseExpo file."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -50,7 +50,7 @@ def is_houseexpo(data: Any) -> bool:
 
 def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
     """The `Apartment` of a parsed HouseExpo plan; InputError naming ``source`` and the field that is wrong."""
-    plan = validated(Plan, data, source)
+    plan = validated(HouseExpoPlan, data, source)
     notes: list[str] = []
     outline = _outline(plan, source, notes)
     parts, openings = split_rooms(outline)
@@ -82,7 +82,7 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
     return validated(Apartment, content, source)
 
 
-def _outline(plan: Plan, source: object, notes: list[str]) -> Polygon:
+def _outline(plan: HouseExpoPlan, source: object, notes: list[str]) -> Polygon:
     corners = np.array(plan.verts)
     extent = float(np.ptp(corners, axis=0).max())
     if extent > LARGEST:
@@ -102,7 +102,7 @@ def _outline(plan: Plan, source: object, notes: list[str]) -> Polygon:
     return square_corners(shapely.orient_polygons(outline))
 
 
-def _kind(part: Polygon, plan: Plan) -> str:
+def _kind(part: Polygon, plan: HouseExpoPlan) -> str:
     """The category whose box overlaps the room most; "room" where none does."""
     best, most = "room", NAMED
     for category, boxes in plan.room_category.items():
@@ -114,7 +114,7 @@ def _kind(part: Polygon, plan: Plan) -> str:
     return best
 
 
-def _stray_categories(plan: Plan, outline: Polygon) -> list[str]:
+def _stray_categories(plan: HouseExpoPlan, outline: Polygon) -> list[str]:
     """A sentence for each category whose boxes all lie outside the plan or have no area: it can name no room."""
     stray = []
     for category, boxes in plan.room_category.items():

@@ -23,7 +23,7 @@ import shapely
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import XY, Door, Furniture, Material, Room, Wall, Window
 from vssm_gym.envs.scenes.faults import misplaced, open_edges, told
-from vssm_gym.envs.scenes.importers.procthor_format import Asset, Hole, House, HouseWall, Surface, Vector
+from vssm_gym.envs.scenes.importers.procthor_format import Asset, Hole, House, HouseWall, SurfaceMaterial, Vector
 from vssm_gym.envs.scenes.importers.procthor_looks import RGB, surface_material
 from vssm_gym.envs.scenes.importers.procthor_objects import furniture_of
 from vssm_gym.envs.scenes.solids import door_leaves, footprint
@@ -123,7 +123,7 @@ def _without_repeats(points: list[XY]) -> tuple[XY, ...]:
     return tuple(p for p, before in zip(points, [points[-1], *points[:-1]], strict=True) if math.dist(p, before) > 1e-6)
 
 
-def _surface(surface: Surface, where: Literal["wall", "floor", "ceiling"]) -> Material:
+def _surface(surface: SurfaceMaterial, where: Literal["wall", "floor", "ceiling"]) -> Material:
     color: RGB | None = None
     if surface.color is not None:
         red, green, blue = (min(max(c, 0.0), 1.0) for c in (surface.color.r, surface.color.g, surface.color.b))

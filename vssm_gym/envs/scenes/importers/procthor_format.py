@@ -53,7 +53,7 @@ class Color(_Read):
     b: float
 
 
-class Surface(_Read):
+class SurfaceMaterial(_Read):
     """A Unity material by name, with a colour of its own or not."""
 
     name: Name
@@ -66,7 +66,7 @@ class HouseRoom(_Read):
     id: Name
     roomType: Name
     floorPolygon: tuple[Vector, ...] = Field(min_length=3, max_length=CORNERS)
-    floorMaterial: Surface
+    floorMaterial: SurfaceMaterial
 
 
 class HouseWall(_Read):
@@ -75,7 +75,7 @@ class HouseWall(_Read):
     id: Name
     roomId: Name
     polygon: tuple[Vector, ...] = Field(min_length=4, max_length=4)
-    material: Surface
+    material: SurfaceMaterial
 
 
 class Hole(_Read):
@@ -103,7 +103,7 @@ class HouseObject(_Read):
 class Parameters(_Read):
     """The ceiling's material; lights and the sky are not used."""
 
-    ceilingMaterial: Surface = Surface(name="PureWhite")
+    ceilingMaterial: SurfaceMaterial = SurfaceMaterial(name="PureWhite")
 
 
 class Metadata(_Read):

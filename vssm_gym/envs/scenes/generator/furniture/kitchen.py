@@ -8,8 +8,8 @@ from vssm_gym.envs.scenes.generator.furniture.pieces import (
     STEEL,
     WHITE,
     Block,
-    Part,
     Piece,
+    PiecePart,
     Style,
     block,
     one,
@@ -39,7 +39,7 @@ def kitchen_run(rng: np.random.Generator, style: Style, modules: int, hung: bool
     if reverse:
         order.reverse()
     counter: list[Block] = []
-    parts: list[Part] = []
+    parts: list[PiecePart] = []
     for k, kind in enumerate(order):
         x = round((k - 0.5 * (modules - 1)) * MODULE, 3)
         if kind == "fridge":
@@ -65,8 +65,8 @@ def kitchen_run(rng: np.random.Generator, style: Style, modules: int, hung: bool
             counter.append(_appliance(rng, x))
         if hung and kind != "sink":
             hanging = front.model_copy(update={"texture": "cabinet", "scale": 0.65})
-            parts.append(Part("wall cabinet", (block(x, 0.165, 1.45, MODULE, 0.33, 0.65, hanging),)))
-    return Piece((Part("counter", tuple(counter)), *parts), front=0.7)
+            parts.append(PiecePart("wall cabinet", (block(x, 0.165, 1.45, MODULE, 0.33, 0.65, hanging),)))
+    return Piece((PiecePart("counter", tuple(counter)), *parts), front=0.7)
 
 
 def _appliance(rng: np.random.Generator, x: float) -> Block:
@@ -80,10 +80,10 @@ def _appliance(rng: np.random.Generator, x: float) -> Block:
     return block(x, 0.24, 0.9, w, d, h, look)
 
 
-def _stove(rng: np.random.Generator, x: float) -> Part:
+def _stove(rng: np.random.Generator, x: float) -> PiecePart:
     pot = Material(color=tinted(rng, (0.8, 0.35, 0.3), 0.15), texture="metal", scale=0.3)
     oven = Material(color=WHITE, texture="oven", scale=0.88)
-    return Part(
+    return PiecePart(
         "stove",
         (
             block(x, 0.29, 0.0, MODULE, 0.58, 0.88, oven),
@@ -93,15 +93,15 @@ def _stove(rng: np.random.Generator, x: float) -> Part:
     )
 
 
-def _hood(x: float) -> Part:
-    return Part(
+def _hood(x: float) -> PiecePart:
+    return PiecePart(
         "cooker hood", (block(x, 0.22, 1.6, MODULE, 0.43, 0.1, STEEL), block(x, 0.135, 1.7, 0.26, 0.26, 0.7, STEEL))
     )
 
 
-def _fridge(rng: np.random.Generator, x: float) -> Part:
+def _fridge(rng: np.random.Generator, x: float) -> PiecePart:
     body = Material(color=tinted(rng, (0.86, 0.88, 0.9), 0.05), texture="metal", scale=1.2)
-    return Part(
+    return PiecePart(
         "fridge",
         (
             block(x, 0.31, 0.0, MODULE, 0.62, 1.8, body),

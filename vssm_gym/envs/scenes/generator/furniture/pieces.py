@@ -33,7 +33,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Part:
+class PiecePart:
     """One article of furniture: a ``category`` and its blocks."""
 
     category: str
@@ -61,7 +61,7 @@ class Piece:
     or into its nooks, so everything else keeps the width of a passage from it.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[PiecePart, ...]
     front: float = 0.0
     airy: bool = False
 
@@ -95,7 +95,7 @@ class Piece:
         return Piece(tuple(_moved(part, x, y, turned) for part in self.parts), self.front, self.airy)
 
 
-def _moved(part: Part, x: float, y: float, turned: bool) -> Part:
+def _moved(part: PiecePart, x: float, y: float, turned: bool) -> PiecePart:
     blocks = []
     for b in part.blocks:
         xs, ys = (b.low[0], b.high[0]), (b.low[1], b.high[1])
@@ -104,7 +104,7 @@ def _moved(part: Part, x: float, y: float, turned: bool) -> Part:
         low = (round(xs[0] + x, 4), round(ys[0] + y, 4), b.low[2])
         high = (round(xs[1] + x, 4), round(ys[1] + y, 4), b.high[2])
         blocks.append(Block(low, high, b.material))
-    return Part(part.category, tuple(blocks))
+    return PiecePart(part.category, tuple(blocks))
 
 
 def block(x: float, y: float, z: float, w: float, d: float, h: float, material: Material) -> Block:
@@ -121,7 +121,7 @@ def legs(x: float, y: float, w: float, d: float, top: float, thick: float, mater
 
 def one(category: str, blocks: Sequence[Block], front: float = 0.0, airy: bool = False) -> Piece:
     """A piece of a single part."""
-    return Piece((Part(category, tuple(blocks)),), front, airy)
+    return Piece((PiecePart(category, tuple(blocks)),), front, airy)
 
 
 def joined(*pieces: Piece, front: float = 0.0, airy: bool = False) -> Piece:
