@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import Room, camera_pose, slab
-from tests.helpers.localisation_room import CAMERA, GRID, ROOM
+from tests.helpers.localisation_room import CAMERA, ROOM, known_map
 from tests.helpers.random_maps import seeds
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp, se3_log
@@ -31,7 +31,6 @@ from vssm_gym.model.emission import RGBD, render
 
 CONFIG = AlignConfig()
 FREE, NO_PRIOR, IDENTITY = jnp.eye(6), 1e-3 * jnp.eye(6), jnp.eye(4)
-MAP = ROOM.to_map(*GRID)
 align_jit = jax.jit(align, static_argnums=7)
 disagree_jit = jax.jit(disagreement, static_argnums=(4, 5))
 
@@ -84,7 +83,7 @@ def test_a_known_motion_is_recovered_from_the_map(seed: int, metres: float, radi
     """Against a render of cells of 10 cm, whose edges and colours interpolation blurs: a twentieth of a cell."""
     rng = np.random.default_rng(seed)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, metres, radians)
-    T, info = solve(render(MAP, f32(T_world_ref), CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA))
+    T, info = solve(render(known_map(), f32(T_world_ref), CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA))
     off, turned = errors(T, T_ref_cam)
     assert off < 6e-3
     assert turned < 4e-3

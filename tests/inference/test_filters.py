@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import CAMERA, GRID, ROOM
+from tests.helpers.localisation_room import CAMERA, GRID, ROOM, known_map
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix, se3_log
 from vssm_gym.inference.filter import Filter, Rig
@@ -37,7 +37,6 @@ RIG = Rig.of(CAMERA, T_BODY_CAM)
 START = np.array([-0.5, -0.4, 2.9])
 TURN, STEP = 0.18, 0.06  # rad and m of every step: a circle of a third of a metre
 STEPS = 6
-ROOM_MAP = ROOM.to_map(*GRID)
 DARK = RGBD.from_camera(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), np.zeros((CAMERA.height, CAMERA.width)))
 
 SPEED, RATE = STEP / DT, TURN / DT
@@ -91,7 +90,7 @@ def made(name: str, transition: Transition) -> tuple[Filter, Posterior]:
         direction = jnp.array([np.cos(START[2]), np.sin(START[2]), 0.0])
         moving = RigidState(start.mean.T_world_body, jnp.concatenate([SPEED * direction, jnp.array([0.0, 0.0, RATE])]))
         start = type(start)(moving, start.covariance, manifold)
-    m = ROOM_MAP if entry.needs_map else VoxelMap.prior(*GRID)
+    m = known_map() if entry.needs_map else VoxelMap.prior(*GRID)
     return entry.make(RIG, transition), Posterior(start, m)
 
 

@@ -1,5 +1,7 @@
 """Map learning through the renderer: its step is the gradient of log p, and held-out views are predicted better."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,19 +41,30 @@ def closed_form(views: Views) -> VoxelMap:
     return m
 
 
-TRAIN, TEST = make_views(16, 0), make_views(5, 1)
-MAP = closed_form(TRAIN)
+@functools.cache
+def train() -> Views:
+    return make_views(16, 0)
+
+
+@functools.cache
+def unseen() -> Views:
+    return make_views(5, 1)
+
+
+@functools.cache
+def known_map() -> VoxelMap:
+    return closed_form(train())
 
 
 @pytest.fixture(scope="module")
 def refined() -> tuple[VoxelMap, EmissionScales]:
-    return map_learning.refine(MAP, TRAIN, CONFIG, jax.random.key(0))
+    return map_learning.refine(known_map(), train(), CONFIG, jax.random.key(0))
 
 
 def test_held_out_views_are_predicted_better(refined) -> None:
     m, _ = refined
-    scales = fit_scales(MAP, TRAIN)
-    before, after = held_out(MAP, TEST, scales), held_out(m, TEST, scales)
+    scales = fit_scales(known_map(), train())
+    before, after = held_out(known_map(), unseen(), scales), held_out(m, unseen(), scales)
     assert after.log_likelihood > before.log_likelihood + 0.05
     assert after.depth_l1 < before.depth_l1
     assert after.colour_l1 < before.colour_l1
@@ -60,16 +73,16 @@ def test_held_out_views_are_predicted_better(refined) -> None:
 
 def test_the_map_passed_in_and_the_precisions_stay(refined) -> None:
     m, _ = refined
-    again = closed_form(TRAIN)
-    np.testing.assert_array_equal(np.asarray(MAP.occupancy), np.asarray(again.occupancy))
-    np.testing.assert_array_equal(np.asarray(m.occupancy_precision), np.asarray(MAP.occupancy_precision))
-    np.testing.assert_array_equal(np.asarray(m.colour_precision), np.asarray(MAP.colour_precision))
+    again = closed_form(train())
+    np.testing.assert_array_equal(np.asarray(known_map().occupancy), np.asarray(again.occupancy))
+    np.testing.assert_array_equal(np.asarray(m.occupancy_precision), np.asarray(known_map().occupancy_precision))
+    np.testing.assert_array_equal(np.asarray(m.colour_precision), np.asarray(known_map().colour_precision))
 
 
 def test_the_index_follows(refined) -> None:
     """After refinement the skipping search finds what the fixed march finds."""
     m, _ = refined
-    T = TEST.T_world_cam[0]
+    T = unseen().T_world_cam[0]
     fast = emission.render(m, T, CAMERA)
     slow = emission.render_with(emission.march, m, T, CAMERA)
     assert float(np.mean(np.asarray(fast.hit) != np.asarray(slow.hit))) < 1e-3
@@ -79,30 +92,33 @@ def test_the_index_follows(refined) -> None:
 
 def test_a_step_is_the_gradient_of_the_renderer() -> None:
     """One step from rays that hit = ``-rate s d(-log p)/dM`` by automatic differentiation through the whole map."""
-    config = RefineConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0)
-    key, views = jax.random.key(3), TRAIN[2:3]
-    rays = map_learning._draw(MAP, views, config, key)
+    config, known = (
+        RefineConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0),
+        known_map(),
+    )
+    key, views = jax.random.key(3), train()[2:3]
+    rays = map_learning._draw(known_map(), views, config, key)
     assert bool(jnp.all(rays.near))  # else the first-order term for missing surfaces would be in the step too
 
     def loss(occupancy, colour):
         m = VoxelMap(
-            occupancy, MAP.occupancy_precision, colour, MAP.colour_precision, MAP.empty, MAP.origin, MAP.voxel_size,
-            MAP.blocks,
+            occupancy, known.occupancy_precision, colour, known.colour_precision, known.empty,
+            known.origin, known.voxel_size, known.blocks,
         )  # fmt: skip
         d = emission.intersect(m, rays.centre[0], rays.direction, rays.k)
         p = rays.centre + rays.direction * jax.lax.stop_gradient(d)[:, None]
         off = jnp.abs(d - rays.depth) / SCALES.depth
         return jnp.sum(off) + jnp.sum(jnp.abs(m.field(p)[..., 1:] - rays.rgb)) / SCALES.rgb
 
-    g_occupancy, g_colour = jax.grad(loss, argnums=(0, 1))(MAP.occupancy, MAP.colour)
-    state, info = map_learning.step(map_learning.init(MAP, SCALES), views, config, key)
+    g_occupancy, g_colour = jax.grad(loss, argnums=(0, 1))(known_map().occupancy, known_map().colour)
+    state, info = map_learning.step(map_learning.init(known_map(), SCALES), views, config, key)
     np.testing.assert_allclose(
-        np.asarray(state.map.occupancy - MAP.occupancy),
+        np.asarray(state.map.occupancy - known_map().occupancy),
         -0.01 * SCALES.depth * np.asarray(g_occupancy),
         atol=2e-6,
     )
     np.testing.assert_allclose(
-        np.asarray(state.map.colour - MAP.colour), -0.02 * SCALES.rgb * np.asarray(g_colour), atol=2e-6
+        np.asarray(state.map.colour - known_map().colour), -0.02 * SCALES.rgb * np.asarray(g_colour), atol=2e-6
     )
     assert float(info.hit_share) == 1.0
 
@@ -113,12 +129,12 @@ def test_a_missing_surface_grows() -> None:
     m, key = VoxelMap.prior(*GRID), jax.random.key(0)
     state = map_learning.init(m, SCALES)
     for i in range(60):
-        state, info = map_learning.step(state, TRAIN[:1], config, jax.random.fold_in(key, i))
+        state, info = map_learning.step(state, train()[:1], config, jax.random.fold_in(key, i))
         if i % 20 == 19:
             state = map_learning.refresh(state)
     assert float(info.hit_share) > 0.8
-    image = emission.render(state.map, TRAIN.T_world_cam[0], CAMERA)
-    off = np.abs(np.asarray(image.depth) - np.asarray(TRAIN.depth[0]))[np.asarray(image.hit)]
+    image = emission.render(state.map, train().T_world_cam[0], CAMERA)
+    off = np.abs(np.asarray(image.depth) - np.asarray(train().depth[0]))[np.asarray(image.hit)]
     assert np.median(off) < 0.05
 
 
@@ -126,23 +142,23 @@ def test_scales_are_learned() -> None:
     """Towards the mean absolute residual, from both sides."""
     config = RefineConfig(images=2, pixels=256, occupancy_rate=0.0, colour_rate=0.0, scale_rate=0.05)
     for start in (EmissionScales(1.0, 1.0), EmissionScales(1e-3, 1e-3)):
-        state, key = map_learning.init(MAP, start), jax.random.key(0)
+        state, key = map_learning.init(known_map(), start), jax.random.key(0)
         for i in range(150):
-            state, _ = map_learning.step(state, TRAIN, config, jax.random.fold_in(key, i))
-        learned, best = map_learning.scales(state), fit_scales(MAP, TRAIN)
+            state, _ = map_learning.step(state, train(), config, jax.random.fold_in(key, i))
+        learned, best = map_learning.scales(state), fit_scales(known_map(), train())
         assert 0.4 < float(learned.depth) / float(best.depth) < 2.5
         assert 0.7 < float(learned.rgb) / float(best.rgb) < 1.4
 
 
 def test_held_out_by_hand() -> None:
     """Means of the residuals and the Laplace density, from the rendered image itself, float64."""
-    view = TEST[1:2]
-    image = emission.render(MAP, view.T_world_cam[0], CAMERA)
+    view = unseen()[1:2]
+    image = emission.render(known_map(), view.T_world_cam[0], CAMERA)
     both = np.asarray(image.known) & (np.asarray(view.depth[0]) > 0.0)
     d = np.abs(np.asarray(image.depth, float) - np.asarray(view.depth[0], float))[both]
     c = np.abs(np.asarray(image.rgb, float) - np.asarray(view.rgb[0], float) / 255.0)[both]
     nats = -d / 0.05 - np.log(0.1) + (-c / 0.05 - np.log(0.1)).sum(-1)
-    got = held_out(MAP, view, SCALES)
+    got = held_out(known_map(), view, SCALES)
     np.testing.assert_allclose(got.depth_l1, d.mean(), rtol=1e-4)
     np.testing.assert_allclose(got.depth_median, np.median(d), rtol=1e-3)
     np.testing.assert_allclose(got.colour_l1, c.mean(), rtol=1e-4)
@@ -151,7 +167,7 @@ def test_held_out_by_hand() -> None:
 
 
 def test_an_empty_map_has_no_likelihood() -> None:
-    got = held_out(VoxelMap.prior(*GRID), TEST, SCALES)
+    got = held_out(VoxelMap.prior(*GRID), unseen(), SCALES)
     assert np.isnan(got.log_likelihood)
     assert got.hit_share == 0.0
 

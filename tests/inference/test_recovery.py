@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import Room, camera_pose
-from tests.helpers.localisation_room import GRID, ROOM
+from tests.helpers.localisation_room import ROOM, known_map
 from tests.helpers.random_maps import seeds
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_log
@@ -20,7 +20,6 @@ from vssm_gym.model.emission import RGBD
 
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
 CONFIG = RecoveryConfig()
-MAP = ROOM.to_map(*GRID)
 RANGE = 8.0  # m
 OTHER = Room(interior=((-2.6, -1.2, 0.0), (1.2, 2.4, 2.6)), boxes=(((-0.6, 0.9, 0.0), (0.5, 1.4, 1.6)),))
 
@@ -63,7 +62,7 @@ def test_a_camera_carried_off_is_found_from_a_keyframe(seed: int, metres: float,
         kept = remember(kept, f32(T), luminance(ROOM.image(T, CAMERA).rgb), CAMERA)
     image = ROOM.image(now, CAMERA)
     guesses = similar(kept, luminance(image.rgb), CAMERA, RotationConfig(), CONFIG.keyframes)
-    attempt = recover(MAP, jnp.stack([f32(start), *guesses]), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
+    attempt = recover(known_map(), jnp.stack([f32(start), *guesses]), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
     assert bool(attempt.fits)
     metres_off, degrees_off = error(attempt.T_world_cam, now)
     assert metres_off < 0.02
@@ -76,7 +75,7 @@ def test_the_best_of_the_starts_is_taken() -> None:
     image = ROOM.image(now, CAMERA)
     near, away, behind = off(now, np.random.default_rng(1), 0.05, 3.0), np.eye(4), camera_pose((1.5, 0.0, 1.0), 3.0)
     for starts in ([near, away, behind], [away, near, behind], [away, behind, near]):
-        attempt = recover(MAP, f32(np.stack(starts)), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
+        attempt = recover(known_map(), f32(np.stack(starts)), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
         assert bool(attempt.fits)
         assert error(attempt.T_world_cam, now)[0] < 0.02
 
@@ -88,7 +87,7 @@ def test_a_picture_of_another_place_does_not_fit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     starts = np.stack([place(rng), place(rng), camera_pose((0.2, 0.0, 1.0), 2.5)])
     image = OTHER.image(camera_pose((-1.6, 0.3, 1.3), rng.uniform(-0.3, 0.6), 0.3), CAMERA)
-    assert not bool(recover(MAP, f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG).fits)
+    assert not bool(recover(known_map(), f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG).fits)
 
 
 def blank(image: RGBD) -> RGBD:
@@ -104,6 +103,6 @@ def test_nothing_to_go_by_does_not_fit(what: str) -> None:
         image = blank(image)
     else:
         starts[:, 0, 3] += 50.0
-    attempt = recover(MAP, f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
+    attempt = recover(known_map(), f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
     assert not bool(attempt.fits)
     assert np.isfinite(np.asarray(attempt.T_world_cam)).all()

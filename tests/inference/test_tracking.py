@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.localisation_room import CAMERA, GRID, ROOM
+from tests.helpers.localisation_room import CAMERA, GRID, ROOM, known_map
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
 from vssm_gym.inference.filter import Filter, FilterInfo, Rig
@@ -24,7 +24,6 @@ EXECUTION = ExecutionNoise(np.radians(3.0), 0.02)  # "low"
 MOTION = Planar(MotionNoise(EXECUTION.turn, EXECUTION.step))
 IN_MAP, BY_FRAMES = MapTracker(RIG, MOTION), FrameTracker(RIG, MOTION)
 OK, LOST = Status.OK, Status.LOST
-MAP = ROOM.to_map(*GRID)
 START = np.array([-0.5, -0.4, 2.9])  # turning left from here wraps the heading
 
 
@@ -56,9 +55,9 @@ def step(
     return tracker.step(state, jnp.asarray(control, jnp.float32), image, ROBOT.dt)
 
 
-def start(tracker: Filter = IN_MAP, m: VoxelMap = MAP, std: float = 1e-3) -> TrackerState:
+def start(tracker: Filter = IN_MAP, m: VoxelMap | None = None, std: float = 1e-3) -> TrackerState:
     known = planar_belief(jnp.asarray(START, jnp.float32), std**2 * jnp.eye(3))
-    return tracker.init(Posterior(known, m), see(START), jax.random.key(0))
+    return tracker.init(Posterior(known, m or known_map()), see(START), jax.random.key(0))
 
 
 def dead_reckoning_error(drive: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -211,7 +210,7 @@ def test_every_status_has_words() -> None:
 def test_tracking_compiles_once() -> None:
     """Whatever the poses, commands, maps and images, lost or not."""
     before = camera_filter.track._cache_size()
-    for m in (MAP, VoxelMap.prior(*GRID)):
+    for m in (known_map(), VoxelMap.prior(*GRID)):
         state, frames = start(m=m), start(BY_FRAMES)
         for command, planar in drive(3, 8):
             state, _ = step(state, command, see(planar))
@@ -236,7 +235,7 @@ def test_the_rig_takes_any_camera() -> None:
         return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
     known = planar_belief(jnp.asarray(START, jnp.float32), 1e-6 * jnp.eye(3))
-    state = tracker.init(Posterior(known, MAP), see_back(START), jax.random.key(0))
+    state = tracker.init(Posterior(known, known_map()), see_back(START), jax.random.key(0))
     for command, planar in drive(10, 2):
         state, info = step(state, command, see_back(planar), tracker)
         assert info.status is OK

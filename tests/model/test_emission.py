@@ -1,5 +1,7 @@
 """The renderer: the fast search against every sample of the march, depths known in closed form, and its gradients."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,9 +26,13 @@ E = STEP * VOXEL  # m between samples
 CAMERA = Camera.from_hfov(16, 12, np.radians(80))
 # 2.3 m of room in a grid of 2.4 x 2.4 x 1.6 m: walls stand 0.1 m and more inside the grid
 ROOM = Room(interior=((-1.08, -0.77, 0.42), (0.98, 1.22, 1.68)), boxes=(((0.1, 0.3, 0.42), (0.5, 0.7, 0.93)),))
-ROOM_MAP = ROOM.to_map(ORIGIN, VOXEL, SHAPE)
 
 search_jit, march_jit = jax.jit(search), jax.jit(march)  # compiling a search takes seconds: one shape serves all tests
+
+
+@functools.cache
+def known_map() -> VoxelMap:
+    return ROOM.to_map(ORIGIN, VOXEL, SHAPE)
 
 
 def f32(a: np.ndarray) -> jax.Array:
@@ -125,12 +131,12 @@ def test_a_parallel_ray_beside_the_grid_ends(axis: int, side: int) -> None:
 
 def test_box_room_depths_are_those_computed_by_hand() -> None:
     """The camera faces a wall 0.98 - (-0.42) = 1.40 m away, and another from the side 0.5 m nearer."""
-    image = look(ROOM_MAP, camera_pose((-0.42, 0.0, 1.1), 0.0))
+    image = look(known_map(), camera_pose((-0.42, 0.0, 1.1), 0.0))
     assert bool(image.hit.all())
     assert bool(image.known.all())
     centre = np.asarray(image.depth)[4:8, 6:10]
     np.testing.assert_allclose(centre, 1.40, atol=1e-4)  # z-depth: the same at every pixel of a facing wall
-    back = look(ROOM_MAP, camera_pose((0.08, 0.0, 1.1), np.pi))
+    back = look(known_map(), camera_pose((0.08, 0.0, 1.1), np.pi))
     np.testing.assert_allclose(np.asarray(back.depth)[4:8, 6:10], 0.08 + 1.08, atol=1e-4)
 
 
@@ -139,7 +145,7 @@ def test_room_depths_agree_with_the_closed_form(x: float, y: float, yaw: float, 
     """Anywhere in the room, at any attitude: exact on the flats, where the field is affine. Near an edge interpolation
     rounds it off, and a pixel at a silhouette may fall on either side of it: few err by half a voxel."""
     T = camera_pose((x, y, 1.1), yaw, pitch, roll)
-    image = look(ROOM_MAP, T)
+    image = look(known_map(), T)
     truth = ROOM.depth(T, CAMERA)
     p = T[:3, 3] + (np.asarray(CAMERA.rays()) * truth[..., None]) @ T[:3, :3].T
     planes = np.concatenate([np.abs(p - c) for c in (*ROOM.interior, *ROOM.boxes[0])], axis=-1)
@@ -204,7 +210,7 @@ def test_no_hit_is_a_mask_not_a_value() -> None:
 
 
 def test_a_pose_that_is_not_a_number_renders_nothing() -> None:
-    image = look(ROOM_MAP, np.full((4, 4), np.nan))
+    image = look(known_map(), np.full((4, 4), np.nan))
     assert not bool(image.hit.any())
     assert bool(jnp.isfinite(image.depth).all())
 
@@ -212,8 +218,8 @@ def test_a_pose_that_is_not_a_number_renders_nothing() -> None:
 def test_surfaces_beyond_the_depth_range_are_not_seen() -> None:
     """The wall is 1.40 m away: out of range at 1.3 m, in range at 1.5 m."""
     T = camera_pose((-0.42, 0.0, 1.1), 0.0)
-    assert not bool(look(ROOM_MAP, T, 1.3).hit[4:8, 6:10].any())
-    assert bool(look(ROOM_MAP, T, 1.5).hit[4:8, 6:10].all())
+    assert not bool(look(known_map(), T, 1.3).hit[4:8, 6:10].any())
+    assert bool(look(known_map(), T, 1.5).hit[4:8, 6:10].all())
 
 
 def test_the_unseen_back_of_a_wall_is_not_known() -> None:
