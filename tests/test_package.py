@@ -128,24 +128,6 @@ def test_annotated_shapes_are_checked_here():
         camera.backproject(jnp.ones((3, 4, 2)))
 
 
-@pytest.mark.parametrize(
-    "page",
-    ["README.md", "CONTRIBUTING.md", *(str(p.relative_to(CHECKOUT)) for p in sorted(CHECKOUT.glob("docs/**/*.md")))],
-)
-def test_links_between_the_pages_lead_somewhere(page):
-    path = CHECKOUT / page
-    for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", path.read_text()):
-        assert (path.parent / target).exists(), f"{page} links to {target}"
-
-
-def test_the_index_names_every_page():
-    folder = CHECKOUT / "docs"
-    index = (folder / "index.md").read_text()
-    for page in folder.glob("**/*.md"):
-        if page.name != "index.md":
-            assert f"({page.relative_to(folder)})" in index
-
-
 def test_the_example_of_the_readme_runs():
     [example] = re.findall(r"```python\n(.*?)```", (CHECKOUT / "README.md").read_text(), re.DOTALL)
     names: dict[str, Any] = {}
@@ -153,37 +135,3 @@ def test_the_example_of_the_readme_runs():
     assert names["observation"]["rgb"].shape == (120, 160, 3)
     assert names["observation"]["depth"].dtype == np.float32
     assert names["picture"].std() > 0
-
-
-def test_equations_name_functions_that_exist():
-    """Each ``module.name`` in the second column of docs/equations.md is there."""
-    lines = (CHECKOUT / "docs/equations.md").read_text().splitlines()
-    rows = [re.split(r"(?<!\\)\|", line) for line in lines if line.startswith("| ")]  # a bar in an equation is escaped
-    names = {name for row in rows for name in re.findall(r"`(vssm_gym\.[\w.]+)`", row[2])}
-    assert len(names) > 20
-    missing = sorted(name for name in names if not defined(name))
-    assert missing == []
-
-
-def defined(name: str) -> bool:
-    """Whether a dotted name leads to a module, or to a class, function, method or constant that a module defines."""
-    parts = name.split(".")
-    for length in range(len(parts), 0, -1):
-        folder = CHECKOUT.joinpath(*parts[:length])
-        path = folder.with_suffix(".py") if folder.with_suffix(".py").is_file() else folder / "__init__.py"
-        if path.is_file():
-            body: list[ast.stmt] = ast.parse(path.read_text()).body
-            for part in parts[length:]:
-                found = [node for node in body if part in names_of(node)]
-                if not found:
-                    return False
-                body = getattr(found[0], "body", [])
-            return True
-    return False
-
-
-def names_of(node: ast.stmt) -> set[str]:
-    if isinstance(node, ast.ClassDef | ast.FunctionDef):
-        return {node.name}
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-    return {target.id for target in targets if isinstance(target, ast.Name)}
