@@ -1,1 +1,1 @@
-"""Inference: beliefs over pose and map from RGB-D images and controls."""
+"""Infer beliefs over pose and map from RGB-D images and controls."""

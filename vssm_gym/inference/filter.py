@@ -1,4 +1,4 @@
-"""The contract of a filter: ``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``, one image after the other."""
+"""Define the interface of a filter: ``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``, image by image."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -15,16 +15,16 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
-Clock = Callable[[str, Any], Any]  # given the name and the outcome of each stage, returns the outcome; for timing
+Clock = Callable[[str, Any], Any]  # called with name and outcome of each stage, returns the outcome; for timing
 
 
 def untimed(stage: str, outcome: Any) -> Any:
-    """Return the outcome of a stage: the clock of those who do not ask."""
+    """Return the outcome of a stage: the default clock, which measures nothing."""
     return outcome
 
 
 class Rig(eqx.Module):
-    """A camera and its place on the body that the transition moves."""
+    """Hold a camera and its pose on the body that the transition moves."""
 
     camera: Camera
     T_body_cam: Float[Array, "4 4"]
@@ -37,40 +37,40 @@ class Rig(eqx.Module):
 
 
 class FilterInfo(NamedTuple):
-    """How a step went."""
+    """Report the outcome of a step."""
 
     status: Status
-    belief: GaussianBelief  # in the world; where the image does not fit, what is believed without it
-    agreement: AlignInfo | None = None  # how well the image fits what it was aligned to; None: nothing was aligned
+    belief: GaussianBelief  # in the world; the prediction where the image was not accepted
+    agreement: AlignInfo | None = None  # fit quality of the alignment; None: nothing was aligned
     left_window: int = 0  # observed blocks that the map forgot, because the camera left its window
 
 
 @runtime_checkable
 class Filter(Protocol):
-    """``init``, then ``step`` once an image; static options and the transition are inside.
+    """Define ``init``, called once, and ``step``, called once an image; static options and the transition are fields.
 
     The state holds only what the next step needs; a step consumes it. Controls are those of the transition.
     """
 
     @property
     def transition(self) -> Transition:
-        """What moves the body between images."""
+        """Return the transition that moves the body between images."""
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> Any:
         """Return the state after the first image, taken where the prior's belief has the body; consumes its map.
 
         Raises:
-            InputError: an image or a prior that nothing can be started with.
+            InputError: an unusable image or prior.
         """
 
     def step(
         self, state: Any, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[Any, FilterInfo]:
-        """Return the state after one more image, ``dt`` seconds later, and how the step went.
+        """Return the state after one more image, ``dt`` seconds later, and a report of the step.
 
         Raises:
             InputError: ``dt`` is not above 0.
         """
 
     def posterior(self, state: Any) -> Posterior:
-        """Return ``q(z_t) q(M)``, the state against the map; it shares the state's arrays."""
+        """Return ``q(z_t) q(M)``, the state in the map's frame; it shares the state's arrays."""

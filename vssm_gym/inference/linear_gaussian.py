@@ -1,8 +1,8 @@
-"""Linear-Gaussian systems: ``p(z) = N(mu, Sigma)``, ``p(x | z) = N(A z + a, S)`` and what follows (thesis C.1).
+"""Combine linear-Gaussian factors ``p(z) = N(mu, Sigma)``, ``p(x | z) = N(A z + a, S)`` (thesis, appendix C.1).
 
 Given both factors, :func:`joint` is ``p(z, x)``, :func:`marginal` is ``p(x)`` and :func:`invert` is ``p(z | x)``.
-Given a joint Gaussian, :func:`split` is the factorisation ``p(first) p(rest | first)``; :func:`joint` puts it together
-again. PRISM's step is ``split`` of the predicted (pose, velocity), a new Gaussian for the pose, and ``joint`` (SPEC 3).
+Given a joint Gaussian, :func:`split` is the factorisation ``p(first) p(rest | first)``; :func:`joint` inverts it.
+PRISM's step is ``split`` of the predicted (pose, velocity), a new Gaussian for the pose, and ``joint``.
 """
 
 import equinox as eqx
@@ -72,11 +72,11 @@ def split(p: Gaussian, n: int) -> tuple[Gaussian, LinearGaussian]:
     """
     first = Gaussian(p.mean[:n], p.covariance[:n, :n])
     D = cho_solve((jnp.linalg.cholesky(first.covariance), True), p.covariance[:n, n:]).T
-    # [-D 1] P [-D 1]^T is the Schur complement P22 - D P12, and hurt less by rounding than that difference
+    # [-D 1] P [-D 1]^T is the Schur complement P22 - D P12, with smaller rounding errors than that difference
     B = jnp.concatenate([-D, jnp.eye(D.shape[0], dtype=D.dtype)], axis=1)
     return first, LinearGaussian(D, p.mean[n:] - D @ first.mean, _symmetric(B @ p.covariance @ B.T))
 
 
 def _symmetric(covariance: Array) -> Array:
-    """Rounding leaves the two halves apart by a bit, which repeated steps would amplify."""
+    """Average a matrix with its transpose: rounding differences between the halves would grow over repeated steps."""
     return 0.5 * (covariance + covariance.T)

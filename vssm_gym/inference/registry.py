@@ -1,4 +1,4 @@
-"""Every filter by name, and which transitions it takes; the command line and the tests read this table."""
+"""List every filter by name with the transitions that it takes; the command line and the tests read this table."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,13 +16,13 @@ from vssm_gym.model.transition.base import Transition
 
 
 class FilterEntry(NamedTuple):
-    """A row: how the filter is made for a transition, what it needs, and what it takes."""
+    """Describe a filter: how it is made for a transition, its requirements and its abilities."""
 
     make: Callable[[Rig, Transition], Filter]
     needs_map: bool  # whether the prior must hold a learned map
     maps: bool  # whether the posterior holds a map that it learned
     any_state: bool  # whether a state may hold more than a pose
-    blind: bool = False  # whether it looks at no image
+    blind: bool = False  # whether it uses no image
 
 
 def _prism(rig: Rig, transition: Transition) -> Filter:
@@ -36,7 +36,7 @@ def _tracker(rig: Rig, transition: Transition) -> Filter:
 
 
 def _adam(rig: Rig, transition: Transition) -> Filter:
-    """The tracker with the published solver."""
+    """Make the tracker with the published solver."""
     config = ROBOT if transition.commanded else TrackingConfig()
     return MapTracker(rig, transition, replace(config, solver="adam", adam=TRACKER_ADAM))
 

@@ -1,10 +1,10 @@
-"""The status of a filter's step, the same from inference to agents and reports."""
+"""Define the status of a filter's step, from inference to agents and reports."""
 
 from enum import IntEnum
 
 
 class Status(IntEnum):
-    """How an image was taken; :attr:`message` is the sentence that reports print."""
+    """Enumerate the outcomes of a step; reports print :attr:`message`."""
 
     OK = 0
     RECOVERED = 1
@@ -13,12 +13,12 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """Return the sentence that a person reads."""
+        """Return the sentence for reports."""
         return _MESSAGES[self]
 
     @property
     def fits(self) -> bool:
-        """Return whether the image was explained, so that the belief holds what it said."""
+        """Return whether the image was accepted, so that the belief includes it."""
         return self in (Status.OK, Status.RECOVERED)
 
     def __str__(self) -> str:

@@ -1,14 +1,14 @@
-"""Pose by MAP as published: ``argmin_T L_geo + L_rgb - log q(T)``, Adam on few random pixels (SPEC 3, step 2; PRISM).
+"""Estimate the pose by MAP as published: ``argmin_T L_geo + L_rgb - log q(T)`` by Adam on few random pixels (PRISM).
 
-With ``T = T_prior exp(B xi)`` and projective association, the loss of a step is over 200 pixels drawn anew,
+With ``T = T_prior exp(B xi)`` and projective association, the loss of a step is over 200 newly drawn pixels,
 
     L(xi) = sum_k |<p^_k - T p_k, n^_k>| / s_geo + |x^[pi(T p_k)] - x[pi(p_k)]|_1 / s_rgb + 1/2 xi^T P xi
 
 and Adam without momentum divides its gradient by the root of the gradient's running mean square. The sum over the drawn
-pixels is not scaled up to the whole image: neighbouring pixels err together, and some 200 of them are independent.
+pixels is not scaled up to the whole image: errors of neighbouring pixels are correlated, and about 200 pixels of an
+image are independent.
 
-:mod:`vssm_gym.inference.alignment.gauss_newton` solves the same problem faster; this is the published way, for
-comparison.
+:mod:`vssm_gym.inference.alignment.gauss_newton` solves the same problem faster; this solver is for comparison.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ EPSILON = 1e-8  # Adam's
 
 @dataclass(frozen=True)
 class AdamConfig:
-    """The published scales, gates and effort."""
+    """Configure the solver with the published scales, gates and effort."""
 
     geo_scale: float = 0.02  # s_geo, m
     rgb_scale: float = 0.1  # s_rgb, of one colour channel in [0, 1]
@@ -48,11 +48,11 @@ class AdamConfig:
     translation_step: float = 0.001  # m
     rotation_step: float = 0.00036  # rad
     decay: float = 0.999  # beta2, of the gradient's mean square; beta1 is 0
-    averaged: float = 0.25  # share of the last iterates whose mean is the result; ours, see minimise
+    averaged: float = 0.25  # share of the iterations, the last ones, whose mean is the result; ours, see minimise
 
 
 def _rows(ref: Reference, obs: Observed) -> tuple[Array, Array, Array, Array]:
-    """Reference and observation with a pixel's numbers side by side, so that a pixel is one gather, not eight.
+    """Stack the values of each pixel of reference and observation, so that one gather reads them all.
 
     Returns:
         ``(pixels, 9)`` reference rows (plane, image, textured, spread), ``(pixels, 4)`` observed rows (point,
@@ -73,7 +73,7 @@ def data_loss(
 
     Rows are those of :func:`_rows`.
 
-    The image is luminance, because that is what the solvers share; a channel's residual is taken to be luminance's, so
+    The image is luminance, as in all solvers here. The residual of a channel is approximated by luminance's, so that
     the L1 norm over the three channels is three times it. Association and gates are constants to the gradient.
     """
     p = observed.T
@@ -95,14 +95,17 @@ def data_loss(
 def minimise(
     loss: Callable[[Array, Array], Array], xi: Float[Array, "dof"], basis: Float[Array, "6 dof"], config: AdamConfig
 ) -> Float[Array, "dof"]:
-    """Adam without momentum on ``loss(xi, i)``, i the step's number; the mean of the last iterates.
+    """Minimise ``loss(xi, i)`` by Adam without momentum, i the number of the step.
 
-    The last iterate of a noisy descent jitters by its step; the mean of the last quarter, which is ours, hardly does.
+    Return the mean of the last iterates.
+
+    The last iterate of a stochastic descent fluctuates by its step size; the mean of the last quarter, our addition,
+    hardly does.
 
     Args:
         loss: Noisy loss of a motion ``exp(B xi)``.
         xi: Start.
-        basis: B; a coordinate that turns the camera has the rotation's step, whatever it moves besides.
+        basis: B; a coordinate that turns the camera gets the step size of rotations, even if it also translates.
         config: Steps.
     """
     turns = jnp.sum(basis[3:] ** 2, axis=0) > 1e-6
@@ -145,13 +148,13 @@ def align_adam(
         reference: RGB-D image at the reference pose.
         observed: RGB-D image at the unknown pose.
         camera: Intrinsics of both.
-        config: Which reference depths are edges, and the scales by which agreement is judged at the end.
+        config: Which reference depths are edges, and the scales of the final fit quality.
         key: Of the drawn pixels.
         adam: Scales, gates and effort of the search.
         spread: Std of the reference's depth, m, where it is a belief; it widens s_geo.
 
     Returns:
-        T_ref_cam and how well the images agree there, judged as for every solver.
+        T_ref_cam, and its fit quality, computed as for every solver.
     """
     ref, obs = make_reference(reference, camera, config, spread=spread), make_observed(observed, camera)
     ref_rows, obs_rows, usable, count = _rows(ref, obs)
@@ -165,5 +168,5 @@ def align_adam(
 
     start = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T_start)
     T = T_prior @ se3_exp(basis @ minimise(loss, start, basis, adam))
-    judged = make_observed(observed, camera, every=stride(camera, 1, config))
-    return T, agreement(T, basis, ref, judged, camera, config, adam.steps)
+    sampled = make_observed(observed, camera, every=stride(camera, 1, config))
+    return T, agreement(T, basis, ref, sampled, camera, config, adam.steps)

@@ -1,8 +1,8 @@
-"""Exposure: ``x_map = g x``, the gain by which an image is as bright as the map (ours, beyond PRISM).
+"""Estimate exposure: ``x_map = g x``, the gain from an image's brightness to the map's (ours, beyond PRISM).
 
-A camera exposes for what it sees and changes its gain when it turns to a window. The gain is the ratio of the mean
-luminances over the pixels that map and image both show: means do not care that rendered images are blurred, nor much
-about a pose that is still a little off. With it images are compared and enter the map, which so keeps one exposure.
+A camera adapts its gain, for example when it turns to a window. The gain is estimated as the ratio of mean luminances
+over the pixels that map and image both show: means tolerate the blur of rendered images and small errors of the pose.
+Images are compared with the map, and enter it, after multiplication by the gain, so that the map keeps one exposure.
 """
 
 import equinox as eqx
@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float
 
 from vssm_gym.model.emission import RGBD
 
-LIMIT = 4.0  # gains lie within [1 / LIMIT, LIMIT]: what is darker or brighter has lost its detail
-DARK = 0.01  # luminance added to both means, so that a black image has a gain too
+LIMIT = 4.0  # gains lie within [1 / LIMIT, LIMIT]: images darker or brighter than that have lost their detail
+DARK = 0.01  # luminance added to both means, so that the gain of a black image is finite
 
 
 def gain(
@@ -25,5 +25,5 @@ def gain(
 
 
 def expose(image: RGBD, g: Float[Array, ""]) -> RGBD:
-    """The image at another exposure; what is brighter than white stays white."""
+    """Return the image at another exposure, saturated at white."""
     return eqx.tree_at(lambda i: i.rgb, image, jnp.clip(g * image.rgb, 0.0, 1.0))

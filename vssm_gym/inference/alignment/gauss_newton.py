@@ -1,4 +1,4 @@
-"""Pose by MAP with robust Gauss-Newton: ``argmin_T L_geo + L_rgb - log q(T)`` (SPEC 3, step 2; PRISM).
+"""Estimate the pose by MAP with robust Gauss-Newton: ``argmin_T L_geo + L_rgb - log q(T)`` (PRISM, step 2).
 
 Huber's function is the published L1 norm beyond its elbow and quadratic below it, where Gauss-Newton needs a
 curvature; coarse to fine over image levels.
@@ -46,11 +46,11 @@ def align(
         observed: RGB-D image at the unknown pose.
         camera: Intrinsics of both.
         config: Scales, gates, effort.
-        seen: Luminance of the camera image taken at the reference pose, where there is one.
+        seen: Luminance of the camera image taken at the reference pose, if any.
         spread: Std of the reference's depth, m, where it is a belief.
 
     Returns:
-        T_ref_cam at the optimum and how well the images agree there.
+        T_ref_cam at the optimum, and its fit quality.
     """
     coordinates = jnp.linalg.pinv(basis)
     T_inverse_prior = inverse(T_prior)
@@ -66,7 +66,7 @@ def align(
             twists = se3_adjoint(T) @ basis  # T exp(B xi) = exp(Ad_T B xi) T
             H = twists.T @ H @ twists + prior_precision
             gradient = twists.T @ gradient + prior_precision @ xi
-            # A little damping keeps an unobserved direction (zero rows) finite; it is far below any real information.
+            # Weak damping, far below any real information, keeps unobserved directions (zero rows) finite.
             delta = -jnp.linalg.solve(H + 1e-6 * jnp.eye(H.shape[0]) * (1.0 + jnp.trace(H)), gradient)
             return T @ se3_exp(basis @ delta), jnp.max(jnp.abs(delta)), count + 1
 

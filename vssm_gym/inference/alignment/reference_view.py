@@ -1,8 +1,8 @@
-"""The anchor: the one image that poses are aligned to, rendered from the map where a camera image was taken (PRISM).
+"""Make the reference view: the RGB-D image that poses are aligned to, rendered from the map (PRISM).
 
-Geometry comes from the map alone. For colour there are two witnesses: the rendered image, which does not drift but is
-as coarse as the cells, and the camera image taken at the same pose, which is sharp. Where the map knows nothing yet the
-camera image stands in for both.
+Geometry comes from the map alone. Colour has two sources: the rendered image, which does not drift but is as coarse as
+the cells, and the camera image taken at the same pose, which is sharp. Where the map is unobserved, the camera image
+replaces the rendered one.
 """
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from vssm_gym.model.emission import RGBD
 
 
 class Anchor(eqx.Module):
-    """What the next images are aligned to."""
+    """Hold the view that the next images are aligned to."""
 
     T_world_cam: Float[Array, "4 4"]
     image: RGBD  # rendered from the map mean, unknown pixels from the camera image
@@ -45,7 +45,7 @@ _depth_std = jax.jit(lambda m, T, camera, image: emission_uncertainty.image_std(
 def take(
     m: VoxelMap, T_world_cam: Float[Array, "4 4"], taken: RGBD, camera: Camera, max_depth: float, expected: bool
 ) -> Anchor:
-    """The anchor at a pose whose image has just entered the map.
+    """Make the reference view at a pose whose image has just entered the map.
 
     Args:
         m: The map.
@@ -53,8 +53,8 @@ def take(
         taken: The camera image taken there.
         camera: Its intrinsics.
         max_depth: Of the rendering, m.
-        expected: Whether the map's uncertainty widens the residuals (an expectation over ``q(M)``, to first order)
-            or its mean is taken for the truth.
+        expected: True: the map's uncertainty widens the residuals (an expectation over ``q(M)``, to first order);
+            False: the map's mean is used as if it were certain.
     """
     rendered = emission.render(m, T_world_cam, camera, max_depth)
     image, seen = _combine(rendered, taken)
@@ -66,7 +66,7 @@ def take(
 
 
 def rendered(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float) -> Anchor:
-    """Return the anchor at a pose where no camera image was taken: what the map says alone."""
+    """Render the reference view at a pose without a camera image, from the map alone."""
     return Anchor(T_world_cam, emission.render(m, T_world_cam, camera, max_depth), None, None)
 
 
@@ -74,6 +74,6 @@ def rendered(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_
 def left(
     anchor: Anchor, T_world_cam: Float[Array, "4 4"], distance: float | Array, angle: float | Array
 ) -> Bool[Array, ""]:
-    """Whether a camera is farther from its anchor than ``distance`` (m) or turned by more than ``angle`` (rad)."""
+    """Return whether a camera is at least ``distance`` (m) or ``angle`` (rad) away from its reference view."""
     xi = se3_log(inverse(anchor.T_world_cam) @ T_world_cam)
     return (jnp.linalg.norm(xi[:3]) >= distance) | (jnp.linalg.norm(xi[3:]) >= angle)

@@ -1,4 +1,4 @@
-"""Residuals of the pose: ``r_geo = <p^ - T p, n^>`` and ``r_rgb = I^[pi(T p)] - I[pi(p)]`` (SPEC 3, step 2; PRISM).
+"""``r_geo = <p^ - T p, n^>``, ``r_rgb = I^[pi(T p)] - I[pi(p)]``: residuals of the pose (PRISM, step 2).
 
 An observed RGB-D image is aligned to a reference image, rendered from the map or taken earlier, by ``T = T_ref_cam``
 and projective association; the image residual is on luminance. The solvers (:mod:`gauss_newton`, :mod:`adam`) minimise
@@ -20,7 +20,7 @@ from vssm_gym.model.emission import RGBD
 
 @dataclass(frozen=True)
 class AlignConfig:
-    """Scales, gates and effort of the alignment."""
+    """Configure scales, gates and effort of the alignment."""
 
     geo_sigma: float = 0.004  # m, of the point-to-plane residual at depth 0
     geo_sigma_quadratic: float = 0.0025  # 1/m: grows with depth squared, as a structured-light or stereo sensor's
@@ -30,8 +30,8 @@ class AlignConfig:
     rgb_gate: float = 0.30  # luminance
     rgb_weight: float = 0.6  # of photometry against geometry
     seen_weight: float = 0.6  # of photometry against the image seen at the reference pose
-    pixels_per_datum: float = 30.0  # neighbouring pixels err together: so many count as one independent residual
-    pixels: int = 5000  # observed pixels used at most, on a regular grid: more say the same again
+    pixels_per_datum: float = 30.0  # pixels that count as one independent residual: neighbours have correlated errors
+    pixels: int = 5000  # observed pixels used at most, on a regular grid
     levels: tuple[int, ...] = (4, 2, 1)  # image shrink factors, coarse to fine
     iterations: tuple[int, ...] = (6, 5, 5)  # at most, per level
     tolerance: float = 1e-5  # m and rad: a smaller step ends the level
@@ -39,17 +39,17 @@ class AlignConfig:
 
 
 class Reference(eqx.Module):
-    """What is aligned to: per pixel a plane and a linear piece of the image; zeros where there is none."""
+    """Hold a plane and a linear approximation of the image for each reference pixel; zeros where there is none."""
 
     plane: Float[Array, "4 pixels"]  # unit normal and its offset <n, p>, camera frame; all 0 where unknown
     image: Float[Array, "3 pixels"]  # luminance and its two derivatives per pixel
-    textured: Bool[Array, "pixels"]  # where the image means anything
+    textured: Bool[Array, "pixels"]  # where the image is known
     seen: Float[Array, "3 pixels"] | None = None  # as ``image``, of the camera image taken at the reference pose
-    spread: Float[Array, "pixels"] | None = None  # m, std of the planes beyond the sensor's: what the map does not know
+    spread: Float[Array, "pixels"] | None = None  # m, std of the planes under the map belief, without sensor noise
 
 
 class Observed(eqx.Module):
-    """What is aligned: points and luminance of an image."""
+    """Hold points and luminance of the observed image."""
 
     points: Float[Array, "3 pixels"]  # camera frame, m
     luminance: Float[Array, "pixels"]
@@ -57,7 +57,7 @@ class Observed(eqx.Module):
 
 
 class AlignInfo(eqx.Module):
-    """How well the images agree at the solution."""
+    """Measure the fit quality of an alignment at its solution."""
 
     inlier_share: Float[Array, ""]  # of the projected pixels with a plane: |r_geo| < 2.5 sigma
     coverage: Float[Array, ""]  # share of observed pixels that fall on a reference plane
@@ -67,17 +67,24 @@ class AlignInfo(eqx.Module):
 
 
 def score(info: AlignInfo) -> Float[Array, ""]:
-    """Inlier share times ``min(1, coverage / 0.4)``: near 1 where an image fits its reference (MEASURED)."""
+    """``inlier_share min(1, coverage / 0.4)``: near 1 where an image fits its reference.
+
+    Chosen on hand-held recordings.
+
+    0.4 is the coverage that images of one place still reach when the camera has left the reference view by the most
+    that
+    the filter allows; below it, few pixels could reach a high inlier share by chance.
+    """
     return info.inlier_share * jnp.minimum(1.0, info.coverage / 0.4)
 
 
 def luminance(rgb: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
-    """Mean of the channels, [0, 1]."""
+    """Return the mean of the colour channels, [0, 1]."""
     return jnp.mean(rgb, axis=-1)
 
 
 def shrink_depth(depth: Array, factor: int) -> Array:
-    """Every ``factor``-th pixel block's reading nearest to the camera's axis of the block (its upper-left centre)."""
+    """Keep one depth reading of each ``factor x factor`` block: the pixel at its centre (rounded down-right)."""
     if factor == 1:
         return depth
     h, w = depth.shape[0] // factor, depth.shape[1] // factor
@@ -86,7 +93,7 @@ def shrink_depth(depth: Array, factor: int) -> Array:
 
 
 def shrink_image(image: Array, factor: int) -> Array:
-    """Mean over ``factor x factor`` pixels."""
+    """Average over ``factor x factor`` pixels."""
     if factor == 1:
         return image
     h, w = image.shape[0] // factor, image.shape[1] // factor
@@ -94,7 +101,7 @@ def shrink_image(image: Array, factor: int) -> Array:
 
 
 def shrink_rgbd(image: RGBD, factor: int) -> RGBD:
-    """The image at a smaller size, as a camera of that size would have it."""
+    """Return the image at a smaller size, as a camera of that size would have it."""
     if factor == 1:
         return image
     rgb = jnp.stack([shrink_image(image.rgb[..., c], factor) for c in range(3)], axis=-1)
@@ -104,10 +111,10 @@ def shrink_rgbd(image: RGBD, factor: int) -> RGBD:
 
 
 def shrink_camera(camera: Camera, factor: int) -> Camera:
-    """The camera whose pixels are the kept depth readings.
+    """Return the camera whose pixels are the kept depth readings.
 
-    A block's mean luminance belongs to the block's centre, up to a quarter of a shrunk pixel beside its kept reading;
-    but it does so in both images alike, and an image aligned to itself stays where it is.
+    A block's mean luminance belongs to the block's centre, up to a quarter of a shrunk pixel beside its kept reading.
+    The offset is the same in both images, so that it does not bias the alignment.
     """
     if factor == 1:
         return camera
@@ -123,7 +130,7 @@ def shrink_camera(camera: Camera, factor: int) -> Camera:
 
 
 def _linear(grey: Array) -> Array:
-    """Luminance and its central differences, ``(3, pixels)``."""
+    """Return luminance and its central differences, ``(3, pixels)``."""
     du = 0.5 * (jnp.roll(grey, -1, 1) - jnp.roll(grey, 1, 1))
     dv = 0.5 * (jnp.roll(grey, -1, 0) - jnp.roll(grey, 1, 0))
     return jnp.stack([grey, du, dv]).reshape(3, -1)
@@ -137,7 +144,7 @@ def make_reference(
     seen: Array | None = None,
     spread: Array | None = None,
 ) -> Reference:
-    """Planes and image derivatives of an RGB-D image, shrunk by ``factor``.
+    """Compute planes and image derivatives of an RGB-D image, shrunk by ``factor``.
 
     Args:
         image: Rendered from the map, or taken.
@@ -183,13 +190,13 @@ def make_reference(
 
 
 def stride(camera: Camera, factor: int, config: AlignConfig) -> int:
-    """Every how many pixels of the shrunk image are used, so that about ``config.pixels`` remain."""
+    """Return the spacing of used pixels of the shrunk image, so that about ``config.pixels`` remain."""
     pixels = (camera.width // factor) * (camera.height // factor)
     return max(1, round((pixels / config.pixels) ** 0.5))
 
 
 def make_observed(image: RGBD, camera: Camera, factor: int = 1, every: int = 1) -> Observed:
-    """Points and luminance of an observed image, shrunk by ``factor``; then of every ``every``-th row and column."""
+    """Compute points and luminance of an image, shrunk by ``factor``, at every ``every``-th row and column."""
     depth = shrink_depth(jnp.where(image.hit, image.depth, 0.0), factor)
     p = jnp.moveaxis(shrink_camera(camera, factor).backproject(depth), -1, 0)
     grey = shrink_image(luminance(image.rgb), factor)
@@ -198,7 +205,7 @@ def make_observed(image: RGBD, camera: Camera, factor: int = 1, every: int = 1) 
 
 
 class Term(NamedTuple):
-    """One kind of residual at a pose, in standard deviations."""
+    """Hold one kind of residual at a pose, in standard deviations."""
 
     residual: Float[Array, "pixels"]
     weight: Float[Array, "pixels"]  # Huber's, times the share of an independent datum; 0 where not used
@@ -209,7 +216,7 @@ class Term(NamedTuple):
 def linearise(
     T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
 ) -> tuple[Term, ...]:
-    """Geometry, photometry and, where the reference has it, photometry against the image seen there.
+    """Linearise geometry, photometry and, where the reference has it, photometry against the camera image seen there.
 
     Args:
         T: T_ref_cam.
@@ -245,7 +252,7 @@ def linearise(
     share = (factor * stride(camera, factor, config)) ** 2 / config.pixels_per_datum
 
     def term(residual, use, scale, share, x, y, z, usable):
-        """``x, y, z``: gradient of the residual by the point q; exp(d) moves it by d_t + d_r x q."""
+        """Scale a residual with gradient ``x, y, z`` by the point q, which exp(d) moves by d_t + d_r x q."""
         s = residual * scale
         weight = share * use * jnp.minimum(1.0, config.huber / jnp.maximum(jnp.abs(s), 1e-9))
         x, y, z = x * scale, y * scale, z * scale
@@ -268,9 +275,10 @@ def linearise(
 def disagreement(
     T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
 ) -> Float[Array, ""]:
-    """Mean of ``min(|r|, 3)`` in standard deviations over all observed pixels: what tells a good start from a bad one.
+    """Return the alignment cost: the mean of ``min(|r|, 3)`` in standard deviations over all observed pixels.
 
-    A pixel that falls on nothing known counts as 3, so that looking away from the reference is no way to agree with it.
+    It ranks start poses. A pixel that falls on nothing known costs 3, so that looking away from the reference has no
+    advantage.
     """
     geo, rgb, *_ = linearise(T, ref, obs, camera, factor, config)
     far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), 3.0), 3.0)
@@ -279,7 +287,7 @@ def disagreement(
 
 
 def normal_equations(*terms: Term) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
-    """``sum w J J^T`` and ``sum w J r`` by twists in the reference's frame."""
+    """Return ``sum w J J^T`` and ``sum w J r`` by twists in the reference's frame."""
     total = jnp.zeros((7, 7))
     for term in terms:
         rows = jnp.concatenate([term.jacobian, term.residual[None]])
@@ -296,7 +304,7 @@ def agreement(
     config: AlignConfig,
     iterations: Array | int,
 ) -> AlignInfo:
-    """How well an image agrees with its reference at ``T`` = T_ref_cam, both at full size."""
+    """Return the fit quality of an image and its reference at ``T`` = T_ref_cam, both at full size."""
     geo, rgb, *seen = linearise(T, ref, obs, camera, 1, config)
     share = stride(camera, 1, config) ** 2 / config.pixels_per_datum
     close_geo = geo.usable & (jnp.abs(geo.residual) < 2.5)

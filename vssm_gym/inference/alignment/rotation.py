@@ -1,7 +1,7 @@
-"""Rotation between two images: ``argmin_R sum rho(I_last[pi(R p)] - I[pi(p)])``, p on the plane at depth 1 (SPEC 3).
+"""``argmin_R sum rho(I_last[pi(R p)] - I[pi(p)])``: the rotation between two images, p on the plane at depth 1.
 
-A rotation moves pixels by a homography, whatever their depth. Found on small images, coarse to fine, it is where the
-alignment of hand-held images starts: a hand turns a camera faster than a constant velocity foresees.
+A rotation moves pixels by a homography, whatever their depth. Estimated on small images, coarse to fine, it initialises
+the alignment of hand-held images: a hand turns a camera faster than a constant-velocity model predicts.
 """
 
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from vssm_gym.inference.alignment.residuals import shrink_camera, shrink_image
 
 @dataclass(frozen=True)
 class RotationConfig:
-    """Sizes, gates and effort."""
+    """Configure image sizes, gates and effort."""
 
     widths: tuple[int, ...] = (20, 40, 80)  # of the images, coarse to fine; the coarsest has the widest basin
     iterations: int = 8  # at most, per width
     tolerance: float = 2e-4  # rad: a smaller step ends the width; a twentieth of a pixel of the finest image
     sigma: float = 0.04  # luminance
     huber: float = 1.345
-    gate: float = 0.30  # luminance; pairs that differ more show different things
+    gate: float = 0.30  # luminance; pairs that differ more show different surfaces
 
 
 def _derivatives(grey: Array) -> tuple[Array, Array, Array]:
-    """Horizontal and vertical central differences, and where both exist."""
+    """Return horizontal and vertical central differences, and where both exist."""
     du = 0.5 * (jnp.roll(grey, -1, 1) - jnp.roll(grey, 1, 1))
     dv = 0.5 * (jnp.roll(grey, -1, 0) - jnp.roll(grey, 1, 0))
     inner = jnp.zeros(grey.shape, bool).at[1:-1, 1:-1].set(True)
@@ -36,7 +36,7 @@ def _derivatives(grey: Array) -> tuple[Array, Array, Array]:
 
 
 def _turn(R: Array, last: Array, grey: Array, view: Camera, config: RotationConfig) -> Array:
-    """Gauss-Newton on one image size, from ``R`` = R_last_cam."""
+    """Estimate the rotation by Gauss-Newton on one image size, from ``R`` = R_last_cam."""
     du, dv, inner = _derivatives(last)
     reference = jnp.stack([last, du, dv, inner.astype(last.dtype)]).reshape(4, -1)
     rays = jnp.moveaxis(view.rays(), -1, 0).reshape(3, -1)
@@ -62,7 +62,7 @@ def _turn(R: Array, last: Array, grey: Array, view: Camera, config: RotationConf
         wJ = J * weight
         H = wJ @ J.T
         delta = -jnp.linalg.solve(H + (1e-6 + 1e-4 * jnp.trace(H)) * jnp.eye(3), wJ @ r)
-        # A step of more than a quarter of the view is no refinement: the image has too little to go by.
+        # A step of more than a quarter of the view is no refinement: the image has too little texture.
         delta = jnp.clip(delta, -0.15, 0.15)
         return jaxlie.SO3.exp(delta).as_matrix() @ R, jnp.max(jnp.abs(delta)), count + 1
 
@@ -78,7 +78,7 @@ def camera_rotation(
     camera: Camera,
     config: RotationConfig = RotationConfig(),
 ) -> Float[Array, "3 3"]:
-    """R_last_cam of a pure rotation.
+    """Estimate R_last_cam of a pure rotation.
 
     Args:
         grey: Luminance of the image, [0, 1].

@@ -1,19 +1,21 @@
-"""Map learning through the renderer: ``min_M E[-log p(x | z, M)]`` over random images and pixels (SPEC 4; TNP-SM).
+"""``min_M E[-log p(x | z, M)]``: learn the map through the renderer from random images and pixels (TNP-SM).
 
-The closed-form map is the start: an empty one renders nothing. Where a ray hits, ``-log p`` is the Laplace emission's,
+Learning starts from the closed-form map: an empty one renders nothing and has no gradient. Where a ray hits, ``-log p``
+is the Laplace emission's,
 
     |d - d*(M)| / s_d + sum_c |x_c - f_c(p(d*))| / s_c,
 
 with its gradient in the cells around the two samples of the crossing and in the colours around the surface. Colour does
-not move the surface (``p(d*)`` is a constant to it): with it cells slide along the ray to where the colour happens to
-fit, and depth, held out, got worse. A ray that finds no surface, or one far behind the observed, has no useful
-gradient. Its depth error is taken to first order around the observed depth d, where a projective distance grows by one
-a metre: ``|f(p(d + e)) - e| / s_d`` at four e in the truncation band, and the colour at ``p(d)``.
+not move the surface (``p(d*)`` is a constant to it): otherwise cells slide along the ray to a place of matching colour,
+and held-out depth becomes worse. A ray that finds no surface, or one far behind the observed one, has no useful
+gradient. Its depth error is linearised around the observed depth d, where a projective distance grows by one a metre:
+``|f(p(d + e)) - e| / s_d`` at four e in the truncation band, and the colour error is taken at ``p(d)``.
 
-Plain stochastic gradient descent, preconditioned by the scales: ``M <- M - rate s dL/dM``. Only the cells that the
-drawn rays touch are read and written, so a step costs the same in a map of any size. Nothing regularises: the prior
-p(M) (std 10 m) is far weaker than one ray, and the closed-form posterior was made from the same images, which a penalty
-towards it would count twice. Precisions keep counting observations; the refined means are no longer their average.
+The solver is plain stochastic gradient descent, preconditioned by the scales: ``M <- M - rate s dL/dM``. It reads and
+writes only the cells that the drawn rays use, so that a step costs the same in a map of any size. There is no
+regularisation: the prior p(M) (std 10 m) is far weaker than one ray, and the closed-form posterior was made from the
+same images, so that a penalty towards it would count them twice. Precisions keep counting observations; the refined
+means are no longer averages of observations.
 """
 
 from collections.abc import Callable
@@ -36,11 +38,11 @@ BAND = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray w
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Batch, rates and effort."""
+    """Configure batch, rates and effort."""
 
     images: int = 2  # drawn a step
     pixels: int = 512  # drawn of each
-    occupancy_rate: float = 0.001  # m: what a ray that is off moves a cell that alone decides its depth
+    occupancy_rate: float = 0.001  # m: change of a cell by one wrong ray whose depth depends on that cell alone
     colour_rate: float = 0.005  # likewise of a colour channel
     scale_rate: float = 0.01  # share of the way to a batch's own scales
     steps: int = 4000  # of refine; rates fall linearly to zero over them
@@ -50,14 +52,14 @@ class RefineConfig:
 
 
 class RefineState(eqx.Module):
-    """What the next step needs. The map's empty-space index follows only at :func:`refresh`."""
+    """Hold map and scales between steps. The map's empty-space index follows only at :func:`refresh`."""
 
     map: VoxelMap
     log_scales: Float[Array, "2"]  # of depth (m) and colour
 
 
 class RefineInfo(eqx.Module):
-    """Means over the drawn pixels with a reading."""
+    """Report means over the drawn pixels with a reading."""
 
     loss: Float[Array, ""]  # -log p a pixel, of those with a surface
     depth_l1: Float[Array, ""]  # m, of those with a surface
@@ -66,7 +68,7 @@ class RefineInfo(eqx.Module):
 
 
 class _Rays(NamedTuple):
-    """Drawn rays ``(rays,)`` and what was seen along them."""
+    """Hold drawn rays ``(rays,)`` and their observations."""
 
     centre: Array  # (rays, 3) world, m
     direction: Array  # (rays, 3) per metre of z-depth
@@ -77,12 +79,12 @@ class _Rays(NamedTuple):
     read: Array  # (rays,) the pixel has a reading
 
     def at(self, depth: Array) -> Array:
-        """World points (rays, 3)."""
+        """Return world points (rays, 3)."""
         return self.centre + self.direction * depth[:, None]
 
 
 class _Cells(NamedTuple):
-    """Points in the map: the storage positions of the eight cells around each, and its place between them."""
+    """Hold, for points in the map, the storage positions of the eight cells around and the fractions between them."""
 
     offsets: Array  # (8, points)
     shared: Array  # (8, points) cells of blocks without storage, which hold the prior of them all: never written
@@ -103,12 +105,12 @@ class _Cells(NamedTuple):
         return flat.at[jnp.where(self.shared, flat.size, self.offsets)].add(change, mode="drop")
 
     def mix(self, values: Array) -> Array:
-        """The field at the points, from what the cells hold."""
+        """Interpolate the field at the points from values of their cells."""
         return trilinear(list(values), *self.fraction)
 
 
 class _Values(NamedTuple):
-    """What the cells hold; the loss is differentiated by these, never by the whole map."""
+    """Hold the values of the used cells; the loss is differentiated by these, never by the whole map."""
 
     crossing: Array  # (8, 2 rays)
     band: Array  # (8, BAND rays)
@@ -116,19 +118,19 @@ class _Values(NamedTuple):
 
 
 def init(m: VoxelMap, scales: EmissionScales) -> RefineState:
-    """Refinement of ``m`` (not consumed) from given emission scales, such as :func:`views.fit_scales`'."""
+    """Start the refinement of ``m`` (not consumed) from emission scales such as those of :func:`views.fit_scales`."""
     start = jnp.log(jnp.asarray([scales.depth, scales.rgb], jnp.float32))
     return RefineState(jax.tree.map(jnp.copy, m), start)
 
 
 def scales(state: RefineState) -> EmissionScales:
-    """The emission scales as learned so far."""
+    """Return the emission scales learned so far."""
     depth, rgb = jnp.exp(state.log_scales)
     return EmissionScales(depth, rgb)
 
 
 def _draw(m: VoxelMap, views: Views, config: RefineConfig, key: PRNGKeyArray) -> _Rays:
-    """Random pixels of random images, and the surface that the map has along their rays."""
+    """Draw random pixels of random images, and search the map's surface along their rays."""
     of_image, of_pixel = jax.random.split(key)
     n, height, width = views.depth.shape
     image = jax.random.randint(of_image, (config.images,), 0, n)
@@ -151,7 +153,7 @@ def _draw(m: VoxelMap, views: Views, config: RefineConfig, key: PRNGKeyArray) ->
 
 
 def _crossing(m: VoxelMap, rays: _Rays, occupancy: Array) -> Array:
-    """``d*`` from the occupancies (2 rays,) of the samples before and behind it, as :func:`emission.intersect`."""
+    """Return ``d*`` from the occupancies (2 rays,) before and behind the crossing, as :func:`emission.intersect`."""
     before, behind = jnp.split(occupancy, 2)
     e = STEP * m.voxel_size
     d = rays.k.astype(jnp.float32) * e
@@ -180,7 +182,7 @@ def _step(
     s_depth, s_rgb = jnp.exp(state.log_scales)
 
     def loss(values: _Values) -> tuple[Array, tuple[Array, Array]]:
-        """``-log p`` times the scales, whose factors the preconditioner takes away again, and the residuals."""
+        """Return ``-log p`` times the scales, which the preconditioner would cancel, and the residuals."""
         off = jnp.abs(_crossing(m, rays, crossing.mix(values.crossing)) - rays.depth)
         off_band = jnp.abs(band.mix(values.band) - jnp.repeat(jnp.stack(shifts), rays.depth.size)) * band.inside
         off_band = off_band.reshape(len(BAND), -1).sum(0)
@@ -199,10 +201,10 @@ def _step(
     m = eqx.tree_at(lambda m: (m.occupancy, m.colour), m, means)
     hits = jnp.maximum(jnp.sum(rays.near), 1)
     depth_l1, colour_l1 = jnp.sum(off * rays.near) / hits, jnp.sum(off_colour * rays.near) / (3.0 * hits)
-    # Pixels without a surface say nothing about the scales.
+    # Pixels without a surface carry no information about the scales.
     ratio = jnp.where(jnp.any(rays.near), jnp.stack([depth_l1 / s_depth, colour_l1 / s_rgb]), 1.0)
     nats = ratio[0] + 3.0 * ratio[1] + jnp.log(2.0 * s_depth) + 3.0 * jnp.log(2.0 * s_rgb)
-    # s <- s + rate (mean |r| - s), the likeliest scale's running mean: a bounded step of log s, whatever the start.
+    # s <- s + rate (mean |r| - s): the running mean of the maximum-likelihood scale; a bounded step of log s.
     log_scales = state.log_scales + jnp.log1p(rate * config.scale_rate * (ratio - 1.0))
     info = RefineInfo(nats, depth_l1, colour_l1, jnp.sum(rays.near) / jnp.maximum(jnp.sum(rays.read), 1))
     return RefineState(m, log_scales), info
@@ -212,11 +214,11 @@ def _step(
 def step(
     state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, rate: float | Array = 1.0
 ) -> tuple[RefineState, RefineInfo]:
-    """One step of gradient descent on ``-log p(x | z, M)`` of drawn pixels. The state passed in is consumed.
+    """Make one step of gradient descent on ``-log p(x | z, M)`` of drawn pixels. The state passed in is consumed.
 
     Args:
         state: Map and scales so far.
-        views: What is drawn from.
+        views: Images that the batch is drawn from.
         config: Batch and rates.
         key: Of the draw.
         rate: Factor on all rates.
@@ -228,7 +230,7 @@ def step(
 def _steps(
     state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, first: Int[Array, ""], count: int
 ) -> tuple[RefineState, RefineInfo]:
-    """``count`` steps from number ``first`` of ``config.steps`` on; info of the last."""
+    """Make ``count`` steps from number ``first`` of ``config.steps`` on; return the info of the last."""
 
     def body(i, carry):
         state, _ = carry
@@ -240,7 +242,7 @@ def _steps(
 
 
 def refresh(state: RefineState) -> RefineState:
-    """The same state, its empty-space index up to date: surfaces that grew in boxes that rays skip are now found."""
+    """Rebuild the empty-space index, so that rays find surfaces that grew in boxes marked empty before."""
     return RefineState(state.map.with_occupancy(state.map.occupancy), state.log_scales)
 
 
@@ -252,7 +254,7 @@ def refine(
     start: EmissionScales | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[VoxelMap, EmissionScales]:
-    """``config.steps`` steps from the map ``m`` (not consumed), rates falling linearly to zero.
+    """Refine the map ``m`` (not consumed) by ``config.steps`` steps, with rates falling linearly to zero.
 
     Args:
         m: The closed-form map at the views' poses.
@@ -260,7 +262,7 @@ def refine(
         config: Batch, rates, effort.
         key: Of the draws.
         start: Emission scales at the start; by default those that fit ``m`` best.
-        progress: Told after every refresh.
+        progress: Called after every refresh.
 
     Returns:
         The refined map, its index up to date, and the learned scales.

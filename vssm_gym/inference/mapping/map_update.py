@@ -1,12 +1,11 @@
-"""The closed-form map update: ``q_t(M) ∝ q_t-1(M) q(M | x_t, z_t)`` (SPEC 3, step 5; PRISM, section 3).
+"""``q_t(M) ∝ q_t-1(M) q(M | x_t, z_t)``: the closed-form map update (PRISM, step 5).
 
 A posed depth image is a Gaussian observation of every cell between the camera and a band behind the surface
 (:mod:`vssm_gym.inference.mapping.observation`). Precisions add and the mean is the precision-weighted average: the
-update of Curless and Levoy read as Bayes.
+update of Curless and Levoy (1996) as Bayesian inference.
 
-Cells are updated in whole blocks: those that the image can reach are listed
-(:mod:`vssm_gym.inference.mapping.visible_blocks`) and processed in chunks by a loop with a dynamic trip count, so the
-cost follows what is seen.
+Cells are updated in whole blocks. Blocks in view are listed (:mod:`vssm_gym.inference.mapping.visible_blocks`) and
+processed in chunks by a loop with a dynamic trip count, so that the cost depends on what is in view only.
 """
 
 from functools import partial
@@ -28,14 +27,14 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import TAU
 
 DEFAULT = MapUpdateConfig()
-CHUNK = 64  # blocks a loop turn: wide enough to vectorise, narrow enough to waste little on the last turn
+CHUNK = 64  # blocks a loop iteration: wide enough to vectorise, narrow enough to waste little on the last one
 
 _INNER = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), -1).reshape(-1, 3)  # cells of a block
 _BEFORE = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
 def fuse(mean: Array, precision: Array, observed: Array, weight: Array) -> tuple[Array, Array]:
-    """``N(mean, 1/precision) N(observed, 1/weight)``: the product's mean and precision (weight 0 changes nothing)."""
+    """``N(mean, 1/precision) N(observed, 1/weight)``: mean and precision of the product; weight 0 changes nothing."""
     total = precision + weight
     return mean + weight / total * (observed - mean), total
 
@@ -43,7 +42,7 @@ def fuse(mean: Array, precision: Array, observed: Array, weight: Array) -> tuple
 def _revise(
     m: VoxelMap, depth: Array, rgb: Array, T_world_cam: Array, camera: Camera, config: MapUpdateConfig
 ) -> VoxelMap:
-    """The map after one image whose pose is one of ``(samples, 4, 4)``."""
+    """Return the map after one image, in expectation over the poses ``(samples, 4, 4)``."""
     pixels = Pixels.of(depth, rgb, config.max_depth)
     depth = pixels.depth[:-1].reshape(depth.shape)
     T_cam_world = inverse(T_world_cam)
@@ -57,7 +56,7 @@ def _revise(
         corner = block_coordinates(known, m.blocks)
 
         def observe(T):
-            # p_cam of a cell is its block's first corner plus its place in the block, both rotated once.
+            # p_cam of a cell is its block's first corner plus its offset in the block, each rotated once.
             R, t = T[:3, :3], T[:3, 3]
             first = [c * BLOCK * m.voxel_size + m.origin[a] for a, c in enumerate(corner)]
             p = [
@@ -79,7 +78,7 @@ def _revise(
         else:
             touched = jnp.any(o.weight > 0.0, axis=-1) & (block < blocks)
             table, row, new = table.allocate(block, touched)
-            # The row of a new block says "empty" until the index has seen it; it may stand beside a surface.
+            # The row of a new block is "empty" until the index is refreshed; it may lie beside a surface.
             changed = (changed & (row < slots)) | (new & (m.empty.rings.reshape(-1)[known] == 0))
         belief = (
             occupancy.at[row].set(new_o, mode="drop"),
@@ -100,7 +99,7 @@ def _revise(
 
 
 def _cubes_of(block: Array, blocks: Blocks, changed: Array) -> Array:
-    """Numbers of the blocks with cubes that touch cells of the ``changed`` ones, (n, 8); past the last for the others.
+    """Return numbers (n, 8) of the blocks whose cubes use cells of the ``changed`` ones; past the last for the others.
 
     The cubes of a block read the first layer of the next ones: it is the block itself and those before it.
     """
@@ -112,7 +111,7 @@ def _cubes_of(block: Array, blocks: Blocks, changed: Array) -> Array:
 def refresh_index(
     empty: EmptySpace, occupancy: Array, dirty: Bool[Array, "blocks"], table: BlockTable | None
 ) -> EmptySpace:
-    """The index after cubes of the ``dirty`` blocks may have become occupied or empty."""
+    """Update the index after cubes of the ``dirty`` blocks may have become occupied or empty."""
     blocks, slots, n = empty.rings.shape, occupancy.shape[0], dirty.shape[0]
     ids, count = set_numbers(dirty)
 

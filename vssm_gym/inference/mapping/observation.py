@@ -1,8 +1,8 @@
-"""What a posed depth image says of a cell: ``occupancy ~ N(-sdf, std^2)``, ``colour ~ N(rgb, std^2)`` (SPEC 3, step 5).
+"""``occupancy ~ N(-sdf, std^2)``, ``colour ~ N(rgb, std^2)``: observe cells by a posed image (PRISM, step 5).
 
 ``sdf = clip(d_obs(pi(p)) - z_cam(p), -trunc, trunc)`` for cells between the camera and a truncation band behind the
 surface. Colour is observed only within the band: free space has no colour, and a cell just before the surface must not
-remember the wall behind. Over samples of the pose the observation is taken in expectation.
+get the colour of the wall behind. With samples of the pose the observation is taken in expectation.
 """
 
 from collections.abc import Callable
@@ -20,16 +20,16 @@ from vssm_gym.maps.voxel_map import OBSERVATION_COLOUR_STD, OBSERVATION_STD
 
 @dataclass(frozen=True)
 class MapUpdateConfig:
-    """How an image updates the map."""
+    """Configure the map update."""
 
-    truncation: float = 2.0  # voxels behind the surface; 4 for noisy stereo depth (SPEC 3)
+    truncation: float = 2.0  # voxels behind the surface; 4 for noisy stereo depth (PRISM)
     std: float = 1.0  # of the observation of occupancy (m) and of colour
     min_depth: float = 0.05  # m
     max_depth: float = 8.0  # m; farther readings are left out
 
 
 class Observation(NamedTuple):
-    """A Gaussian observation of cells."""
+    """Hold a Gaussian observation of cells."""
 
     weight: Array  # (blocks, cells) precision of occupancy
     occupancy: Array  # (blocks, cells) m
@@ -38,14 +38,17 @@ class Observation(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """An image as a list with one more pixel at its end, without a reading, for what falls beside the image."""
+    """Hold an image as a list of pixels.
+
+    An additional last pixel without a reading represents points beside the image.
+    """
 
     depth: Float[Array, "pixels"]  # m, 0 = no reading
     rgb: Float[Array, "values"]  # [0, 1], three a pixel
 
     @classmethod
     def of(cls, depth: Float[Array, "height width"], rgb: Float[Array, "height width 3"], max_depth: float) -> "Pixels":
-        """Readings that are none of a surface, or beyond ``max_depth`` (m), become 0."""
+        """Flatten an image; invalid readings and those beyond ``max_depth`` (m) become 0."""
         depth = jnp.where(jnp.isfinite(depth) & (depth <= max_depth), depth, 0.0)
         return cls(jnp.append(depth, 0.0), jnp.append(rgb, jnp.zeros(3)))
 
@@ -53,14 +56,14 @@ class Pixels(NamedTuple):
 def observe_cells(
     p_cam: tuple[Array, Array, Array], voxel_size: Array, pixels: Pixels, camera: Camera, config: MapUpdateConfig
 ) -> Observation:
-    """The Gaussian observation that an image makes of cells at camera-frame ``x, y, z``, each ``(blocks, cells)``."""
+    """Return the Gaussian observation of cells at camera-frame ``x, y, z``, each ``(blocks, cells)``."""
     x, y, z = p_cam
     ahead = z > config.min_depth
     inverse_z = 1.0 / jnp.where(ahead, z, 1.0)
     u = jnp.round(x * inverse_z * camera.fx + camera.cx).astype(jnp.int32)
     v = jnp.round(y * inverse_z * camera.fy + camera.cy).astype(jnp.int32)
     inside = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    # All that follows needs z and this look-up, not the projection, which the compiler would repeat for each of it.
+    # All results below depend on z and this look-up only: otherwise the compiler would repeat the projection for each.
     pixel = jnp.where(inside, v * camera.width + u, camera.height * camera.width)
     d = pixels.depth.at[pixel].get(mode="promise_in_bounds")
     sdf = d - z
@@ -74,10 +77,11 @@ def observe_cells(
 
 
 def expectation(observe: Callable[[Array], Observation], T_cam_world: Float[Array, "samples 4 4"]) -> Observation:
-    """``E_q(z) [o]`` over pose samples, moments matched: what depends on the uncertain pose teaches a cell less.
+    """``E_q(z) [o]`` over pose samples, by moment matching: disagreement between samples lowers the precision.
 
     Mean ``sum_s w_s o_s / sum_s w_s``; precision ``mean_s(w_s) / (1 + Var_s(o_s) / sigma^2)``, where sigma is the std
-    of one real observation (the update's own std only counts observations). One sample is that sample's observation.
+    of one real observation (the update's own std only counts observations). With one sample, its observation is
+    returned.
     """
     samples = T_cam_world.shape[0]
     if samples == 1:

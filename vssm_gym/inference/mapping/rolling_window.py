@@ -1,7 +1,7 @@
-"""Moving the map's window: the camera leaves the grid, the grid follows it by whole blocks.
+"""Move the map's window with the camera by whole blocks: the rolling window.
 
-Block ``b`` of the new window is block ``b + shift`` of the old one. What both cover is kept cell for cell, the rest is
-forgotten: there the belief is the prior again. This is the one place where the map forgets, and it says how much.
+Block ``b`` of the new window is block ``b + shift`` of the old one. Cells in both windows are kept unchanged; new cells
+start at the prior. This is the only place where the map forgets, and the number of forgotten blocks is returned.
 """
 
 from functools import partial
@@ -21,9 +21,9 @@ _PRIOR = (PRIOR_OCCUPANCY_MEAN, PRIOR_OCCUPANCY_STD**-2, 0.0, PRIOR_COLOUR_STD**
 
 
 def shift_to_centre(m: VoxelMap, position: Float[Array, "3"], margin: float | Float[Array, ""]) -> Int[Array, "3"]:
-    """The shift (blocks) that brings a position (m, world) to within half a block of the window's middle.
+    """Return the shift (blocks) that brings a position (m, world) to within half a block of the window's middle.
 
-    0 while no coordinate is farther than ``margin`` metres from the middle, so that the window stays for a while.
+    It is 0 while no coordinate is farther than ``margin`` metres from the middle, so that the window moves rarely.
     """
     middle = m.origin + 0.5 * m.voxel_size * (jnp.asarray(m.shape) - 1.0)
     off = position - middle
@@ -37,7 +37,7 @@ def _rows(m: VoxelMap) -> tuple[Array, ...]:
 
 @partial(jax.jit, donate_argnums=0)
 def recentre(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[Array, ""]]:
-    """The map with its window moved by whole blocks, and how many blocks with an observed cell fell off.
+    """Move the map's window by whole blocks; return the map and the number of dropped blocks with an observed cell.
 
     Args:
         m: Map belief; donated.
@@ -51,7 +51,7 @@ def recentre(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[
     for g, b, count, s in zip(grid, before, m.blocks, shift_blocks, strict=True):
         kept &= (b >= 0) & (b < count)
         leaving |= (g - s < 0) | (g - s >= count)
-        # Cubes of these reach into a next block that left, or came with cells: what came at the prior adds none.
+        # Cubes of these reach into a next block that left or entered; blocks that entered are at the prior.
         edge |= (s != 0) & ((g == count - 1) | (b == -1))
     source = jnp.where(kept, block_number(before, m.blocks), n).reshape(-1)
     rings = m.empty.rings.reshape(-1).at[source].get(mode="fill", fill_value=empty_space.MAX_RINGS).reshape(m.blocks)
@@ -75,7 +75,7 @@ def recentre(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[
 
 
 def _release(m: VoxelMap, table: BlockTable, source: Array, leaving: Array) -> tuple[list[Array], BlockTable, Array]:
-    """Rows stay where they are: the table moves, and the slots of blocks that leave go back to the prior, free."""
+    """Move the table instead of the rows, and reset and free the slots of blocks that leave."""
     slots = table.free.shape[0]
     flat = table.slot.reshape(-1)
     ids, count = set_numbers((leaving.reshape(-1)) & (flat != PRIOR_SLOT))

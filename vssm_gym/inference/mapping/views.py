@@ -1,4 +1,4 @@
-"""Posed images, and how well a map predicts those that it was not made from: ``log p(x | z, M)`` a pixel (SPEC 12)."""
+"""Hold posed images, and measure how well a map predicts held-out ones: ``log p(x | z, M)`` a pixel."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import EmissionScales
 
-SMALLEST_SCALE = 1e-3  # m and colour: a map that predicts some pixels exactly must not claim it of all
+SMALLEST_SCALE = 1e-3  # m and colour: lower bound for maps that predict some pixels exactly
 
 
 class Views(eqx.Module):
-    """Posed RGB-D images of one camera."""
+    """Hold posed RGB-D images of one camera."""
 
     depth: Float[Array, "views height width"]  # z-depth, m; 0 = no reading
     rgb: UInt8[Array, "views height width 3"]
@@ -29,7 +29,7 @@ class Views(eqx.Module):
     def stack(
         cls, images: Sequence[tuple[np.ndarray, np.ndarray]], poses: Float[np.ndarray, "views 4 4"], camera: Camera
     ) -> "Views":
-        """From ``(rgb uint8, depth m)`` pairs as a frame reader gives them; readings that are no numbers are none."""
+        """Stack ``(rgb uint8, depth m)`` pairs of a frame reader; readings that are not finite become 0."""
         depth = np.stack([np.where(np.isfinite(depth), depth, 0.0) for _, depth in images])
         rgb = np.stack([rgb for rgb, _ in images])
         return cls(
@@ -40,12 +40,12 @@ class Views(eqx.Module):
         return self.depth.shape[0]
 
     def __getitem__(self, chosen: np.ndarray | slice) -> "Views":
-        """Some of the views."""
+        """Select views."""
         return Views(self.depth[chosen], self.rgb[chosen], self.T_world_cam[chosen], self.camera)
 
 
 class HeldOut(NamedTuple):
-    """Means over the pixels with a reading at which the map has an observed surface, and their share."""
+    """Hold means over the pixels with a reading at which the map has an observed surface, and their share."""
 
     depth_l1: float  # m
     depth_median: float  # m
@@ -56,14 +56,17 @@ class HeldOut(NamedTuple):
 
 @jax.jit
 def _residuals(image: emission.RGBD, depth: Array, rgb: Array, max_depth: float | Array) -> tuple[Array, Array, Array]:
-    """Depth residual (-1 where there is none), mean colour residual, and which pixels have a reading."""
+    """Return depth residuals (-1 where there is none), mean colour residuals, and which pixels have a reading."""
     read = (depth > 0.0) & (depth <= max_depth)
     both = read & image.known
     return jnp.where(both, jnp.abs(image.depth - depth), -1.0), jnp.abs(image.rgb - rgb / 255.0).mean(-1), read
 
 
 def _all_residuals(m: VoxelMap, views: Views, max_depth: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Absolute depth and mean colour residuals of every pixel with a reading and a surface; readings."""
+    """Return absolute depth and mean colour residuals of all pixels with reading and surface.
+
+    And the number of readings.
+    """
     depths, colours, read = [], [], 0
     for i in range(len(views)):
         image = emission.render(m, views.T_world_cam[i], views.camera, max_depth)
@@ -76,7 +79,7 @@ def _all_residuals(m: VoxelMap, views: Views, max_depth: float) -> tuple[np.ndar
 
 
 def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float = 8.0) -> HeldOut:
-    """``log p(x | z, M)`` a pixel and errors of views that the map was not made from.
+    """Evaluate ``log p(x | z, M)`` a pixel and errors on views that were not used to make the map.
 
     Args:
         m: The map.
@@ -99,7 +102,7 @@ def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float
 
 
 def fit_scales(m: VoxelMap, views: Views, max_depth: float = 8.0, count: int = 20) -> EmissionScales:
-    """The scales of greatest likelihood given the map, ``s = mean |r|``, from up to ``count`` of the views."""
+    """Estimate the scales of greatest likelihood given the map, ``s = mean |r|``, from up to ``count`` of the views."""
     chosen = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
     depth, colour, _ = _all_residuals(m, views[chosen], max_depth)
     if len(depth) == 0:

@@ -1,7 +1,8 @@
-"""Which blocks of the map an image can update: ``z_near(block) <= max depth of the pixels it covers + truncation``.
+"""List the blocks that an image can update: ``z_near(block) <= max depth of the pixels it covers + truncation``.
 
 Boxes are bounded by spheres, and the pixels that a sphere may cover are read from a pyramid of largest depths. Groups
-of blocks are tested first, then only the blocks of those that pass: the cost follows what is seen, not the grid.
+of blocks are tested first, then only the blocks of groups that pass: the cost depends on what is in view, not on the
+size of the grid.
 """
 
 import jax
@@ -21,7 +22,7 @@ _IN_GROUP = np.stack(np.meshgrid(*[np.arange(GROUP)] * 3, indexing="ij"), -1).re
 
 
 def depth_ceilings(depth: Float[Array, "height width"]) -> list[Array]:
-    """A pyramid of largest depths: level ``l`` holds the maximum over ``2^l x 2^l`` pixels, zero-padded."""
+    """Build a pyramid of largest depths: level ``l`` is the maximum over ``2^l x 2^l`` pixels, zero-padded."""
     levels = [depth]
     while max(levels[-1].shape) > 1:
         d = levels[-1]
@@ -39,7 +40,7 @@ def _bound(
     truncation: Array,
     min_depth: float,
 ) -> Bool[Array, "n"]:
-    """Which spheres may hold a cell to update: a test that errs on the side of yes. ``depth`` is the pyramid's base."""
+    """Test conservatively which spheres may hold a cell to update. ``depth`` is the base of the pyramid."""
     R, t = T_cam_world[:3, :3], T_cam_world[:3, 3]
     x, y, z = (sum(R[a, b] * centre_world[b] for b in range(3)) + t[a] for a in range(3))
     near = jnp.maximum(z - radius, 1e-3)
@@ -72,9 +73,10 @@ def _bound(
 def blocks_in_view(
     m: VoxelMap, depth: Array, T_cam_world: Float[Array, "samples 4 4"], camera: Camera, config: MapUpdateConfig
 ) -> tuple[Array, Array]:
-    """Blocks that may hold a cell to update from any of the poses: numbers, then fill; and how many they are.
+    """List the blocks that may hold a cell to update from any of the poses: numbers, then fill; and their count.
 
-    Groups of blocks are tested first and only the blocks of those that pass, so that a larger grid costs little more.
+    Groups of blocks are tested first, then only the blocks of groups that pass, so that a larger grid costs little
+    more.
     """
     truncation = config.truncation * m.voxel_size
 

@@ -1,1 +1,1 @@
-"""PRISM: the filter over state and map, its configuration, its process noise and its control from an IMU."""
+"""Implement PRISM: the filter over state and map, its configuration, its drift and its control from an IMU."""

@@ -1,4 +1,4 @@
-"""What :mod:`~vssm_gym.inference.prism.filter` is told, and the motion model of a hand."""
+"""Configure :mod:`~vssm_gym.inference.prism.filter`, and define the motion model of a hand-held camera."""
 
 from dataclasses import dataclass, field
 
@@ -8,29 +8,29 @@ from vssm_gym.inference.tracking.camera_filter import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.model.transition.rigid import Rigid, RigidNoise
 
-HAND = Rigid(RigidNoise(0.15, 0.01, 0.3, 0.01))  # constant velocity with the unrest of a hand; PRISM's is ``Rigid()``
+HAND = Rigid(RigidNoise(0.15, 0.01, 0.3, 0.01))  # constant velocity with a hand's accelerations; PRISM's: ``Rigid()``
 
 
 @dataclass(frozen=True)
 class PrismConfig:
-    """Effort, and what the filter believes. The defaults are those of a hand-held camera."""
+    """Configure effort and beliefs of the filter. The defaults are those of a hand-held camera."""
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
-    recovery: RecoveryConfig | None = field(default_factory=RecoveryConfig)  # None: wait where the body is expected
+    recovery: RecoveryConfig | None = field(default_factory=RecoveryConfig)  # None: retry at the predicted pose only
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty also widens the residuals
-    track_width: int | None = 160  # pixels, of the images that are tracked; the map takes them whole; None: whole too
+    track_width: int | None = 160  # pixels: images are tracked at this width and mapped at their own; None: unchanged
     anchor_distance: float = 0.15  # m and
     anchor_angle: float = 0.15  # rad: the anchor serves until the camera is farther from it than either
-    window_margin: float | None = 0.25  # of the map's edge: beyond it from the middle the window follows; None: never
+    window_margin: float | None = 0.25  # of the map's edge: the window moves beyond this from its middle; None: never
 
     def __post_init__(self) -> None:
         if self.samples < 1 or self.samples % 2 == 0:
-            expected = "an odd number: the mean, and pairs on either side of it, so that the map does not move"
+            expected = "an odd number: the mean and symmetric pairs around it, so that the map does not move"
             raise InputError("PrismConfig", "samples", f"{expected}; found {self.samples!r}")
 
 
 HAND_HELD = PrismConfig()
-# For a robot whose commands are known. An image that does not fit leaves the map as it is, and the pose follows the
-# commands; the next ones are compared with the map where the robot is expected to be, until one fits.
+# For a robot whose commands are known. After an image that is not accepted, the map stays unchanged and the pose
+# follows the commands; the next images are compared with the map at the predicted pose, until one is accepted.
 ROBOT = PrismConfig(tracking=COMMANDED, recovery=None, window_margin=None, track_width=None)

@@ -1,11 +1,12 @@
-"""Drift: alignment tells the pose against the map, and the map itself was placed by poses (ours, beyond PRISM).
+"""``P <- P + k nu Ad_T Sigma Ad_T^T``: the drift of the map's frame around the camera (ours, beyond PRISM).
 
-What an image writes into the map stands as uncertain in the world as its own pose does. The map's frame around the
-camera therefore walks at random, ``P <- P + k nu Ad_T Sigma Ad_T^T``, by the share ``nu`` of what the camera sees that
-this image wrote: of the precision of the map where its readings lie, ``nu = mean((lambda_t - lambda_t-1) / lambda_t)``.
-That is 1 in new space and 1/n where n images were before, so a camera that stands still soon walks no more, and no
-revisit makes the walk smaller either. ``k`` says how many images in a row err alike, because they were aligned to one
-anchor. It stands in for the correlation between pose and map that the two marginal filters leave out.
+Alignment measures the pose against the map, and the map was itself placed by poses: what an image writes into the map
+inherits the uncertainty of its pose in the world. The map's frame around the camera therefore does a random walk, in
+proportion to the share ``nu`` of the map in view that this image wrote, in units of precision at its readings:
+``nu = mean((lambda_t - lambda_t-1) / lambda_t)``. The share is 1 in new space and 1/n where n images were taken before.
+A camera that stands still soon stops drifting, and revisiting a place does not reduce the drift. ``k`` is the number of
+consecutive images whose errors are alike, because they were aligned to one reference view. The model replaces the
+correlation between pose and map that the two marginal filters neglect.
 """
 
 import equinox as eqx
@@ -19,12 +20,12 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.belief import GaussianBelief
 
-ALIKE = 16.0  # k; simulated walks ask for 4, a real Kinect, whose depth errs alike everywhere, for 100
+ALIKE = 16.0  # k; simulated walks are calibrated with 4, a real Kinect, whose depth errors are systematic, with 100
 
 
 @jax.jit
 def precision(m: VoxelMap, T_world_cam: Float[Array, "4 4"], image: RGBD, camera: Camera) -> Float[Array, "readings"]:
-    """``lambda`` of the map's occupancy (1/m^2) where the image's readings lie, of every fourth row and column."""
+    """Return ``lambda`` of the map's occupancy (1/m^2) at the image's readings, of every fourth row and column."""
     p_cam = camera.backproject(image.depth)[2::4, 2::4].reshape(-1, 3)
     return m.precision(p_cam @ T_world_cam[:3, :3].T + T_world_cam[:3, 3])[:, 0]
 
@@ -56,9 +57,9 @@ def grow(
 
 @jax.jit
 def in_world(relative: GaussianBelief, drift: Float[Array, "6 6"]) -> GaussianBelief:
-    """The belief against the map as one in the world: ``Sigma + Ad_T^-1 P Ad_T^-T``."""
+    """``Sigma + Ad_T^-1 P Ad_T^-T``: the belief in the world, from the belief against the map."""
     twists = relative.manifold.twists
     p = twists.shape[1]
-    # Of a robot on a floor only the drift within the floor's plane matters: twists are orthonormal.
+    # For a robot on a floor only drift within the floor's plane matters: twists are orthonormal.
     carry = twists.T @ se3_adjoint(inverse(relative.manifold.pose(relative.mean)))
     return eqx.tree_at(lambda q: q.covariance, relative, relative.covariance.at[:p, :p].add(carry @ drift @ carry.T))

@@ -1,18 +1,18 @@
-"""PRISM: two marginal filters, ``q_t(z_t) ~ p(z_t | x_<=t, u_<t)`` and ``q_t(M) ~ p(M | x_<=t, u_<t)``.
+"""``q_t(z_t) ~ p(z_t | x_<=t, u_<t)``, ``q_t(M) ~ p(M | x_<=t, u_<t)``: PRISM's two marginal filters.
 
-One step, for a body that moves by any transition (a hand's constant velocity, an IMU, a robot's commands); 1 to 4 are
-in :mod:`camera_filter`:
+One step, for a body that moves by any transition (constant velocity, an IMU, a robot's commands); 1 to 4 are in
+:mod:`~vssm_gym.inference.tracking.camera_filter`:
 
 1. *Prior.* The belief is pushed through the linearised transition and split, ``q(pose) q(velocity | pose)``.
-2. *Pose by MAP* against the anchor, an image rendered from the map mean with the image seen there beside it.
+2. *Pose by MAP* against the reference view: an image rendered from the map mean, with the camera image taken there.
 3. *Laplace.* ``Sigma^-1 = 2 J^T J + P_prior``, smoothed over time.
 4. *Velocity* in closed form: the new ``q(pose)`` times the old ``q(velocity | pose)``.
-5. *Map* by the closed-form update; then a new anchor, where the camera has left the old one.
+5. *Map* by the closed-form update; then a new reference view where the camera has left the old one.
 
-Approximations, where they are made: the pose is found against the map's mean and the map is updated at the pose's mean
-(single-sample expectations; ``samples`` widens both), pose and map are not correlated, and cells are independent. An
-image that does not fit updates neither belief; recovery then tries other poses (:mod:`recovery`), or the next images
-are compared with the map as rendered where the commands have led.
+Approximations: the pose is estimated against the map's mean and the map is updated at the pose's mean (single-sample
+expectations; ``samples`` widens both), pose and map are not correlated, and cells are independent. An image that is not
+accepted updates neither belief. Recovery then tries other poses (:mod:`~vssm_gym.inference.tracking.recovery`);
+without recovery, the next images are compared with the map rendered where the commands have led.
 """
 
 from dataclasses import dataclass
@@ -48,21 +48,21 @@ from vssm_gym.model.transition.belief import GaussianBelief
 
 
 class PrismState(eqx.Module):
-    """What the next step needs."""
+    """Hold the filter's state between steps."""
 
     map: VoxelMap  # q_t(M)
     past: Past  # q_t(z_t), of the body against the map; and the image behind it
     anchor: Anchor
-    keyframes: Keyframes | None  # None: nothing is kept to recover from
+    keyframes: Keyframes | None  # None: no recovery
     drift: Float[Array, "6 6"]  # covariance of the map's frame around the body in the world, tangent of the world
-    lost: bool  # the last image did not fit
+    lost: bool  # the last image was not accepted
     key: PRNGKeyArray
     readings: Readings  # of the posterior
 
 
 @dataclass(frozen=True)
 class Prism:
-    """The filter (:class:`~vssm_gym.inference.filter.Filter`): what moves the body, the camera on it, the options."""
+    """Filter state and map (:class:`~vssm_gym.inference.filter.Filter`) with any transition."""
 
     rig: Rig
     transition: Transition = HAND
@@ -95,15 +95,15 @@ class Prism:
     ) -> tuple[PrismState, FilterInfo]:
         """``q_t-1(z) q_t-1(M) -> q_t(z) q_t(M)``. The state passed in is consumed (the map is updated in place).
 
-        The stages are separate compiled calls: in one, the compiler fuses the renderer into each of the many places
-        that read its image and computes it again there (it ignores optimization barriers on the CPU).
+        The stages are separate compiled calls: in a single one, the compiler would fuse the renderer into each of the
+        many places that read its image and compute it again there (it ignores optimization barriers on the CPU).
 
         Args:
             state: After the last image.
             control: Of the transition; zeros for a hand's constant velocity.
             image: The new one, at the camera's size.
             dt: Seconds since the last one.
-            clock: Given the name and the outcome of each stage, returns the outcome; for timing.
+            clock: Called with name and outcome of each stage, returns the outcome; for timing.
 
         Raises:
             InputError: ``dt`` is not above 0.
@@ -113,7 +113,7 @@ class Prism:
         key, solving, mapping = jax.random.split(state.key, 3)
         state = eqx.tree_at(lambda s: s.key, state, key)
         against, wayback = state.anchor, None
-        alone = state.lost and config.recovery is None  # nothing is searched: the image must fit where it is expected
+        alone = state.lost and config.recovery is None  # no recovery: the image must fit at the predicted pose
         max_depth = config.update.max_depth
         if alone:
             T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
@@ -160,11 +160,11 @@ class Prism:
         return PrismState(m, past, against, kept, drifted, False, key, state.readings), info
 
     def posterior(self, state: PrismState) -> Posterior:
-        """Return ``q_t(z_t) q_t(M)``, the state against the map: without the drift of the map's frame in the world."""
+        """Return ``q_t(z_t) q_t(M)``, the state in the map's frame: without that frame's drift in the world."""
         return Posterior(state.past.belief, state.map, state.readings)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
-        """The image and its rig at tracking size."""
+        """Return the image and its rig at tracking size."""
         return shrunk(image, self.rig, self.config.track_width)
 
     def _mapped(self, m: VoxelMap, image: RGBD, past: Past, key: Array) -> VoxelMap:
@@ -178,9 +178,9 @@ class Prism:
 
 @partial(jax.jit, static_argnums=3)
 def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -> Float[Array, "samples 4 4"]:
-    """Camera poses from ``q(z_pose)``, the mean among them: an expectation of few samples must not move the map.
+    """Draw camera poses from ``q(z_pose)`` with the mean among them, so that few samples do not move the map.
 
-    The others lie in pairs on either side of it, so much farther out that the second moment is the covariance.
+    The others lie in pairs on either side of the mean, scaled so that the second moment is the covariance.
     """
     twists = posterior.manifold.twists
     p = twists.shape[1]

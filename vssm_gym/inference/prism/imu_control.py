@@ -1,10 +1,10 @@
-"""An IMU's readings as the control of PRISM's rigid body (SPEC 3): how the camera accelerates between two images.
+"""Convert IMU readings to controls of PRISM's rigid body: the camera's acceleration between two images.
 
     a_world = R mean(R_k f_k) + g,    w_world = R log(prod_k exp(w_k h_k)) / dt,    u = (a_world, (w_world - w) / dt)
 
-``R_k`` is the rotation since the first image, integrated from the gyroscope. The readings of the first ``REST`` seconds
-are taken for those of a body at rest: their mean force is ``-g`` in the first camera's frame, which is the world's, and
-their mean rate is the gyroscope's bias. A wrong gravity tilts little: the filter corrects velocities at every image.
+``R_k`` is the rotation since the first image, integrated from the gyroscope. The body is taken to be at rest during the
+first ``REST`` seconds: the mean force is ``-g`` in the first camera's frame, which is the world's, and the mean rate is
+the gyroscope's bias. An error in gravity has little effect: the filter corrects velocities at every image.
 """
 
 import numpy as np
@@ -15,16 +15,16 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4
 
 REST = 0.5  # s
-MOVING = 0.5  # m/s^2 and rad/s: a spread of the readings of the first moments that says that there was no rest
+MOVING = 0.5  # m/s^2 and rad/s: a larger std of the first readings means that the body was not at rest
 
 
 class ImuControl:
-    """Controls between images, of a camera fixed to an IMU (whose distance from it is neglected).
+    """Compute controls between images of a camera fixed to an IMU (the lever arm between them is neglected).
 
     Args:
         readings: ``(n, 7)`` time (s), rate (rad/s) and specific force (m/s^2) in the body's frame, in order of time;
-            each the mean over the time since the one before.
-        T_body_cam: the camera's place on the body.
+            each is the mean over the time since the previous one.
+        T_body_cam: the camera's pose on the body.
         start: s, stamp of the first image, whose frame is the world.
     """
 
@@ -43,7 +43,7 @@ class ImuControl:
     def __call__(
         self, T_world_cam: Matrix4, rate: Float[np.ndarray, "3"], before: float, now: float
     ) -> Float[np.ndarray, "6"]:
-        """Linear (m/s^2) and angular (rad/s^2) acceleration, world; zero, constant velocity, where no reading is.
+        """Return linear (m/s^2) and angular (rad/s^2) acceleration, world; zero (constant velocity) without a reading.
 
         Args:
             T_world_cam: the pose at the last image.

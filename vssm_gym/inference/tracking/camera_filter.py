@@ -1,7 +1,7 @@
 """``q(z_t) ~ p(x_t | z_t, q(M)) int p(z_t | z_t-1, u) q(z_t-1)`` for one image (PRISM, steps 1 to 4).
 
 Prior by any linearised transition, pose by MAP against a reference view, Laplace covariance, the rest of the state in
-closed form. The map is not touched; the filters do that, and decide what becomes of an image that does not fit.
+closed form. The filters update the map, and decide how to proceed after an image that is not accepted.
 """
 
 from dataclasses import dataclass, field
@@ -46,22 +46,22 @@ Problem = tuple[Array, Array, Array, Array, RGBD, RGBD, Camera]  # as the solver
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """How the pose is found and what counts as found. The defaults are those of a hand-held camera."""
+    """Configure how the pose is estimated and when it is accepted. The defaults are those of a hand-held camera."""
 
-    # Flatter in depth than one pixel's noise: far points are few but they hold the rotation.
+    # Grows less with depth than one pixel's noise: far points are few but they constrain the rotation.
     align: AlignConfig = field(
         default_factory=lambda: AlignConfig(0.006, 0.001, edge=0.02, levels=(4, 2, 1), iterations=(6, 4, 4))
     )
     solver: str = "gauss_newton"  # a key of SOLVERS
     adam: AdamConfig = field(default_factory=AdamConfig)  # of the solver of that name
     rotation: RotationConfig | None = field(default_factory=RotationConfig)  # of the start; None: start as predicted
-    exposure: bool = True  # whether the camera's gain changes
-    adaptive: bool = True  # whether the process noise is learned from how wrong predictions were
+    exposure: bool = True  # whether to estimate the camera's gain
+    adaptive: bool = True  # whether to adapt the process noise to prediction errors
     smoothing: float = 0.8  # of the Laplace covariance over time
     min_reading: float = 0.05  # share of the pixels that have depth; an image with fewer has no reading
     min_score: float = 0.6  # of :func:`alignment.score`
     max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
-    max_surprise: float = 12.0  # stds of the predicted pose: beyond them the camera jumped, and the prior would hold it
+    max_surprise: float = 12.0  # stds of the predicted pose: beyond them the camera jumped and the prior is wrong
     start_velocity: tuple[float, float] = (0.5, 1.0)  # m/s, rad/s: std of an unknown velocity
 
     def __post_init__(self) -> None:
@@ -83,22 +83,22 @@ SOLVERS = {"gauss_newton": _by_gauss_newton, "adam": _by_adam}
 
 
 class Past(eqx.Module):
-    """What an image is filtered with."""
+    """Hold what the next image is filtered with."""
 
     belief: GaussianBelief  # q_t-1(z)
-    laplace: Float[Array, "p p"]  # smoothed covariance of the poses up to here; 0: the last image did not fit
+    laplace: Float[Array, "p p"]  # smoothed covariance of the poses up to here; 0: the last image was not accepted
     unrest: process_noise.Level
-    image: RGBD  # the last that fitted, tracking size, at the map's exposure
+    image: RGBD  # the last accepted one, tracking size, at the map's exposure
     T_world_cam: Float[Array, "4 4"]  # its pose
 
 
 class Tracked(eqx.Module):
-    """What an image says."""
+    """Hold the estimate from one image."""
 
     belief: GaussianBelief  # q_t(z)
     T_world_cam: Float[Array, "4 4"]  # at its mean
     laplace: Float[Array, "p p"]  # as the past's, this image included
-    predicted: GaussianBelief  # with the transition's whole noise: where the body may be at all
+    predicted: GaussianBelief  # with the transition's whole noise
     unrest: process_noise.Level
     T_world_turned: Float[Array, "4 4"]  # the last camera pose, turned by the rotation between the images
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
@@ -106,8 +106,8 @@ class Tracked(eqx.Module):
     fits: Bool[Array, ""]
 
 
-# Of a body whose commands are known: three degrees of freedom and a known command hold where six and constant velocity
-# do not, before a bare wall and in turns that start and end within a frame.
+# For a body whose commands are known. Three degrees of freedom and a known command suffice where six and constant
+# velocity do not: in front of a bare wall, and in turns that start and end within a frame.
 COMMANDED = TrackingConfig(
     rotation=None,
     exposure=False,
@@ -240,14 +240,14 @@ def _start(
     camera: Camera,
     config: TrackingConfig,
 ) -> tuple[Array, RGBD, Array, Array]:
-    """Return where the search begins, the image as bright as the map, its gain, and the last pose turned.
+    """Return the start pose of the search, the image at the map's exposure, its gain, and the last pose turned.
 
-    A hand jerks, and the last image turned is the better start; facing a wall of tiles only the motion so far tells a
-    step to the left from a turn.
+    Two start poses are compared by alignment cost. After a sudden motion, the last pose turned by the estimated
+    rotation is better; in front of a tiled wall, only the prediction distinguishes a step to the left from a turn.
     """
     T_world_turned, starts = past.T_world_cam, T_prior[None]
     if config.rotation is not None:
-        # For the rotation alone, images are made equally bright as wholes; what they both show is not known yet.
+        # For the rotation alone, whole images are made equally bright; their common part is not known yet.
         grey, last = luminance(image.rgb), luminance(past.image.rgb)
         alike = jnp.clip(gain(last, grey, jnp.ones_like(grey, bool)) * grey, 0.0, 1.0)
         R = camera_rotation(alike, last, camera, config.rotation)

@@ -1,9 +1,8 @@
-"""Localisation through the renderer: ``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` by Adam (TNP-SM).
+"""``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` by Adam through the renderer (TNP-SM, emission-based).
 
-The *emission-based* tracker, a comparison. Where :mod:`vssm_gym.inference.tracking.map_tracker` aligns an image to one
-rendered reference, this one renders the drawn pixels anew at every step and follows the gradient of ``log p`` in the
-pose, which comes from the interpolation at the hit alone: a search along 200 rays a step, and no association but the
-ray's own.
+This tracker is a baseline. :mod:`vssm_gym.inference.tracking.map_tracker` aligns an image to one rendered reference;
+this one renders the drawn pixels anew at every step and follows the gradient of ``log p`` in the pose, which comes
+from the interpolation at the hit alone. Each step searches along 200 rays; the ray itself is the association.
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ TRACKER_ADAM = AdamConfig(steps=100, translation_step=0.003, rotation_step=0.003
 
 @dataclass(frozen=True)
 class EmissionTrackerConfig:
-    """Search, emission, and the test for loss of track, which is that of the other trackers."""
+    """Configure search, emission, and the test for loss of track, which is that of the other trackers."""
 
     adam: AdamConfig = TRACKER_ADAM  # its gates leave out pixels that see another surface
     scales: tuple[float, float] = (0.02, 0.1)  # of the emission: depth (m) and a colour channel; those of the aligners
@@ -44,7 +43,7 @@ class EmissionTrackerConfig:
 
 @dataclass(frozen=True)
 class EmissionTracker:
-    """The filter; for transitions whose state is a pose."""
+    """Track in a map with transitions whose state is a pose."""
 
     rig: Rig
     transition: Transition
@@ -88,7 +87,7 @@ class EmissionTracker:
 def _descend(
     predicted: GaussianBelief, image: RGBD, m: VoxelMap, rig: Rig, key: Array, config: EmissionTrackerConfig
 ) -> Float[Array, "4 4"]:
-    """T_world_cam at the MAP: ``T_world_pred exp(B xi)``, the pixels drawn anew and rendered at every step."""
+    """Find T_world_cam by MAP, ``T_world_pred exp(B xi)``; pixels are drawn and rendered anew at every step."""
     camera, basis = rig.camera, camera_twists(predicted.manifold, rig)
     T_world_pred = predicted.manifold.pose(predicted.mean) @ rig.T_body_cam
     precision = jnp.linalg.inv(predicted.covariance)
@@ -129,7 +128,7 @@ def _judge(
     rig: Rig,
     config: EmissionTrackerConfig,
 ) -> tuple[GaussianBelief, Array, AlignInfo]:
-    """How well the image agrees with the one rendered at the estimate, and the belief that follows."""
+    """Evaluate the fit quality of the image against the map rendered at the estimate; return the resulting belief."""
     manifold, tracker, basis = predicted.manifold, config.tracker, camera_twists(predicted.manifold, rig)
     reference = make_reference(rendered, rig.camera, tracker.align)
     observed = make_observed(image, rig.camera, every=stride(rig.camera, 1, tracker.align))

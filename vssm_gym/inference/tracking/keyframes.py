@@ -1,7 +1,8 @@
-"""Keyframes: poses whose images are remembered, so that a camera that lost track finds its way back (MEASURED).
+"""Keep keyframes: poses with their images, from which a camera that lost track is relocalised.
 
 A keyframe keeps its pose and a small luminance image. A lost image is compared with all of them by the correlation of
-thumbnails; the best few, each turned by the rotation between the two images, are poses to try against the map.
+thumbnails; the best few, each turned by the rotation between the two images, are start poses for an alignment to the
+map.
 """
 
 from functools import partial
@@ -15,13 +16,13 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.residuals import shrink_camera, shrink_image
 from vssm_gym.inference.alignment.rotation import RotationConfig, camera_rotation
 
-CAPACITY = 256  # with the ring below the oldest go first; at 30 cm and 15 degrees a furnished flat fits
+CAPACITY = 256  # of the ring, which drops the oldest first; enough for a furnished flat at 30 cm and 15 degrees
 DISTANCE, ANGLE = 0.30, 0.26  # m, rad: a new keyframe is farther than one of these from every other
-WIDTH, THUMBNAIL = 80, 20  # pixels
+WIDTH, THUMBNAIL = 80, 20  # pixels: widths of a keyframe's image and of its thumbnail
 
 
 class Keyframes(eqx.Module):
-    """A ring of remembered images."""
+    """Hold a ring buffer of keyframes."""
 
     T_world_cam: Float[Array, "n 4 4"]
     images: Float[Array, "n height width"]  # luminance, [0, 1]
@@ -40,7 +41,7 @@ def _thumbnail(image: Array) -> Array:
 
 
 def empty(camera: Camera, capacity: int = CAPACITY) -> Keyframes:
-    """No keyframe yet, for images of ``camera``."""
+    """Return an empty ring for images of ``camera``."""
     view = shrink_camera(camera, _small(camera))
     images = jnp.zeros((capacity, view.height, view.width))
     return Keyframes(
@@ -76,7 +77,7 @@ def remember(
 def similar(
     keyframes: Keyframes, grey: Float[Array, "height width"], camera: Camera, config: RotationConfig, best: int
 ) -> Float[Array, "best 4 4"]:
-    """Poses to try for an image: those of the most correlated keyframes, turned by the rotation between the images.
+    """Return start poses for an image: those of the most correlated keyframes, turned by the rotation between images.
 
     Returns:
         T_world_cam guesses, best first; identities where there are fewer keyframes.

@@ -1,6 +1,6 @@
-"""One image located: tracked, searched for where it does not fit, or believed without; what the filters share.
+"""Locate one image: track it, relocalise where it is not accepted, or else predict without it; shared by the filters.
 
-Runs on the host between compiled calls: whether an image fits decides which of them comes next.
+Runs on the host between compiled calls, because acceptance decides which of them comes next.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ from vssm_gym.model.transition.manifold import Manifold
 
 @dataclass(frozen=True)
 class Wayback:
-    """What an image that does not fit is compared with."""
+    """Hold what relocalisation compares an image with."""
 
     map: VoxelMap
     keyframes: Keyframes
@@ -49,7 +49,7 @@ class Wayback:
 
 @dataclass(frozen=True)
 class Located:
-    """How an image went."""
+    """Hold the outcome for one image."""
 
     status: Status
     past: Past  # what the next image is filtered with
@@ -71,7 +71,7 @@ def localise(
     wayback: Wayback | None,
     clock: Clock,
 ) -> Located:
-    """Locate an image: by tracking, by recovery where that fails, else by what is believed without it.
+    """Locate an image: by tracking, by recovery where that fails, else by prediction.
 
     Args:
         past: Belief and image before.
@@ -83,8 +83,8 @@ def localise(
         rig: The camera, at that size, and its place on the body.
         key: Of a solver that draws.
         config: Solver, effort and gates.
-        lost: Whether the image before did not fit.
-        wayback: What recovery needs; None: none is tried.
+        lost: Whether the previous image was not accepted.
+        wayback: Map and keyframes for recovery; None: no recovery.
         clock: Of the stages "track" and "recover".
     """
     tracked = clock("track", track(past, transition, control, dt, against, image, rig, key, config))
@@ -107,12 +107,12 @@ def localise(
 
 
 def readable(image: RGBD, config: TrackingConfig) -> bool:
-    """Return whether so much of the image has depth that it can be aligned, or a map be started with it."""
+    """Return whether the image has enough depth readings to be aligned, or to start a map."""
     return float(jnp.mean(image.hit)) >= config.min_reading
 
 
 def tracking_factor(camera: Camera, track_width: int | None) -> int:
-    """Return by how much images of ``camera`` are shrunk to about ``track_width`` pixels for tracking; None: not."""
+    """Return the factor that shrinks images of ``camera`` to about ``track_width`` pixels; 1 for None."""
     return 1 if track_width is None else max(1, round(camera.width / track_width))
 
 
@@ -125,7 +125,7 @@ def shrunk(image: RGBD, rig: Rig, track_width: int | None) -> tuple[RGBD, Rig]:
 
 
 def seconds(dt: float) -> Float[Array, ""]:
-    """Return the length of a step as the compiled functions take it.
+    """Convert the length of a step, s, to the float32 scalar that the compiled functions take.
 
     Raises:
         InputError: ``dt`` is not above 0.
@@ -143,7 +143,7 @@ def search(
     config: TrackingConfig,
     wayback: Wayback,
 ) -> Located | None:
-    """Return the pose where the map explains an image, its velocity unknown; None where no start leads to one.
+    """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose.
 
     Args:
         T_world_starts: Camera poses to start from.
@@ -151,7 +151,7 @@ def search(
         image: At tracking size.
         rig: The camera, at that size, and its place on the body.
         config: Of tracking.
-        wayback: What the image is compared with.
+        wayback: Map and keyframes that the image is compared with.
     """
     basis = camera_twists(manifold, rig)
     attempt = recover(wayback.map, T_world_starts, image, rig.camera, basis, wayback.max_depth, wayback.config)
@@ -168,10 +168,10 @@ def search(
 
 
 def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, "m"]:
-    """Return a control of the transition.
+    """Return the control, checked against the transition.
 
     Raises:
-        InputError: it has not as many numbers as the transition's controls.
+        InputError: its length differs from that of the transition's controls.
     """
     if np.shape(control) != (transition.controls,):
         expected = f"the {transition.controls} numbers of {type(transition).__name__}'s controls"
@@ -182,10 +182,10 @@ def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, 
 def _starts(
     past: Past, tracked: Tracked, image: RGBD, rig: Rig, lost: bool, wayback: Wayback
 ) -> Float[Array, "starts 4 4"]:
-    """Where recovery begins: the last pose, turned and as it was, the keyframes most alike, the prediction."""
+    """Return start poses for recovery: last pose (turned, and as it was), most similar keyframes, prediction."""
     settings, grey = wayback.config, luminance(image.rgb)
     alike = keyframes.similar(wayback.keyframes, grey, rig.camera, settings.rotation, settings.keyframes + 1)
-    # A camera that was lost before is predicted to be where it was last: that start would be tried twice.
+    # The prediction of a camera that was lost before is its last pose: that start would be tried twice.
     last = alike[-1] if lost else camera_pose(tracked.predicted, rig)
     return jnp.stack([tracked.T_world_turned, past.T_world_cam, *alike[:-1], last])
 
@@ -193,10 +193,11 @@ def _starts(
 def _without_image(
     past: Past, predicted: GaussianBelief, transition: Transition, rig: Rig, config: TrackingConfig, lost: bool
 ) -> GaussianBelief:
-    """What is believed where the image says nothing: a commanded body is where its commands lead.
+    """Return the belief without an image. A commanded body follows its commands.
 
-    Any other is believed to drift off at an unknown velocity from where it was last: its spread grows with the time
-    alone, however many images are taken meanwhile.
+    Any other body is believed to leave its last pose at an unknown velocity; its uncertainty grows with time, however
+    many
+    images are taken meanwhile.
     """
     if transition.commanded:
         return predicted

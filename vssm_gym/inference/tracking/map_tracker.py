@@ -1,9 +1,9 @@
-"""Filters of the state alone: in a map that is fixed, against the previous image, and by the commands (TNP-SM).
+"""Filter the state alone: in a fixed map, against the previous image, or from the commands (TNP-SM).
 
-Each step predicts the state from the control, takes a reference view, and aligns the camera image to it:
-:class:`MapTracker` renders the reference from the map at the predicted pose; :class:`FrameTracker` takes the previous
-camera image (the published "no map" baseline: its errors add up); :class:`DeadReckoning` looks at no image. Loss of
-track is detected and said; the belief then follows the transition until images fit again.
+Each step predicts the state from the control, takes a reference view, and aligns the camera image to it.
+:class:`MapTracker` renders the reference from the map at the predicted pose. :class:`FrameTracker` takes the previous
+camera image (the published "no map" baseline, whose errors add up). :class:`DeadReckoning` uses no image. Loss of
+track is detected and reported; the belief then follows the transition until images are accepted again.
 """
 
 from dataclasses import dataclass, replace
@@ -41,17 +41,17 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
-# A map of 5 cm cells is as rough as this scale of the geometry.
+# The scale of the geometry matches the roughness of a map with cells of 5 cm.
 ROBOT = replace(COMMANDED, align=AlignConfig(geo_sigma=0.012))
 
 
 class TrackerState(eqx.Module):
-    """What the next step needs."""
+    """Hold a tracker's state between steps."""
 
     past: Past
     map: VoxelMap | None  # fixed; None: the reference is the previous image
-    keyframes: Keyframes | None  # None: nothing is kept to recover from
-    lost: bool  # the last image did not fit
+    keyframes: Keyframes | None  # None: no recovery
+    lost: bool  # the last image was not accepted
     key: PRNGKeyArray  # of a solver that draws; the same at every step
     readings: Readings  # of the posterior
 
@@ -63,12 +63,12 @@ class MapTracker:
     rig: Rig
     transition: Transition
     config: TrackingConfig = ROBOT
-    recovery: RecoveryConfig | None = None  # None: wait where the transition leads
+    recovery: RecoveryConfig | None = None  # None: retry at the predicted pose only
     max_depth: float = MAX_DEPTH  # m, of the rendering
     track_width: int | None = None  # pixels: images are shrunk to about this; None: not
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
-        """Return the prior's belief with the image seen there; its map is shared, not consumed.
+        """Return the prior's belief with its first image; the prior's map is shared, not consumed.
 
         Raises:
             InputError: a prior without a map.
@@ -78,7 +78,7 @@ class MapTracker:
         image, rig = shrunk(image, self.rig, self.track_width)
         past, kept, lost = begin(prior.belief, image, rig), None, False
         if self.recovery is not None:
-            # Where the start is known roughly only: the first image is aligned to the map around it.
+            # The start may be known only roughly: align the first image to the map around it.
             kept, camera = keyframes.empty(rig.camera), rig.camera
             wayback = Wayback(prior.map, kept, self.max_depth, self.recovery)
             starts = past.T_world_cam[None]
@@ -92,9 +92,9 @@ class MapTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to one rendered from the map where the control leads; see :class:`Filter`."""
-        # The rendering is a compiled call of its own: in one with the alignment, the compiler fuses the renderer into
-        # each of the many places that read its image and computes it again there.
+        """Align the image to one rendered from the map at the predicted pose; see :class:`Filter`."""
+        # The rendering is a separate compiled call: with the alignment in one call, the compiler would fuse the
+        # renderer into each of the many places that read its image and compute it again there.
         assert state.map is not None
         h, control, kept = seconds(dt), checked(self.transition, control), state.keyframes
         image, rig = shrunk(image, self.rig, self.track_width)
@@ -120,10 +120,10 @@ class MapTracker:
 
 @dataclass(frozen=True)
 class FrameTracker:
-    """As :class:`MapTracker`, but against the previous camera image, at the previous estimate (TNP-SM, "no map").
+    """Track as :class:`MapTracker`, but against the previous camera image at its estimated pose (TNP-SM, "no map").
 
-    For transitions whose state is a pose. The images tell the step from there alone: what was uncertain before it
-    stays so, and covariances add up.
+    For transitions whose state is a pose. An image determines only the motion since the previous one: earlier
+    uncertainty remains, and covariances add up.
     """
 
     rig: Rig
@@ -136,7 +136,7 @@ class FrameTracker:
             raise InputError("FrameTracker", "transition", "one whose state is a pose: planar, bicycle, differential")
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
-        """Return the prior's belief with the image seen there; a map is not looked at."""
+        """Return the prior's belief with its first image; a map is not used."""
         return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key, prior.readings)
 
     def step(
@@ -168,7 +168,7 @@ class DeadReckoning:
     transition: Transition
 
     def init(self, prior: Posterior, image: RGBD | None, key: PRNGKeyArray) -> GaussianBelief:
-        """Return the prior's belief; neither image nor map is looked at.
+        """Return the prior's belief; neither image nor map is used.
 
         Raises:
             InputError: a prior that is no Gaussian.
@@ -180,7 +180,7 @@ class DeadReckoning:
     def step(
         self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
     ) -> tuple[GaussianBelief, FilterInfo]:
-        """Predict; see :class:`Filter`."""
+        """Predict without an image; see :class:`Filter`."""
         belief = clock("track", _predicted(self.transition, state, checked(self.transition, control), seconds(dt)))
         return belief, FilterInfo(Status.OK, belief)
 
@@ -200,7 +200,7 @@ def _track_from_frame(
     key: Array,
     config: TrackingConfig,
 ) -> tuple[Tracked, GaussianBelief]:
-    """The step as if the pose before it were known, and the belief that it leads to: covariances add up."""
+    """Track as if the pose before were known, and return the belief with both covariances added."""
     belief = past.belief
     known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
     against = Anchor(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)

@@ -1,13 +1,13 @@
-"""Adaptive process noise: how much a hand changes its velocity is learned from how wrong the prediction was.
+"""Adapt the process noise: learn from the prediction errors how much a hand changes its velocity.
 
     s^2 <- s^2 + (1 - exp(-dt / tau)) (c^2 mean(e^2) / E[e^2 | s = 1] - f s^2),   floor^2 <= s^2 <= 1
 
-``e`` is what alignment moved the pose from the prediction by, and ``s`` scales the standard deviations of a
-transition's noise, one factor for translation and one for rotation (ours; innovation-based
-adaptive estimation after Mehra, "Approaches to adaptive filtering", 1972). ``f = 1 - tr(Sigma P^-1) / 3`` is the share
-of the prediction's uncertainty that the image removed: along what it does not see, an ``e`` of zero says nothing of the
-hand. A steady hand keeps a tight prior, which holds the pose where the image does not (in front of a bare wall), and a
-velocity with a band that means something; an unsteady one gets the configured noise, the most that is ever assumed.
+``e`` is the correction of the predicted pose by the alignment, and ``s`` scales the standard deviations of a
+transition's noise, one scale for translation and one for rotation (ours; innovation-based adaptive estimation after
+Mehra, "Approaches to adaptive filtering", 1972). ``f = 1 - tr(Sigma P^-1) / 3`` is the share of the prediction's
+uncertainty that the image removed: in directions that the image does not observe, a zero ``e`` is no evidence of a
+steady hand. A steady hand keeps a tight prior, which holds the pose where the image does not (in front of a bare wall),
+and a calibrated velocity; an unsteady one gets the configured noise, the largest that is ever assumed.
 """
 
 import jax.numpy as jnp
@@ -16,15 +16,15 @@ from jaxtyping import Array, Float
 
 from vssm_gym.model.transition.manifold import Manifold
 
-TIME = 1.0  # s, over which the level follows
-FLOOR = 0.2  # of the configured std, below which no hand is trusted
-CAUTION = 1.5  # the next innovation may be larger than the last ones
+TIME = 1.0  # s, tau: time constant of the adaptation
+FLOOR = 0.2  # smallest scale of the configured std
+CAUTION = 1.5  # c: the next innovation may be larger than the last ones
 
 Level = Float[Array, "2"]  # s^2 of translation and of rotation
 
 
 def full() -> Level:
-    """The configured noise: nothing is known of the hand yet."""
+    """Return the scale of the configured noise, before anything is known of the hand."""
     return jnp.ones(2)
 
 

@@ -1,6 +1,6 @@
-"""Recovery of a lost pose: align the image to the map from several starts, keep the best that fits (ours).
+"""Recover a lost pose: align the image to the map from several starts and keep the best accepted one (ours).
 
-Without it a test for loss of track is worse than none: a filter that only refuses images refuses good ones for ever.
+Recovery is needed where images can be rejected: after a loss of track, a filter without it would reject all images.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ from vssm_gym.model.emission import RGBD
 
 @dataclass(frozen=True)
 class RecoveryConfig:
-    """Where to look and what to believe."""
+    """Configure starts and acceptance thresholds."""
 
     rotation: RotationConfig = field(default_factory=RotationConfig)  # between the image and a keyframe
     align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(4, 2, 1), iterations=(10, 6, 5)))
@@ -36,7 +36,7 @@ class RecoveryConfig:
 
 
 class Attempt(eqx.Module):
-    """The best of several starts."""
+    """Hold the best of several alignments."""
 
     T_world_cam: Float[Array, "4 4"]
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
@@ -48,13 +48,13 @@ class Attempt(eqx.Module):
 def _align(
     T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, basis: Array, config: RecoveryConfig
 ) -> Attempt:
-    # As bright as the rendering where both show something; the second time, from the right place, that is exact.
+    # Match the brightness of the rendering where both are known; exact in the second call, at the right pose.
     brightness = gain(luminance(rendered.rgb), luminance(image.rgb), rendered.known)
     image = expose(image, brightness)
     std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
     identity, precision = jnp.eye(4), basis.T @ (basis * std[:, None] ** -2)
     T, info = gauss_newton.align(identity, precision, identity, basis, rendered, image, camera, config.align)
-    # A picture of low contrast differs little from any other. Below one sigma there is nothing to tell by.
+    # An image of low contrast differs little from any other. Below one sigma it carries no information.
     grey = luminance(image.rgb)
     contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
     limit = jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)
@@ -71,9 +71,9 @@ def recover(
     max_depth: float,
     config: RecoveryConfig,
 ) -> Attempt:
-    """Align to the map rendered at every start; of those that fit, the one that fits best.
+    """Align to the map rendered at every start; return the best accepted alignment.
 
-    A start far off converges on the second rendering, taken where the first alignment led.
+    Each start is aligned twice, the second time to a rendering at the first result, so that distant starts converge.
 
     Args:
         m: The map.
