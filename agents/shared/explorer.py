@@ -96,7 +96,7 @@ class Explorer:
             self._own.take(self._sent, observation)
         estimate = self._own.estimate
         mapped = time.perf_counter()
-        self._lost = self._lost + 1 if not estimate.status.fits else 0
+        self._lost = self._lost + 1 if not estimate.status.accepted else 0
         if self._lost:
             command, activity, stop = self._search(estimate)
             planned = mapped

@@ -67,7 +67,7 @@ class OwnMap:
     def take(self, command: np.ndarray, observation: Observation) -> None:
         """Take up what was seen after ``command`` ``(turn, o, s)``; ``estimate`` says from where."""
         self.estimate = self._mapper.update(command, observation)
-        if self.estimate.status.fits:
+        if self.estimate.status.accepted:
             self._mark(observation)
 
     def _mark(self, observation: Observation) -> None:

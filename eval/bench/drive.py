@@ -92,7 +92,7 @@ def drive(
         for name, rider in riders.items():
             belief = rider.update(decision.action[:3], blind)
             poses[name].append(belief.planar)
-            lost[name].append(float(not belief.status.fits))
+            lost[name].append(float(not belief.status.accepted))
     return Drive(
         np.array(true),
         {name: np.array(rows) for name, rows in poses.items()},

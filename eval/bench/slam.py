@@ -18,7 +18,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.open3d_process import run_open3d
 from vssm_gym.eval.bench.open3d_slam import STAGES
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
 
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
@@ -118,9 +118,9 @@ def _errors(sequence: Sequence, times: np.ndarray, poses: np.ndarray) -> dict[st
     """
     if sequence.truth is None:
         return {"ate_m": None, "ate_max_m": None, "astray": None}
-    of_est, of_true = trajectory.associate(times, sequence.truth[0])
+    of_est, of_true = trajectory_error.associate(times, sequence.truth[0])
     if len(of_est) < 3:
         return {"ate_m": None, "ate_max_m": None, "astray": None}
-    off = trajectory.ate(poses[of_est], sequence.truth[1][of_true]).translation
-    statistics = trajectory.Statistics.of(off)
+    off = trajectory_error.ate(poses[of_est], sequence.truth[1][of_true]).translation
+    statistics = trajectory_error.Statistics.of(off)
     return {"ate_m": statistics.rmse, "ate_max_m": statistics.max, "astray": int(np.sum(off > LARGE))}

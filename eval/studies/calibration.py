@@ -21,7 +21,7 @@ from vssm_gym.data.trajectories import interpolate, velocities
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.calibration import Calibration, cross_fitted, fit_scale, pose_residuals
 from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, run_slam
 from vssm_gym.slam.states import BAND, tidy
@@ -151,7 +151,7 @@ def judge(done: SlamRun, recording: sequences.Sequence) -> Judged:
         InputError: no two such frames in a row.
     """
     assert recording.truth is not None
-    known, _ = trajectory.associate(done.times, recording.truth[0])
+    known, _ = trajectory_error.associate(done.times, recording.truth[0])
     known, lost, poses = np.unique(known), done.lost, done.poses
     kept = np.array([i for i in known if done.frames[i].covariance is not None and not lost[i]], int)
     # The filter's velocity at a frame is that of the way from the frame before, whose pose must be known too.

@@ -22,7 +22,7 @@ from vssm_gym.envs.tasks.reference_flights import Yaw
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
@@ -129,7 +129,7 @@ def measured(done: SlamRun, true: Float[np.ndarray, "n 4 4"]) -> dict[str, Any]:
     """Errors, lost frames and times of one run; ATE None where the estimate never moved enough to be aligned."""
     error = np.linalg.norm((true[0] @ inverse(done.poses[0]) @ done.poses)[:, :3, 3] - true[:, :3, 3], axis=1)
     try:
-        errors = trajectory.evaluate(done.times, done.poses, done.times, true, deltas=(), alignments=("se3",))
+        errors = trajectory_error.evaluate(done.times, done.poses, done.times, true, deltas=(), alignments=("se3",))
         ate = errors["ate_translation_se3"]
     except InputError:
         ate = {"rmse": None, "max": None}

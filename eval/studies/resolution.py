@@ -16,7 +16,7 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.inference.tracking.localise import tracking_factor
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
@@ -108,7 +108,7 @@ def _measured(done: SlamRun, sequence: Sequence) -> dict[str, Any]:
     """Of one run: errors (None where the estimate never moved enough to be aligned), frames, lost ones, step times."""
     assert sequence.truth is not None
     try:
-        errors = trajectory.evaluate(done.times, done.poses, *sequence.truth, deltas=(), alignments=("se3",))
+        errors = trajectory_error.evaluate(done.times, done.poses, *sequence.truth, deltas=(), alignments=("se3",))
         ate = errors["ate_translation_se3"]
     except InputError:
         ate = {"rmse": None, "max": None}

@@ -16,7 +16,7 @@ from vssm_gym.inference.alignment.gauss_newton import align
 from vssm_gym.inference.alignment.residuals import (
     AlignConfig,
     Term,
-    disagreement,
+    alignment_cost,
     linearise,
     luminance,
     make_observed,
@@ -32,7 +32,7 @@ from vssm_gym.model.emission import RGBD, render
 CONFIG = AlignConfig()
 FREE, NO_PRIOR, IDENTITY = jnp.eye(6), 1e-3 * jnp.eye(6), jnp.eye(4)
 align_jit = jax.jit(align, static_argnums=7)
-disagree_jit = jax.jit(disagreement, static_argnums=(4, 5))
+disagree_jit = jax.jit(alignment_cost, static_argnums=(4, 5))
 
 
 def f32(a: np.ndarray) -> jax.Array:

@@ -146,7 +146,7 @@ def test_darkness_is_said_and_nothing_is_learned_from_it(name: str, kind: str) -
             assert info.status is Status.OK
         else:
             assert info.status in (Status.LOST, Status.NO_READING)
-            assert not info.status.fits
+            assert not info.status.accepted
         assert float(jnp.trace(info.belief.covariance[:2, :2])) > spread
     if precision is not None:
         assert np.asarray(tracker.posterior(state).map.occupancy_precision).sum() == precision
@@ -155,7 +155,7 @@ def test_darkness_is_said_and_nothing_is_learned_from_it(name: str, kind: str) -
     # Commands lead on through the dark; whoever has none is believed to stay, and is found where it was.
     seen = 4 if TRANSITIONS[kind].commanded or FILTERS[name].blind else 1
     state, info = tracker.step(state, control(kind, 3), see(seen), DT)
-    assert info.status.fits
+    assert info.status.accepted
     assert off(info.belief, seen)[0] < 0.03
 
 

@@ -103,7 +103,7 @@ def test_a_map_at_estimated_poses_is_that_at_recorded_ones(survey):
     """Two rooms: poses to a few centimetres without ground truth, and so the surfaces."""
     sequence = load_sequence(survey)
     true, estimate = sequence.true_poses(), estimate_poses(sequence, 0.05)
-    assert estimate.fits.mean() > 0.98
+    assert estimate.accepted.mean() > 0.98
     metres = np.linalg.norm(estimate.T_world_cam[:, :3, 3] - true[:, :3, 3], axis=1)
     assert np.median(metres) < 0.03
     assert metres.max() < 0.12

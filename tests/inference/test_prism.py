@@ -29,12 +29,12 @@ from tests.helpers.prism_room import (
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_log
 from vssm_gym.inference.filter import Rig
-from vssm_gym.inference.prism import filter as prism
 from vssm_gym.inference.prism.config import HAND, PrismConfig
-from vssm_gym.inference.prism.filter import PrismState
+from vssm_gym.inference.prism.filter import PrismState, _draw_poses
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter, process_noise
 from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingConfig
+from vssm_gym.model import emission
 from vssm_gym.model.transition import RIGID, Rigid, RigidNoise, Transition, rigid_belief
 
 OK = Status.OK
@@ -71,7 +71,7 @@ def track(
     """The image ``k`` with the state's past, parts of it replaced."""
     before = replace(state.past, **past)
     moved = transition, jnp.zeros(6) if control is None else control, jnp.float32(DT)
-    return camera_filter.track(before, *moved, state.anchor, image(k), RIG, state.key, CONFIG.tracking)
+    return camera_filter.track(before, *moved, state.reference, image(k), RIG, state.key, CONFIG.tracking)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -88,11 +88,11 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
         scale = np.repeat([0.01, 0.01, 0.2, 0.3], 3)
         prior = rigid_belief(prior.mean, jnp.asarray((root @ root.T) * np.outer(scale, scale), jnp.float32))
     tracked = track(state, FRAMES + 1, belief=prior)
-    scale = process_noise.scale(RIGID, state.past.unrest)
+    scale = process_noise.scale(RIGID, state.past.noise_scale)
     predicted = HAND.predict(prior, jnp.zeros(6), jnp.float32(DT), scale)
     P = np.asarray(predicted.covariance, float)
     P_pose = np.linalg.inv(P[:6, :6])
-    laplace = np.linalg.inv(2.0 * np.asarray(tracked.agreement.information, float) + P_pose)
+    laplace = np.linalg.inv(2.0 * np.asarray(tracked.fit_quality.information, float) + P_pose)
     smoothed = (
         CONFIG.tracking.smoothing * np.asarray(state.past.laplace, float) + (1 - CONFIG.tracking.smoothing) * laplace
     )
@@ -116,7 +116,7 @@ def test_an_overwhelming_prior_holds_the_pose() -> None:
     sure = np.diag(np.repeat([1e-7, 1e-7, 1e-9, 1e-9], 3)) ** 2
     still = Rigid(RigidNoise(1e-7, 1e-7, 1e-7, 1e-7))
     prior = rigid_belief(state.past.belief.mean, jnp.asarray(sure + 1e-14 * np.eye(12), jnp.float32))
-    held = track(state, FRAMES, transition=still, belief=prior, unrest=process_noise.full())
+    held = track(state, FRAMES, transition=still, belief=prior, noise_scale=process_noise.full())
     moved = inverse(held.predicted.mean.T_world_body) @ held.belief.mean.T_world_body
     assert np.abs(np.asarray(se3_log(moved))).max() < 1e-4
     assert error(held.predicted, true_pose(FRAMES))[0] > 0.01  # a step further on than the image
@@ -151,11 +151,11 @@ def test_velocity_is_in_its_band_on_a_path_of_constant_velocity() -> None:
 
 def test_a_steady_hand_narrows_the_prior_and_a_jerk_widens_it() -> None:
     state, _ = walked(FRAMES)
-    assert (np.asarray(state.past.unrest) < 0.8).all()
+    assert (np.asarray(state.past.noise_scale) < 0.8).all()
     steady = track(state, FRAMES + 1)
     jerked = track(state, FRAMES + 4)
-    assert (np.asarray(jerked.unrest) > np.asarray(steady.unrest)).all()
-    doubtful = track(state, FRAMES + 1, unrest=process_noise.full())
+    assert (np.asarray(jerked.noise_scale) > np.asarray(steady.noise_scale)).all()
+    doubtful = track(state, FRAMES + 1, noise_scale=process_noise.full())
     by = [np.sqrt(np.diag(np.asarray(t.belief.covariance, float))[6:]) for t in (steady, doubtful)]
     assert (by[0] < by[1]).all()
     # Both take the jerk, which the images show, for what it is.
@@ -199,7 +199,7 @@ def test_the_map_is_the_room() -> None:
     state, _ = walked(FRAMES)
     T_room_cam = true_pose(7.5)
     T = jnp.asarray(np.linalg.inv(true_pose(0)) @ T_room_cam, jnp.float32)
-    seen = prism.anchor.emission.render(state.map, T, CAMERA, CONFIG.update.max_depth)
+    seen = emission.render(state.map, T, CAMERA, CONFIG.update.max_depth)
     known = np.asarray(seen.known)
     off = np.abs(np.asarray(seen.depth, float) - ROOM.depth(T_room_cam, CAMERA))[known]
     assert known.mean() > 0.9
@@ -235,7 +235,7 @@ def test_samples_of_the_pose_have_its_mean_and_covariance(samples: int) -> None:
     T_inverse = inverse(belief.mean.T_world_body)
     drawn = []
     for key in jax.random.split(jax.random.key(0), 300):
-        poses = prism._draw_poses(belief, RIG, key, samples)
+        poses = _draw_poses(belief, RIG, key, samples)
         assert poses.shape == (samples, 4, 4)
         drawn.append(np.asarray(jax.vmap(lambda T: se3_log(T_inverse @ T))(poses), float))
     errors = np.array(drawn) / np.asarray(std)
@@ -256,13 +256,13 @@ def test_time_must_pass(dt: float) -> None:
         step(walked(FRAMES)[0], image(FRAMES + 1), dt)
 
 
-def test_the_anchor_serves_until_the_camera_has_left_it() -> None:
+def test_the_reference_view_serves_until_the_camera_has_left_it() -> None:
     """Farther than its distance or its angle it is taken anew, at the pose of that image."""
     taken = 0
     for state, info in walk(start(), range(1, FRAMES + 1)):
-        apart = np.asarray(se3_log(inverse(state.anchor.T_world_cam) @ info.belief.mean.T_world_body))
-        assert np.linalg.norm(apart[:3]) < CONFIG.anchor_distance
-        assert np.linalg.norm(apart[3:]) < CONFIG.anchor_angle
+        apart = np.asarray(se3_log(inverse(state.reference.T_world_cam) @ info.belief.mean.T_world_body))
+        assert np.linalg.norm(apart[:3]) < CONFIG.reference_distance
+        assert np.linalg.norm(apart[3:]) < CONFIG.reference_angle
         taken += bool((np.abs(apart) < 1e-6).all())
     assert 1 <= taken < FRAMES
 
@@ -309,7 +309,7 @@ def test_the_same_seed_gives_the_same_bytes(solver: str) -> None:
 
 
 def test_nothing_is_compiled_between_steps(caplog: pytest.LogCaptureFixture) -> None:
-    """New poses, gaps, anchors and windows are values, not shapes."""
+    """New poses, gaps, reference views and windows are values, not shapes."""
     *_, (state, _) = walk(walked(FRAMES)[0], range(FRAMES + 1, FRAMES + 5))
     with caplog.at_level(logging.DEBUG), jax.log_compiles():
         for k in range(FRAMES + 5, FRAMES + 10):

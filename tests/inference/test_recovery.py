@@ -63,7 +63,7 @@ def test_a_camera_carried_off_is_found_from_a_keyframe(seed: int, metres: float,
     image = ROOM.image(now, CAMERA)
     guesses = similar(kept, luminance(image.rgb), CAMERA, RotationConfig(), CONFIG.keyframes)
     attempt = recover(known_map(), jnp.stack([f32(start), *guesses]), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
-    assert bool(attempt.fits)
+    assert bool(attempt.accepted)
     metres_off, degrees_off = error(attempt.T_world_cam, now)
     assert metres_off < 0.02
     assert degrees_off < 0.7
@@ -76,7 +76,7 @@ def test_the_best_of_the_starts_is_taken() -> None:
     near, away, behind = off(now, np.random.default_rng(1), 0.05, 3.0), np.eye(4), camera_pose((1.5, 0.0, 1.0), 3.0)
     for starts in ([near, away, behind], [away, near, behind], [away, behind, near]):
         attempt = recover(known_map(), f32(np.stack(starts)), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
-        assert bool(attempt.fits)
+        assert bool(attempt.accepted)
         assert error(attempt.T_world_cam, now)[0] < 0.02
 
 
@@ -87,7 +87,7 @@ def test_a_picture_of_another_place_does_not_fit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     starts = np.stack([place(rng), place(rng), camera_pose((0.2, 0.0, 1.0), 2.5)])
     image = OTHER.image(camera_pose((-1.6, 0.3, 1.3), rng.uniform(-0.3, 0.6), 0.3), CAMERA)
-    assert not bool(recover(known_map(), f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG).fits)
+    assert not bool(recover(known_map(), f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG).accepted)
 
 
 def blank(image: RGBD) -> RGBD:
@@ -104,5 +104,5 @@ def test_nothing_to_go_by_does_not_fit(what: str) -> None:
     else:
         starts[:, 0, 3] += 50.0
     attempt = recover(known_map(), f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG)
-    assert not bool(attempt.fits)
+    assert not bool(attempt.accepted)
     assert np.isfinite(np.asarray(attempt.T_world_cam)).all()

@@ -119,7 +119,7 @@ def test_images_only_add_information() -> None:
         spread = np.asarray(predicted.covariance, float)
         state, info = step(state, command, see(planar))
         posterior = np.asarray(state.past.belief.covariance, float)
-        information = 2.0 * np.asarray(info.agreement.information, float) + np.linalg.inv(spread)
+        information = 2.0 * np.asarray(info.fit_quality.information, float) + np.linalg.inv(spread)
         np.testing.assert_allclose(posterior @ information, np.eye(3), atol=2e-2)
         np.testing.assert_allclose(posterior, posterior.T, rtol=1e-3, atol=1e-9)
         assert np.linalg.eigvalsh(posterior).min() > 0.0
@@ -204,7 +204,7 @@ def test_an_observation_is_what_the_camera_delivered() -> None:
 
 def test_every_status_has_words() -> None:
     assert len({status.message for status in Status}) == len(Status)
-    assert [status for status in Status if status.fits] == [Status.OK, Status.RECOVERED]
+    assert [status for status in Status if status.accepted] == [Status.OK, Status.RECOVERED]
 
 
 def test_tracking_compiles_once() -> None:

@@ -14,7 +14,7 @@ from tests.helpers.analytic_room import Room, camera_pose
 from tests.helpers.random_maps import seeds
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import update
-from vssm_gym.inference.mapping.rolling_window import recentre, shift_to_centre
+from vssm_gym.inference.mapping.rolling_window import move, shift_to_centre
 from vssm_gym.maps import empty_space
 from vssm_gym.maps.block_table import BLOCK, PRIOR_SLOT, BlockTable
 from vssm_gym.maps.compaction import first_set, set_numbers
@@ -227,7 +227,7 @@ def test_what_the_windows_share_is_kept(seed: int, shift: tuple[int, int, int], 
     m = seen(seed, 3, SLOTS if is_sparse else None)
     before = {name: np.asarray(m.dense(getattr(m, name))) for name in ARRAYS}
     origin = np.asarray(m.origin, float)
-    moved, dropped = recentre(copy(m), jnp.asarray(shift, jnp.int32))
+    moved, dropped = move(copy(m), jnp.asarray(shift, jnp.int32))
     priors = (PRIOR_OCCUPANCY_MEAN, 0.01, 0.0, 0.01)
     for name, prior in zip(ARRAYS, priors, strict=True):
         expected = shifted(before[name], np.array(shift), prior)
@@ -248,7 +248,7 @@ def test_what_the_windows_share_is_kept(seed: int, shift: tuple[int, int, int], 
 def test_the_index_follows_surfaces_at_the_windows_border(shift: tuple[int, int, int]) -> None:
     """Solid up to its faces: blocks that come in beside it have surfaces, those at its end lose their neighbours."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
-    moved, _ = recentre(m.with_occupancy(jnp.full_like(m.occupancy, 0.2)), jnp.asarray(shift, jnp.int32))
+    moved, _ = move(m.with_occupancy(jnp.full_like(m.occupancy, 0.2)), jnp.asarray(shift, jnp.int32))
     fresh = build(moved.occupancy, None)
     np.testing.assert_array_equal(np.asarray(moved.empty.rings), np.asarray(fresh.rings))
     np.testing.assert_array_equal(np.asarray(moved.empty.level), np.asarray(fresh.level))
@@ -259,7 +259,7 @@ def test_a_window_that_moves_and_maps_for_ever_needs_no_more_slots() -> None:
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE, SLOTS)
     for i in range(40):
         shift = np.array([2 if i % 2 else -1, (-1) ** (i // 3), 0])
-        m, _ = recentre(m, jnp.asarray(shift, jnp.int32))
+        m, _ = move(m, jnp.asarray(shift, jnp.int32))
         T = pose(i)
         image = ROOM.image(T, CAMERA)
         T[:3, 3] += np.asarray(m.origin, float) - ORIGIN  # the room moves with the window

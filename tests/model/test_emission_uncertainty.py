@@ -12,7 +12,7 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD, intersect, march, render, world_rays
-from vssm_gym.model.emission_uncertainty import Readings, image_std, sample_images, sample_map
+from vssm_gym.model.emission_uncertainty import MeasurementNoise, image_std, sample_images, sample_map
 
 VIEW = Camera.from_hfov(16, 12, np.radians(60))
 WALL = Room(interior=((-2.0, -4.0, -4.0), (1.53, 4.0, 4.0)))
@@ -74,7 +74,7 @@ def test_depth_std_is_the_renderers_own_sensitivity() -> None:
     image = render(m, T, VIEW)
     centre, directions = world_rays(T, VIEW)
     k, _ = march(m, centre, directions, MAX_DEPTH)
-    variance = Readings().occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size)
+    variance = MeasurementNoise().occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size)
 
     @jax.jit
     def exact(ray):
@@ -106,7 +106,7 @@ def test_more_readings_mean_less_doubt() -> None:
 def test_the_std_of_one_reading_scales_the_image() -> None:
     m, T = wall(4.0), pose()
     image = render(m, T, VIEW)
-    standard, doubled = (image_std(m, T, VIEW, image, r)[0] for r in (Readings(), Readings(depth=0.06)))
+    standard, doubled = (image_std(m, T, VIEW, image, r)[0] for r in (MeasurementNoise(), MeasurementNoise(depth=0.06)))
     np.testing.assert_allclose(np.asarray(doubled), 2.0 * np.asarray(standard), rtol=1e-5)
 
 

@@ -15,8 +15,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model import predictive
-from vssm_gym.model import spatial_model as model
+from vssm_gym.model import predictive, spatial_model
 from vssm_gym.model.emission import RGBD, EmissionScales
 from vssm_gym.model.spatial_model import SpatialModel
 from vssm_gym.model.transition import (
@@ -99,7 +98,7 @@ def test_the_joint_density_is_the_sum_of_its_terms_in_float64(room: VoxelMap) ->
     states = RigidState(f32(np.stack(poses)), f32(np.stack(velocities)))
     spread = np.diag(rng.uniform(0.1, 0.3, 12) ** 2)
     start = rigid_belief(RigidState(f32(starts), jnp.zeros(6)), f32(spread))
-    terms = model.log_joint(spatial, start, states, f32(controls), images, room, DT)
+    terms = spatial_model.log_joint(spatial, start, states, f32(controls), images, room, DT)
 
     cells = stats.norm.logpdf(np.asarray(room.occupancy, float), -0.001, 10.0).sum()
     cells += stats.norm.logpdf(np.asarray(room.colour, float), 0.0, 10.0).sum()
@@ -134,7 +133,7 @@ def test_the_density_prefers_the_truth_and_says_which_way(room: VoxelMap) -> Non
 
     @eqx.filter_jit
     def images_term(states):
-        return model.log_joint(spatial, start, states, controls, images, room, DT).images.sum()
+        return spatial_model.log_joint(spatial, start, states, controls, images, room, DT).images.sum()
 
     away = f32(path).at[1, 0].add(0.04)
     assert float(images_term(f32(path))) > float(images_term(away))
@@ -148,7 +147,7 @@ def test_rollouts_from_a_known_start_without_noise_are_the_motion(room: VoxelMap
     still = SpatialModel(Planar(MotionNoise(0.0, 0.0), (0.0, 0.0, 0.0)), room, VIEW, f32(ROBOT.T_body_cam))
     u, start = commands(np.random.default_rng(1)), np.array([0.2, -0.3, 1.0])
     belief = planar_belief(f32(start), jnp.zeros((3, 3)))
-    futures = model.rollout(jax.random.key(0), still, belief, f32(u), DT, samples=3)
+    futures = spatial_model.rollout(jax.random.key(0), still, belief, f32(u), DT, samples=3)
     assert futures.images is None
     for t in range(STEPS):
         start = execute(start, u[t], NOISE_LEVELS["none"], np.random.default_rng(0))
@@ -163,7 +162,7 @@ def test_rollouts_agree_with_the_environments_robot(room: VoxelMap) -> None:
     u, (mean, covariance) = commands(rng, 6), random_belief(rng)
     spatial = planar_model(room, (0.0, 0.0, 0.0))
     belief = planar_belief(f32(mean), f32(covariance))
-    futures = model.rollout(jax.random.key(1), spatial, belief, f32(u), DT, samples=n).states
+    futures = spatial_model.rollout(jax.random.key(1), spatial, belief, f32(u), DT, samples=n).states
     runs = np.asarray(PLANAR.perturb(f32(mean), f32(rng.multivariate_normal(np.zeros(3), covariance, n))), float)
     for t in range(6):
         runs = np.stack([execute(run, u[t], LOW, rng) for run in runs])
@@ -180,10 +179,10 @@ def test_imagined_images_are_those_of_the_futures(room: VoxelMap, which: str) ->
     spatial = planar_model(room)
     belief = planar_belief(f32([-1.0, 0.0, 0.0]), jnp.eye(3) * 1e-4)
     u = f32(commands(np.random.default_rng(3), 2))
-    futures = model.rollout(jax.random.key(2), spatial, belief, u, DT, samples=3, images=which)
+    futures = spatial_model.rollout(jax.random.key(2), spatial, belief, u, DT, samples=3, images=which)
     assert futures.images.depth.shape == (3, 2, VIEW.height, VIEW.width)
     assert futures.images.rgb.shape == (3, 2, VIEW.height, VIEW.width, 3)
-    plain = model.rollout(jax.random.key(2), spatial, belief, u, DT, samples=3).states
+    plain = spatial_model.rollout(jax.random.key(2), spatial, belief, u, DT, samples=3).states
     np.testing.assert_array_equal(np.asarray(plain), np.asarray(futures.states))
     expected = spatial.image(room, futures.states[2, 1])
     difference = np.abs(np.asarray(futures.images.depth[2, 1] - expected.depth))
@@ -196,7 +195,9 @@ def test_imagined_images_are_those_of_the_futures(room: VoxelMap, which: str) ->
 def test_rollouts_are_repeatable(room: VoxelMap) -> None:
     spatial, u = planar_model(room), f32(commands(np.random.default_rng(4)))
     belief = planar_belief(jnp.zeros(3), jnp.eye(3) * 1e-4)
-    draw = lambda seed: np.asarray(model.rollout(jax.random.key(seed), spatial, belief, u, DT, samples=10).states)
+    draw = lambda seed: np.asarray(
+        spatial_model.rollout(jax.random.key(seed), spatial, belief, u, DT, samples=10).states
+    )
     np.testing.assert_array_equal(draw(0), draw(0))
     assert (draw(0) != draw(1)).all()
 
@@ -268,7 +269,7 @@ def test_the_true_planar_future_lies_in_its_region(room: VoxelMap) -> None:
     rng, spatial, held = np.random.default_rng(7), planar_model(room), []
     for trial in range(TRIALS):
         (mean, covariance), u = random_belief(rng), commands(rng)
-        futures = model.rollout(
+        futures = spatial_model.rollout(
             jax.random.key(trial), spatial, planar_belief(f32(mean), f32(covariance)), f32(u), DT, samples=FUTURES
         )
         region = predictive.envelope(PLANAR, futures.states)
@@ -297,7 +298,7 @@ def test_the_true_rigid_future_lies_in_its_region(room: VoxelMap) -> None:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, t
         belief = rigid_belief(RigidState(f32(T), f32(velocity)), f32(np.diag(spread**2)))
-        futures = model.rollout(jax.random.key(trial), spatial, belief, f32(u), DT, samples=FUTURES)
+        futures = spatial_model.rollout(jax.random.key(trial), spatial, belief, f32(u), DT, samples=FUTURES)
         region = predictive.envelope(RIGID, futures.states, coordinates=6)
         start = RIGID.perturb(belief.mean, f32(rng.normal(size=12) * spread))
         T, velocity, path = np.asarray(start.T_world_body, float), np.asarray(start.velocity, float), []

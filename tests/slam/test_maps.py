@@ -14,7 +14,7 @@ from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
-from vssm_gym.slam import map_building as maps
+from vssm_gym.slam import map_building
 from vssm_gym.slam.map_building import build_map, ensure_map, map_hash
 from vssm_gym.version import package_version
 
@@ -144,9 +144,9 @@ def drives(recording, monkeypatch):
         (out / PROVENANCE).write_text(json.dumps(read_provenance(recording[0]) | {"noise": noise, "seed": seed}))
         made.append(out)
 
-    monkeypatch.setattr(maps, "record", record_note)
-    monkeypatch.setattr(maps, "load_sequence", lambda folder: folder)
-    monkeypatch.setattr(maps, "build_map", lambda *_, **__: VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)))
+    monkeypatch.setattr(map_building, "record", record_note)
+    monkeypatch.setattr(map_building, "load_sequence", lambda folder: folder)
+    monkeypatch.setattr(map_building, "build_map", lambda *_, **__: VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)))
     return made
 
 

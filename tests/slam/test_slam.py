@@ -84,7 +84,7 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     assert stats["config"]["size"] == SIZE
     assert stats["latency_ms"]["read"]["n"] == FRAMES
     latency = stats["latency_ms"]
-    # The first frame, the first step and the first new anchor compile something.
+    # The first frame, the first step and the first new reference view compile something.
     assert latency["whole step"]["n"] == FRAMES - len(stats["compiling_s"]) >= FRAMES - 3
     assert latency["track"]["n"] == latency["map"]["n"] == latency["whole step"]["n"]
     assert latency["track"]["p50"] + latency["map"]["p50"] <= 1.2 * latency["whole step"]["p50"]

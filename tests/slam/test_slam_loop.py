@@ -9,7 +9,7 @@ from tests.helpers.analytic_room import camera_pose
 from tests.helpers.slam_recordings import FRAMES, frame_of, image_from, options, true_pose, write_sequence
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, run_slam
 
 
@@ -49,7 +49,7 @@ def test_real_images_are_tracked(shared_data):
     sequence = load_sequence(shared_data / "tum_fr1_xyz")
     run = run_slam(replace(sequence, frames=sequence.frames[:12]), options())
     assert not run.lost.any()
-    result = trajectory.evaluate(run.times, run.poses, *sequence.truth)
+    result = trajectory_error.evaluate(run.times, run.poses, *sequence.truth)
     assert result["ate_translation_se3"]["rmse"] < 0.02
 
 
@@ -57,7 +57,7 @@ def test_real_images_are_tracked(shared_data):
 def test_the_whole_real_sequence_at_the_default_settings(shared_data):
     sequence = load_sequence(shared_data / "tum_fr1_xyz")
     run = run_slam(sequence, SlamOptions())
-    result = trajectory.evaluate(run.times, run.poses, *sequence.truth)
+    result = trajectory_error.evaluate(run.times, run.poses, *sequence.truth)
     assert len(run.frames) == 266
     assert result["ate_translation_se3"]["rmse"] < 0.03
     assert run.lost.mean() < 0.05

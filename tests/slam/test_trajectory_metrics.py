@@ -10,7 +10,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.errors import InputError
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 
 TRUTH = {
     "fr2_desk_ORB": "fr2_desk_groundtruth.txt",
@@ -46,7 +46,7 @@ def test_reproduces_reference_values(name: str, shared_data: Path) -> None:
     reference = json.loads((folder / "reference_values.json").read_text())["results"][name]
     times_est, T_est = read_trajectory(folder / f"{name}.txt")
     times_true, T_true = read_trajectory(folder / TRUTH[name])
-    result = trajectory.evaluate(times_est, T_est, times_true, T_true, tolerance=reference["assoc_max_diff_s"])
+    result = trajectory_error.evaluate(times_est, T_est, times_true, T_true, tolerance=reference["assoc_max_diff_s"])
     assert result["pairs"] == reference["n_pairs"]
     ours_of_theirs = {
         "ape_trans_se3": "ate_translation_se3",
@@ -80,15 +80,17 @@ def test_agrees_with_evo(seed: int) -> None:
         PoseTrajectory3D(poses_se3=list(T_est), timestamps=times_est),
         max_diff=0.01,
     )
-    of_est, of_true = trajectory.associate(times_est, times_true, 0.01)
+    of_est, of_true = trajectory_error.associate(times_est, times_true, 0.01)
     assert np.array_equal(est.timestamps, times_est[of_est]) and np.array_equal(ref.timestamps, times_true[of_true])
     relative = metrics.RPE(metrics.PoseRelation.rotation_angle_deg, 7, metrics.Unit.frames, all_pairs=True)
     relative.process_data((ref, est))
-    np.testing.assert_allclose(trajectory.rpe(T_est[of_est], T_true[of_true], 7).rotation, relative.error, atol=1e-9)
+    np.testing.assert_allclose(
+        trajectory_error.rpe(T_est[of_est], T_true[of_true], 7).rotation, relative.error, atol=1e-9
+    )
     est.align(ref, correct_scale=True)
     absolute = metrics.APE(metrics.PoseRelation.translation_part)
     absolute.process_data((ref, est))
-    ours = trajectory.ate(T_est[of_est], T_true[of_true], "sim3").translation
+    ours = trajectory_error.ate(T_est[of_est], T_true[of_true], "sim3").translation
     np.testing.assert_allclose(ours, absolute.error, atol=1e-9)
 
 
@@ -97,10 +99,10 @@ def test_alignment_recovers_the_motion(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     T_true, A = random_poses(rng, 20), random_motion(rng)
     T_est = A @ T_true
-    assert trajectory.ate(T_est, T_true).translation.max() < 1e-9
-    assert trajectory.ate(T_est, T_true).rotation.max() < 1e-5
+    assert trajectory_error.ate(T_est, T_true).translation.max() < 1e-9
+    assert trajectory_error.ate(T_est, T_true).rotation.max() < 1e-5
     T_est[:, :3, 3] *= scale
-    found = trajectory.align(T_est[:, :3, 3], T_true[:, :3, 3], with_scale=True)
+    found = trajectory_error.align(T_est[:, :3, 3], T_true[:, :3, 3], with_scale=True)
     assert found.scale == pytest.approx(1.0 / scale, rel=1e-9)
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
     np.testing.assert_allclose(found.apply(T_est), T_true, atol=1e-8)
@@ -112,8 +114,8 @@ def test_errors_do_not_depend_on_the_estimates_frame(seed: int) -> None:
     T_true, T_est = random_poses(rng, 20), random_poses(rng, 20)
     moved = random_motion(rng) @ T_est
     for one, other in (
-        (trajectory.ate(T_est, T_true), trajectory.ate(moved, T_true)),
-        (trajectory.rpe(T_est, T_true, 3), trajectory.rpe(moved, T_true, 3)),
+        (trajectory_error.ate(T_est, T_true), trajectory_error.ate(moved, T_true)),
+        (trajectory_error.rpe(T_est, T_true, 3), trajectory_error.rpe(moved, T_true, 3)),
     ):
         np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-6)
@@ -126,9 +128,9 @@ def test_alignment_is_optimal(seed: int) -> None:
     p_est, p_true = rng.normal(size=(2, 15, 3))
     T_est, T_true = np.tile(np.eye(4), (2, 15, 1, 1))
     T_est[:, :3, 3], T_true[:, :3, 3] = p_est, p_true
-    best = np.sum(trajectory.ate(T_est, T_true).translation ** 2)
-    assert np.sum(trajectory.ate(T_est, T_true, "sim3").translation ** 2) <= best + 1e-9
-    found = trajectory.align(p_est, p_true)
+    best = np.sum(trajectory_error.ate(T_est, T_true).translation ** 2)
+    assert np.sum(trajectory_error.ate(T_est, T_true, "sim3").translation ** 2) <= best + 1e-9
+    found = trajectory_error.align(p_est, p_true)
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)  # a rotation even where a reflection would fit better
     for _ in range(20):
         R = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3)).as_matrix() @ found.rotation
@@ -143,11 +145,11 @@ def test_alignment_is_optimal(seed: int) -> None:
 )
 def test_association_is_the_nearest_stamp(short: list[float], long: list[float], tolerance: float) -> None:
     a, b = np.array(short), np.array(long)
-    of_a, of_b = trajectory.associate(a, b, tolerance)
+    of_a, of_b = trajectory_error.associate(a, b, tolerance)
     distance = np.abs(a[:, None] - b[None, :])
     assert list(of_a) == [i for i in range(len(a)) if distance[i].min() <= tolerance]
     np.testing.assert_array_equal(np.abs(a[of_a] - b[of_b]), distance[of_a].min(axis=1) if len(of_a) else [])
-    back_b, back_a = trajectory.associate(b, a, tolerance)
+    back_b, back_a = trajectory_error.associate(b, a, tolerance)
     assert np.array_equal(back_a, of_a) and np.array_equal(back_b, of_b)
 
 
@@ -158,7 +160,7 @@ def test_angles_by_hand() -> None:
         T_est = T_true.copy()
         T_est[1, :3, :3] = Rotation.from_euler("z", angle, degrees=True).as_matrix()
         T_est[1, 0, 3] = 0.25
-        error = trajectory.rpe(T_est, T_true)
+        error = trajectory_error.rpe(T_est, T_true)
         assert error.rotation[0] == pytest.approx(angle, rel=1e-9) and error.translation[0] == 0.25
 
 
@@ -166,11 +168,11 @@ def test_bad_input_names_the_field() -> None:
     line = np.tile(np.eye(4), (5, 1, 1))
     line[:, 0, 3] = np.arange(5)
     with pytest.raises(InputError, match="do not lie on one line"):
-        trajectory.ate(line, line)
+        trajectory_error.ate(line, line)
     with pytest.raises(InputError, match="delta"):
-        trajectory.rpe(line, line, 5)
+        trajectory_error.rpe(line, line, 5)
     with pytest.raises(InputError, match="times"):
-        trajectory.evaluate(np.arange(5.0), line, np.arange(5.0) + 100.0, line)
+        trajectory_error.evaluate(np.arange(5.0), line, np.arange(5.0) + 100.0, line)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -178,21 +180,21 @@ def test_alignment_of_the_first_pose(seed: int) -> None:
     """No error at the start whatever the frame; there, drift is all that counts; ``none`` keeps a wrong frame wrong."""
     rng = np.random.default_rng(seed)
     T_true, A = random_poses(rng, 30), random_motion(rng)
-    first = trajectory.ate(A @ T_true, T_true, "first")
+    first = trajectory_error.ate(A @ T_true, T_true, "first")
     assert max(first.translation.max(), first.rotation.max()) < 1e-5
     drift = random_poses(rng, 30)
-    one, other = (trajectory.ate(T, T_true, "first") for T in (T_true @ drift, A @ T_true @ drift))
+    one, other = (trajectory_error.ate(T, T_true, "first") for T in (T_true @ drift, A @ T_true @ drift))
     assert one.translation[0] == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
     # The best rigid motion never fits worse than the first pose's.
-    assert np.sum(trajectory.ate(T_true @ drift, T_true).translation ** 2) <= np.sum(one.translation**2) + 1e-9
-    unaligned = trajectory.ate(A @ T_true, T_true, "none").translation
+    assert np.sum(trajectory_error.ate(T_true @ drift, T_true).translation ** 2) <= np.sum(one.translation**2) + 1e-9
+    unaligned = trajectory_error.ate(A @ T_true, T_true, "none").translation
     np.testing.assert_allclose(unaligned, np.linalg.norm((A @ T_true - T_true)[:, :3, 3], axis=1))
 
 
 def test_straight_lines_need_no_best_rotation() -> None:
     line = np.tile(np.eye(4), (5, 1, 1))
     line[:, 0, 3] = np.arange(5)
-    result = trajectory.evaluate(np.arange(5.0), line, np.arange(5.0), line, alignments=("first", "none"))
+    result = trajectory_error.evaluate(np.arange(5.0), line, np.arange(5.0), line, alignments=("first", "none"))
     assert result["ate_translation_first"]["max"] == result["ate_translation_none"]["max"] == 0.0
     assert "scale" not in result

@@ -41,7 +41,7 @@ class FilterInfo(NamedTuple):
 
     status: Status
     belief: GaussianBelief  # in the world; the prediction where the image was not accepted
-    agreement: AlignInfo | None = None  # fit quality of the alignment; None: nothing was aligned
+    fit_quality: AlignInfo | None = None  # fit quality of the alignment; None: nothing was aligned
     left_window: int = 0  # observed blocks that the map forgot, because the camera left its window
 
 

@@ -17,7 +17,7 @@ class Status(IntEnum):
         return _MESSAGES[self]
 
     @property
-    def fits(self) -> bool:
+    def accepted(self) -> bool:
         """Return whether the image was accepted, so that the belief includes it."""
         return self in (Status.OK, Status.RECOVERED)
 

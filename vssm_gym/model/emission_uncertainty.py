@@ -29,7 +29,7 @@ MIN_SLOPE = 0.1  # of occupancy over depth, so that a ray that grazes a surface 
 _CELLS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)
 
 
-class Readings(eqx.Module):
+class MeasurementNoise(eqx.Module):
     """Hold the measurement noise of map cells. Precisions in the map count observations of std ``counted``."""
 
     depth: Float[Array, ""] | float = OBSERVATION_STD  # m
@@ -46,12 +46,16 @@ class Readings(eqx.Module):
         return jnp.where(precision > OBSERVED_PRECISION, self.rgb**2 / (precision * self.counted**2), 0.0)
 
 
-ONE_READING = Readings()
+MEASUREMENT_NOISE = MeasurementNoise()
 
 
 @jax.jit
 def image_std(
-    m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, image: RGBD, readings: Readings = ONE_READING
+    m: VoxelMap,
+    T_world_cam: Float[Array, "4 4"],
+    camera: Camera,
+    image: RGBD,
+    measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
 ) -> tuple[Float[Array, "height width"], Float[Array, "height width 3"]]:
     """Return the std of a rendered image under ``q(M)``, to first order at the hit.
 
@@ -64,7 +68,7 @@ def image_std(
         T_world_cam: Camera pose.
         camera: Intrinsics and image size.
         image: What :func:`vssm_gym.model.emission.render` gives for them.
-        readings: Std of one observation.
+        measurement_noise: Std of one observation.
 
     Returns:
         Depth std (m) and colour std; infinite where the image is not ``known``.
@@ -88,9 +92,9 @@ def image_std(
         offset = cell_offset(cell, m.blocks, m.table)
         read = lambda array: array.at[offset].get(mode="promise_in_bounds")
         weight = a * _hat(after, cell) + (1.0 - a) * _hat(before, cell)
-        variance = readings.occupancy_variance(read(occupancy), read(occupancy_precision), m.voxel_size)
+        variance = measurement_noise.occupancy_variance(read(occupancy), read(occupancy_precision), m.voxel_size)
         occupancy_variance += weight**2 * variance
-        colour_variance += _hat(hit, cell) ** 2 * readings.colour_variance(read(colour_precision))
+        colour_variance += _hat(hit, cell) ** 2 * measurement_noise.colour_variance(read(colour_precision))
     depth_variance = occupancy_variance / slope**2
     rgb_variance = colour_variance[:, None] + colour_slope**2 * depth_variance[:, None]
     shape = (camera.height, camera.width)
@@ -106,14 +110,14 @@ def _hat(g: Array, cell: list[Array]) -> Array:
 
 
 @jax.jit
-def sample_map(key: PRNGKeyArray, m: VoxelMap, readings: Readings = ONE_READING) -> VoxelMap:
+def sample_map(key: PRNGKeyArray, m: VoxelMap, measurement_noise: MeasurementNoise = MEASUREMENT_NOISE) -> VoxelMap:
     """Draw ``M ~ q(M)``: a map whose means are drawn cell by cell; precisions stay those of the belief.
 
     The empty-space index is built anew, which costs more than the draw.
     """
     by_occupancy, by_colour = jax.random.split(key)
-    std = jnp.sqrt(readings.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size))
-    colour_std = jnp.sqrt(readings.colour_variance(m.colour_precision))[:, None]
+    std = jnp.sqrt(measurement_noise.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size))
+    colour_std = jnp.sqrt(measurement_noise.colour_variance(m.colour_precision))[:, None]
     occupancy = m.occupancy + std * jax.random.normal(by_occupancy, m.occupancy.shape)
     colour = m.colour + colour_std * jax.random.normal(by_colour, m.colour.shape)
     return eqx.tree_at(lambda m: m.colour, m.with_occupancy(occupancy), colour)
@@ -127,12 +131,12 @@ def sample_images(
     camera: Camera,
     samples: int,
     max_depth: float | Array = MAX_DEPTH,
-    readings: Readings = ONE_READING,
+    measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
 ) -> RGBD:
     """Render ``mu_rgbd(z, M_k)``, ``M_k ~ q(M)``: the same view of ``samples`` maps, one after the other.
 
     Returns:
         An image whose arrays have ``samples`` as first axis.
     """
-    views = lambda k: render(sample_map(k, m, readings), T_world_cam, camera, max_depth)
+    views = lambda k: render(sample_map(k, m, measurement_noise), T_world_cam, camera, max_depth)
     return jax.lax.map(views, jax.random.split(key, samples))

@@ -1,7 +1,7 @@
 """Represent the posterior ``q(z_t) q(M)``: independent beliefs over state and map (PRISM).
 
-Map samples and densities are those of :class:`~vssm_gym.model.emission_uncertainty.Readings`: measured cells vary, all
-others keep their mean.
+Map samples and densities follow :class:`~vssm_gym.model.emission_uncertainty.MeasurementNoise`: measured cells vary,
+all others keep their mean.
 """
 
 import json
@@ -18,7 +18,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 from vssm_gym.maps import map_file
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
-from vssm_gym.model.emission_uncertainty import ONE_READING, Readings, sample_map
+from vssm_gym.model.emission_uncertainty import MEASUREMENT_NOISE, MeasurementNoise, sample_map
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold
 
@@ -52,21 +52,21 @@ class Posterior(eqx.Module):
 
     belief: Belief
     map: VoxelMap | None
-    readings: Readings = ONE_READING  # of one observation counted in the map
+    measurement_noise: MeasurementNoise = MEASUREMENT_NOISE  # of one observation counted in the map
 
     def sample(self, key: PRNGKeyArray) -> Draw:
         """Draw one state and one map; :meth:`Belief.sample` draws many states."""
         by_state, by_map = jax.random.split(key)
         state = jax.tree.map(lambda a: a[0], self.belief.sample(by_state, 1))
-        return Draw(state, None if self.map is None else sample_map(by_map, self.map, self.readings))
+        return Draw(state, None if self.map is None else sample_map(by_map, self.map, self.measurement_noise))
 
     def log_prob(self, draw: Draw) -> LogPosterior:
         """``log q(z) + log q(M)``, term by term; the map's over the cells that :meth:`sample` varies."""
         cells = jnp.float32(0.0)
         if self.map is not None and draw.map is not None:
             m, M = self.map, draw.map
-            occupancy = self.readings.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size)
-            colour = self.readings.colour_variance(m.colour_precision)[:, None]
+            occupancy = self.measurement_noise.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size)
+            colour = self.measurement_noise.colour_variance(m.colour_precision)[:, None]
             cells = _log_normal(M.occupancy - m.occupancy, occupancy) + _log_normal(M.colour - m.colour, colour)
         return LogPosterior(self.belief.log_prob(draw.state), cells)
 
@@ -87,7 +87,7 @@ class Posterior(eqx.Module):
         mean = [numbers(leaf) for leaf in jax.tree.leaves(self.belief.mean)]
         belief = {"manifold": name, "mean": mean, "covariance": numbers(self.belief.covariance)}  # type: ignore[attr-defined]
         if self.map is not None:
-            readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.readings)]
+            readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.measurement_noise)]
             self.map.save(path, **metadata, belief=belief, readings=readings)
             return
         header = {"format": FORMAT, "version": VERSION, **metadata, "belief": belief}
@@ -125,10 +125,10 @@ class Posterior(eqx.Module):
             raise InputError(path, "belief.mean", "a pose whose 3x3 part is a rotation")
         if header["format"] == FORMAT:
             return cls(belief, None)
-        readings = _arrays(path, "readings", header.get("readings", jax.tree.leaves(ONE_READING)), [()] * 3)
+        readings = _arrays(path, "readings", header.get("readings", jax.tree.leaves(MEASUREMENT_NOISE)), [()] * 3)
         if not all(float(std) > 0.0 for std in readings):
             raise InputError(path, "readings", "standard deviations above 0")
-        return cls(belief, VoxelMap.load(path), Readings(*(float(std) for std in readings)))
+        return cls(belief, VoxelMap.load(path), MeasurementNoise(*(float(std) for std in readings)))
 
 
 def map_entropy(m: VoxelMap) -> float:

@@ -19,7 +19,7 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import MAX_DEPTH, RGBD, EmissionScales
-from vssm_gym.model.emission_uncertainty import Readings, sample_map
+from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief
 
@@ -34,7 +34,7 @@ class SpatialModel(eqx.Module):
     camera: Camera
     T_body_cam: Float[Array, "4 4"]
     scales: EmissionScales = EmissionScales()
-    readings: Readings = Readings()  # of one observation counted in ``m``
+    measurement_noise: MeasurementNoise = MeasurementNoise()  # of one observation counted in ``m``
     max_depth: Float[Array, ""] | float = MAX_DEPTH  # m
 
     def image(self, m: VoxelMap, state: State) -> RGBD:
@@ -144,7 +144,7 @@ def rollout(
 
     def seen(one):
         key, path = one
-        m = sample_map(key, model.m, model.readings) if images == "sampled maps" else model.m
+        m = sample_map(key, model.m, model.measurement_noise) if images == "sampled maps" else model.m
         return jax.lax.map(lambda state: model.image(m, state), path)
 
     return Rollouts(states, jax.lax.map(seen, (jax.random.split(by_map, samples), states)))

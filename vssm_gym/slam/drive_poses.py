@@ -35,7 +35,7 @@ class DrivePoses:
     """The estimate."""
 
     T_world_cam: Float[np.ndarray, "frames 4 4"]  # float64
-    fits: Bool[np.ndarray, "frames"]  # where the image fitted the map; elsewhere the pose follows the commands alone
+    accepted: Bool[np.ndarray, "frames"]  # False: the pose follows the commands alone
 
 
 def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None = None) -> DrivePoses:
@@ -64,14 +64,14 @@ def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None =
     prism = FILTERS["prism"].make(rig, motion)
     known = planar_belief(start, START_STD**2 * jnp.eye(3))
     state = prism.init(Posterior(known, sparse), RGBD.from_camera(*reader[0]), jax.random.key(0))
-    planar, fits = [np.asarray(start, float)], [True]
+    planar, accepted = [np.asarray(start, float)], [True]
     for i in range(1, len(reader)):
         control = jnp.asarray(sequence.controls[i, 1:], jnp.float32)
         state, info = prism.step(
             state, control, RGBD.from_camera(*reader[i]), float(sequence.times[i] - sequence.times[i - 1])
         )
         planar.append(np.asarray(prism.posterior(state).belief.mean, float))
-        fits.append(info.status.fits)
+        accepted.append(info.status.accepted)
         if np.abs(planar[-1][:2] - planar[0][:2]).max() > REACH - 1.0:
             raise InputError(sequence.root, "controls", f"a drive that stays within {REACH - 1.0} m of its start")
         if progress:
@@ -79,4 +79,4 @@ def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None =
     if state.map.table is not None and (refused := int(state.map.table.refused)):
         raise InputError("map", "voxel", f"larger cells: {refused} blocks of the drive found no room at {voxel} m")
     T_world_body = np.asarray(planar_to_matrix(jnp.asarray(np.array(planar), jnp.float32)), float)
-    return DrivePoses(T_world_body @ sequence.T_body_cam, np.array(fits))
+    return DrivePoses(T_world_body @ sequence.T_body_cam, np.array(accepted))

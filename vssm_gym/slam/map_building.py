@@ -53,13 +53,13 @@ def build_map(
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
     """
     reader, config = FrameReader(sequence), MapUpdateConfig()
-    taken, fits = _poses(sequence, voxel, poses, progress)
+    taken, accepted = _poses(sequence, voxel, poses, progress)
     low, high = grid_bounds(reader, taken, config)
     shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
     if np.prod(shape) > MAX_CELLS:
         raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
     voxel_map = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
-    for done, i in enumerate(np.flatnonzero(fits).tolist(), 1):
+    for done, i in enumerate(np.flatnonzero(accepted).tolist(), 1):
         rgb, depth = reader[i]
         voxel_map = update(
             voxel_map,
@@ -70,7 +70,7 @@ def build_map(
             config,
         )
         if progress:
-            progress("map", done, int(fits.sum()))
+            progress("map", done, int(accepted.sum()))
     if warn:
         warn(reader.notices)
     return voxel_map
@@ -81,7 +81,7 @@ def _poses(sequence: Sequence, voxel: float, poses: Poses, progress: Progress | 
     if poses == "recorded":
         return sequence.true_poses(), np.ones(len(sequence.frames), dtype=bool)
     estimate = estimate_poses(sequence, voxel, progress)
-    return estimate.T_world_cam, estimate.fits
+    return estimate.T_world_cam, estimate.accepted
 
 
 def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 from vssm_gym.inference.status import Status
 from vssm_gym.output_folders import check_folder
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES
 from vssm_gym.slam.report import page
 from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, TrackedFrame, run_slam
@@ -34,10 +34,10 @@ MOST_OUTSIDE = 0.5  # share of the readings outside the map that is worth a warn
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
     "the images, MAP, Laplace and velocity; map: the closed-form update, and moving the window where the camera leaves "
-    "it; anchor: rendering the map where the camera has left the last anchor; recover: aligning a lost image to the "
-    "map from several starts; the rest is shrinking the image and keeping keyframes. read: decoding, undistorting and "
-    "resizing, in a thread beside the filter; wait: the filter idle until the image is there. Frames on which a stage "
-    "ran for the first time, and was compiled, are left out"
+    "it; anchor: rendering a new reference view where the camera has left the last one; recover: aligning a lost image "
+    "to the map from several starts; the rest is shrinking the image and keeping keyframes. read: decoding, "
+    "undistorting and resizing, in a thread beside the filter; wait: the filter idle until the image is there. Frames "
+    "on which a stage ran for the first time, and was compiled, are left out"
 )
 OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # what an unfinished run leaves: the report comes last
 
@@ -192,7 +192,7 @@ def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
     if sequence.truth is None:
         return None
     try:
-        return trajectory.evaluate(run.times, run.poses, *sequence.truth)
+        return trajectory_error.evaluate(run.times, run.poses, *sequence.truth)
     except InputError as error:
         return {"impossible": str(error)}
 

@@ -50,16 +50,19 @@ class DepthKind:
 
     align: AlignConfig
     truncation: float = 2.0  # voxels behind a surface that an image updates
-    anchors: tuple[float, float] = (0.15, 0.15)  # m, rad: how long a reference view serves
+    reference_limits: tuple[float, float] = (
+        0.15,
+        0.15,
+    )  # m, rad: distance from a reference view at which a new one is made
 
 
 _HAND_HELD = TrackingConfig()
 DEPTHS = {
     # Structured light, active stereo near by
     "good": DepthKind(_HAND_HELD.align),
-    # Noisy stereo far away (PRISM): a wider band behind surfaces, geometry trusted less, colour more. A place far from
-    # the camera hides little when it moves half a metre: anchors serve longer, and the fewer there are, the less the
-    # images seen at them drift.
+    # Noisy stereo at long range (PRISM): a wider truncation band, less weight on geometry, more on colour. Distant
+    # surfaces change little when the camera moves half a metre: reference views serve longer, and with fewer of
+    # them the camera images taken there drift less.
     "stereo": DepthKind(
         replace(_HAND_HELD.align, geo_sigma=0.02, geo_sigma_quadratic=0.005, rgb_weight=2.0, seen_weight=2.0),
         4.0,
@@ -160,8 +163,8 @@ class SlamOptions:
             update=update,
             samples=self.samples,
             track_width=self.render_width,
-            anchor_distance=kind.anchors[0],
-            anchor_angle=kind.anchors[1],
+            reference_distance=kind.reference_limits[0],
+            reference_angle=kind.reference_limits[1],
         )
         return Prism(Rig.of(camera), HAND, config)
 
@@ -202,7 +205,7 @@ class TrackedFrame:
     @property
     def lost(self) -> bool:
         """The frame fits nothing, and the map does not hold it."""
-        return not self.status.fits
+        return not self.status.accepted
 
 
 @dataclass(frozen=True)
@@ -373,7 +376,7 @@ class _Tracker:
             control, dt = self._control(self.state, stamp), stamp - self.stamp
             self.state, info = self.filter.step(self.state, control, image, dt, clock=stages)
             status = info.status
-            if status.fits:
+            if status.accepted:
                 self._misses = None
             elif status is Status.LOST and self._misses is not None:
                 self._misses += 1
@@ -395,7 +398,7 @@ class _Tracker:
         warm = info is not None and stages.seconds.keys() <= self._compiled
         self._compiled |= stages.seconds.keys()
         belief = info.belief if info else None
-        agreement = info.agreement if info else None
+        fit_quality = info.fit_quality if info else None
         T_world_cam = np.eye(4)
         if self.state is not None:
             mean = belief.mean if belief else self.filter.posterior(self.state).belief.mean
@@ -405,9 +408,9 @@ class _Tracker:
             time=stamp,
             T_world_cam=T_world_cam,
             status=status,
-            inlier_share=float(agreement.inlier_share) if agreement else None,
-            coverage=float(agreement.coverage) if agreement else None,
-            photometric=float(agreement.photometric) if agreement else None,
+            inlier_share=float(fit_quality.inlier_share) if fit_quality else None,
+            coverage=float(fit_quality.coverage) if fit_quality else None,
+            photometric=float(fit_quality.photometric) if fit_quality else None,
             in_grid=self._in_grid(depth, T_world_cam),
             read_s=read_s,
             wait_s=wait_s,

@@ -17,7 +17,7 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.data.trajectories import interpolate, velocities
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.slam import trajectory_error as trajectory
+from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.calibration import Calibration, pose_residuals
 from vssm_gym.slam.run import SlamRun, TrackedFrame
 from vssm_gym.viz import pictures
@@ -43,9 +43,9 @@ class Truth:
         if sequence.truth is None:
             return None
         times, T_true = sequence.truth
-        i, j = trajectory.associate(run.times, times)
+        i, j = trajectory_error.associate(run.times, times)
         try:
-            alignment = trajectory.align(run.poses[i, :3, 3], T_true[j, :3, 3])
+            alignment = trajectory_error.align(run.poses[i, :3, 3], T_true[j, :3, 3])
         except InputError:
             return None
         T = np.eye(4)

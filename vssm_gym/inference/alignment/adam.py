@@ -25,7 +25,7 @@ from vssm_gym.inference.alignment.residuals import (
     AlignInfo,
     Observed,
     Reference,
-    agreement,
+    fit_quality,
     make_observed,
     make_reference,
     stride,
@@ -169,4 +169,4 @@ def align_adam(
     start = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T_start)
     T = T_prior @ se3_exp(basis @ minimise(loss, start, basis, adam))
     sampled = make_observed(observed, camera, every=stride(camera, 1, config))
-    return T, agreement(T, basis, ref, sampled, camera, config, adam.steps)
+    return T, fit_quality(T, basis, ref, sampled, camera, config, adam.steps)

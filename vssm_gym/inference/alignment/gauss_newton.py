@@ -13,7 +13,7 @@ from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp, se3_log
 from vssm_gym.inference.alignment.residuals import (
     AlignConfig,
     AlignInfo,
-    agreement,
+    fit_quality,
     linearise,
     make_observed,
     make_reference,
@@ -82,4 +82,4 @@ def align(
     if factor != 1:
         ref = make_reference(reference, camera, config, 1, seen, spread)
         obs = make_observed(observed, camera, 1, stride(camera, 1, config))
-    return T, agreement(T, basis, ref, obs, camera, config, count)
+    return T, fit_quality(T, basis, ref, obs, camera, config, count)

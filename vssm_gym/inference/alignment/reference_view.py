@@ -18,7 +18,7 @@ from vssm_gym.model import emission, emission_uncertainty
 from vssm_gym.model.emission import RGBD
 
 
-class Anchor(eqx.Module):
+class ReferenceView(eqx.Module):
     """Hold the view that the next images are aligned to."""
 
     T_world_cam: Float[Array, "4 4"]
@@ -42,9 +42,9 @@ def _combine(rendered: RGBD, taken: RGBD) -> tuple[RGBD, Array]:
 _depth_std = jax.jit(lambda m, T, camera, image: emission_uncertainty.image_std(m, T, camera, image)[0])
 
 
-def take(
+def from_image(
     m: VoxelMap, T_world_cam: Float[Array, "4 4"], taken: RGBD, camera: Camera, max_depth: float, expected: bool
-) -> Anchor:
+) -> ReferenceView:
     """Make the reference view at a pose whose image has just entered the map.
 
     Args:
@@ -62,18 +62,18 @@ def take(
     if expected:
         std = _depth_std(m, T_world_cam, camera, rendered)
         spread = jnp.where(rendered.known, std, 0.0)  # a camera image's own noise is in the residual's scale
-    return Anchor(T_world_cam, image, seen, spread)
+    return ReferenceView(T_world_cam, image, seen, spread)
 
 
-def rendered(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float) -> Anchor:
+def from_map(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float) -> ReferenceView:
     """Render the reference view at a pose without a camera image, from the map alone."""
-    return Anchor(T_world_cam, emission.render(m, T_world_cam, camera, max_depth), None, None)
+    return ReferenceView(T_world_cam, emission.render(m, T_world_cam, camera, max_depth), None, None)
 
 
 @jax.jit
-def left(
-    anchor: Anchor, T_world_cam: Float[Array, "4 4"], distance: float | Array, angle: float | Array
+def has_left(
+    reference: ReferenceView, T_world_cam: Float[Array, "4 4"], distance: float | Array, angle: float | Array
 ) -> Bool[Array, ""]:
     """Return whether a camera is at least ``distance`` (m) or ``angle`` (rad) away from its reference view."""
-    xi = se3_log(inverse(anchor.T_world_cam) @ T_world_cam)
+    xi = se3_log(inverse(reference.T_world_cam) @ T_world_cam)
     return (jnp.linalg.norm(xi[:3]) >= distance) | (jnp.linalg.norm(xi[3:]) >= angle)

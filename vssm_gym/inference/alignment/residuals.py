@@ -272,7 +272,7 @@ def linearise(
     return tuple(terms)
 
 
-def disagreement(
+def alignment_cost(
     T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
 ) -> Float[Array, ""]:
     """Return the alignment cost: the mean of ``min(|r|, 3)`` in standard deviations over all observed pixels.
@@ -295,7 +295,7 @@ def normal_equations(*terms: Term) -> tuple[Float[Array, "6 6"], Float[Array, "6
     return total[:6, :6], total[:6, 6]
 
 
-def agreement(
+def fit_quality(
     T: Float[Array, "4 4"],
     basis: Float[Array, "6 dof"],
     ref: Reference,

@@ -36,7 +36,7 @@ def _rows(m: VoxelMap) -> tuple[Array, ...]:
 
 
 @partial(jax.jit, donate_argnums=0)
-def recentre(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[Array, ""]]:
+def move(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[Array, ""]]:
     """Move the map's window by whole blocks; return the map and the number of dropped blocks with an observed cell.
 
     Args:

@@ -20,8 +20,8 @@ class PrismConfig:
     recovery: RecoveryConfig | None = field(default_factory=RecoveryConfig)  # None: retry at the predicted pose only
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty also widens the residuals
     track_width: int | None = 160  # pixels: images are tracked at this width and mapped at their own; None: unchanged
-    anchor_distance: float = 0.15  # m and
-    anchor_angle: float = 0.15  # rad: the anchor serves until the camera is farther from it than either
+    reference_distance: float = 0.15  # m and
+    reference_angle: float = 0.15  # rad: the reference view serves until the camera is farther from it than either
     window_margin: float | None = 0.25  # of the map's edge: the window moves beyond this from its middle; None: never
 
     def __post_init__(self) -> None:

@@ -25,23 +25,22 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import se3_exp
-from vssm_gym.inference.alignment import reference_view as anchor
+from vssm_gym.inference.alignment import reference_view
 from vssm_gym.inference.alignment.exposure import expose
-from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import luminance
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
-from vssm_gym.inference.mapping import map_update
-from vssm_gym.inference.mapping import rolling_window as recentre
+from vssm_gym.inference.mapping import map_update, rolling_window
 from vssm_gym.inference.prism import drift
 from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import keyframes
 from vssm_gym.inference.tracking.camera_filter import Past, begin, expected_pose
 from vssm_gym.inference.tracking.keyframes import Keyframes
-from vssm_gym.inference.tracking.localise import Wayback, checked, localise, readable, seconds, shrunk
+from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, seconds, shrunk
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
-from vssm_gym.model.emission_uncertainty import Readings
+from vssm_gym.model.emission_uncertainty import MeasurementNoise
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -52,12 +51,12 @@ class PrismState(eqx.Module):
 
     map: VoxelMap  # q_t(M)
     past: Past  # q_t(z_t), of the body against the map; and the image behind it
-    anchor: Anchor
+    reference: ReferenceView
     keyframes: Keyframes | None  # None: no recovery
     drift: Float[Array, "6 6"]  # covariance of the map's frame around the body in the world, tangent of the world
     lost: bool  # the last image was not accepted
     key: PRNGKeyArray
-    readings: Readings  # of the posterior
+    measurement_noise: MeasurementNoise  # of the posterior
 
 
 @dataclass(frozen=True)
@@ -87,8 +86,10 @@ class Prism:
         m, kept = clock("map", m), None
         if config.recovery is not None:
             kept = keyframes.remember(keyframes.empty(view.camera), T, luminance(small.rgb), view.camera)
-        against = clock("anchor", anchor.take(m, T, small, view.camera, config.update.max_depth, config.samples > 1))
-        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key, prior.readings)
+        against = clock(
+            "anchor", reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1)
+        )
+        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -112,14 +113,14 @@ class Prism:
         small, view = self._shrunk(image)
         key, solving, mapping = jax.random.split(state.key, 3)
         state = eqx.tree_at(lambda s: s.key, state, key)
-        against, wayback = state.anchor, None
+        against, relocalisation = state.reference, None
         alone = state.lost and config.recovery is None  # no recovery: the image must fit at the predicted pose
         max_depth = config.update.max_depth
         if alone:
             T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
-            against = anchor.rendered(state.map, T_expected, view.camera, max_depth)
+            against = reference_view.from_map(state.map, T_expected, view.camera, max_depth)
         if config.recovery is not None and state.keyframes is not None:
-            wayback = Wayback(state.map, state.keyframes, max_depth, config.recovery)
+            relocalisation = Relocalisation(state.map, state.keyframes, max_depth, config.recovery)
         located = localise(
             state.past,
             self.transition,
@@ -131,13 +132,13 @@ class Prism:
             solving,
             config.tracking,
             state.lost,
-            wayback,
+            relocalisation,
             clock,
         )
         past, status = located.past, located.status
-        if not status.fits:
+        if not status.accepted:
             lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
-            return lost, FilterInfo(status, drift.in_world(past.belief, state.drift), located.agreement)
+            return lost, FilterInfo(status, drift.in_world(past.belief, state.drift), located.fit_quality)
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
             image = _expose(image, located.gain)
@@ -145,23 +146,25 @@ class Prism:
         if config.window_margin is not None:
             shift = _shift(m, T[:3, 3], config.window_margin * min(m.shape) * m.voxel_size)
             if shift.any():
-                m, fell = recentre.recentre(m, shift)
+                m, fell = rolling_window.move(m, shift)
                 dropped = int(fell)
         before = drift.precision(m, T, small, view.camera)
         m = clock("map", self._mapped(m, image, past, mapping))
         drifted = drift.grow(state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small)
-        kept, against = state.keyframes, state.anchor
+        kept, against = state.keyframes, state.reference
         if kept is not None:
             kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera)
-        moved_on = anchor.left(against, T, config.anchor_distance, config.anchor_angle)
+        moved_on = reference_view.has_left(against, T, config.reference_distance, config.reference_angle)
         if alone or status is Status.RECOVERED or moved_on:
-            against = clock("anchor", anchor.take(m, T, small, view.camera, max_depth, config.samples > 1))
-        info = FilterInfo(status, drift.in_world(past.belief, drifted), located.agreement, dropped)
-        return PrismState(m, past, against, kept, drifted, False, key, state.readings), info
+            against = clock(
+                "anchor", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
+            )
+        info = FilterInfo(status, drift.in_world(past.belief, drifted), located.fit_quality, dropped)
+        return PrismState(m, past, against, kept, drifted, False, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``, the state in the map's frame: without that frame's drift in the world."""
-        return Posterior(state.past.belief, state.map, state.readings)
+        return Posterior(state.past.belief, state.map, state.measurement_noise)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
         """Return the image and its rig at tracking size."""
@@ -191,4 +194,4 @@ def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -
 
 
 _expose = jax.jit(expose)
-_shift = jax.jit(recentre.shift_to_centre)
+_shift = jax.jit(rolling_window.shift_to_centre)

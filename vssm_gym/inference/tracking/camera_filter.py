@@ -20,11 +20,11 @@ from vssm_gym.inference import linear_gaussian
 from vssm_gym.inference.alignment import gauss_newton
 from vssm_gym.inference.alignment.adam import AdamConfig, align_adam
 from vssm_gym.inference.alignment.exposure import expose, gain
-from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import (
     AlignConfig,
     AlignInfo,
-    disagreement,
+    alignment_cost,
     linearise,
     luminance,
     make_observed,
@@ -70,12 +70,12 @@ class TrackingConfig:
 
 
 def _by_gauss_newton(
-    problem: Problem, against: Anchor, config: "TrackingConfig", key: Array
+    problem: Problem, against: ReferenceView, config: "TrackingConfig", key: Array
 ) -> tuple[Array, AlignInfo]:
     return gauss_newton.align(*problem, config=config.align, seen=against.seen, spread=against.spread)
 
 
-def _by_adam(problem: Problem, against: Anchor, config: "TrackingConfig", key: Array) -> tuple[Array, AlignInfo]:
+def _by_adam(problem: Problem, against: ReferenceView, config: "TrackingConfig", key: Array) -> tuple[Array, AlignInfo]:
     return align_adam(*problem, config=config.align, key=key, adam=config.adam, spread=against.spread)
 
 
@@ -87,7 +87,7 @@ class Past(eqx.Module):
 
     belief: GaussianBelief  # q_t-1(z)
     laplace: Float[Array, "p p"]  # smoothed covariance of the poses up to here; 0: the last image was not accepted
-    unrest: process_noise.Level
+    noise_scale: process_noise.NoiseScale
     image: RGBD  # the last accepted one, tracking size, at the map's exposure
     T_world_cam: Float[Array, "4 4"]  # its pose
 
@@ -99,11 +99,11 @@ class Tracked(eqx.Module):
     T_world_cam: Float[Array, "4 4"]  # at its mean
     laplace: Float[Array, "p p"]  # as the past's, this image included
     predicted: GaussianBelief  # with the transition's whole noise
-    unrest: process_noise.Level
+    noise_scale: process_noise.NoiseScale
     T_world_turned: Float[Array, "4 4"]  # the last camera pose, turned by the rotation between the images
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
-    agreement: AlignInfo
-    fits: Bool[Array, ""]
+    fit_quality: AlignInfo
+    accepted: Bool[Array, ""]
 
 
 # For a body whose commands are known. Three degrees of freedom and a known command suffice where six and constant
@@ -173,7 +173,7 @@ def track(
     transition: Transition,
     control: Float[Array, "m"],
     dt: Float[Array, ""],
-    against: Anchor,
+    against: ReferenceView,
     image: RGBD,
     rig: Rig,
     key: PRNGKeyArray,
@@ -195,18 +195,18 @@ def track(
     manifold = transition.manifold
     possible = predicted = transition.predict(past.belief, control, dt)
     if config.adaptive:
-        scale = process_noise.scale(manifold, past.unrest)
+        scale = process_noise.scale(manifold, past.noise_scale)
         predicted = transition.predict(past.belief, control, dt, scale)
     p = past.laplace.shape[0]
     pose_covariance = predicted.covariance[:p, :p]
     basis = camera_twists(manifold, rig)
-    T_anchor_world = inverse(against.T_world_cam)
-    T_prior = T_anchor_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
-    start, image, brightness, T_world_turned = _start(past, T_prior, T_anchor_world, against, image, rig.camera, config)
+    T_ref_world = inverse(against.T_world_cam)
+    T_prior = T_ref_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
+    start, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, against, image, rig.camera, config)
     precision = jnp.linalg.inv(pose_covariance)
     problem = (T_prior, precision, start, basis, against.image, image, rig.camera)
-    T, agreement = SOLVERS[config.solver](problem, against, config, key)
-    laplace = jnp.linalg.inv(2.0 * agreement.information + precision)
+    T, fit_quality = SOLVERS[config.solver](problem, against, config, key)
+    laplace = jnp.linalg.inv(2.0 * fit_quality.information + precision)
     kept = config.smoothing * (jnp.trace(past.laplace) > 0.0)
     smoothed = kept * past.laplace + (1.0 - kept) * laplace
     # The new pose's error is measured from the new mean, the conditional's from the predicted one: to first order,
@@ -219,23 +219,25 @@ def track(
         )
         both = linear_gaussian.joint(both, rest_given_pose)
     posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
-    fits = (score(agreement) >= config.min_score) & (agreement.photometric <= config.max_photometric)
-    fits &= jnp.mean(image.hit) >= config.min_reading
-    fits &= moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved) <= config.max_surprise**2
-    fits &= jnp.all(jnp.isfinite(both.covariance))
-    unrest = past.unrest
+    accepted = (score(fit_quality) >= config.min_score) & (fit_quality.photometric <= config.max_photometric)
+    accepted &= jnp.mean(image.hit) >= config.min_reading
+    accepted &= moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved) <= config.max_surprise**2
+    accepted &= jnp.all(jnp.isfinite(both.covariance))
+    noise_scale = past.noise_scale
     if config.adaptive:
         noise = transition.noise_covariance(past.belief.mean, control, dt)[:p, :p]
-        unrest = process_noise.adapt(past.unrest, moved, pose_covariance, laplace, dt, noise, manifold)
+        noise_scale = process_noise.adapt(past.noise_scale, moved, pose_covariance, laplace, dt, noise, manifold)
     T_world_cam = manifold.pose(posterior.mean) @ rig.T_body_cam
-    return Tracked(posterior, T_world_cam, smoothed, possible, unrest, T_world_turned, brightness, agreement, fits)
+    return Tracked(
+        posterior, T_world_cam, smoothed, possible, noise_scale, T_world_turned, brightness, fit_quality, accepted
+    )
 
 
 def _start(
     past: Past,
     T_prior: Float[Array, "4 4"],
-    T_anchor_world: Float[Array, "4 4"],
-    against: Anchor,
+    T_ref_world: Float[Array, "4 4"],
+    against: ReferenceView,
     image: RGBD,
     camera: Camera,
     config: TrackingConfig,
@@ -252,7 +254,7 @@ def _start(
         alike = jnp.clip(gain(last, grey, jnp.ones_like(grey, bool)) * grey, 0.0, 1.0)
         R = camera_rotation(alike, last, camera, config.rotation)
         T_world_turned = past.T_world_cam.at[:3, :3].set(past.T_world_cam[:3, :3] @ R)
-        starts = jnp.stack([T_anchor_world @ T_world_turned, T_prior])
+        starts = jnp.stack([T_ref_world @ T_world_turned, T_prior])
     brightness, align = jnp.ones(()), config.align
     factor = align.levels[-1]
     observed = lambda image: make_observed(image, camera, factor, stride(camera, factor, align))
@@ -265,5 +267,5 @@ def _start(
         obs = observed(image)
     if len(starts) == 1:
         return T_prior, image, brightness, T_world_turned
-    costs = [disagreement(T, ref, obs, camera, factor, align) for T in starts]
+    costs = [alignment_cost(T, ref, obs, camera, factor, align) for T in starts]
     return starts[jnp.argmin(jnp.stack(costs))], image, brightness, T_world_turned

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_exp, se3_log
 from vssm_gym.inference.alignment.adam import AdamConfig, minimise
-from vssm_gym.inference.alignment.residuals import AlignInfo, agreement, make_observed, make_reference, score, stride
+from vssm_gym.inference.alignment.residuals import AlignInfo, fit_quality, make_observed, make_reference, score, stride
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.camera_filter import begin, camera_twists
@@ -62,7 +62,7 @@ class EmissionTracker:
             raise InputError(
                 "EmissionTracker", "transition", "one whose state is a pose: planar, bicycle, differential"
             )
-        return TrackerState(begin(prior.belief, image, self.rig), prior.map, None, False, key, prior.readings)
+        return TrackerState(begin(prior.belief, image, self.rig), prior.map, None, False, key, prior.measurement_noise)
 
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -73,14 +73,16 @@ class EmissionTracker:
         predicted = _predict(self.transition, state.past.belief, *told)
         T_world_cam = _descend(predicted, image, state.map, self.rig, state.key, self.config)
         rendered = emission.render(state.map, T_world_cam, self.rig.camera)
-        belief, fits, fit = clock("track", _judge(predicted, rendered, T_world_cam, image, self.rig, self.config))
+        belief, accepted, fit_quality = clock(
+            "track", _evaluate(predicted, rendered, T_world_cam, image, self.rig, self.config)
+        )
         past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
-        status = Status.OK if fits else Status.LOST
-        return replace(state, past=past, lost=not fits), FilterInfo(status, belief, fit)
+        status = Status.OK if accepted else Status.LOST
+        return replace(state, past=past, lost=not accepted), FilterInfo(status, belief, fit_quality)
 
     def posterior(self, state: TrackerState) -> Posterior:
         """Return ``q(z_t)`` with the fixed map."""
-        return Posterior(state.past.belief, state.map, state.readings)
+        return Posterior(state.past.belief, state.map, state.measurement_noise)
 
 
 @partial(jax.jit, static_argnums=5)
@@ -120,7 +122,7 @@ def _descend(
 
 
 @partial(jax.jit, static_argnums=5)
-def _judge(
+def _evaluate(
     predicted: GaussianBelief,
     rendered: RGBD,
     T_world_cam: Float[Array, "4 4"],
@@ -132,13 +134,13 @@ def _judge(
     manifold, tracker, basis = predicted.manifold, config.tracker, camera_twists(predicted.manifold, rig)
     reference = make_reference(rendered, rig.camera, tracker.align)
     observed = make_observed(image, rig.camera, every=stride(rig.camera, 1, tracker.align))
-    fit = agreement(jnp.eye(4), basis, reference, observed, rig.camera, tracker.align, 0)
-    fits = (score(fit) >= tracker.min_score) & (fit.photometric <= tracker.max_photometric)
+    quality = fit_quality(jnp.eye(4), basis, reference, observed, rig.camera, tracker.align, 0)
+    accepted = (score(quality) >= tracker.min_score) & (quality.photometric <= tracker.max_photometric)
     T_world_pred = manifold.pose(predicted.mean) @ rig.T_body_cam
     moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_world_pred) @ T_world_cam)
-    laplace = jnp.linalg.inv(2.0 * fit.information + jnp.linalg.inv(predicted.covariance))
+    laplace = jnp.linalg.inv(2.0 * quality.information + jnp.linalg.inv(predicted.covariance))
     corrected = GaussianBelief(manifold.perturb(predicted.mean, moved), laplace, manifold)
-    return jax.tree.map(lambda a, b: jnp.where(fits, a, b), corrected, predicted), fits, fit
+    return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), corrected, predicted), accepted, quality
 
 
 _predict = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))

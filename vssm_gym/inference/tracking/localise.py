@@ -14,7 +14,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse
 from vssm_gym.inference.alignment.exposure import expose
-from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
 from vssm_gym.inference.filter import Clock, Rig
 from vssm_gym.inference.status import Status
@@ -38,7 +38,7 @@ from vssm_gym.model.transition.manifold import Manifold
 
 
 @dataclass(frozen=True)
-class Wayback:
+class Relocalisation:
     """Hold what relocalisation compares an image with."""
 
     map: VoxelMap
@@ -54,7 +54,7 @@ class Located:
     status: Status
     past: Past  # what the next image is filtered with
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
-    agreement: AlignInfo
+    fit_quality: AlignInfo
 
 
 def localise(
@@ -62,13 +62,13 @@ def localise(
     transition: Transition,
     control: Float[Array, "m"],
     dt: Float[Array, ""],
-    against: Anchor,
+    against: ReferenceView,
     image: RGBD,
     rig: Rig,
     key: PRNGKeyArray,
     config: TrackingConfig,
     lost: bool,
-    wayback: Wayback | None,
+    relocalisation: Relocalisation | None,
     clock: Clock,
 ) -> Located:
     """Locate an image: by tracking, by recovery where that fails, else by prediction.
@@ -84,26 +84,26 @@ def localise(
         key: Of a solver that draws.
         config: Solver, effort and gates.
         lost: Whether the previous image was not accepted.
-        wayback: Map and keyframes for recovery; None: no recovery.
+        relocalisation: Map and keyframes for recovery; None: no recovery.
         clock: Of the stages "track" and "recover".
     """
     tracked = clock("track", track(past, transition, control, dt, against, image, rig, key, config))
-    if tracked.fits:
+    if tracked.accepted:
         if config.exposure:
             image = _expose(image, tracked.gain)
-        now = Past(tracked.belief, tracked.laplace, tracked.unrest, image, tracked.T_world_cam)
-        return Located(Status.OK, now, tracked.gain, tracked.agreement)
-    readings = readable(image, config)
-    if readings and wayback is not None:
-        starts = _starts(past, tracked, image, rig, lost, wayback)
-        found = search(starts, transition.manifold, image, rig, config, wayback)
+        now = Past(tracked.belief, tracked.laplace, tracked.noise_scale, image, tracked.T_world_cam)
+        return Located(Status.OK, now, tracked.gain, tracked.fit_quality)
+    has_depth = readable(image, config)
+    if has_depth and relocalisation is not None:
+        starts = _starts(past, tracked, image, rig, lost, relocalisation)
+        found = search(starts, transition.manifold, image, rig, config, relocalisation)
         if found is not None:
             clock("recover", found.past.belief)
             return found
     belief = clock("recover", _without_image(past, tracked.predicted, transition, rig, config, lost))
-    status = Status.LOST if readings else Status.NO_READING
+    status = Status.LOST if has_depth else Status.NO_READING
     now = Past(belief, jnp.zeros_like(tracked.laplace), process_noise.full(), past.image, past.T_world_cam)
-    return Located(status, now, tracked.gain, tracked.agreement)
+    return Located(status, now, tracked.gain, tracked.fit_quality)
 
 
 def readable(image: RGBD, config: TrackingConfig) -> bool:
@@ -141,7 +141,7 @@ def search(
     image: RGBD,
     rig: Rig,
     config: TrackingConfig,
-    wayback: Wayback,
+    relocalisation: Relocalisation,
 ) -> Located | None:
     """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose.
 
@@ -151,20 +151,22 @@ def search(
         image: At tracking size.
         rig: The camera, at that size, and its place on the body.
         config: Of tracking.
-        wayback: Map and keyframes that the image is compared with.
+        relocalisation: Map and keyframes that the image is compared with.
     """
     basis = camera_twists(manifold, rig)
-    attempt = recover(wayback.map, T_world_starts, image, rig.camera, basis, wayback.max_depth, wayback.config)
-    if not attempt.fits:
+    attempt = recover(
+        relocalisation.map, T_world_starts, image, rig.camera, basis, relocalisation.max_depth, relocalisation.config
+    )
+    if not attempt.accepted:
         return None
-    information = attempt.agreement.information
+    information = attempt.fit_quality.information
     covariance = jnp.linalg.inv(2.0 * information + jnp.eye(len(information)))
     T_world_body = attempt.T_world_cam @ inverse(rig.T_body_cam)
     belief = at_rest(manifold, T_world_body, covariance, config.start_velocity)
     if config.exposure:
         image = _expose(image, attempt.gain)
     now = Past(belief, covariance, process_noise.full(), image, camera_pose(belief, rig))
-    return Located(Status.RECOVERED, now, attempt.gain, attempt.agreement)
+    return Located(Status.RECOVERED, now, attempt.gain, attempt.fit_quality)
 
 
 def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, "m"]:
@@ -180,11 +182,11 @@ def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, 
 
 
 def _starts(
-    past: Past, tracked: Tracked, image: RGBD, rig: Rig, lost: bool, wayback: Wayback
+    past: Past, tracked: Tracked, image: RGBD, rig: Rig, lost: bool, relocalisation: Relocalisation
 ) -> Float[Array, "starts 4 4"]:
     """Return start poses for recovery: last pose (turned, and as it was), most similar keyframes, prediction."""
-    settings, grey = wayback.config, luminance(image.rgb)
-    alike = keyframes.similar(wayback.keyframes, grey, rig.camera, settings.rotation, settings.keyframes + 1)
+    settings, grey = relocalisation.config, luminance(image.rgb)
+    alike = keyframes.similar(relocalisation.keyframes, grey, rig.camera, settings.rotation, settings.keyframes + 1)
     # The prediction of a camera that was lost before is its last pose: that start would be tried twice.
     last = alike[-1] if lost else camera_pose(tracked.predicted, rig)
     return jnp.stack([tracked.T_world_turned, past.T_world_cam, *alike[:-1], last])

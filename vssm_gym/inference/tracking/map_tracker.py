@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
-from vssm_gym.inference.alignment import reference_view as anchor
-from vssm_gym.inference.alignment.reference_view import Anchor
+from vssm_gym.inference.alignment import reference_view
+from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignConfig, luminance
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.status import Status
@@ -32,11 +32,11 @@ from vssm_gym.inference.tracking.camera_filter import (
     track,
 )
 from vssm_gym.inference.tracking.keyframes import Keyframes
-from vssm_gym.inference.tracking.localise import Wayback, checked, localise, readable, search, seconds, shrunk
+from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, search, seconds, shrunk
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
-from vssm_gym.model.emission_uncertainty import Readings
+from vssm_gym.model.emission_uncertainty import MeasurementNoise
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -53,7 +53,7 @@ class TrackerState(eqx.Module):
     keyframes: Keyframes | None  # None: no recovery
     lost: bool  # the last image was not accepted
     key: PRNGKeyArray  # of a solver that draws; the same at every step
-    readings: Readings  # of the posterior
+    measurement_noise: MeasurementNoise  # of the posterior
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ class MapTracker:
         if self.recovery is not None:
             # The start may be known only roughly: align the first image to the map around it.
             kept, camera = keyframes.empty(rig.camera), rig.camera
-            wayback = Wayback(prior.map, kept, self.max_depth, self.recovery)
+            relocalisation = Relocalisation(prior.map, kept, self.max_depth, self.recovery)
             starts = past.T_world_cam[None]
-            found = search(starts, self.transition.manifold, image, rig, self.config, wayback)
+            found = search(starts, self.transition.manifold, image, rig, self.config, relocalisation)
             lost = found is None
             if found is not None:
                 past = found.past
                 kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
-        return TrackerState(past, prior.map, kept, lost, key, prior.readings)
+        return TrackerState(past, prior.map, kept, lost, key, prior.measurement_noise)
 
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -100,22 +100,24 @@ class MapTracker:
         image, rig = shrunk(image, self.rig, self.track_width)
         camera = rig.camera
         T_expected = expected_pose(self.transition, state.past.belief, control, h, rig)
-        against = anchor.rendered(state.map, T_expected, camera, self.max_depth)
-        wayback = None
+        against = reference_view.from_map(state.map, T_expected, camera, self.max_depth)
+        relocalisation = None
         if kept is not None and self.recovery is not None:
-            wayback = Wayback(state.map, kept, self.max_depth, self.recovery)
+            relocalisation = Relocalisation(state.map, kept, self.max_depth, self.recovery)
         moved = (self.transition, control, h)
-        located = localise(state.past, *moved, against, image, rig, state.key, self.config, state.lost, wayback, clock)
+        located = localise(
+            state.past, *moved, against, image, rig, state.key, self.config, state.lost, relocalisation, clock
+        )
         past, status = located.past, located.status
-        if kept is not None and status.fits:
+        if kept is not None and status.accepted:
             kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
-        return TrackerState(past, state.map, kept, not status.fits, state.key, state.readings), FilterInfo(
-            status, past.belief, located.agreement
+        return TrackerState(past, state.map, kept, not status.accepted, state.key, state.measurement_noise), FilterInfo(
+            status, past.belief, located.fit_quality
         )
 
     def posterior(self, state: TrackerState) -> Posterior:
         """Return ``q(z_t)`` with the fixed map."""
-        return Posterior(state.past.belief, state.map, state.readings)
+        return Posterior(state.past.belief, state.map, state.measurement_noise)
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ class FrameTracker:
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
         """Return the prior's belief with its first image; a map is not used."""
-        return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key, prior.readings)
+        return TrackerState(begin(prior.belief, image, self.rig), None, None, False, key, prior.measurement_noise)
 
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -148,13 +150,13 @@ class FrameTracker:
             "track",
             _track_from_frame(state.past, self.transition, control, h, image, self.rig, state.key, self.config),
         )
-        fits = bool(tracked.fits)
-        status = Status.OK if fits else Status.LOST if readable(image, self.config) else Status.NO_READING
-        belief = carried if fits else _predicted(self.transition, state.past.belief, control, h)
-        T_world_cam = tracked.T_world_cam if fits else camera_pose(belief, self.rig)
+        accepted = bool(tracked.accepted)
+        status = Status.OK if accepted else Status.LOST if readable(image, self.config) else Status.NO_READING
+        belief = carried if accepted else _predicted(self.transition, state.past.belief, control, h)
+        T_world_cam = tracked.T_world_cam if accepted else camera_pose(belief, self.rig)
         past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
-        info = FilterInfo(status, belief, tracked.agreement)
-        return TrackerState(past, None, None, not fits, state.key, state.readings), info
+        info = FilterInfo(status, belief, tracked.fit_quality)
+        return TrackerState(past, None, None, not accepted, state.key, state.measurement_noise), info
 
     def posterior(self, state: TrackerState) -> Posterior:
         """Return ``q(z_t)``; there is no map."""
@@ -203,7 +205,7 @@ def _track_from_frame(
     """Track as if the pose before were known, and return the belief with both covariances added."""
     belief = past.belief
     known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
-    against = Anchor(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
+    against = ReferenceView(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
     tracked = track(known, transition, control, dt, against, image, rig, key, config)
     step = tracked.belief
     carried = transition.predict(belief, control, dt, 0.0).covariance

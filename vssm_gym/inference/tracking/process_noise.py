@@ -20,38 +20,38 @@ TIME = 1.0  # s, tau: time constant of the adaptation
 FLOOR = 0.2  # smallest scale of the configured std
 CAUTION = 1.5  # c: the next innovation may be larger than the last ones
 
-Level = Float[Array, "2"]  # s^2 of translation and of rotation
+NoiseScale = Float[Array, "2"]  # s^2, factors of the noise variances of translation and of rotation
 
 
-def full() -> Level:
+def full() -> NoiseScale:
     """Return the scale of the configured noise, before anything is known of the hand."""
     return jnp.ones(2)
 
 
-def scale(manifold: Manifold, level: Level) -> Float[Array, "n"]:
+def scale(manifold: Manifold, noise_scale: NoiseScale) -> Float[Array, "n"]:
     """Return the factor of the noise's standard deviation for each coordinate of a state's error."""
-    linear, angular = jnp.sqrt(level)
+    linear, angular = jnp.sqrt(noise_scale)
     return jnp.where(manifold.turns, angular, linear)
 
 
 def adapt(
-    level: Level,
+    noise_scale: NoiseScale,
     moved: Float[Array, "p"],
     predicted: Float[Array, "p p"],
     posterior: Float[Array, "p p"],
     dt: Float[Array, ""],
     noise: Float[Array, "p p"],
     manifold: Manifold,
-) -> Level:
-    """Return the level after an image.
+) -> NoiseScale:
+    """Update the process-noise scale with an image.
 
     Args:
-        level: Before it.
+        noise_scale: Before it.
         moved: ``e = log(predicted^-1 pose)``, translation (m) and rotation (rad) in the body's frame.
         predicted: P, covariance of the pose before the image.
         posterior: Sigma, after it.
         dt: Length of the step, s.
-        noise: Covariance that a step adds to a pose at level 1, what ``e`` is compared with.
+        noise: Covariance that a step adds to a pose at scale 1, which normalises ``e``.
         manifold: Which coordinates are rotations.
     """
     turns = manifold.turns[: moved.shape[0]]
@@ -59,7 +59,7 @@ def adapt(
     expected = jnp.stack([jnp.mean(jnp.diagonal(noise)[b]) for b in blocks])
     part = lambda a, b: a[np.ix_(b, b)]
     left = jnp.stack([jnp.trace(jnp.linalg.solve(part(predicted, b), part(posterior, b))) / len(b) for b in blocks])
-    told = jnp.clip(1.0 - left, 0.0, 1.0)
+    removed = jnp.clip(1.0 - left, 0.0, 1.0)  # f
     seen = CAUTION**2 * jnp.stack([jnp.mean(moved[b] ** 2) for b in blocks]) / expected
     rate = 1.0 - jnp.exp(-dt / TIME)
-    return jnp.clip(level + rate * (jnp.minimum(seen, told) - told * level), FLOOR**2, 1.0)
+    return jnp.clip(noise_scale + rate * (jnp.minimum(seen, removed) - removed * noise_scale), FLOOR**2, 1.0)

@@ -40,8 +40,8 @@ class Attempt(eqx.Module):
 
     T_world_cam: Float[Array, "4 4"]
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
-    agreement: AlignInfo
-    fits: Bool[Array, ""]
+    fit_quality: AlignInfo
+    accepted: Bool[Array, ""]
 
 
 @partial(jax.jit, static_argnums=5)
@@ -58,8 +58,8 @@ def _align(
     grey = luminance(image.rgb)
     contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
     limit = jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)
-    fits = (score(info) >= config.min_score) & (info.photometric <= limit)
-    return Attempt(T_world_start @ T, brightness, info, fits)
+    accepted = (score(info) >= config.min_score) & (info.photometric <= limit)
+    return Attempt(T_world_start @ T, brightness, info, accepted)
 
 
 def recover(
@@ -91,5 +91,5 @@ def recover(
         again = emission.render(m, attempt.T_world_cam, camera, max_depth)
         attempts.append(_align(attempt.T_world_cam, again, image, camera, basis, config))
     every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
-    best = jnp.argmax(every.fits + jnp.nan_to_num(jax.vmap(score)(every.agreement)))
+    best = jnp.argmax(every.accepted + jnp.nan_to_num(jax.vmap(score)(every.fit_quality)))
     return jax.tree.map(lambda leaf: leaf[best], every)

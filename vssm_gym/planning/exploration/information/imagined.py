@@ -16,7 +16,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission_uncertainty import Readings, sample_map
+from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
 
 SHADOW = 5.0  # voxels^2 that a cell above zero among free ones hides: 4 of a ray along an axis, up to 6 of others
 AT_ONCE = 16  # views a call of the renderer: as many rays as one 160x120 image has, with 1200 pixels a view
@@ -73,13 +73,13 @@ def draw(seed: int, m: VoxelMap, mean_free_path: float, std: float) -> VoxelMap:
     """
     if m.table is not None:
         raise InputError("InformationConfig", "samples", "0, the mean, for a block-sparse map")
-    return _draw(jax.random.PRNGKey(seed), m, mean_free_path, Readings(counted=std))
+    return _draw(jax.random.PRNGKey(seed), m, mean_free_path, MeasurementNoise(counted=std))
 
 
 @jax.jit
-def _draw(key: Array, m: VoxelMap, mean_free_path: float, readings: Readings) -> VoxelMap:
+def _draw(key: Array, m: VoxelMap, mean_free_path: float, measurement_noise: MeasurementNoise) -> VoxelMap:
     by_known, by_unknown = jax.random.split(key)
-    sampled = sample_map(by_known, m, readings)
+    sampled = sample_map(by_known, m, measurement_noise)
     chance = 1.0 - jnp.exp(-m.voxel_size / (SHADOW * mean_free_path))
     obstacle = (m.occupancy_precision < OBSERVED_PRECISION) & (
         jax.random.uniform(by_unknown, m.occupancy.shape) < chance
