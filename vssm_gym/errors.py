@@ -1,8 +1,8 @@
-"""One error type for input that people bring: it names the source, the field and what was expected."""
+"""Define one error type for invalid user input, which names the source, the field and the expected value."""
 
 
 class InputError(ValueError):
-    """Bad input: ``source`` (a file or argument), ``field`` within it, and what was ``expected``.
+    """Report invalid input: ``source`` (a file or argument), ``field`` within it, and what was ``expected``.
 
     The command line prints its message alone, without a traceback.
     """
@@ -12,5 +12,5 @@ class InputError(ValueError):
         super().__init__(f"{source}: {field}: expected {expected}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
-        """For workers, whose errors come back pickled: by the three arguments, not by the sentence made of them."""
+        """Pickle by the three arguments, not by the message made of them, for errors of worker processes."""
         return type(self), (self.source, self.field, self.expected)

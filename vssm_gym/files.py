@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all: written under another name beside their place, then renamed."""
+"""Write files and folders atomically: under a temporary name in the same folder, then renamed."""
 
 import contextlib
 import os
@@ -9,12 +9,15 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """A name to write to, in the folder of ``path``; it becomes ``path`` if the block ends, and is removed if it fails.
+    """Yield a temporary name in the folder of ``path``.
 
-    Whoever reads ``path`` finds what was there before or what was written, never half of it, whatever interrupts this
-    process. The name is the process's own, so two that write the same path do not mix; the last one wins.
+    It becomes ``path`` if the block ends; it is removed if it fails.
 
-    The block may make a file, which replaces a file, or a folder, which takes the place of an empty folder at most.
+    A reader of ``path`` finds either the old or the complete new content, whatever interrupts this process. The
+    temporary
+    name contains the process id, so that two processes that write the same path do not interfere; the last one wins.
+
+    The block may make a file, which replaces a file, or a folder, which replaces at most an empty folder.
     """
     path = Path(path).resolve()  # "." has a name then, and a link stays a link
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

@@ -1,4 +1,4 @@
-"""Checks of arguments that would otherwise fail after the work is done: where results go, seeds, workers."""
+"""Check arguments that would otherwise fail after the work is done: output folders, seeds, workers."""
 
 import os
 from pathlib import Path

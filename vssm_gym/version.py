@@ -1,4 +1,4 @@
-"""The version that every result is signed with."""
+"""Determine the version that is recorded with every result."""
 
 import subprocess
 from pathlib import Path
@@ -7,7 +7,7 @@ import vssm_gym
 
 
 def package_version() -> str:
-    """The package's version; in a checkout with its commit, and ``-dirty`` where files differ from it."""
+    """Return the package's version; in a checkout with its commit, and ``-dirty`` where files differ from it."""
     checkout = Path(__file__).resolve().parents[1]
     if (checkout / ".git").exists():
         command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]

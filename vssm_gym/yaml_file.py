@@ -1,4 +1,4 @@
-"""YAML files that people write, read into a pydantic model: one clear error, lists from single values."""
+"""Read YAML files that users write into a pydantic model, with one clear error and lists from single values."""
 
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -13,12 +13,12 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def as_tuple(value: Any) -> Any:
-    """A list as a tuple, anything else as a tuple of it alone."""
+    """Convert a list to a tuple, and anything else to a tuple of one element."""
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
 def distinct(values: tuple[T, ...]) -> tuple[T, ...]:
-    """The values; a repeated one raises ValueError."""
+    """Return the values; raise ValueError for a repeated one."""
     if len(set(values)) != len(values):
         raise ValueError(f"values that differ from each other, found {list(values)}")
     return values
@@ -51,7 +51,7 @@ def read_yaml(path: Path, model: type[M]) -> M:
 
 
 def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:
-    """What is wrong in a file of ``model``, its first problem only."""
+    """Convert the first problem in a file of ``model`` to an :class:`InputError`."""
     problem = error.errors()[0]
     field = ".".join(str(part) for part in problem["loc"]) or "file"
     if problem["type"] == "extra_forbidden":

@@ -1,1 +1,1 @@
-"""Recorded sequences on disk."""
+"""Record, read and write sequences on disk."""

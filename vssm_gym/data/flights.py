@@ -1,7 +1,7 @@
-"""Record a reference flight as a TUM folder with an IMU's readings beside it (``vssm-gym record --motion flight``).
+"""Record a reference flight as a TUM folder with IMU readings beside it (``vssm-gym record --motion flight``).
 
-``imu.txt``: ``time wx wy wz fx fy fz``, rad/s and m/s^2 in the body's frame, each reading the mean over the time since
-the one before. The pilot knows the true state, as a motion-capture hall would tell it.
+``imu.txt``: ``time wx wy wz fx fy fz``, rad/s and m/s^2 in the body's frame; each reading is the mean over the time
+since the previous one. The pilot knows the true state, as from a motion-capture system.
 """
 
 from pathlib import Path
@@ -39,16 +39,16 @@ def record_flight(
 
     Args:
         scene: built-in name, path of a scene file, or the scene.
-        out: new or empty folder; it appears whole or not at all.
+        out: new or empty folder; written atomically.
         flight: a key of ``reference_flights.CURVES``.
         speed: its peak, m/s.
-        yaw: where the nose points.
+        yaw: heading of the body along the path.
         rate: frames a second.
         noise: gusts and actuator errors; the recorded poses are the true ones.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
         seed: of gusts, camera and IMU.
-        progress: told ("recording", frames, of how many) now and then.
+        progress: called with ("recording", frames, total) now and then.
 
     Raises:
         InputError: an unknown name, a flight that does not fit, or a folder that is not empty.

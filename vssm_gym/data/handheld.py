@@ -1,10 +1,10 @@
-"""A hand-held camera's walk through an apartment: a smooth 6-DoF path over free floor, from room to room.
+"""Generate a hand-held camera's walk through an apartment: a smooth 6-DoF path over free floor, from room to room.
 
-    position = (x, y) of somebody who walks 0.3-0.6 m/s on shortest paths; about 1.3 m up
-    yaw      = the direction of walking, looking around by some degrees;  pitch, roll = small slow swings
+    position = (x, y) of a person who walks 0.3-0.6 m/s on shortest paths; about 1.3 m up
+    yaw      = the direction of walking, with small looks to the sides;  pitch, roll = small slow oscillations
 
-An upright cylinder around the camera, as high as a person, touches nothing anywhere on the path, so that the camera
-never passes through walls or furniture. It stops to turn at sharp corners and looks mostly where it goes.
+An upright cylinder around the camera, as high as a person, collides with nothing along the path, so that the camera
+never passes through walls or furniture. It stops to turn at sharp corners and looks mostly ahead.
 """
 
 import itertools
@@ -24,23 +24,23 @@ from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import R_BODY_CAM
 
-PERSON = 1.8  # m, height of what must not be touched
-BODIES = (0.35, 0.3, 0.25, 0.2, 0.15, 0.1)  # m, radii tried in this order: the first with which no room is cut off
+PERSON = 1.8  # m, height of the body for collisions
+BODIES = (0.35, 0.3, 0.25, 0.2, 0.15, 0.1)  # m, radii tried in this order: the first that cuts off no room is used
 SPEED = (0.3, 0.6)  # m/s of the slowest and the fastest stretch
 TURN = 0.6  # rad/s of a turn on the spot, before smoothing
-SMOOTHING = 0.35  # s, standard deviation of what rounds corners
-MARGIN = 0.05  # m that planned paths keep away beyond the body, because smoothing cuts corners
+SMOOTHING = 0.35  # s, standard deviation of the Gaussian that rounds corners
+MARGIN = 0.05  # m, clearance of planned paths beyond the body, because smoothing cuts corners
 HEIGHT, LIFT = 1.3, 0.15  # m of the camera above the floor, and how far it rises and falls
 LOOK, NOD, TILT = np.radians([18.0, 7.0, 4.0])  # rad that yaw, pitch and roll swing
 DOWN = np.radians(10.0)  # rad that the camera looks down
 TREMOR = (0.004, np.radians(0.4))  # m and rad of unsteady hands
 FINE = 100  # samples a second, at least, that the path is planned with
-CANDIDATES = 12  # places in a room of which the roomiest is gone to
+CANDIDATES = 12  # random places in a room, of which the roomiest is visited
 
 
 @dataclass(frozen=True)
 class Walk:
-    """Camera poses along a walk."""
+    """Hold the camera poses of a walk."""
 
     times: Float[np.ndarray, "n"]  # s, from 0
     T_world_cam: Float[np.ndarray, "n 4 4"]  # m
@@ -48,7 +48,7 @@ class Walk:
 
 
 def walk(apartment: Apartment, metres: float, rate: float, seed: int = 0) -> Walk:
-    """A camera's path of at least ``metres`` through all rooms, in random order again and again.
+    """Generate a camera path of at least ``metres`` through all rooms, repeatedly in random order.
 
     Args:
         apartment: the scene; rooms that are cut off are left out.
@@ -66,14 +66,14 @@ def walk(apartment: Apartment, metres: float, rate: float, seed: int = 0) -> Wal
     rng = np.random.default_rng(seed)
     space, body = _floor(apartment)
     free = space.widened(-MARGIN)
-    ways = Geodesics(space)
+    geodesics = Geodesics(space)
     swings = _Swings(rng)
     places = _room_to_room(space, rng)
     corners = [next(places)]
     while True:
-        # Some rooms at a time: how long the walk is, is known only when its poses are made.
+        # Some rooms at a time: the length of the walk is known only from its poses.
         for place in itertools.islice(places, 2 * len(space.rooms)):
-            corners.extend(ways.path(corners[-1], place)[1:])
+            corners.extend(geodesics.path(corners[-1], place)[1:])
         times, poses = _poses(np.array(corners), free, rate, swings)
         length = np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))
         if length[-1] >= metres:
@@ -82,7 +82,7 @@ def walk(apartment: Apartment, metres: float, rate: float, seed: int = 0) -> Wal
 
 
 def _floor(apartment: Apartment) -> tuple[FreeSpace, float]:
-    """Where paths may run, and the body's radius: the widest with which no more rooms are cut off than needed."""
+    """Return the free space of paths, and the largest body radius that cuts off no more rooms than the smallest."""
     slim = FreeSpace.from_apartment(apartment, BODIES[-1] + MARGIN, PERSON)
     for radius in BODIES[:-1]:
         try:
@@ -95,7 +95,7 @@ def _floor(apartment: Apartment) -> tuple[FreeSpace, float]:
 
 
 def _room_to_room(space: FreeSpace, rng: np.random.Generator) -> Iterator[Float[np.ndarray, "2"]]:
-    """Endless places (2,): the rooms in random order, in each the roomiest of some random places."""
+    """Yield endless places (2,): the rooms in random order, in each the roomiest of some random places."""
     rooms = [room for name, room in space.rooms.items() if name not in space.cut_off_rooms()]
     while True:
         for i in rng.permutation(len(rooms)):
@@ -110,13 +110,13 @@ def _room_to_room(space: FreeSpace, rng: np.random.Generator) -> Iterator[Float[
 
 
 class _Swings:
-    """Slow swings: sums of sines of incommensurate periods, of unit amplitude, with phases of their own."""
+    """Sum sines of incommensurate periods and random phases: slow oscillations of unit amplitude."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._phases = rng.uniform(0.0, 2.0 * np.pi, (12, 3))
 
     def __call__(self, channel: int, t: Float[np.ndarray, "n"], period: float) -> Float[np.ndarray, "n"]:
-        """Between -1 and 1; ``period`` s is that of the slowest sine."""
+        """Return values in [-1, 1]; ``period`` s is that of the slowest sine."""
         periods = period / np.array([1.0, 1.37, 1.83])
         return np.mean(np.sin(2.0 * np.pi * t[:, None] / periods + self._phases[channel]), axis=1)
 
@@ -124,7 +124,7 @@ class _Swings:
 def _poses(
     corners: Float[np.ndarray, "m 2"], free: FreeSpace, rate: float, swings: _Swings
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 4 4"]]:
-    """Times and T_world_cam of a walk along a chain of straight lines."""
+    """Return times and T_world_cam of a walk along a chain of straight lines."""
     every = math.ceil(FINE / rate)
     fine = every * rate  # samples a second
     clock, knots, progress, facing, along = _pace(corners, fine, swings)
@@ -134,7 +134,7 @@ def _poses(
     sway = TREMOR[0] * np.stack([swings(a, t, 1.1) for a in (1, 2)], axis=1)
     width = SMOOTHING * fine
     xy = gaussian_filter1d(rough, width, axis=0, mode="nearest") + sway
-    while not free.contains(xy).all():  # ends: unsmoothed, the way keeps MARGIN away from everything
+    while not free.contains(xy).all():  # terminates: the unsmoothed path has a clearance of MARGIN
         width *= 0.5
         xy = gaussian_filter1d(rough, width, axis=0, mode="nearest") + sway
     yaw = gaussian_filter1d(np.interp(clock, knots, facing), SMOOTHING * fine, mode="nearest")
@@ -149,11 +149,11 @@ def _poses(
 
 
 def _pace(corners: Float[np.ndarray, "m 2"], fine: float, swings: _Swings) -> tuple[np.ndarray, ...]:
-    """How far one is, and which way one faces, at what time: both linear between knots.
+    """Return path length and heading over time, both linear between knots.
 
     Returns:
-        ``clock`` at every sample, in s of a walk of even pace; at its ``knots``: metres of way done and heading in rad;
-        and metres of way at every corner.
+        ``clock`` at every sample, in s of a walk of constant speed; at its ``knots``: path length in m and heading in
+        rad; and the path length in m at every corner.
     """
     away = np.diff(corners, axis=0)
     leg = np.linalg.norm(away, axis=1)

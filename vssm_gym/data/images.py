@@ -1,4 +1,4 @@
-"""One image file of a recording: its pixels, or one clear error that names the file."""
+"""Read one image file of a recording, or raise one clear error that names the file."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from vssm_gym.errors import InputError
 
 
 def read_image(path: Path) -> np.ndarray:
-    """The pixels of an image file, as stored."""
+    """Read the pixels of an image file, as stored."""
     if not path.is_file():
         raise InputError(path, "file", "an existing image, as the sequence's index lists it")
     try:
@@ -20,7 +20,7 @@ def read_image(path: Path) -> np.ndarray:
 
 
 def colour_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
-    """RGB uint8 of a colour or grey image; ``size`` (width, height) is what it must have."""
+    """Read a colour or grey image as RGB uint8; ``size`` (width, height) is the expected one."""
     rgb = read_image(path)
     _check_size(path, rgb, size)
     if rgb.dtype != np.uint8:
@@ -31,7 +31,7 @@ def colour_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
 
 
 def depth_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
-    """Depth as stored, one channel; ``size`` (width, height) is what it must have."""
+    """Read depth as stored, one channel; ``size`` (width, height) is the expected one."""
     depth = read_image(path)
     _check_size(path, depth, size)
     if depth.ndim != 2 or depth.dtype.kind not in "uif" or depth.dtype.itemsize < 2:

@@ -1,7 +1,7 @@
-"""Which images of a TUM folder make a frame: ``associations.txt``, or ``rgb.txt`` and ``depth.txt`` by nearest stamps.
+"""Pair the images of a TUM folder: by ``associations.txt``, or ``rgb.txt`` and ``depth.txt`` with nearest stamps.
 
-Recordings have flaws: stamps out of order or twice, images that were never copied, colour without depth, gaps. None of
-them stops the reading while a frame is left; each is said once, in a notice for the user.
+Recordings have flaws: stamps out of order or repeated, missing images, colour without depth, gaps. Reading continues as
+long as a frame is left; each flaw is reported once, in a notice for the user.
 """
 
 import math
@@ -19,12 +19,12 @@ T = TypeVar("T")
 Row = tuple[float, list[str]]  # of an index file: its time (s) and all its words
 
 ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame, or between a frame and its pose
-GAP = 0.5  # s between two frames that is worth a notice, where it is also five times the usual
+GAP = 0.5  # s between two frames that gives a notice, where it is also five times the median
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One RGB-D frame on disk, stamped with its colour image's time (s)."""
+    """Describe one RGB-D frame on disk, stamped with its colour image's time (s)."""
 
     time: float
     rgb: Path
@@ -32,7 +32,7 @@ class Frame:
 
 
 def read_frames(root: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
-    """The frames of a sequence by time, every stamp once and all images there, and what was wrong with the index.
+    """Read the frames of a sequence, sorted, with unique stamps and existing images; and notices of flaws in the index.
 
     Raises:
         InputError: an index file is missing or malformed, or no frame is left.
@@ -55,8 +55,9 @@ def read_frames(root: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
 
 
 def associate_one_to_one(first: np.ndarray, second: np.ndarray, tolerance: float) -> list[tuple[int, int]]:
-    """Index pairs of stamps at most ``tolerance`` s apart, none used twice: the nearest pair first, then the nearest of
-    those left (TUM's ``associate.py``); in the order of ``first``. Both sorted.
+    """Pair stamps at most ``tolerance`` s apart, each used once: the nearest pair first (TUM's ``associate.py``).
+
+    Both lists are sorted; the index pairs are in the order of ``first``.
     """
     low = np.searchsorted(second, first - tolerance - 1e-9)
     high = np.searchsorted(second, first + tolerance + 1e-9, side="right")
@@ -73,7 +74,7 @@ def associate_one_to_one(first: np.ndarray, second: np.ndarray, tolerance: float
 
 
 def _rows(path: Path, columns: int) -> list[Row]:
-    """The lines of an index file: the time that opens each (s), and all its words. Every other word is a time."""
+    """Read the lines of an index file: the time that opens each (s), and all its words. Every other word is a time."""
     if not path.is_file():
         raise InputError(path, "file", "this index file of the sequence")
     rows = []
@@ -92,7 +93,7 @@ def _rows(path: Path, columns: int) -> list[Row]:
 
 
 def _clean(path: Path, rows: list[Row], notices: list[str]) -> list[Row]:
-    """The rows by time, the first of those with one stamp."""
+    """Sort the rows by time and keep the first of those with equal stamps."""
     times = [time for time, _ in rows]
     if backwards := int(np.sum(np.diff(times) < 0.0)):
         notices.append(f"{path.name}: time runs backwards {_times(backwards)}; sorted")
@@ -106,13 +107,13 @@ def _clean(path: Path, rows: list[Row], notices: list[str]) -> list[Row]:
 
 
 def _images(index: Path, notices: list[str]) -> list[Row]:
-    """The rows of an index of one kind of images, by time, without doubles and missing ones."""
+    """Read the rows of an index of one kind of images, sorted by time, without repeated and missing ones."""
     rows = _clean(index, _rows(index, 2), notices)
     return _existing(index, rows, [(index.parent / words[1],) for _, words in rows], notices)
 
 
 def _existing(index: Path, items: list[T], images: list[tuple[Path, ...]], notices: list[str]) -> list[T]:
-    """Those of ``items`` whose images are all there."""
+    """Keep those of ``items`` whose images exist."""
     missing = [next((path for path in paths if not path.is_file()), None) for paths in images]
     kept = [item for item, gone in zip(items, missing, strict=True) if gone is None]
     first = next((gone for gone in missing if gone is not None), None)
@@ -125,7 +126,7 @@ def _existing(index: Path, items: list[T], images: list[tuple[Path, ...]], notic
 
 
 def _associated(root: Path, colour: list[Row], depth: list[Row], notices: list[str]) -> list[Frame]:
-    """Frames of the colour and depth images whose stamps are nearest to each other."""
+    """Pair the colour and depth images with the nearest stamps to frames."""
     of_colour, of_depth = (np.array([time for time, _ in rows]) for rows in (colour, depth))
     pairs = associate_one_to_one(of_colour, of_depth, ASSOCIATION_TOLERANCE)
     if not pairs:
@@ -137,7 +138,7 @@ def _associated(root: Path, colour: list[Row], depth: list[Row], notices: list[s
 
 
 def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
-    """Whether the images named first have one 16-bit channel and those named second are in colour."""
+    """Return whether the images named first have one 16-bit channel and those named second are in colour."""
     for _, words in rows:
         try:
             first, second = (iio.improps(root / words[i], plugin="pillow") for i in (1, 3))
@@ -148,7 +149,7 @@ def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
 
 
 def _note_gaps(times: np.ndarray, notices: list[str]) -> None:
-    """A notice of stretches without frames."""
+    """Add a notice of stretches without frames."""
     steps = np.diff(times)
     if len(steps) == 0:
         return

@@ -1,4 +1,4 @@
-"""The camera that took a recording: as the user says, from the folder's ``camera.json``, or TUM's published ones."""
+"""Find the calibration of a recording's camera: given by the user, in ``camera.json``, or published by TUM."""
 
 import json
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ MIDDLE = (0.3, 0.7)  # where a principal point lies, as a share of width and hei
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of the camera and of how depth was stored."""
+    """Hold the camera's calibration and the storage of depth."""
 
     camera: Camera  # of the images as recorded (before undistortion)
     distortion: np.ndarray  # (5,) k1 k2 p1 p2 k3
@@ -31,7 +31,7 @@ class Calibration:
 
 
 def read_calibration(root: Path, width: int, height: int, given: tuple[float, ...] | None) -> Calibration:
-    """The calibration of images of ``width x height`` pixels.
+    """Read the calibration of images of ``width x height`` pixels.
 
     Args:
         root: the sequence's folder.

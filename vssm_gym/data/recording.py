@@ -1,7 +1,7 @@
 """Record a scene as a TUM folder (``vssm-gym record``): a robot's survey of it, or a hand-held camera's walk.
 
-Driver and walker know the floor plan and the true pose; what they leave behind is images, commands and ground truth, as
-a motion-capture hall would. Agents get the map made from them, never the recording or the plan.
+Driver and walker know the floor plan and the true pose; the recording contains images, commands and ground truth, as
+from a motion-capture system. Agents get the map made from them, never the recording or the plan.
 """
 
 import itertools
@@ -32,8 +32,8 @@ from vssm_gym.planning.pursuit import steer
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
-PROVENANCE = "recording.json"  # beside TUM's files: which scene, driven how
-ARRIVED = 0.06  # m from a waypoint; nearer than the noise of a step makes no sense
+PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
+ARRIVED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
 def record(
@@ -55,7 +55,7 @@ def record(
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
         seed: of the route and of both noises.
-        progress: told ("recording", waypoints passed, waypoints) after every waypoint.
+        progress: called with ("recording", waypoints passed, waypoints) after every waypoint.
 
     Raises:
         InputError: an unknown scene or noise, or a folder that is not empty.
@@ -94,7 +94,7 @@ def record_handheld(
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
         seed: of the path and of the sensor.
-        progress: told ("recording", frames, of how many) now and then.
+        progress: called with ("recording", frames, total) now and then.
 
     Raises:
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
@@ -126,12 +126,12 @@ def record_handheld(
 def recorded_episode(
     simulation: Simulation, out: Path, about: dict[str, Any]
 ) -> Iterator[Callable[[dict[str, np.ndarray], dict[str, Any]], None]]:
-    """A function that takes each ``(observation, info)`` of an episode, which becomes the recording ``out``.
+    """Yield a function that records each ``(observation, info)`` of an episode to ``out``.
 
     Args:
         simulation: whose robot is driven by whoever calls the function.
         out: new or empty folder; it appears where the block ends without an error.
-        about: what else to tell in ``recording.json``.
+        about: further fields of ``recording.json``.
     """
     check_new(out)
     with folder_for(out, simulation.apartment, about | {"renderer": simulation.renderer.name}) as unfinished:
@@ -154,7 +154,7 @@ def check_new(out: Path) -> None:
 
 @contextmanager
 def folder_for(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
-    """A folder to record into, which becomes ``out`` once it is whole, with what made it beside the images."""
+    """Yield a folder to record into, which becomes ``out`` when complete, with its provenance beside the images."""
     provenance = {"scene": apartment.name, "scene_hash": apartment.content_hash(), **about}
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as unfinished:
@@ -163,12 +163,12 @@ def folder_for(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterat
 
 
 def _sensor_stream(seed: int) -> np.random.Generator:
-    """The sensor's own random numbers, whatever the path and the drive use."""
+    """Return the sensor's own random stream, independent of path and drive."""
     return seeded_streams(seed)["sensors"]
 
 
 def read_provenance(recording: Path) -> dict[str, Any]:
-    """What :func:`record` wrote about a recording; empty for a folder that it did not write."""
+    """Read the provenance that :func:`record` wrote; empty for other folders."""
     try:
         return json.loads((recording / PROVENANCE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -207,7 +207,7 @@ def _drive(
     limits = env.robot.limits
     for i, waypoint in enumerate(route):
         target = np.array([waypoint.x, waypoint.y])
-        # A robot that noise has pushed behind a corner slides along it; one that cannot pass goes on to the next.
+        # A robot pushed behind a corner by noise slides along it; if it cannot pass, it drives to the next waypoint.
         for _ in range(_patience(env.planar[:2], target, limits)):
             if np.hypot(*(env.planar[:2] - target)) < ARRIVED:
                 break
@@ -222,5 +222,5 @@ def _drive(
 
 
 def _patience(xy: np.ndarray, target: np.ndarray, limits: np.ndarray) -> int:
-    """Steps after which a leg is given up: twice a half turn and twice the way."""
+    """Return the number of steps after which a leg is given up: twice those of a half turn and of the straight line."""
     return int(2 * np.ceil(np.pi / limits[0]) + 2 * np.ceil(np.hypot(*(target - xy)) / limits[2]))

@@ -1,4 +1,4 @@
-"""Recorded RGB-D sequences as TUM folders, with ``camera.json`` and ``controls.txt`` beside TUM's own files (DESIGN).
+"""Read and write RGB-D sequences as TUM folders, with ``camera.json`` and ``controls.txt`` beside TUM's own files.
 
 ``rgb.txt``, ``depth.txt`` (time, file), ``associations.txt`` (both), ``groundtruth.txt`` (T_world_cam), images as JPEG
 or PNG, depth as 16-bit PNG, metres = value / depth_scale, 0 = no reading.
@@ -22,12 +22,12 @@ from vssm_gym.geometry.camera import Camera
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
 LARGEST_IMU = 500_000_000  # bytes: an hour at 1 kHz
-TRIED = 10  # frames of which one must be readable for a sequence to be one
+TRIED = 10  # first frames, of which one must be readable
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """A recorded sequence: where the frames are, the camera that took them, and what is known of their poses."""
+    """Describe a recorded sequence: its frames, the camera that took them, and known poses."""
 
     root: Path
     frames: tuple[Frame, ...]
@@ -42,11 +42,11 @@ class Sequence:
 
     @property
     def times(self) -> np.ndarray:
-        """Frame times (frames,), s."""
+        """Return frame times (frames,), s."""
         return np.array([frame.time for frame in self.frames])
 
     def true_poses(self) -> np.ndarray:
-        """Ground-truth T_world_cam (frames, 4, 4), interpolated at the frame times.
+        """Return ground-truth T_world_cam (frames, 4, 4), interpolated at the frame times.
 
         Raises:
             InputError: the sequence has no ground truth, or none near enough to one of the frames.
@@ -65,13 +65,13 @@ class Sequence:
 
 
 class FrameReader:
-    """Frames of a sequence, undistorted and resized to ``width x height``, with the camera that then took them.
+    """Read frames of a sequence, undistorted and resized to ``width x height``, with the resulting camera.
 
     Colour is averaged over the source pixels of a target pixel; depth takes the nearest reading, because an average
     across an edge is a surface that does not exist.
 
-    A frame with a damaged image is black and has no depth, as if the camera had been covered, so that one bad file
-    does not end an hour of mapping. ``notices`` names each of them.
+    A frame with a damaged image is black and has no depth, so that one bad file does not end a long run. ``notices``
+    names each of them.
     """
 
     def __init__(self, sequence: Sequence, size: tuple[int, int] | None = None) -> None:
@@ -81,7 +81,7 @@ class FrameReader:
         source = sequence.camera
         width, height = size or (source.width, source.height)
         self.camera = source.resized(width, height)
-        # Whole-number shrinking is done by averaging blocks first; what remains is below 2 and bilinear.
+        # Integer shrinking averages blocks first; the remaining factor is below 2 and bilinear.
         self._block = max(1, min(source.width // width, source.height // height))
         v, u = np.mgrid[0:height, 0:width]
         x, y = (u - self.camera.cx) / self.camera.fx, (v - self.camera.cy) / self.camera.fy
@@ -92,7 +92,7 @@ class FrameReader:
         return len(self.sequence.frames)
 
     def __getitem__(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """RGB uint8 (height, width, 3) and z-depth float32 (height, width), m; 0 where there is no reading."""
+        """Return RGB uint8 (height, width, 3) and z-depth float32 (height, width), m; 0 where there is no reading."""
         frame = self.sequence.frames[index]
         size = (self.sequence.camera.width, self.sequence.camera.height)
         try:
@@ -106,7 +106,7 @@ class FrameReader:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """A sentence for each damaged frame read so far, in the sequence's order."""
+        """Return a sentence for each damaged frame read so far, in the sequence's order."""
         with self._lock:
             return tuple(self._damage[index] for index in sorted(self._damage))
 
@@ -133,7 +133,7 @@ class FrameReader:
 
 
 def distort(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Brown-Conrady: undistorted to distorted normalised coordinates; ``k`` = (k1, k2, p1, p2, k3)."""
+    """Convert undistorted to distorted normalised coordinates (Brown-Conrady); ``k`` = (k1, k2, p1, p2, k3)."""
     k1, k2, p1, p2, k3 = k
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -183,7 +183,7 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
 
 
 def _imu(path: Path) -> np.ndarray:
-    """Readings ``(n, 7)`` of an IMU; none where the file is missing."""
+    """Read IMU readings ``(n, 7)``; none where the file is missing."""
     if not path.is_file():
         return np.zeros((0, 7))
     expected = "time wx wy wz fx fy fz: finite numbers, times ascending"
@@ -199,12 +199,12 @@ def _imu(path: Path) -> np.ndarray:
 
 
 def imu_line(time: float, reading: np.ndarray) -> str:
-    """A line of ``imu.txt``: stamp (s), angular rate (rad/s) and specific force (m/s^2) in the body's frame."""
+    """Format a line of ``imu.txt``: stamp (s), angular rate (rad/s) and specific force (m/s^2) in the body's frame."""
     return f"{time:.6f} " + " ".join(f"{value:.7g}" for value in reading) + "\n"
 
 
 def _size(frames: tuple[Frame, ...]) -> tuple[int, int]:
-    """Width and height of the images, by the first frame that can be read."""
+    """Return width and height of the images, by the first readable frame."""
     first: InputError | None = None
     for frame in frames[:TRIED]:
         try:
@@ -223,7 +223,7 @@ def _size(frames: tuple[Frame, ...]) -> tuple[int, int]:
 
 
 class SequenceWriter:
-    """Writes a sequence frame by frame; ``close`` adds ``camera.json``, the mark of a whole recording."""
+    """Write a sequence frame by frame; ``close`` adds ``camera.json``, which marks a complete recording."""
 
     def __init__(
         self,
@@ -233,8 +233,14 @@ class SequenceWriter:
         controls: bool = True,
         depth_scale: float = DEPTH_SCALE,
     ) -> None:
-        """``controls`` says whether somebody commands the camera: if not, there is no ``controls.txt``. ``depth_scale``
-        units are a metre: readings beyond 65535 of them do not fit 16 bits and are stored as none.
+        """Create the folder and its index files.
+
+        Args:
+            root: new or empty folder.
+            camera: of the images.
+            T_body_cam: (4, 4) camera pose on the body.
+            controls: whether commands are recorded; otherwise there is no ``controls.txt``.
+            depth_scale: units a metre; readings beyond 65535 units do not fit 16 bits and are stored as 0.
         """
         self.root = Path(root)
         if self.root.exists() and (not self.root.is_dir() or any(self.root.iterdir())):

@@ -1,4 +1,4 @@
-"""Trajectories on disk: TUM text (``t x y z qx qy qz qw``) and EuRoC csv (``t[ns] p q_wxyz ...``), as T_world_cam."""
+"""Read and write trajectories of T_world_cam: TUM text (``t x y z qx qy qz qw``) and EuRoC csv (``t[ns] p q_wxyz``)."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from vssm_gym.files import atomic_write
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Number and text of the lines that are neither blank nor comments.
+    """Yield number and text of the lines that are neither blank nor comments.
 
     Raises:
         InputError: the file is not text.
@@ -27,7 +27,7 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,), s, and poses (n, 4, 4), sorted by time; ``.csv`` is EuRoC's format, anything else TUM's.
+    """Read times (n,), s, and poses (n, 4, 4), sorted by time; ``.csv`` is EuRoC's format, anything else TUM's.
 
     Raises:
         InputError: missing file, a line that is not numbers, too few columns, or a zero quaternion.
@@ -67,23 +67,23 @@ def from_tum(values: np.ndarray) -> np.ndarray:
 
 
 def tum_line(time: float, T_world_cam: np.ndarray) -> str:
-    """One line of a TUM trajectory."""
+    """Format one line of a TUM trajectory."""
     q = Rotation.from_matrix(T_world_cam[:3, :3]).as_quat()
     numbers = " ".join(f"{value:.7f}" for value in (*T_world_cam[:3, 3], *q))
     return f"{time:.6f} {numbers}\n"
 
 
 def write_trajectory(path: str | Path, times: np.ndarray, T_world_cam: np.ndarray) -> None:
-    """Write a TUM trajectory, whole or not at all."""
+    """Write a TUM trajectory atomically."""
     with atomic_write(path) as temporary, temporary.open("w") as file:
         file.write("# timestamp tx ty tz qx qy qz qw\n")
         file.writelines(tum_line(t, T) for t, T in zip(times, T_world_cam, strict=True))
 
 
 def interpolate(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Poses ``(m, 4, 4)`` at times ``at``: linear in position, geodesic in rotation; clamped to the ends.
+    """Interpolate poses ``(m, 4, 4)`` at times ``at``: linear in position, geodesic in rotation; clamped to the ends.
 
-    ``times`` never fall; of poses with the same time the first one counts.
+    ``times`` are non-decreasing; of poses with the same time the first one counts.
     """
     times, first = np.unique(times, return_index=True)
     poses = poses[first]
@@ -97,9 +97,10 @@ def interpolate(times: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndar
 
 
 def velocities(times: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """``(n - 1, 6)`` velocities over each interval, world frame: linear (m/s), angular (rad/s).
+    """``t' = t + v dt``, ``R' = exp(w dt) R``: world-frame velocities that lead exactly from each pose to the next.
 
-    ``t' = t + v dt``, ``R' = exp(w dt) R`` (SPEC 1): each leads exactly to the next pose.
+    Returns:
+        ``(n - 1, 6)``: linear (m/s), angular (rad/s).
     """
     dt = np.diff(times)[:, None]
     turn = Rotation.from_matrix(poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], 1, 2)).as_rotvec()

@@ -1,15 +1,15 @@
-"""Is the uncertainty honest? Whitened residuals, NEES and the chi-square calibration curve (thesis A.2 H, SPEC 12).
+"""Measure the calibration of covariances: whitened residuals, NEES, the chi-square calibration curve (thesis, A.2 H).
 
     e_i = log(T_est_i^-1 T_true_i)  in the tangent of the estimate, order (translation, rotation)
     w_i = L_i^-1 e_i,  L_i L_i^T = Sigma_i;   NEES_i = e_i^T Sigma_i^-1 e_i = |w_i|^2  ~  chi^2(d)  if calibrated
 
-A residual in the body's tangent does not change when both trajectories are moved, nor does its covariance, so an
-estimate may be aligned before. The curve sets the probability that the model gives to a residual no larger than this
-one against the share of residuals that are no larger: above the diagonal the model is pessimistic, below it
-overconfident (Jospin et al., "Hands-on Bayesian neural networks", 2022, section VII).
+A residual in the body's tangent, and its covariance, do not change when both trajectories are moved rigidly; an
+estimate may therefore be aligned before. The curve plots the observed share of residuals up to a size against the
+probability that the model gives to it: above the diagonal the model is pessimistic, below it overconfident (Jospin et
+al., "Hands-on Bayesian neural networks", 2022, section VII).
 
-One global scalar on all covariances of a method is what fits its mean NEES to d; fitted on other sequences it says how
-far the uncertainty is right in relation, beside the raw value, which says how far it is right at all.
+One global scale of all covariances of a method makes its mean NEES equal to d. Fitted on other sequences, it shows
+whether relative uncertainties are right; the unscaled value shows whether their absolute size is right.
 """
 
 from collections.abc import Mapping
@@ -43,13 +43,13 @@ def pose_residuals(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, 
 
 
 def whiten(residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, "n d"]:
-    """``L_i^-1 e_i``: standard normal where the covariances are right.
+    """``L_i^-1 e_i``: residuals that are standard normal where the covariances are right.
 
     Raises:
         InputError: a covariance that is not finite or not positive definite.
     """
     e, S = np.asarray(residuals, dtype=np.float64), np.asarray(covariances, dtype=np.float64)
-    # Metres beside radians, and a range of certainties: to unit diagonal first, so that float64 holds any of them.
+    # Units and magnitudes differ: scale to unit diagonal first, so that the factorisation is accurate in float64.
     variance = np.einsum("nii->ni", S)
     try:
         if not (np.isfinite(S).all() and np.isfinite(e).all() and (variance > 0.0).all()):
@@ -62,44 +62,47 @@ def whiten(residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "
 
 
 def nees(residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "n d d"]) -> Float[np.ndarray, "n"]:
-    """Normalised estimation error squared, ``e^T Sigma^-1 e``; its expectation is d."""
+    """``e^T Sigma^-1 e``: the normalised estimation error squared; its expectation is d."""
     return np.sum(whiten(residuals, covariances) ** 2, axis=1)
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """How one sequence's residuals compare with the covariances that were given for them."""
+    """Compare one sequence's residuals with their covariances."""
 
     whitened: Float[np.ndarray, "n d"]
 
     @classmethod
     def of(cls, residuals: Float[np.ndarray, "n d"], covariances: Float[np.ndarray, "n d d"]) -> "Calibration":
-        """From residuals and their covariances, frame by frame."""
+        """Make a calibration from residuals and their covariances, frame by frame."""
         return cls(whiten(residuals, covariances))
 
     @property
     def nees(self) -> Float[np.ndarray, "n"]:
-        """NEES of each frame."""
+        """Return the NEES of each frame."""
         return np.sum(self.whitened**2, axis=1)
 
     @property
     def dimension(self) -> int:
-        """d: the degrees of freedom."""
+        """Return d, the degrees of freedom."""
         return self.whitened.shape[1]
 
     def scaled(self, factor: float) -> "Calibration":
-        """The same residuals with every covariance multiplied by ``factor``."""
+        """Return the same residuals with every covariance multiplied by ``factor``."""
         return Calibration(self.whitened / np.sqrt(factor))
 
     def curve(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Predicted and observed cumulative probability of each residual, rising."""
+        """Return predicted and observed cumulative probability of each residual, in ascending order."""
         predicted = chi2.cdf(np.sort(self.nees), self.dimension)
         return predicted, np.arange(1, len(predicted) + 1) / len(predicted)
 
     def summary(self) -> dict[str, float]:
-        """``nees`` (mean), ``nees_over_dimension``, ``share_within_50`` ... ``_99``: frames in the region of that
-        probability; ``gap``: mean distance of the curve from the diagonal; ``bias``: the same with its sign, positive
-        where the model is pessimistic.
+        """Summarise NEES and the calibration curve.
+
+        Returns:
+            ``nees`` (mean), ``nees_over_dimension``, ``share_within_50`` ... ``_99``: share of frames in the region of
+            that probability; ``gap``: mean distance of the curve from the diagonal; ``bias``: the same with its sign,
+            positive where the model is pessimistic.
         """
         predicted = chi2.cdf(self.nees, self.dimension)
         level = np.linspace(0.0, 1.0, 201)
@@ -112,7 +115,7 @@ class Calibration:
 
 
 def fit_scale(sequences: Mapping[str, Calibration]) -> float:
-    """The factor on all covariances that maximises the likelihood of all residuals: ``mean NEES / d``, closed form."""
+    """Fit the factor on all covariances that maximises the likelihood of all residuals: ``mean NEES / d``."""
     every = np.concatenate([c.nees / c.dimension for c in sequences.values()]) if sequences else np.zeros(0)
     if len(every) == 0:
         raise InputError("calibration", "sequences", "at least one frame to fit the covariances' scale to")
@@ -120,17 +123,17 @@ def fit_scale(sequences: Mapping[str, Calibration]) -> float:
 
 
 def cross_fitted(sequences: Mapping[str, Calibration]) -> dict[str, Calibration]:
-    """Each sequence with the scale that the *other* sequences give: no sequence has a say in its own."""
+    """Scale each sequence by the factor fitted on the *other* sequences."""
     scale = {name: fit_scale({other: c for other, c in sequences.items() if other != name}) for name in sequences}
     return {name: c.scaled(scale[name]) for name, c in sequences.items()}
 
 
 def figure(sequences: Mapping[str, Calibration], note: str = "") -> bytes:
-    """Whitened residuals of each axis beside a standard normal, and the calibration curves, as SVG.
+    """Draw whitened residuals of each axis beside a standard normal, and the calibration curves, as SVG.
 
     Args:
-        sequences: one curve each; the residuals of all together make the histograms.
-        note: which scale the covariances have, for the title.
+        sequences: one curve each; the histograms are over the residuals of all.
+        note: scale of the covariances, for the title.
     """
     dimension = next(iter(sequences.values())).dimension
     names = AXES if dimension == len(AXES) else tuple(f"axis {i}" for i in range(dimension))

@@ -1,6 +1,6 @@
-"""Poses of a robot's recorded drive as PRISM estimates them from images and commands; nothing but the start is known.
+"""Estimate the poses of a robot's recorded drive by PRISM from images and commands; only the start is known.
 
-A map made at these poses owes nothing to ground truth: it is what the robot itself would have.
+A map made at these poses uses no ground truth: it is the map that the robot itself would have.
 """
 
 from collections.abc import Callable
@@ -25,29 +25,29 @@ from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
-REACH = 12.0  # m: a drive leads no farther from its start, along x or y, than its map reaches
-LOW, HIGH = -0.5, 3.5  # m, of the map above the floor
+REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
+LOW, HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
 START_STD = 1e-3  # m, rad: the start is known
 
 
 @dataclass(frozen=True)
 class DrivePoses:
-    """The estimate."""
+    """Hold the estimated poses."""
 
     T_world_cam: Float[np.ndarray, "frames 4 4"]  # float64
     accepted: Bool[np.ndarray, "frames"]  # False: the pose follows the commands alone
 
 
 def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None = None) -> DrivePoses:
-    """``q(z_1:T)`` by PRISM with the planar transition, from the first true pose on.
+    """Estimate ``q(z_1:T)`` by PRISM with the planar transition, from the first true pose on.
 
     Args:
-        sequence: a survey of ``vssm-gym record``: images, commands, ``T_body_cam``, and how noisy the robot was.
+        sequence: a survey of ``vssm-gym record``: images, commands, ``T_body_cam``, and the robot's noise level.
         voxel: cell size of the filter's map, m.
-        progress: told ("poses", frames done, frames).
+        progress: called with ("poses", frames done, frames).
 
     Raises:
-        InputError: a recording that is no robot's drive, one that leads too far away, or cells too small for it.
+        InputError: a recording without a robot's commands, a drive too far from its start, or too small cells.
     """
     noise = NOISE_LEVELS.get(str(read_provenance(sequence.root).get("noise")))
     if noise is None or sequence.T_body_cam is None or sequence.controls.shape != (len(sequence.frames), 4):

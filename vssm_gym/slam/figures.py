@@ -1,4 +1,4 @@
-"""The figures of a SLAM report: trajectory, slices through the map, rendered against observed images, fit, latency."""
+"""Draw the figures of a SLAM report: trajectory, slices through the map, rendered and observed images, fit, latency."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ from vssm_gym.slam.states import Truth, tidy
 from vssm_gym.viz import pictures
 
 OBSERVED_COLOUR = "#0072b2"
-MARGIN = 0.4  # m around what a slice shows
+MARGIN = 0.4  # m around the content of a slice
 PIXELS = 420  # of a slice along its longer edge, at most
 STAGES = {"track": "#0072b2", "map": "#0b6e4f", "anchor": "#e69f00", "recover": "#56b4e9"}
 ELLIPSES = 25  # drawn along a path
@@ -31,16 +31,16 @@ REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 
 @dataclass(frozen=True)
 class Display:
-    """A frame with z up, in which a run is drawn; the map's own frame is a camera that may look anywhere."""
+    """Define a frame with z up, in which a run is drawn; the map's own frame is that of a camera at any attitude."""
 
     T_display_world: Float[np.ndarray, "4 4"]
-    note: str  # how up is known
+    note: str  # where the vertical comes from
     truth: Float[np.ndarray, "n 3"] | None  # true positions, m
     errors: Float[np.ndarray, "k 2"] | None  # time (s) and position error (m) of the frames with a true pose
 
     @classmethod
     def of(cls, run: SlamRun, sequence: Sequence, truth: Truth | None) -> "Display":
-        """The truth's frame where the run can be aligned to it, else the frame of the body that carries the camera."""
+        """Choose the truth's frame where the run can be aligned to it, else the frame of the body with the camera."""
         if truth is not None:
             off = np.linalg.norm(run.poses[truth.rows, :3, 3] - truth.T_world_cam[:, :3, 3], axis=-1)
             errors = np.stack([run.times[truth.rows], off], axis=-1)
@@ -55,10 +55,10 @@ class Display:
 
 
 def path(run: SlamRun, display: Display) -> tuple[bytes, float]:
-    """Top view, side view and, where the truth is known, the position error over time, as SVG.
+    """Draw top view, side view and, where the truth is known, the position error over time, as SVG.
 
     Returns:
-        The picture, and how many times larger than they are the ellipses of 95 % of the position are drawn.
+        The picture, and the magnification of the ellipses that hold 95 % of the position.
     """
     panels = 2 if display.errors is None else 3
     figure = Figure(figsize=(11.5, 3.6), layout="constrained")
@@ -108,7 +108,7 @@ def path(run: SlamRun, display: Display) -> tuple[bytes, float]:
 
 
 def _position_spread(run: SlamRun, display: Display) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Position (m) and its covariance (m^2) in the display's frame, of frames spread over the run."""
+    """Return position (m) and its covariance (m^2) in the display's frame, for frames spread over the run."""
     known = [(f.T_world_cam, f.covariance) for f in run.frames if f.covariance is not None and not f.lost]
     result = []
     for T_world_cam, covariance in known[:: max(1, len(known) // ELLIPSES)]:
@@ -128,10 +128,10 @@ def _ellipse(centre: np.ndarray, covariance: np.ndarray, magnified: float) -> El
 
 
 def slices(run: SlamRun, display: Display, counted: float) -> bytes:
-    """Mean and std of occupancy on the horizontal and the vertical plane that cut most free space, as WebP.
+    """Draw mean and std of occupancy on the horizontal and the vertical plane that cut most free space, as WebP.
 
-    ``counted`` is the std that the update gave each observation (``MapUpdateConfig.std``); a real one has
-    ``OBSERVATION_STD``, so that is what the std shown is scaled to.
+    ``counted`` is the std that the update gave each observation (``MapUpdateConfig.std``). A real reading has
+    ``OBSERVATION_STD``, to which the displayed std is scaled.
     """
     cameras = transform(display.T_display_world, run.poses[:, :3, 3])
     voxel = float(run.map.voxel_size)
@@ -172,9 +172,9 @@ def slices(run: SlamRun, display: Display, counted: float) -> bytes:
 
 
 def _cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
-    """Centres ``(n, 3)`` of the observed cells whose mean occupancy is below a limit (m), map frame."""
+    """Return centres ``(n, 3)`` of the observed cells whose mean occupancy is below a limit (m), map frame."""
     chosen = (np.asarray(m.occupancy_precision) > OBSERVED_PRECISION) & (np.asarray(m.occupancy) < below)
-    row, cell = np.nonzero(chosen)  # by storage row: a sparse map's cube need not fit into memory
+    row, cell = np.nonzero(chosen)  # by storage row: the whole cube of a sparse map may not fit into memory
     block = np.arange(len(chosen))
     if m.table is not None:
         slot = np.asarray(m.table.slot).reshape(-1)
@@ -186,9 +186,9 @@ def _cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
 
 
 def _belief(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of occupancy (m) and precision^-1/2 at points, NaN where one of the eight cells around was not observed.
+    """Return mean of occupancy (m) and precision^-1/2 at points; NaN where one of the eight cells around is unobserved.
 
-    Across that border the mean passes through a zero that is no surface.
+    The mean crosses zero at the border of observed space, but that crossing is no surface.
     """
     p = jnp.asarray(p_world, jnp.float32)
     corners, _, inside = m.corners(p)
@@ -199,7 +199,7 @@ def _belief(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, float]]]:
-    """Frames spread over the run beside the final map rendered at their estimated poses, as WebP.
+    """Draw frames spread over the run beside the final map rendered at their estimated poses, as WebP.
 
     Returns:
         The picture, and per frame its index in the sequence, the median depth difference (m) where both images have a
@@ -243,7 +243,7 @@ def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, f
 
 
 def fit(run: SlamRun, config: TrackingConfig) -> bytes:
-    """What the loss test sees, over time, with its limits: score and photometric residual, as SVG."""
+    """Draw score and photometric residual of the loss test over time, with their limits, as SVG."""
     figure = Figure(figsize=(11.5, 2.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     aligned = [frame for frame in run.frames if frame.inlier_share is not None]
@@ -272,12 +272,12 @@ def fit(run: SlamRun, config: TrackingConfig) -> bytes:
 
 
 def _score(frame: TrackedFrame) -> float:
-    """Inlier share times ``min(1, coverage / 0.4)``, as :func:`vssm_gym.inference.alignment.residuals.score`."""
+    """``inlier_share min(1, coverage / 0.4)``, as :func:`vssm_gym.inference.alignment.residuals.score`."""
     return (frame.inlier_share or 0.0) * min(1.0, (frame.coverage or 0.0) / 0.4)
 
 
 def latency(run: SlamRun) -> bytes:
-    """Milliseconds of each stage, frame by frame and as the share of frames below, as SVG."""
+    """Draw milliseconds of each stage, frame by frame and as a cumulative distribution over frames, as SVG."""
     figure = Figure(figsize=(11.5, 3.2), layout="constrained")
     series, below = figure.subplots(1, 2)
     warm = [frame for frame in run.frames if frame.warm]
@@ -291,7 +291,7 @@ def latency(run: SlamRun) -> bytes:
     for label, points, colour in stages:
         if points:
             t, ms = np.array(points).T * [[1.0], [1e3]]
-            few = len(ms) < 0.9 * len(run.frames)  # a stage that only some frames need is no line
+            few = len(ms) < 0.9 * len(run.frames)  # draw points, not a line, for a stage that only some frames need
             drawn = {"linestyle": "", "marker": ".", "markersize": 3} if few else {"linewidth": 0.8}
             series.plot(t - run.times[0], ms, color=colour, label=label, **drawn)
             below.step(np.sort(ms), np.arange(1, len(ms) + 1) / len(ms), where="post", color=colour)

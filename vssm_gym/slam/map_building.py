@@ -1,6 +1,6 @@
-"""Maps that agents are given: closed-form updates over a recording (SPEC 4, off-line map).
+"""Build the maps that agents are given: closed-form updates over a recording (TNP-SM, off-line map).
 
-At the poses recorded with it, as a motion-capture hall would know them, or at those that PRISM estimates.
+The poses are either those recorded with it, as from a motion-capture system, or PRISM's estimates.
 """
 
 import hashlib
@@ -26,10 +26,10 @@ from vssm_gym.version import package_version
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 Poses = Literal["recorded", "estimated"]
 
-MARGIN = 0.25  # m around the farthest points seen: the truncation band and the next frames' noise
-LOOKED_AT = 200  # frames that the bounds are taken from
-MAX_CELLS = 40_000_000  # 25 bytes each
-NOISE = "low"  # of the drive that a map is learned from
+MARGIN = 0.25  # m around the farthest points seen, for the truncation band and the noise of other frames
+LOOKED_AT = 200  # about how many frames the bounds are computed from
+MAX_CELLS = 40_000_000  # 25 bytes each: 1 GB
+NOISE = "low"  # execution noise of the drive that a map is learned from
 
 
 def build_map(
@@ -39,15 +39,15 @@ def build_map(
     warn: Callable[[tuple[str, ...]], None] | None = None,
     poses: Poses = "recorded",
 ) -> VoxelMap:
-    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence, at the poses ``z_t`` recorded with it or estimated.
+    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)`` over a sequence, at recorded or estimated poses ``z_t``.
 
-    The grid spans what the depth images show, not what anybody knows of the scene.
+    The grid spans the observed depth readings, not the known extent of the scene.
 
     Args:
-        sequence: with ``groundtruth.txt``; of estimated poses only the first of it is read.
+        sequence: with ``groundtruth.txt``; only its first pose is read if poses are estimated.
         voxel: cell size, m.
-        progress: told after every frame.
-        warn: told in the end which frames were damaged; they count as empty.
+        progress: called after every frame.
+        warn: called at the end with the damaged frames, which count as empty.
 
     Raises:
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
@@ -77,7 +77,7 @@ def build_map(
 
 
 def _poses(sequence: Sequence, voxel: float, poses: Poses, progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
-    """``T_world_cam`` of each frame, and which of them go into the map."""
+    """Return ``T_world_cam`` of each frame, and which of them enter the map."""
     if poses == "recorded":
         return sequence.true_poses(), np.ones(len(sequence.frames), dtype=bool)
     estimate = estimate_poses(sequence, voxel, progress)
@@ -85,7 +85,7 @@ def _poses(sequence: Sequence, voxel: float, poses: Poses, progress: Progress | 
 
 
 def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of the back-projected depths of frames spread over the sequence, with a margin."""
+    """Return the corners of the bounding box of back-projected depths of sampled frames, with a margin."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     rays = _rays(reader.camera)
     for i in range(0, len(poses), max(1, len(poses) // LOOKED_AT)):
@@ -100,7 +100,7 @@ def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig)
 
 
 def _rays(camera: Camera) -> np.ndarray:
-    """``K^-1 [i, j, 1]``, float64 ``(height, width, 3)``."""
+    """Return ``K^-1 [i, j, 1]``, float64 ``(height, width, 3)``."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     homogeneous = np.stack([u, v, np.ones_like(u)], axis=-1)
     return homogeneous @ np.linalg.inv(camera.K).T
@@ -115,10 +115,10 @@ def ensure_map(
     poses: Poses = "recorded",
     progress: Progress | None = None,
 ) -> Path:
-    """The learned map of a scene under ``folder``: ``maps/NAME.npz``, from the drive in ``recordings/NAME``.
+    """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
 
-    Both are kept; what is there already is used again if scene, seed, noise and tracer of the drive, the cell size and
-    the kind of poses are the same, else made anew. Nothing that this package did not make is replaced.
+    Map and recording are kept. They are used again if scene, seed, noise and tracer of the drive, cell size and kind of
+    poses are the same, else made anew. Only files made by this package are replaced.
 
     Args:
         scene: built-in name or path of a scene file.
@@ -126,10 +126,10 @@ def ensure_map(
         voxel: cell size, m.
         seed: of the recorded drive.
         poses: at which the images enter the map: see :func:`build_map`.
-        progress: told after every frame recorded and every frame mapped.
+        progress: called after every frame recorded and every frame mapped.
 
     Raises:
-        InputError: a scene that cannot be used, or something of another origin where map or recording belong.
+        InputError: a scene that cannot be used, or files of another origin at the places of map or recording.
     """
     apartment = load_scene(scene)
     name = Path(scene).stem
@@ -162,7 +162,7 @@ def ensure_map(
 
 
 def map_hash(map_file: Path) -> str:
-    """16 hex digits of a map file's SHA-256; results name the map by it."""
+    """Return 16 hex digits of a map file's SHA-256, by which results name the map."""
     return hashlib.sha256(map_file.read_bytes()).hexdigest()[:16]
 
 

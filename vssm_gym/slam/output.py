@@ -1,4 +1,4 @@
-"""The folder that ``vssm-gym slam`` writes: the trajectory line by line, then map, mesh, ``stats.json`` and report."""
+"""Write the output folder of ``vssm-gym slam``: trajectory line by line, then map, mesh, ``stats.json`` and report."""
 
 import json
 import os
@@ -30,7 +30,7 @@ from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
 STATS, REPORT = "stats.json", "report.html"
-MOST_OUTSIDE = 0.5  # share of the readings outside the map that is worth a warning
+MOST_OUTSIDE = 0.5  # a larger share of readings outside the map gives a warning
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
     "the images, MAP, Laplace and velocity; map: the closed-form update, and moving the window where the camera leaves "
@@ -39,7 +39,7 @@ LATENCY_NOTE = (
     "undistorting and resizing, in a thread beside the filter; wait: the filter idle until the image is there. Frames "
     "on which a stage ran for the first time, and was compiled, are left out"
 )
-OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # what an unfinished run leaves: the report comes last
+OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # files that an unfinished run may leave; the report is written last
 
 
 def process(
@@ -52,23 +52,23 @@ def process(
 ) -> dict[str, Any]:
     """Run SLAM over a sequence and write everything to ``out``; returns what ``stats.json`` holds.
 
-    Each file appears whole or not at all. Where the run ends early, the poses of the finished frames stay in
+    Each file is written atomically. If the run ends early, the poses of the finished frames stay in
     ``trajectory.partial.txt``, and a later run may use the folder again.
 
     Args:
         sequence: the recording.
-        out: new or empty folder, or one that an unfinished run left.
+        out: new or empty folder, or that of an unfinished run.
         options: image size, rate, grid, solver.
-        progress: told after every frame, and of every file.
-        on_frame: told of every frame as it is finished.
-        viewer: shows every frame, and the surface in the end.
+        progress: called after every frame, and after every file.
+        on_frame: called with every finished frame.
+        viewer: shows every frame, and the surface at the end.
 
     Raises:
         InputError: bad input; nothing is written before the first frame is done.
     """
     check_free(out)
     start = time.perf_counter()
-    images = FrameReader(sequence, options.size)  # the viewer's own: the run keeps none of its images
+    images = FrameReader(sequence, options.size)  # for the viewer: the run keeps none of its images
 
     def finished(frame: TrackedFrame) -> None:
         file.append(frame)
@@ -102,7 +102,7 @@ def process(
 def summarise(
     run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float, truth: Truth | None
 ) -> dict[str, Any]:
-    """What a reader needs to judge and repeat a run, as plain JSON values."""
+    """Summarise a run for readers who judge or repeat it, as plain JSON values."""
     frames = run.frames
     fits = {
         name: [value for frame in frames if (value := getattr(frame, name)) is not None and np.isfinite(value)]
@@ -151,14 +151,14 @@ def summarise(
 
 
 def _config(options: SlamOptions) -> dict[str, Any]:
-    """Return the options as JSON, those that another method has left out."""
+    """Return the options as JSON, without those that the method does not use."""
     unused = {"voxel", "extent", "samples"} if options.method == "tracker" else set[str]()
     shown = asdict(options) | {"size": "x".join(map(str, options.size)), "map": options.map and options.map.name}
     return {name: value for name, value in shown.items() if value is not None and name not in unused}
 
 
 def notices(run: SlamRun) -> tuple[str, ...]:
-    """What was wrong with the input, and with the map's size and storage, a sentence each."""
+    """List problems of the input, and of the map's size and storage, one sentence each."""
     found = list(run.notices)
     outside = 1.0 - float(np.median([frame.in_grid for frame in run.frames]))
     if outside > MOST_OUTSIDE:
@@ -171,7 +171,7 @@ def notices(run: SlamRun) -> tuple[str, ...]:
 
 
 def latency(frames: tuple[TrackedFrame, ...]) -> dict[str, dict[str, float]]:
-    """Milliseconds of the whole step, of each of its stages over the frames that needed it, and of the images."""
+    """Summarise the duration of the step, of its stages (over the frames that needed them) and of the images, ms."""
     warm = [frame for frame in frames if frame.warm]
     names = dict.fromkeys(stage for stage in STAGES for frame in warm if stage in frame.stages)
     seconds = {"whole step": [frame.step_s for frame in warm]}
@@ -181,14 +181,14 @@ def latency(frames: tuple[TrackedFrame, ...]) -> dict[str, dict[str, float]]:
 
 
 def percentiles(seconds: list[float]) -> dict[str, float]:
-    """Median, 95th and 99th percentile, largest and mean, milliseconds, and how many."""
+    """Return median, 95th and 99th percentile, largest and mean, ms, and the number of values."""
     ms = 1e3 * np.asarray(seconds)
     p50, p95, p99 = (float(value) for value in np.percentile(ms, (50, 95, 99)))
     return {"p50": p50, "p95": p95, "p99": p99, "max": float(ms.max()), "mean": float(ms.mean()), "n": len(ms)}
 
 
 def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
-    """ATE and RPE as ``vssm-gym evaluate-trajectory`` prints them; None without truth, a reason where impossible."""
+    """Compute ATE and RPE as ``vssm-gym evaluate-trajectory`` does; None without truth, a reason where impossible."""
     if sequence.truth is None:
         return None
     try:
@@ -198,7 +198,7 @@ def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
 
 
 def check_free(out: Path) -> None:
-    """Refuse a folder that is neither new nor empty nor left by a run that did not end: nothing is ever overwritten.
+    """Refuse a folder that is neither new nor empty nor left by an unfinished run: nothing is ever overwritten.
 
     Raises:
         InputError: it holds a finished run, or something else.
@@ -216,14 +216,14 @@ def _write(path: Path, text: str) -> None:
 
 
 class _TrajectoryFile:
-    """One line a finished frame under a name that says "partial"; its real name once the run has ended."""
+    """Write one line per finished frame to a partial file, which is renamed when the run has ended."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
         self._file: TextIO | None = None
 
     def append(self, frame: TrackedFrame) -> None:
-        """Write a frame's pose; the first one makes the folder and clears what an unfinished run left."""
+        """Write a frame's pose; the first call makes the folder and removes files of an unfinished run."""
         if self._file is None:
             try:
                 self.out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The page of a SLAM run: what was lost, trajectory and errors, rendered against observed, map, fit, latency."""
+"""Lay out the page of a SLAM run: lost frames, trajectory, errors, rendered and observed images, map, fit, latency."""
 
 import json
 from html import escape
@@ -34,12 +34,12 @@ NOTICES = 20
 def page(
     run: SlamRun, sequence: Sequence, truth: Truth | None, mesh: Mesh, stats: dict[str, Any], config: TrackingConfig
 ) -> str:
-    """One HTML page that needs no other file and no network.
+    """Return one self-contained HTML page.
 
     Args:
         run: the run.
         sequence: what it ran on.
-        truth: what is known of its true states.
+        truth: its true states, where known.
         mesh: surface of its map.
         stats: as :func:`vssm_gym.slam.output.summarise` makes them.
         config: of the filter.

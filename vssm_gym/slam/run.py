@@ -1,4 +1,4 @@
-"""SLAM over a recorded sequence: thin the frames, read them ahead, track and map, and keep how each frame went."""
+"""Run SLAM on a recorded sequence: thin the frames, read them ahead, track and map, and record each frame's outcome."""
 
 import time
 from collections import deque
@@ -34,19 +34,19 @@ from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RIGID
 
-START_STD = 0.3  # m, rad: how well the tracker's start in a map is known
-PATIENCE = 3  # frames that may not fit the first one before the map starts anew
-AHEAD = 4  # images that are read while the filter works
+START_STD = 0.3  # m, rad: std of the tracker's given start in a map
+PATIENCE = 3  # readable frames that may be rejected after the first one before the map starts anew
+AHEAD = 4  # images that are read ahead of the filter
 MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
-MAX_CELLS = 1_000_000_000  # a cell of a sparse cube costs a tenth of a byte until something is seen there
-SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; below, the rotation search has nothing left to shrink
+MAX_CELLS = 1_000_000_000  # an unobserved cell of a sparse cube takes a tenth of a byte
+SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; the rotation search needs to shrink images to 20 pixels
 
 Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
 
 @dataclass(frozen=True)
 class DepthKind:
-    """How the depth of one kind of sensor is trusted."""
+    """Configure the trust in the depth of one kind of sensor."""
 
     align: AlignConfig
     truncation: float = 2.0  # voxels behind a surface that an image updates
@@ -74,7 +74,7 @@ METHODS = ("prism", "tracker")
 
 @dataclass(frozen=True)
 class SlamOptions:
-    """What a run of ``vssm-gym slam`` is told; a value that makes no sense is an :class:`InputError`."""
+    """Hold the options of ``vssm-gym slam``; an invalid value raises :class:`InputError`."""
 
     size: tuple[int, int] = (160, 120)  # width, height that images are resized to, pixels
     rate: float = 10.0  # frames a second at most
@@ -86,7 +86,7 @@ class SlamOptions:
     render_width: int = 160  # pixels: images are tracked at about this width
     max_depth: float = 8.0  # m; farther readings are left out
     depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
-    imu: bool = False  # whether the sequence's IMU drives the prior, in place of constant velocity
+    imu: bool = False  # whether the sequence's IMU replaces constant velocity in the prior
     method: str = "prism"  # one of METHODS: map and track, or track in ``map``
     map: Path | None = None  # of the tracker: the file of a learned map
     start: tuple[float, ...] | None = (
@@ -114,7 +114,7 @@ class SlamOptions:
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
         if self.map is not None:
-            read_metadata(self.map)  # a file that is no map is said before the sequence is read
+            read_metadata(self.map)  # report an invalid map file before the sequence is read
         if self.imu and self.method == "tracker":
             expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
             raise InputError("slam", "imu", expected)
@@ -139,21 +139,24 @@ class SlamOptions:
 
     @property
     def cells(self) -> int:
-        """Of the cube that is mapped."""
+        """Return the number of cells of the mapped cube."""
         return round(self.extent / self.voxel) ** 3
 
     @property
     def T_level_world(self) -> Float[np.ndarray, "4 4"] | None:
-        """The world turned so that z is up, as that of ``map build`` is; None where only a camera tells."""
+        """Return the rotation of the world to z up, as in maps of ``map build``.
+
+        None where only a camera defines the world.
+        """
         return np.eye(4) if self.map is not None and "belief" not in read_metadata(self.map) else None
 
     @property
     def tracking(self) -> TrackingConfig:
-        """Of the pose."""
+        """Return the configuration of tracking."""
         return TrackingConfig(align=DEPTHS[self.depth].align, solver=self.solver)
 
     def filter(self, camera: Camera) -> Prism | MapTracker:
-        """Return the filter of the method for images of a camera that somebody holds."""
+        """Return the filter of the method for images of a hand-held camera."""
         if self.method == "tracker":
             return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth, self.render_width)
         kind = DEPTHS[self.depth]
@@ -169,7 +172,7 @@ class SlamOptions:
         return Prism(Rig.of(camera), HAND, config)
 
     def prior(self) -> Posterior:
-        """Return what is known before the first image: its camera is the world, or about where it is in the map."""
+        """Return the belief before the first image: its camera is the world's origin, or near ``start`` in the map."""
         velocity = self.tracking.start_velocity
         if self.map is not None:
             T = np.eye(4) if self.start is None else from_tum(np.array(self.start))
@@ -183,7 +186,7 @@ class SlamOptions:
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """How one frame went. The fit is None where there was nothing to align to: before and at the map's first frame."""
+    """Hold the outcome of one frame. The fit is None where nothing was aligned: before and at the map's first frame."""
 
     index: int  # in the sequence
     time: float  # s, of its colour image
@@ -194,57 +197,57 @@ class TrackedFrame:
     photometric: float | None
     in_grid: float  # share of its depth readings that lie in the grid; 1 where it has none
     read_s: float  # reading, undistorting, resizing: in a thread beside the filter
-    wait_s: float  # that the filter waited for the image
+    wait_s: float  # idle time of the filter until the image was there
     step_s: float  # from the image to the pose and the updated map
     stages: dict[str, float]  # s, of the stages that ran: track, recover, map, anchor
-    warm: bool  # everything that ran had been compiled before
+    warm: bool  # whether every stage that ran had been compiled before
     velocity: Float[np.ndarray, "6"] | None  # linear (m/s) and angular (rad/s), world
     covariance: Float[np.ndarray, "12 12"] | None  # of (translation, rotation) in the camera's tangent and velocity
-    left_window: int  # observed blocks that the map forgot, because the camera left its window
+    left_window: int  # observed blocks dropped from the map because the camera left its window
 
     @property
     def lost(self) -> bool:
-        """The frame fits nothing, and the map does not hold it."""
+        """Return whether the frame was not accepted, so that the map does not contain it."""
         return not self.status.accepted
 
 
 @dataclass(frozen=True)
 class SlamRun:
-    """The outcome of a run."""
+    """Hold the outcome of a run."""
 
     frames: tuple[TrackedFrame, ...]
     posterior: Posterior  # after the last frame
     reader: FrameReader  # of the frames as the filter saw them
-    notices: tuple[str, ...]  # what was wrong with the input and what was done about it
+    notices: tuple[str, ...]  # problems of the input and how they were handled
     T_level_world: Float[np.ndarray, "4 4"] | None  # the world turned so that z is up; None: unknown
 
     @property
     def map(self) -> VoxelMap:
-        """Mean and precision of the cells."""
+        """Return mean and precision of the cells."""
         assert self.posterior.map is not None
         return self.posterior.map
 
     @property
     def times(self) -> Float[np.ndarray, "frames"]:
-        """Stamps, s."""
+        """Return the stamps, s."""
         return np.array([frame.time for frame in self.frames])
 
     @property
     def poses(self) -> Float[np.ndarray, "frames 4 4"]:
-        """Estimated T_world_cam, the guesses of lost frames included."""
+        """Return estimated T_world_cam, including the guesses of lost frames."""
         return np.stack([frame.T_world_cam for frame in self.frames])
 
     @property
     def lost(self) -> np.ndarray:
-        """Which frames are lost, ``(frames,)`` bool."""
+        """Return which frames are lost, ``(frames,)`` bool."""
         return np.array([frame.lost for frame in self.frames])
 
 
 def thin(times: Float[np.ndarray, "n"], rate: float) -> list[int]:
-    """Frames of a stream thinned to ``rate`` a second: over any ``w`` seconds at most ``w rate + 1.5``.
+    """Thin a stream of frames to ``rate`` a second: at most ``w rate + 1.5`` frames in any ``w`` seconds.
 
-    A frame may be early by half a period, and the next one is due as if it had not been: a camera that runs at ``rate``
-    keeps its frames whatever their jitter.
+    A frame may be early by half a period without changing when the next one is due: a camera that runs at ``rate``
+    keeps all frames whatever their jitter.
 
     Args:
         times: sorted stamps, s.
@@ -259,7 +262,7 @@ def thin(times: Float[np.ndarray, "n"], rate: float) -> list[int]:
 
 
 def prefetch(reader: FrameReader, indices: list[int]) -> Generator[tuple[np.ndarray, np.ndarray, float], None, None]:
-    """RGB, depth and the seconds they took to read, in order, a few frames ahead of who asks."""
+    """Yield RGB, depth and the seconds they took to read, in order, read a few frames ahead."""
 
     def read(index: int) -> tuple[np.ndarray, np.ndarray, float]:
         start = time.perf_counter()
@@ -286,14 +289,14 @@ def run_slam(
 ) -> SlamRun:
     """Track and map a sequence, frame by frame.
 
-    The world is the first camera's frame and the map a cube around it; of the tracker it is its map's. Frames before
-    the first one that can be read are lost, and so are those before a new start: see ``_Tracker``.
+    The world is the first camera's frame and the map a cube around it; the tracker's world is that of its map. Frames
+    before the first readable one are lost, and so are those before a new start: see ``_Tracker``.
 
     Args:
         sequence: the recording.
         options: image size, rate, grid.
-        on_frame: told of every frame as it is finished.
-        progress: told after every frame.
+        on_frame: called with every finished frame.
+        progress: called after every frame.
 
     Raises:
         InputError: an image that cannot be read, or no depth reading in the whole sequence.
@@ -308,7 +311,7 @@ def run_slam(
             wait_s = time.perf_counter() - asked
             started = tracker.start
             frame = tracker.frame(index, sequence.frames[index].time, rgb, depth, read_s, wait_s)
-            if tracker.start != started:  # what came before belongs to a map that is no more
+            if tracker.start != started:  # earlier frames belong to a discarded map
                 frames = [replace(one, status=Status.LOST) if one.index == started else one for one in frames]
             frames.append(frame)
             if on_frame:
@@ -324,7 +327,7 @@ def run_slam(
 
 
 class _Stages:
-    """A clock for :meth:`Filter.step`: how long each stage took, waiting for its outcome."""
+    """Measure the duration of each stage of :meth:`Filter.step`, waiting for its outcome."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -338,10 +341,10 @@ class _Stages:
 
 
 class _Tracker:
-    """The filter's state between frames; ``None`` before the first frame that can be read.
+    """Keep the filter's state between frames; ``None`` before the first readable frame.
 
-    A map that starts from a bad image (too dark, hardly any depth, something in front of the camera) fits nothing that
-    follows: where none of ``PATIENCE`` readable frames fits the first one, the map starts anew.
+    A map that starts from a bad image (too dark, hardly any depth, something in front of the camera) matches no later
+    image: if none of ``PATIENCE`` readable frames is accepted after the first one, the map starts anew.
     """
 
     def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
@@ -356,12 +359,12 @@ class _Tracker:
         self.stamp = 0.0  # s, of the last frame
         self.start = 0  # the frame that the map started from
         self._misses: int | None = (
-            0  # frames that did not fit since then; None: one did, or the map is not ours to restart
+            0  # frames rejected since then; None: one was accepted, or the map is given and cannot restart
         )
         self._compiled: set[str] = set()  # stages that ran
         v, u = np.mgrid[
             2 : camera.height : 4, 2 : camera.width : 4
-        ]  # the middles of 4x4 pixels tell what share is inside
+        ]  # one pixel of each 4x4, for the share of readings inside the grid
         self._rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
 
     def frame(
@@ -423,7 +426,7 @@ class _Tracker:
         )
 
     def _control(self, state: Any, stamp: float) -> jax.Array:
-        """Return what the IMU felt since the last image; zeros, constant velocity, without one."""
+        """Return the control from the IMU since the last image; zeros (constant velocity) without one."""
         if self._imu is None:
             return jnp.zeros(6)
         moving = state.past.belief.mean

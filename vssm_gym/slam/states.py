@@ -1,7 +1,7 @@
-"""The filter's states of a run, and the true ones: velocity with its band, std of the pose, calibration (SPEC 12).
+"""Compare the filter's states of a run with the true ones: velocity with its band, std of the pose, calibration.
 
-The pose's covariance is of (translation, rotation) in the camera's tangent, ``T_true = T exp(delta)``, with the map as
-it may have drifted since the first frame, which is the world; that of the velocity is in the world's axes.
+The pose's covariance is of (translation, rotation) in the camera's tangent, ``T_true = T exp(delta)``, in the world,
+which is the first camera's frame, including the drift of the map since then; that of the velocity is in world axes.
 """
 
 from dataclasses import dataclass
@@ -24,22 +24,25 @@ from vssm_gym.viz import pictures
 
 BAND = 1.96  # stds: 95 % of a normal
 POSE, VELOCITY = slice(0, 6), slice(6, 12)  # of the covariance
-FEWEST = 10  # frames that a calibration is told from
+FEWEST = 10  # frames for a calibration
 AXIS_COLOURS = ("#c2185b", "#0b6e4f", "#0072b2")
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of a run's frames in the map's frame, after the rigid alignment of least squared position error."""
+    """Hold the ground truth of a run's frames in the map's frame, after rigid least-squares alignment of positions."""
 
     T_truth_world: Float[np.ndarray, "4 4"]
     positions: Float[np.ndarray, "n 3"]  # m, all true ones from the first frame to the last, truth's frame
-    rows: Int[np.ndarray, "k"]  # of run.frames: those with a true pose beside them
+    rows: Int[np.ndarray, "k"]  # of run.frames: those with an associated true pose
     T_world_cam: Float[np.ndarray, "k 4 4"]  # their true poses, at their own times
 
     @classmethod
     def of(cls, run: SlamRun, sequence: Sequence) -> "Truth | None":
-        """None without ground truth, or where the run cannot be aligned to it (``stats["errors"]`` says why)."""
+        """Align the truth to a run.
+
+        None without truth, or where alignment is impossible (``stats["errors"]`` says why).
+        """
         if sequence.truth is None:
             return None
         times, T_true = sequence.truth
@@ -56,19 +59,19 @@ class Truth:
         return cls(T, T_true[inside, :3, 3], rows, inverse(T) @ at_frames)
 
     def velocities(self, run: SlamRun) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 6"]]:
-        """Frames whose predecessor has a true pose too, and the true mean velocity from there to here, world.
+        """Return frames whose predecessor has a true pose too, and the true mean velocity since the predecessor, world.
 
-        That is what the filter estimates: its new velocity carries the last pose to the new one.
+        The filter estimates this mean: its new velocity moves the last pose to the new one.
         """
         after = np.flatnonzero(np.diff(self.rows) == 1) + 1
         return self.rows[after], velocities(run.times[self.rows], self.T_world_cam)[after - 1]
 
 
 def calibrations(run: SlamRun, truth: Truth | None) -> dict[str, Calibration]:
-    """Of ``pose`` and ``velocity`` with the covariances as the filter gives them, over the frames that were not lost.
+    """Calibrate the filter's covariances of ``pose`` and ``velocity`` over the frames that were not lost.
 
-    Empty without truth, and for fewer than ``FEWEST`` frames. The world is the first camera's frame, so poses are
-    aligned by the first one alone, as in the calibration study: what has drifted since then is an error.
+    The result is empty without truth, and for fewer than ``FEWEST`` frames. The world is the first camera's frame:
+    poses are aligned by the first one alone, as in the calibration study, so that later drift counts as error.
     """
     if truth is None:
         return {}
@@ -89,7 +92,7 @@ def calibrations(run: SlamRun, truth: Truth | None) -> dict[str, Calibration]:
 
 
 def calibration_summary(run: SlamRun, truth: Truth | None) -> dict[str, Any] | None:
-    """As plain JSON values: NEES, its share of frames within regions, and of each velocity component in its band."""
+    """Summarise calibration as JSON values: NEES, frames within regions, velocity components within their band."""
     found = calibrations(run, truth)
     if truth is None or not found:
         return None
@@ -106,12 +109,12 @@ def calibration_summary(run: SlamRun, truth: Truth | None) -> dict[str, Any] | N
 
 
 def _known(run: SlamRun) -> list[tuple[int, TrackedFrame]]:
-    """Frames with a belief that an image confirmed, and their row."""
+    """Return frames with a belief that an image confirmed, and their row."""
     return [(i, f) for i, f in enumerate(run.frames) if f.covariance is not None and not f.lost]
 
 
 def velocity_bands(run: SlamRun) -> tuple[Float[np.ndarray, "frames 6"], Float[np.ndarray, "frames 6"]]:
-    """Mean and std of the velocity, linear (m/s) and angular (rad/s) in the world; NaN where there is none."""
+    """Return mean and std of the velocity, linear (m/s) and angular (rad/s) in the world; NaN where there is none."""
     return _rows(run, lambda f: f.velocity), _rows(run, lambda f: np.sqrt(np.diag(f.covariance)[VELOCITY]))
 
 
@@ -123,13 +126,13 @@ def _rows(run: SlamRun, values: Any) -> np.ndarray:
 
 
 def tidy(axes: Axes) -> None:
-    """A thin grid, no box."""
+    """Draw a thin grid without a box."""
     axes.grid(alpha=0.3, linewidth=0.5)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def velocity(run: SlamRun, truth: Truth | None) -> bytes:
-    """The six components over time, each with the band that should hold 95 % of the truth, as WebP."""
+    """Draw the six velocity components over time, each with the band that should hold 95 % of the truth, as WebP."""
     t = run.times - run.times[0]
     mean, std = velocity_bands(run)
     figure = Figure(figsize=(11.5, 5.0), layout="constrained")
@@ -146,7 +149,7 @@ def velocity(run: SlamRun, truth: Truth | None) -> bytes:
             handles += axes.plot(at, broken, color=pictures.TRUE_COLOUR, linewidth=0.9, label="ground truth")
         axes.set_title(("linear", "angular")[c // 3] + f" {'xyz'[c % 3]}", fontsize=10)
         tidy(axes)
-    # A velocity that is unknown after a loss has a band of metres a second: the estimate decides what is shown.
+    # The band of an unknown velocity after a loss is metres a second wide: the axes follow the estimate.
     for first, unit in ((0, "m/s"), (3, "rad/s")):
         size = np.nanmax(
             np.abs(mean[:, first : first + 3]), initial=0.01, where=np.isfinite(mean[:, first : first + 3])
@@ -160,7 +163,7 @@ def velocity(run: SlamRun, truth: Truth | None) -> bytes:
 
 
 def pose_std(run: SlamRun) -> bytes:
-    """Std of the pose in the camera's tangent over time, as WebP; crosses: lost frames, whose spread grows."""
+    """Draw the std of the pose in the camera's tangent over time, as WebP; crosses mark lost frames."""
     rows = [(frame.time, frame.covariance, frame.lost) for frame in run.frames if frame.covariance is not None]
     figure = Figure(figsize=(11.5, 2.8), layout="constrained")
     panels = figure.subplots(1, 2)

@@ -1,9 +1,9 @@
-"""Absolute and relative trajectory error of estimated SE(3) poses against true ones (SPEC 12).
+"""Compute absolute and relative trajectory errors of estimated SE(3) poses (Sturm et al., IROS 2012).
 
-The estimate's frame is arbitrary, so it is aligned first, and every result says how: by the rigid (``se3``) or
-similarity (``sim3``) motion of least squared error (Umeyama, PAMI 1991), by the first pose alone (``first``: what an
-estimate that knew its start has drifted), or not at all (``none``). Definitions as in Sturm et al., IROS 2012.
-Everything is plain float64 arrays: ``times (N,)`` in seconds, ``T (N, 4, 4)`` poses in metres.
+The estimate's frame is arbitrary, so that it is aligned first, and every result names the alignment: the rigid
+(``se3``) or similarity (``sim3``) motion of least squared error (Umeyama, PAMI 1991), the first pose alone (``first``:
+the drift of an estimate with a known start), or none (``none``). All arrays are float64: ``times (N,)`` in seconds,
+``T (N, 4, 4)`` poses in metres.
 """
 
 from dataclasses import asdict, dataclass
@@ -21,10 +21,10 @@ AlignmentName = Literal["se3", "sim3", "first", "none"]
 def associate(
     times_est: Float[np.ndarray, "n"], times_true: Float[np.ndarray, "m"], tolerance: float = 0.01
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
-    """Pairs ``(i, argmin_j |t_i - t_j|)`` for each stamp of the *shorter* trajectory, kept within ``tolerance`` s.
+    """Pair each stamp of the *shorter* trajectory with the nearest one of the other, within ``tolerance`` s.
 
-    Starting from the shorter one loses none of its poses; neither has to be sorted. Of two stamps equally near the
-    earlier one counts, and one pose of the longer trajectory may serve two of the shorter.
+    None of the shorter one's poses is lost that way; neither has to be sorted. Of two equally near stamps the earlier
+    one counts, and one pose of the longer trajectory may be paired with two of the shorter.
 
     Returns:
         Indices into the estimate and into the truth, of equal length, possibly empty.
@@ -57,7 +57,7 @@ class Alignment:
     scale: float  # 1 for a rigid alignment
 
     def apply(self, T_est: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
-        """The poses in the true frame: positions scaled, rotated and moved, orientations rotated."""
+        """Transform poses to the true frame: positions are scaled, rotated and moved, orientations rotated."""
         T = np.array(T_est, dtype=np.float64)
         T[:, :3, 3] = self.scale * T[:, :3, 3] @ self.rotation.T + self.translation
         T[:, :3, :3] = self.rotation @ T[:, :3, :3]
@@ -87,7 +87,7 @@ def align(p_est: Float[np.ndarray, "n 3"], p_true: Float[np.ndarray, "n 3"], wit
 
 @dataclass(frozen=True)
 class Statistics:
-    """Summary of non-negative errors, in their own unit (``sse`` in its square)."""
+    """Summarise non-negative errors, in their own unit (``sse`` in its square)."""
 
     rmse: float
     mean: float
@@ -99,7 +99,7 @@ class Statistics:
 
     @classmethod
     def of(cls, errors: Float[np.ndarray, "n"]) -> "Statistics":
-        """From ``(n,)`` errors, n >= 1; ``std`` is the population's."""
+        """Summarise ``(n,)`` errors, n >= 1; ``std`` is the population's."""
         sse = float(np.sum(errors**2))
         return cls(
             rmse=float(np.sqrt(sse / len(errors))),
@@ -114,7 +114,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Error of each pose (or pair of poses), in time order."""
+    """Hold the error of each pose (or pair of poses), in time order."""
 
     translation: Float[np.ndarray, "n"]  # metres
     rotation: Float[np.ndarray, "n"]  # degrees, in [0, 180]
@@ -123,7 +123,7 @@ class PoseErrors:
 def aligned(
     T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"], alignment: AlignmentName = "se3"
 ) -> Float[np.ndarray, "n 4 4"]:
-    """``A T_est`` with the A of ``alignment``; of ``first``: ``A = T_true_0 T_est_0^-1``."""
+    """``A T_est`` with the alignment A; for ``first``, ``A = T_true_0 T_est_0^-1``."""
     T_est, T_true = np.asarray(T_est, dtype=np.float64), np.asarray(T_true, dtype=np.float64)
     if alignment == "none":
         return T_est
@@ -154,7 +154,7 @@ def rpe(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"], d
 
 
 def _errors(E: Float[np.ndarray, "n 4 4"]) -> PoseErrors:
-    """Length of the translation and angle of the rotation of error motions."""
+    """Return translation length and rotation angle of error motions."""
     R = E[:, :3, :3]
     twice_sine = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=-1)
     # atan2 of sine and cosine keeps the digits near 0 that an arccos of the trace would lose.
@@ -171,7 +171,7 @@ def evaluate(
     deltas: tuple[int, ...] = (1, 30),
     alignments: tuple[AlignmentName, ...] = ("se3", "sim3", "first"),
 ) -> dict:
-    """Associate, align and summarise: what ``vssm-gym evaluate-trajectory`` prints.
+    """Associate, align and summarise, for ``vssm-gym evaluate-trajectory``.
 
     Returns:
         ``pairs``, ``tolerance_s``, and :class:`Statistics` as dicts: for each alignment ``ate_translation_{alignment}``

@@ -1,1 +1,1 @@
-"""Pictures of maps, images and runs."""
+"""Draw maps, images and runs."""

@@ -1,7 +1,7 @@
-"""A surface mesh as binary glTF 2.0 (GLB): what browsers, Blender and phones open (Khronos, glTF 2.0 specification).
+"""Write a surface mesh as binary glTF 2.0 (GLB), for browsers, Blender and phones (Khronos, glTF 2.0 specification).
 
 Positions stay in the map's frame, z up, in metres; the node's rotation turns them into glTF's frame, y up. Colours are
-linear in glTF, and shown as they are (unlit): the belief is about surfaces, not about lamps.
+linear in glTF, and displayed without lighting: the map's colours already include it.
 """
 
 import json
@@ -38,7 +38,7 @@ def write_glb(path: Path, mesh: Mesh) -> None:
 
 
 def linear(colours: UInt8[np.ndarray, "vertices 3"]) -> UInt16[np.ndarray, "vertices 3"]:
-    """sRGB bytes as linear intensities, 65535 = 1 (IEC 61966-2-1)."""
+    """Convert sRGB bytes to linear intensities, 65535 = 1 (IEC 61966-2-1)."""
     c: Float[np.ndarray, "vertices 3"] = colours / 255.0
     intensity = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
     return np.rint(65535.0 * intensity).astype(np.uint16)

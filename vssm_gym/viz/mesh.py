@@ -1,8 +1,8 @@
-"""The zero level set of a map's mean field as a triangle mesh, and its file (PLY).
+"""Extract the zero level set of a map's mean field as a triangle mesh, and write it (PLY).
 
-Marching cubes (Lewiner et al., 2003) puts vertices on the grid's edges, where the field is linear, so they lie on its
-zero. Only triangles whose vertices were observed, as the renderer understands it, are kept: behind the band that images
-update the field falls back to "just free", and that crossing is no surface.
+Marching cubes (Lewiner et al., 2003) puts vertices on the grid's edges, where the field is linear, so that they lie on
+its zero. Only triangles whose vertices were observed, by the renderer's criterion, are kept: behind the band that
+images update, the field falls back to the prior, "just free", and that crossing is no surface.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from vssm_gym.model.emission import KNOWN_SHARE
 
 @dataclass(frozen=True)
 class Mesh:
-    """A surface with what the belief says at each vertex."""
+    """Hold a surface with the belief at each vertex."""
 
     vertices: Float[np.ndarray, "vertices 3"]  # m, map frame
     faces: Int[np.ndarray, "faces 3"]  # counter-clockwise seen from free space
@@ -31,11 +31,11 @@ class Mesh:
 
 
 def surface_mesh(m: VoxelMap) -> Mesh:
-    """``{p : f_M(p) = 0}`` at the mean, where the map was observed; without vertices where it shows no surface.
+    """``{p : f_M(p) = 0}`` at the mean, where the map was observed; without vertices where it has no surface.
 
     Ambiguous cubes get vertices in their inside, off the zero by a fraction of a voxel; smooth surfaces have none.
     """
-    # A crossing lies in a block that rays may not skip, or reaches from it into the next: only that box is laid out.
+    # A crossing lies in a block that rays may not skip, or reaches from it into the next: only their box is laid out.
     blocks = np.argwhere(np.asarray(m.empty.rings) == 0)
     if len(blocks) == 0:
         return _mesh(m, np.zeros((0, 3)), np.zeros((0, 3), int))
@@ -49,7 +49,7 @@ def surface_mesh(m: VoxelMap) -> Mesh:
     low, high = cubes.min(axis=0), cubes.max(axis=0) + 1
     mask = np.zeros(tuple(high - low + 1), bool)
     mask[1:, 1:, 1:] = crossed[_box(low, high)]  # scikit-image names a cube by its last cell
-    # It names the direction by the left-hand rule: "ascent" makes right-handed normals point out of objects.
+    # scikit-image uses the left-hand rule: "ascent" makes right-handed normals point out of objects.
     cells, faces, _, _ = marching_cubes(occupancy[_box(low, high + 1)], 0.0, gradient_direction="ascent", mask=mask)
     vertices = np.asarray(m.origin, np.float64) + (cells + low + BLOCK * first) * float(m.voxel_size)
     known = np.asarray(_observed(m, _inside(m, vertices)))[: len(vertices)] >= KNOWN_SHARE
@@ -80,9 +80,9 @@ def _belief(m: VoxelMap, p_world: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _inside(m: VoxelMap, vertices: np.ndarray) -> jax.Array:
-    """Vertices for the map's queries: one on the grid's face may round to outside, where they answer with the prior.
+    """Move vertices slightly inside the grid for the map's queries, which return the prior outside.
 
-    Zeros fill them up to a power of two: no two meshes have as many, and each number would compile anew.
+    Zeros fill them up to a power of two: every number of vertices would otherwise compile anew.
     """
     inset = np.array([[1e-3], [-1e-3]]) * float(m.voxel_size)
     p_world = np.zeros((1 << max(0, len(vertices) - 1).bit_length(), 3), np.float32)
@@ -103,7 +103,7 @@ def _of_cube(cells: np.ndarray, combine: np.ufunc) -> np.ndarray:
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:
-    """Binary PLY with colour and ``variance`` per vertex; the file appears whole or not at all."""
+    """Write a binary PLY with colour and ``variance`` per vertex, atomically."""
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         "comment vssm_gym: metres in the map's frame; variance of occupancy in square metres\n"

@@ -1,9 +1,9 @@
-"""A mesh as a picture, obliquely from above: parallel projection, z-buffer, Lambert's law; needs no GPU and no window.
+"""Draw a mesh obliquely from above: parallel projection, z-buffer, Lambert's law; needs no GPU and no window.
 
     [u v d]^T = [right; down; ahead] p     colour = rgb (AMBIENT + (1 - AMBIENT) max(0, n . light))
 
-Faces are drawn from the side of free space only. Ceilings, and walls with their backs to the viewer, so take themselves
-away; what is above ``cut`` is left out as in an architect's model, or near walls would hide the rooms behind them.
+Faces are drawn from the side of free space only, so that ceilings, and walls seen from behind, disappear. Geometry
+above ``cut`` is left out, as in an architect's model: near walls would hide the rooms behind them.
 """
 
 import math
@@ -14,18 +14,18 @@ from numba import njit
 
 from vssm_gym.viz.mesh import Mesh
 
-CUT = 1.6  # m: above doors' handles and most furniture
+CUT = 1.6  # m: above door handles and most furniture
 ELEVATION = math.radians(52.0)  # of the viewer above the horizon
-TURN = math.radians(-20.0)  # of the view from straight along the shorter side: two sides of everything are seen
+TURN = math.radians(-20.0)  # of the view from straight along the shorter side, so that two sides of objects are seen
 LIGHT = (-0.35, -0.5, 0.8)  # towards it in the viewer's level frame: right, ahead, up
 AMBIENT = 0.75
-PAPER = 238  # pale grey: what was never seen is not taken for a white wall
-SMOOTH = 2  # the picture is drawn this much larger, then reduced: smooth edges
+PAPER = 238  # pale grey, so that unobserved space is not taken for a white wall
+SMOOTH = 2  # supersampling factor
 _MARGIN = 0.02  # of the longer side, around what is drawn
 
 
 def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = CUT) -> UInt8[np.ndarray, "height width 3"]:
-    """The mesh in its colours on pale grey, the longer side of its floor across the picture.
+    """Draw the mesh in its colours on pale grey, the longer side of its floor across the picture.
 
     Args:
         mesh: z up; faces counter-clockwise seen from free space.
@@ -65,7 +65,7 @@ def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = CUT) -> UInt8[np.nd
 
 
 def _level_axes(xy: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """What is right and what is ahead in the picture, level unit vectors."""
+    """Return the picture's right and ahead directions as horizontal unit vectors."""
     size = xy.max(axis=0) - xy.min(axis=0)
     angle = TURN + (0.0 if size[0] >= size[1] else 0.5 * math.pi)
     c, s = math.cos(angle), math.sin(angle)
@@ -73,7 +73,7 @@ def _level_axes(xy: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "3"], F
 
 
 def _normals(mesh: Mesh) -> Float[np.ndarray, "vertices 3"]:
-    """Of each vertex, into free space: the mean over its faces, by area."""
+    """Return the normal of each vertex, into free space: the area-weighted mean over its faces."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     normal = np.cross(b - a, c - a)
     total = np.zeros((len(mesh.vertices), 3))

@@ -1,4 +1,4 @@
-"""Pictures of a learned map from above, of runs on it, and small tools to put a figure into a page."""
+"""Draw a learned map from above and runs on it, and encode figures for pages."""
 
 import base64
 import io
@@ -21,7 +21,7 @@ from matplotlib.patheffects import Normal, Stroke
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 
 CUT_HEIGHT = 1.2  # m: above tables, below door lintels and wall cupboards
-CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # what the cut goes through: walls, tall furniture
+CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # of objects at the cut: walls, tall furniture
 UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])
 TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#c2185b", "#e09f1f"
 DASHES = (0, (3, 1.5))
@@ -29,7 +29,7 @@ DASHES = (0, (3, 1.5))
 
 @dataclass(frozen=True)
 class Background:
-    """A map seen from above, ready to draw under runs."""
+    """Hold a map seen from above, as a background for runs."""
 
     image: Float[np.ndarray, "height width 3"]  # RGB [0, 1], row 0 at the lowest y
     extent: tuple[float, float, float, float]  # world x low, x high, y low, y high of the image's edges, m
@@ -37,16 +37,17 @@ class Background:
 
 @jax.jit
 def _slice(map: VoxelMap, xy: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Field and whether a cell was ever observed, at height ``z`` over every ``xy``."""
+    """Return the field, and whether a cell was observed, at height ``z`` over every ``xy``."""
     p_world = jnp.concatenate([xy, jnp.broadcast_to(z, (*xy.shape[:-1], 1))], axis=-1)
     return map.field(p_world), map.precision(p_world)[..., 0] > 1.5 * PRIOR_OCCUPANCY_STD**-2
 
 
 def topdown(map: VoxelMap, cut_height: float = CUT_HEIGHT, resolution: float = 0.04) -> Background:
-    """The colours of the map's surfaces from above with everything over ``cut_height`` (m) taken away.
+    """Draw the colours of the map's surfaces from above, without everything over ``cut_height`` (m).
 
-    What the cut itself goes through is dark, as in an architect's plan; what was never observed is grey. The picture
-    shows the belief that agents plan on, not the scene.
+    Surfaces at the cut itself are dark, as in an architect's plan; unobserved places are grey. The picture shows the
+    belief
+    that agents plan on, not the scene.
     """
     low, high = map.bounds
     n = np.maximum(np.ceil((high - low)[:2] / resolution).astype(int), 1)
@@ -74,7 +75,7 @@ def draw_background(axes: Axes, background: Background | None) -> None:
 
 
 def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
-    """One episode: true path, estimated path, start, goal with its success circle, and where it touched something."""
+    """Draw one episode: true path, estimated path, start, goal with its success circle, and collisions."""
     true = np.asarray(row["trace"]["true"], dtype=float).reshape(-1, 2)
     estimate = np.asarray(row["trace"]["estimate"] or [], dtype=float).reshape(-1, 2)
     goal = row["goal"]
@@ -91,21 +92,24 @@ def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
 
 
 def draw_outlines(axes: Axes, outlines: Float[np.ndarray, "n 4 2"], colour: str, filled: bool = False) -> None:
-    """Footprints of a body in world coordinates, corners counter-clockwise from the rear right; the front is bold."""
+    """Draw footprints of a body in world coordinates, corners counter-clockwise from the rear right.
+
+    The front is bold.
+    """
     face = (colour, 0.35) if filled else (colour, 0.10)
     axes.add_collection(PolyCollection(list(outlines), facecolors=face, edgecolors=colour, linewidths=0.6, zorder=3.5))
     axes.add_collection(LineCollection(list(outlines[:, 1:3]), colors=colour, linewidths=1.6, zorder=3.6))
 
 
 def webp(figure: Figure, dpi: int = 90) -> bytes:
-    """The figure as WebP bytes: a textured map takes a fifth of what it takes as PNG."""
+    """Encode the figure as WebP: a textured map takes a fifth of its size as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="webp", dpi=dpi, pil_kwargs={"quality": 80})
     return buffer.getvalue()
 
 
 def svg(figure: Figure) -> bytes:
-    """The figure as SVG bytes; reproducible: no date, and ids from a fixed salt."""
+    """Encode the figure as SVG, reproducibly: no date, and ids from a fixed salt."""
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "vssm_gym"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
@@ -113,12 +117,12 @@ def svg(figure: Figure) -> bytes:
 
 
 def data_url(content: bytes, kind: str) -> str:
-    """``content`` as a ``data:`` URL of MIME type ``kind``: the page that holds it needs no other file."""
+    """Encode ``content`` as a ``data:`` URL of MIME type ``kind``, for self-contained pages."""
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def legend_handles() -> list:
-    """The key to :func:`draw_run`."""
+    """Return the legend of :func:`draw_run`."""
     return [
         Line2D([], [], color=TRUE_COLOUR, linewidth=1.6, label="true path"),
         Line2D([], [], color=ESTIMATE_COLOUR, linewidth=1.2, linestyle=DASHES, label="estimate"),
@@ -130,7 +134,7 @@ def legend_handles() -> list:
 
 
 def footprint_handles() -> list:
-    """The key to :func:`draw_outlines`."""
+    """Return the legend of :func:`draw_outlines`."""
     return [
         Patch(facecolor=(TRUE_COLOUR, 0.1), edgecolor=TRUE_COLOUR, lw=0.6, label="footprint"),
         Patch(facecolor=(GOAL_COLOUR, 0.35), edgecolor=GOAL_COLOUR, lw=0.6, label="target pose"),

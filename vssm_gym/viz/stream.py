@@ -1,4 +1,4 @@
-"""A run as it happens, in rerun's 3D viewer: camera, images, path and surface (``--viewer``; extra ``viz``).
+"""Show a run live in rerun's 3D viewer: camera, images, path and surface (``--viewer``; extra ``viz``).
 
 The only module that imports rerun, and only when a viewer is opened. The world is the first camera's frame, so that x
 points right, y down and z ahead in it.
@@ -16,14 +16,14 @@ from vssm_gym.geometry.axes import Matrix4
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.viz.mesh import Mesh
 
-HOW = "rerun: pip install 'vssm-gym[viz]'"
-PATH_EVERY = 10  # frames between two drawings of the whole path: each holds all of it
+HOW = "rerun: pip install 'vssm-gym[viz]'"  # of the error without it
+PATH_EVERY = 10  # frames between two drawings of the whole path
 AHEAD = 0.3  # m from the camera at which its image is drawn in space
 FOUND, LOST, PATH = (11, 110, 79), (194, 24, 91), (30, 80, 160)  # RGB of positions, of lost ones, of the path
 
 
 class Viewer:
-    """What is being shown; made by :func:`open_viewer`. ``close`` when done: it waits until all is sent."""
+    """Show a run; made by :func:`open_viewer`. Call ``close`` when done: it waits until everything is sent."""
 
     def __init__(self, rerun: Any, stream: Any, camera: Camera) -> None:
         self._rerun, self._stream = rerun, stream
@@ -52,7 +52,7 @@ class Viewer:
             rgb: the image as the filter saw it.
             depth: z-depth, m, 0 = no reading.
             lost: whether the pose is only a guess.
-            step_ms: what the step took.
+            step_ms: duration of the step.
         """
         rr, stream = self._rerun, self._stream
         if not self._path:
@@ -70,7 +70,7 @@ class Viewer:
             self._draw_path()
 
     def surface(self, mesh: Mesh) -> None:
-        """Show the map's surface as it is now, in place of the one before; nothing where it has none."""
+        """Show the map's current surface in place of the previous one; nothing where it has none."""
         if len(mesh.faces):
             shown = self._rerun.Mesh3D(
                 vertex_positions=mesh.vertices, triangle_indices=mesh.faces, vertex_colors=mesh.colours
@@ -78,7 +78,7 @@ class Viewer:
             self._stream.log("world/surface", shown)
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the rest, and disconnect."""
         if len(self._path) > 1:
             self._draw_path()
         self._stream.flush()
@@ -89,7 +89,7 @@ class Viewer:
 
 
 def open_viewer(name: str, camera: Camera, file: Path | None = None) -> Viewer:
-    """A viewer in a window of its own, or a recording in ``file`` (.rrd) for ``rerun FILE``.
+    """Open a viewer in its own window, or a recording in ``file`` (.rrd) for ``rerun FILE``.
 
     Args:
         name: of the recording, as the viewer lists it.

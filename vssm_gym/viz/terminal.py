@@ -1,7 +1,7 @@
-"""Pictures in a terminal: one character shows two pixels, an upper half block ``▀`` in one colour on another.
+"""Show images in a terminal: one character shows two pixels, an upper half block ``▀`` in one colour on another.
 
-A terminal's characters are about twice as high as wide, so that these pixels are square. Nothing but text is needed,
-which goes through SSH; colours are 24-bit, or the 6 x 6 x 6 cube for terminals that know 256.
+A terminal's characters are about twice as high as wide, so that these pixels are square. Text works through SSH;
+colours are 24-bit, or the 6 x 6 x 6 cube for terminals with 256 colours.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ _CUBE = np.array([0, 95, 135, 175, 215, 255])  # the levels of xterm's colours 1
 
 
 def half_blocks(image: UInt8[np.ndarray, "height width 3"], colours: Colours = "true") -> list[str]:
-    """Lines of text that show ``image`` pixel by pixel, two rows a line; an odd last row stands on black.
+    """Convert ``image`` to lines of text, two rows of pixels a line; an odd last row is completed with black.
 
     A colour is written where it changes, and each line ends in the terminal's own colours.
     """
@@ -47,7 +47,7 @@ def _codes(pixels: np.ndarray, colours: Colours) -> list[str]:
 def depth_picture(
     depth: Float[np.ndarray, "height width"], max_depth: float = 6.0
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Grey from white (near) to black (``max_depth`` m and beyond); purple where there is no reading."""
+    """Draw depth in grey from white (near) to black (``max_depth`` m and beyond); purple where there is no reading."""
     grey = np.rint(255.0 * (1.0 - np.clip(depth / max_depth, 0.0, 1.0))).astype(np.uint8)
     picture = np.repeat(grey[..., None], 3, axis=-1)
     picture[~(depth > 0.0)] = NO_READING
@@ -57,7 +57,7 @@ def depth_picture(
 def side_by_side(
     pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]], columns: int, rows: int, colours: Colours = "true"
 ) -> list[str]:
-    """``pictures`` next to each other, all equally high, as large as fits into ``columns`` x ``rows`` characters."""
+    """Place ``pictures`` beside each other at equal height, as large as fits into ``columns`` x ``rows`` characters."""
     gaps = len(pictures) - 1
     ratios = [picture.shape[1] / picture.shape[0] for picture in pictures]
     height = min(2 * rows, int((columns - gaps) / sum(ratios)))
