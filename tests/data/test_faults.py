@@ -1,4 +1,4 @@
-"""Faults of recordings: none ends the reading while something is left to read, and none goes unsaid (issue: faults).
+"""Test faults of recordings: reading continues while a frame is left, and each fault is reported.
 
 What cannot be right anywhere in the folder, such as intrinsics of another size, is refused before any work.
 """
@@ -29,7 +29,7 @@ def colour(i: int) -> np.ndarray:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Frame i is 0.1 i s old, of grey 10 i + 20 and 1 + 0.1 i m away."""
+    """Write frames: frame i is 0.1 i s old, of grey 10 i + 20 and 1 + 0.1 i m away."""
     root = tmp_path / "sequence"
     writer = SequenceWriter(root, CAMERA, np.eye(4), controls=False)
     for i in range(FRAMES):
@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def frames_read(root: Path) -> tuple[list[int], tuple[str, ...]]:
-    """Which frames are read, by their grey (-2: black), in order, and all that was said; depth goes with colour."""
+    """Return the frames read, by their grey (-2: black), in order, and all notices; depth follows colour."""
     sequence = load_sequence(root)
     reader = FrameReader(sequence)
     numbers = []
@@ -57,7 +57,7 @@ def lines(path: Path) -> list[str]:
 
 
 def assert_said(notices: tuple[str, ...], *words: str) -> None:
-    """One notice alone, a single line with all of these words."""
+    """Assert one notice, a single line with all of these words."""
     assert len(notices) == 1, notices
     assert "\n" not in notices[0]
     for word in words:

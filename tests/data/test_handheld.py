@@ -1,4 +1,4 @@
-"""The hand-held camera's walk and its recording: free of everything, smooth, long enough, repeatable."""
+"""Test the hand-held camera's walk and its recording: collision-free, smooth, long enough, repeatable."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Recorded sequences: what is written is what is read, lenses, sizes, and one clear error for every broken folder."""
+"""Test recorded sequences: round trip, lenses, sizes, and one clear error for every broken folder."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ FRAMES = 4
 
 
 def frame(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Colour, depth (with a hole), pose and command of frame i."""
+    """Return colour, depth (with a hole), pose and command of frame i."""
     rng = np.random.default_rng(i)
     depth = rng.uniform(0.3, 8.0, (12, 16)).astype(np.float32)
     depth[3, 4] = 0.0
@@ -42,7 +42,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def assert_refused(path: Path | str, field: str, call) -> None:
-    """One clear error that names the file and the field."""
+    """Assert one clear error that names the file and the field."""
     with pytest.raises(InputError) as caught:
         call()
     assert caught.value.source == str(path)
@@ -215,7 +215,7 @@ def test_without_ground_truth_a_sequence_still_loads(folder: Path) -> None:
 
 
 def posed(folder: Path, times: list[float]) -> np.ndarray:
-    """True poses of the frames at 0, 0.2, 0.4 and 0.6 s where the ground truth moves along x at 1 m/s."""
+    """Return true poses at 0, 0.2, 0.4 and 0.6 s for a ground truth that moves along x at 1 m/s."""
     (folder / "groundtruth.txt").write_text("".join(f"{t} {t} 0 0 0 0 0 1\n" for t in times))
     return load_sequence(folder).true_poses()[:, 0, 3]
 
@@ -286,7 +286,7 @@ def test_no_distortion_is_the_identity(x: float, y: float) -> None:
 
 
 def lens_sequence(root: Path, distortion: list[float], image: np.ndarray, depth: np.ndarray, camera: Camera) -> Path:
-    """One frame taken through a lens."""
+    """Write one frame taken through a lens."""
     writer = SequenceWriter(root, camera, T_BODY_CAM)
     writer.append(0.0, image, depth, np.eye(4), np.zeros(3))
     writer.close()

@@ -1,4 +1,4 @@
-"""Trajectories on disk: what is written is what is read, in both formats; interpolation; clear errors for bad files."""
+"""Test trajectories on disk: round trip in both formats, interpolation, clear errors for bad files."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def poses(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def rotation_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Angle (rad) between rotations (..., 3, 3)."""
+    """Return the angle (rad) between rotations (..., 3, 3)."""
     return Rotation.from_matrix(np.swapaxes(A, -1, -2) @ B).magnitude()
 
 
@@ -156,7 +156,7 @@ def test_published_trajectories_load(
 
 @given(st.integers(0, 2**32 - 1))
 def test_velocities_carry_each_pose_to_the_next(seed: int) -> None:
-    """World frame, as SPEC 1 integrates them: ``t' = t + v dt``, ``R' = exp(w dt) R``."""
+    """World frame, as the rigid body's transition integrates them: ``t' = t + v dt``, ``R' = exp(w dt) R``."""
     rng = np.random.default_rng(seed)
     T, times = poses(rng, 10), np.cumsum(rng.uniform(0.05, 0.3, 10))
     v, w = np.split(velocities(times, T), 2, axis=1)

@@ -1,4 +1,4 @@
-"""The pinhole camera: projection and its inverse, resizing, field of view; numbers that can be checked by hand."""
+"""Test the pinhole camera: projection and its inverse, resizing, field of view; checked by hand."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Rigid motions: the group's laws, the exponential and its inverse, planar poses; NumPy and JAX alike."""
+"""Test rigid motions: the group's laws, the exponential and its inverse, planar poses; NumPy and JAX alike."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ points = arrays(np.float64, (7, 3), elements=metres)
 
 @st.composite
 def motions(draw) -> np.ndarray:
-    """4x4 rigid matrices, float64."""
+    """Return 4x4 rigid matrices, float64."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(draw(arrays(np.float64, 3, elements=st.floats(-4.0, 4.0)))).as_matrix()
     T[:3, 3] = draw(arrays(np.float64, 3, elements=metres))
@@ -88,7 +88,7 @@ def test_batches_broadcast() -> None:
 
 @given(tangents)
 def test_exponential_is_the_matrix_exponential(delta: np.ndarray) -> None:
-    """se(3) elements have a zero in the corner (SPEC 14): ``exp [[w^, v], [0, 0]]`` by SciPy, float64."""
+    """se(3) elements have a zero in the corner: ``exp [[w^, v], [0, 0]]`` by SciPy, float64."""
     v, (a, b, c) = delta[:3], delta[3:]
     generator = np.zeros((4, 4))
     generator[:3, :3] = [[0, -c, b], [c, 0, -a], [-b, a, 0]]

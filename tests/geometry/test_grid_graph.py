@@ -1,4 +1,4 @@
-"""The 16-neighbour graph: its moves, its edges by brute force, and the excess of its paths over straight lines."""
+"""Test the 16-neighbour graph: its moves, its edges by brute force, and the excess length of its paths."""
 
 import math
 

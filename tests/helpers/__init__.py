@@ -1,1 +1,1 @@
-"""Rooms, maps, recordings and oracles that tests share."""
+"""Make rooms, maps, recordings and oracles that tests share."""

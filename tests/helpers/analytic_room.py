@@ -1,4 +1,4 @@
-"""A box room known in closed form, float64: the oracle behind the tests of maps, rendering and localisation."""
+"""Define a box room in closed form, float64: the oracle of tests of maps, rendering and localisation."""
 
 from dataclasses import dataclass
 
@@ -14,21 +14,21 @@ Corners = tuple[tuple[float, float, float], tuple[float, float, float]]  # lowes
 
 
 def box_distance(p: np.ndarray, corners: Corners) -> np.ndarray:
-    """Exact signed distance (m, negative inside) of points (..., 3) to an upright box."""
+    """Return exact signed distance (m, negative inside) of points (..., 3) to an upright box."""
     low, high = np.array(corners)
     q = np.abs(p - 0.5 * (low + high)) - 0.5 * (high - low)
     return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0)
 
 
 def slab(centre: np.ndarray, directions: np.ndarray, corners: Corners) -> tuple[np.ndarray, np.ndarray]:
-    """Ray parameters (rays,) where rays enter and leave a box; entry > exit where they miss it."""
+    """Return ray parameters (rays,) where rays enter and leave a box; entry > exit where they miss it."""
     with np.errstate(divide="ignore"):
         a, b = ((np.array(c) - centre) / directions for c in corners)
     return np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
 
 
 def camera_pose(position: tuple[float, float, float], yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """T_world_cam, float64: a camera that looks along world x, rolled, pitched down and turned left (rad)."""
+    """Return T_world_cam, float64, of a camera that looks along world x, rolled, pitched down and turned left (rad)."""
     (cy, sy), (cp, sp), (cr, sr) = ((np.cos(a), np.sin(a)) for a in (yaw, pitch, roll))
     turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     dip = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -39,7 +39,7 @@ def camera_pose(position: tuple[float, float, float], yaw: float, pitch: float =
 
 
 def ray_directions(T_world_cam: np.ndarray, camera: Camera) -> np.ndarray:
-    """World directions (height * width, 3) per metre of z-depth, from the inverse of K; float64."""
+    """Return world directions (height * width, 3) per metre of z-depth, from the inverse of K; float64."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     pixels = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3).astype(float)
     return pixels @ np.linalg.inv(camera.K).T @ T_world_cam[:3, :3].T
@@ -47,18 +47,18 @@ def ray_directions(T_world_cam: np.ndarray, camera: Camera) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Room:
-    """Free space inside ``interior`` without the solid ``boxes``; textured by smooth waves of half a metre and more."""
+    """Describe free space inside ``interior`` without the solid ``boxes``, with smooth textures."""
 
     interior: Corners
     boxes: tuple[Corners, ...] = ()
 
     def occupancy(self, p: np.ndarray) -> np.ndarray:
-        """Negative signed distance (m), positive in walls and boxes."""
+        """Return negative signed distance (m), positive in walls and boxes."""
         solids = [box_distance(p, self.interior), *(-box_distance(p, box) for box in self.boxes)]
         return np.max(solids, axis=0)
 
     def colour(self, p: np.ndarray) -> np.ndarray:
-        """RGB (..., 3) in [0.1, 0.9]."""
+        """Return RGB (..., 3) in [0.1, 0.9]."""
         x, y, z = np.moveaxis(np.asarray(p), -1, 0)
         waves = [
             np.sin(9 * x + 4 * z) * np.cos(7 * y - 2 * z),
@@ -68,7 +68,7 @@ class Room:
         return 0.5 + 0.4 * np.stack(waves, axis=-1)
 
     def depth(self, T_world_cam: np.ndarray, camera: Camera) -> np.ndarray:
-        """z-depth (height, width), m."""
+        """Return z-depth (height, width), m."""
         centre, directions = T_world_cam[:3, 3], ray_directions(T_world_cam, camera)
         depth = slab(centre, directions, self.interior)[1]
         for box in self.boxes:
@@ -77,7 +77,7 @@ class Room:
         return depth.reshape(camera.height, camera.width)
 
     def image(self, T_world_cam: np.ndarray, camera: Camera) -> RGBD:
-        """What an ideal camera sees."""
+        """Take the image of an ideal camera."""
         depth = self.depth(T_world_cam, camera)
         p = T_world_cam[:3, 3] + ray_directions(T_world_cam, camera) * depth.reshape(-1, 1)
         seen = jnp.ones(depth.shape, bool)
@@ -85,7 +85,7 @@ class Room:
         return RGBD(jnp.asarray(depth, jnp.float32), jnp.asarray(rgb, jnp.float32), seen, seen)
 
     def to_map(self, origin: tuple[float, float, float], voxel_size: float, shape: tuple[int, int, int]) -> VoxelMap:
-        """A map whose cells hold the exact signed distance and colour, all of them observed."""
+        """Return a map whose cells hold the exact signed distance and colour, all of them observed."""
         m = VoxelMap.prior(origin, voxel_size, shape)
         p = cell_centres(m)
         observed = jnp.full_like(m.occupancy_precision, 10.0)
@@ -102,6 +102,6 @@ class Room:
 
 
 def cell_centres(m: VoxelMap) -> np.ndarray:
-    """World positions (nx, ny, nz, 3) of the cells, float64."""
+    """Return world positions (nx, ny, nz, 3) of the cells, float64."""
     cells = np.stack(np.meshgrid(*(np.arange(n) for n in m.shape), indexing="ij"), axis=-1)
     return np.asarray(m.origin, float) + cells * float(m.voxel_size)

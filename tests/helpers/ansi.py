@@ -1,4 +1,4 @@
-"""A terminal in a few lines: what a person would see of half-block pictures, read independently of what wrote them."""
+"""Decode half-block pictures as a terminal displays them, independently of the code that wrote them."""
 
 import re
 
@@ -8,7 +8,7 @@ _LEVELS = (0, 95, 135, 175, 215, 255)
 
 
 def pixels(lines: list[str]) -> np.ndarray:
-    """The picture ``(2 lines, columns, 3)`` uint8 that lines of ``▀`` and spaces make; nothing else may occur."""
+    """Return the picture ``(2 lines, columns, 3)`` uint8 of lines of ``▀`` and spaces; nothing else may occur."""
     rows = []
     for line in lines:
         front = back = (0, 0, 0)

@@ -1,4 +1,4 @@
-"""Exact maps of boxes: the negative signed distance in every cell."""
+"""Make exact maps of boxes: the negative signed distance in every cell."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ LOW, HIGH = (-1.0, -1.5, -0.3), (1.8, 1.7, 2.5)  # of a map, m
 
 
 def signed_distance(box: SolidBox, p: np.ndarray) -> np.ndarray:
-    """Of points ``(..., 3)`` to a box, m, below 0 inside."""
+    """Return the distance of points ``(..., 3)`` to a box, m, below 0 inside."""
     c, s = np.cos(box.yaw), np.sin(box.yaw)
     local = (p - np.array(box.center)) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     q = np.abs(local) - 0.5 * np.array(box.size)
@@ -28,7 +28,7 @@ def map_of(
     low: Sequence[float] = LOW,
     high: Sequence[float] = HIGH,
 ) -> VoxelMap:
-    """A map of ``boxes`` in which every cell was observed, or none; all of it shifted along x by ``shift`` m."""
+    """Return a map of ``boxes`` with all cells observed, or none; shifted along x by ``shift`` m."""
     shape = np.ceil((np.array(high) - low) / voxel).astype(int)
     m = VoxelMap.prior(np.array(low), voxel, (int(shape[0]), int(shape[1]), int(shape[2])))
     index = np.stack(np.meshgrid(*(np.arange(n) for n in m.shape), indexing="ij"), axis=-1)

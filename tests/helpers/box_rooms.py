@@ -1,4 +1,4 @@
-"""Shared by the tests of free space, geodesics, tasks and the survey: random box layouts and a two-room apartment."""
+"""Make random box layouts and a two-room apartment, for tests of free space, geodesics, tasks and the survey."""
 
 import hypothesis.strategies as st
 import numpy as np
@@ -14,7 +14,7 @@ PLAIN = Material()
 
 
 def free_space(obstacles: list[Polygon], radius: float = 0.0, floor: Polygon = ROOM) -> FreeSpace:
-    """Free space of one room with anonymous obstacles."""
+    """Return free space of one room with anonymous obstacles."""
     named = [(f"box {i}", shape) for i, shape in enumerate(obstacles)]
     return FreeSpace("test", floor, named, radius, {"room": floor})
 
@@ -41,12 +41,12 @@ seeds = st.integers(0, 2**32 - 1)
 def furniture(
     name: str, center: tuple[float, float, float], size: tuple[float, float, float], yaw: float = 0.0
 ) -> Furniture:
-    """A piece of furniture of one box."""
+    """Return a piece of furniture of one box."""
     return Furniture(name=name, category="box", boxes=(Box(center=center, size=size, yaw=yaw, material=PLAIN),))
 
 
 def two_rooms(openness: float = 1.0, leaves: int = 0, pieces: tuple[Furniture, ...] = ()) -> Apartment:
-    """Rooms "west" [0,3]x[0,4] and "east" [3,6]x[0,4], walls 0.1 m thick, a 0.9 m door at y in [1.5, 2.4]."""
+    """Return rooms "west" [0,3]x[0,4] and "east" [3,6]x[0,4], walls 0.1 m, a 0.9 m door at y in [1.5, 2.4]."""
     corners = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
     lines = [*zip(corners, [*corners[1:], corners[0]], strict=True), ((3.0, 0.0), (3.0, 4.0))]
     walls = tuple(Wall(start=a, end=b, thickness=0.1, height=2.5, front=PLAIN, back=PLAIN) for a, b in lines)
@@ -66,5 +66,5 @@ def two_rooms(openness: float = 1.0, leaves: int = 0, pieces: tuple[Furniture, .
 
 
 def random_points(space: FreeSpace, seed: int, n: int) -> np.ndarray:
-    """Free positions of the largest component, a hair inside."""
+    """Draw free positions of the largest component, slightly inside."""
     return space.sample(np.random.default_rng(seed), n, margin=1e-3)

@@ -1,4 +1,4 @@
-"""Shared by the tests of planners of the car: floor plans that one can draw, and the true outline against them."""
+"""Make simple floor plans for tests of the car's planners, and check its true outline against them."""
 
 import numpy as np
 import shapely
@@ -11,7 +11,7 @@ RESOLUTION = 0.025  # m
 
 
 def occupied(width: float, height: float, *boxes: tuple[float, float, float, float]) -> np.ndarray:
-    """A room from (0, 0) to ``(width, height)``, walled by its border cells, with boxes ``(x0, y0, x1, y1)``, m."""
+    """Return a room from (0, 0) to ``(width, height)`` with walls as border cells and boxes ``(x0, y0, x1, y1)``, m."""
     x, y = np.meshgrid(np.arange(0.0, width, RESOLUTION), np.arange(0.0, height, RESOLUTION), indexing="ij")
     grid = np.zeros(x.shape, bool)
     grid[[0, -1]] = grid[:, [0, -1]] = True
@@ -25,20 +25,20 @@ def levels(grid: np.ndarray, **options: float) -> FootprintLevels:
 
 
 def solid(grid: np.ndarray) -> shapely.Geometry:
-    """The occupied cells as one exact shape."""
+    """Return the occupied cells as one exact shape."""
     half = 0.5 * RESOLUTION
     centres = RESOLUTION * np.argwhere(grid)
     return shapely.union_all(shapely.box(*(centres - half).T, *(centres + half).T))
 
 
 def touched(shape: shapely.Geometry, poses: np.ndarray) -> np.ndarray:
-    """Whether the car's exact rectangle at poses ``(n, 3)`` overlaps ``shape``: by shapely, not by a table."""
+    """Return whether the car's exact rectangle at poses ``(n, 3)`` overlaps ``shape``, by shapely."""
     outlines = shapely.polygons(CAR.corners(poses))
     return shapely.area(shapely.intersection(outlines, shape)) > 1e-9
 
 
 def move(planar: np.ndarray, control: np.ndarray, dt: float = CAR.dt) -> np.ndarray:
-    """The kinematic bicycle in float64, one step, as a rotation about the circle's centre."""
+    """Move the kinematic bicycle one step in float64, as a rotation about the circle's centre."""
     s, turn = control[0] * dt, control[0] * dt * np.tan(control[1]) / CAR.wheelbase
     chord = s * np.sinc(0.5 * turn / np.pi)
     x = planar[0] + chord * np.cos(planar[2] + 0.5 * turn)

@@ -1,4 +1,4 @@
-"""Damage done to files on purpose: a law of every importer is that it gives a valid apartment or one `InputError`."""
+"""Damage files: every importer must return a valid apartment or raise one `InputError`."""
 
 import copy
 import math
@@ -33,7 +33,7 @@ def _changed(data: Any, path: tuple[Any, ...], value: Any) -> Any:
 
 @st.composite
 def damaged_json(draw: st.DrawFn, data: Any) -> Any:
-    """``data`` with one to three parts removed, replaced by nonsense, or copied over another part."""
+    """Return ``data`` with one to three parts removed, replaced by nonsense, or copied over another part."""
     for _ in range(draw(st.integers(1, 3))):
         path = draw(st.sampled_from(_paths(data)))
         kind = draw(st.sampled_from(["remove", "value", "value", "number", "copy"]))
@@ -52,7 +52,7 @@ def damaged_json(draw: st.DrawFn, data: Any) -> Any:
 
 @st.composite
 def damaged_bytes(draw: st.DrawFn, content: bytes) -> bytes:
-    """``content`` cut off, with bytes overwritten, or with a stretch moved or repeated."""
+    """Return ``content`` cut off, with bytes overwritten, or with a stretch moved or repeated."""
     for _ in range(draw(st.integers(1, 3))):
         a, b = sorted(draw(st.integers(0, len(content))) for _ in range(2))
         kind = draw(st.sampled_from(["cut", "overwrite", "repeat", "insert"]))
@@ -69,7 +69,7 @@ def damaged_bytes(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def valid_or_refused(load: Any) -> Apartment | None:
-    """The apartment that ``load()`` gives, with its boxes made; None for one line of an `InputError`."""
+    """Return the apartment of ``load()``, with its boxes made; None for an `InputError` of one line."""
     try:
         apartment = load()
     except InputError as error:

@@ -1,4 +1,4 @@
-"""The field and the emission of SPEC 1 in plain float64 NumPy: every sample of every ray, no skipping, no JAX."""
+"""Compute the field and the emission in plain float64 NumPy: every sample of every ray, no skipping, no JAX."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from vssm_gym.model.emission import MAX_DEPTH, STEP
 
 @dataclass
 class FieldOracle:
-    """Trilinear interpolation of cells ``values`` (nx, ny, nz, 4): occupancy and RGB."""
+    """Interpolate cells ``values`` (nx, ny, nz, 4) trilinearly: occupancy and RGB."""
 
     values: np.ndarray
     origin: np.ndarray
@@ -20,13 +20,13 @@ class FieldOracle:
 
     @classmethod
     def of(cls, m: VoxelMap) -> "FieldOracle":
-        """The same cells as a map."""
+        """Return the same cells as a map."""
         occupancy, colour = np.asarray(m.dense(m.occupancy), float), np.asarray(m.dense(m.colour), float)
         values = np.concatenate([occupancy[..., None], colour], axis=-1)
         return cls(values, np.asarray(m.origin, float), float(m.voxel_size))
 
     def __call__(self, p: np.ndarray) -> np.ndarray:
-        """``f_M(p)`` (..., 4) at world points (..., 3)."""
+        """Return ``f_M(p)`` (..., 4) at world points (..., 3)."""
         g = (p - self.origin) / self.voxel_size
         top = np.array(self.values.shape[:3]) - 1
         low = np.clip(np.floor(g), 0, top - 1).astype(int)
@@ -40,7 +40,7 @@ class FieldOracle:
         return np.where(inside[..., None], value, [PRIOR_OCCUPANCY_MEAN, 0.0, 0.0, 0.0])
 
     def first_hit(self, centre: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First sample above 0 (rays,), whether there is one, and the occupancy of all samples (rays, samples)."""
+        """Return the first sample above 0 (rays,), whether there is one, and all occupancies (rays, samples)."""
         e = STEP * self.voxel_size
         d = e * np.arange(1, int(MAX_DEPTH / e) + 1)
         o = self(centre + directions[:, None] * d[:, None])[..., 0]
@@ -49,7 +49,7 @@ class FieldOracle:
         return above.argmax(axis=1) + 1, above.any(axis=1), o
 
     def render(self, T_world_cam: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Depth (rays,), colour (rays, 3) and first sample k (rays,), 0 where nothing is hit."""
+        """Return depth (rays,), colour (rays, 3) and first sample k (rays,), 0 where nothing is hit."""
         e = STEP * self.voxel_size
         centre, directions = T_world_cam[:3, 3], ray_directions(T_world_cam, camera)
         k, hit, o = self.first_hit(centre, directions)

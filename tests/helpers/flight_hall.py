@@ -1,4 +1,4 @@
-"""Shared by the tests of flight: a small textured hall with four columns."""
+"""Make a small textured hall with four columns, for the tests of flight."""
 
 from vssm_gym.envs.scenes.scene import Apartment, Box, Furniture, Material, Room, Wall
 
@@ -8,7 +8,7 @@ COLUMN = Material(texture="marble", scale=1.0)
 
 
 def hall(width: float = 12.0, spacing: float = 5.0, ceiling: float = 5.0) -> Apartment:
-    """A square hall around the origin, with columns 0.5 m thick on a grid."""
+    """Return a square hall around the origin, with columns 0.5 m thick on a grid."""
     half = 0.5 * width
     corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
     lines = zip(corners, [*corners[1:], corners[0]], strict=True)

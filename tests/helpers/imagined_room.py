@@ -1,4 +1,4 @@
-"""The small furnished room in which imagined robots are tested, its map, and environments in it."""
+"""Make the small furnished room of the imagined robots' tests, its map, and environments in it."""
 
 from functools import cache
 from typing import Any
@@ -21,33 +21,33 @@ SMALL: dict[str, Any] = {"pool": 64, "goals": 4}
 
 @cache
 def room() -> VoxelMap:
-    """A cupboard to the ceiling's half and a table lower than the camera."""
+    """Return a room with a cupboard of half its height and a table lower than the camera."""
     return voxel_map(FLOOR, [(CUPBOARD, 0.0, 1.2), (TABLE, 0.0, 0.3)])
 
 
 @cache
 def half_seen() -> VoxelMap:
-    """The room, of which nothing was observed beyond x = 3.2 but for a strip along y < 1."""
+    """Return the room's map, unobserved beyond x = 3.2 except for a strip along y < 1."""
     return voxel_map(FLOOR, [(CUPBOARD, 0.0, 1.2)], lambda x, y, z: (x < 3.2) | (y < 1.0) | (z < -1.0))
 
 
 def task(start: tuple[float, float, float], goal: tuple[float, float]) -> Task:
-    """A task of this room."""
+    """Return a task of this room."""
     return Task(id=0, scene="room", start=start, goal=goal, geodesic=0.0)
 
 
 def make(m: VoxelMap | None = None, **keywords: Any) -> gym.Env:
-    """One robot."""
+    """Make one robot."""
     return gym.make(ID, map=room() if m is None else m, **SMALL | keywords)
 
 
 def make_vec(n: int, m: VoxelMap | None = None, **keywords: Any) -> Any:
-    """Many."""
+    """Make many robots."""
     return gym.make_vec(ID, num_envs=n, map=room() if m is None else m, **SMALL | keywords)
 
 
 def random_actions(env: Any, seed: int, steps: int) -> np.ndarray:
-    """Float32 ``(steps, ...)`` that never stop."""
+    """Draw float32 actions ``(steps, ...)`` without a stop."""
     rng = np.random.default_rng(seed)
     actions = rng.uniform(env.action_space.low, env.action_space.high, (steps, *env.action_space.shape))
     if actions.shape[-1] == 4:

@@ -1,4 +1,4 @@
-"""The textured room in which alignment and tracking are tested, and its map; every module shares these shapes."""
+"""Make the textured room of the alignment and tracking tests, and its map, with shapes that all modules share."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""A maze, a task in it and episodes of random actions, for the tests of LidarMaze."""
+"""Make a maze, a task in it and episodes of random actions, for the tests of LidarMaze."""
 
 import gymnasium as gym
 import numpy as np
@@ -22,14 +22,14 @@ def act(turn=0.0, step=0.0, stop=0.0) -> np.ndarray:
 
 
 def random_actions(env: gym.Env, n: int, seed: int = 0) -> np.ndarray:
-    """Actions that never stop."""
+    """Draw actions without a stop."""
     rng = np.random.default_rng(seed)
     low, high = env.action_space.low, env.action_space.high
     return (rng.uniform(low, high, (n, 3)) * [1.0, 1.0, 0.0]).astype(np.float32)
 
 
 def rollout(env: gym.Env, seed: int, steps: int = 12) -> bytes:
-    """Everything the environment says in an episode of random actions."""
+    """Return all outputs of the environment in an episode of random actions."""
     observation, info = env.reset(seed=seed)
     parts = []
     for action in random_actions(env, steps):

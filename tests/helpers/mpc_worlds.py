@@ -1,4 +1,4 @@
-"""Shared by the tests of the car's controllers: plans and costs-to-go that one can write down, and an oracle."""
+"""Make simple plans and costs-to-go for the tests of the car's controllers, and an oracle."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,7 @@ MOTION = 0.06  # m: a motion of the cost-to-go is a step of the car at full spee
 
 
 def value_of(cost) -> CostToGo:
-    """``cost(x, y, heading)`` on the grid, step costs."""
+    """Return ``cost(x, y, heading)`` on the grid, step costs."""
     axis = np.arange(LOW, HIGH + 1e-9, VALUE_CELL)
     x, y, heading = np.meshgrid(axis, axis, 2 * np.pi * np.arange(HEADINGS) / HEADINGS, indexing="ij")
     f32 = lambda a: jnp.asarray(a, jnp.float32)
@@ -23,7 +23,7 @@ def value_of(cost) -> CostToGo:
 
 
 def clearance_of(distance) -> ClearanceMap:
-    """``distance(x, y)`` to the nearest obstacle on the grid, m."""
+    """Return ``distance(x, y)`` to the nearest obstacle on the grid, m."""
     axis = np.arange(LOW, HIGH + 1e-9, CLEARANCE_CELL)
     x, y = np.meshgrid(axis, axis, indexing="ij")
     return ClearanceMap(
@@ -36,7 +36,7 @@ def wrapped(angle):
 
 
 class Oracle:
-    """Cost, states and clearances of one plan in numpy, float64, step by step, from the definitions."""
+    """Compute cost, states and clearances of one plan in float64 NumPy, step by step, from the definitions."""
 
     def __init__(self, problem: MpcProblem, value: CostToGo, clearance: ClearanceMap) -> None:
         self.problem = problem
@@ -78,7 +78,7 @@ class Oracle:
 
 
 def finite_difference(f, x: np.ndarray, h: float = 1e-6) -> np.ndarray:
-    """Central differences of a scalar function, the shape of ``x``."""
+    """Compute central differences of a scalar function, in the shape of ``x``."""
     gradient = np.zeros_like(x)
     for i in np.ndindex(x.shape):
         d = np.zeros_like(x)

@@ -1,4 +1,4 @@
-"""Paths of this checkout."""
+"""Define paths of this checkout."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Shared by the tests of planning and agents: learned maps of floor plans that one can write down, and random grids."""
+"""Make learned maps of simple floor plans, and random grids, for the tests of planning and agents."""
 
 from collections.abc import Callable
 
@@ -19,14 +19,14 @@ OBSERVATIONS = 20.0  # precision of an observed cell, 1/m^2
 
 
 def signed_depth(solid: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Signed distance to the border of ``solid``, positive inside; float64, the shape of ``x``."""
+    """Return signed distance to the border of ``solid``, positive inside; float64, the shape of ``x``."""
     points = shapely.points(x, y)
     distance = shapely.distance(solid.boundary, points)
     return np.where(shapely.covers(solid, points), distance, -distance)
 
 
 def clearance_map(floor: shapely.Polygon, solid: shapely.Geometry, resolution: float = 0.025) -> ClearanceMap:
-    """The clearance of ``floor`` minus ``solid``, from exact distances."""
+    """Return the clearance of ``floor`` minus ``solid``, from exact distances."""
     low, high = np.split(np.array(floor.bounds), 2)
     axes = [np.arange(a - 0.2, b + 0.2, resolution) for a, b in zip(low, high, strict=True)]
     x, y = np.meshgrid(*axes, indexing="ij")
@@ -39,7 +39,7 @@ def voxel_map(
     solids: list[tuple[shapely.Polygon, float, float]],
     observed: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> VoxelMap:
-    """What mapping a room would give: truncated signed distances to floor, walls, ceiling, ``solids``.
+    """Return the map of a mapped room: truncated signed distances to floor, walls, ceiling, ``solids``.
 
     ``solids`` are prisms ``(polygon, bottom, top)``, metres. Cells deeper than the truncation inside a solid, and where
     ``observed(x, y, z)`` is false, keep the prior. Colours are smooth noise, so that images can be aligned.
@@ -72,7 +72,7 @@ def voxel_map(
 
 @st.composite
 def grids(draw: st.DrawFn) -> np.ndarray:
-    """Random occupancy, bool ``(nx, ny)``: up to 24 cells a side, from nearly empty to nearly full."""
+    """Draw random occupancy, bool ``(nx, ny)``: up to 24 cells a side, from nearly empty to nearly full."""
     shape = draw(st.tuples(st.integers(3, 24), st.integers(3, 24)))
     share = draw(st.sampled_from([0.05, 0.2, 0.35, 0.5]))
     return np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random(shape) < share

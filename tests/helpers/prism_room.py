@@ -1,4 +1,4 @@
-"""A hand-held walk through the analytic room, filtered once for every test that looks at it."""
+"""Filter a hand-held walk through the analytic room once, for all tests that use it."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -29,7 +29,7 @@ EXTENT, VOXEL = 6.4, 0.08  # m
 
 
 def true_pose(k: float) -> np.ndarray:
-    """A hand that moves 2 to 3 cm and about a degree a frame; T_room_cam."""
+    """Return T_room_cam of a hand that moves 2 to 3 cm and about a degree a frame."""
     place = (-0.8 + 0.025 * k, 0.2 * np.sin(0.25 * k), 1.1 + 0.05 * np.sin(0.4 * k))
     return camera_pose(place, 0.02 * k - 0.1, 0.2 + 0.01 * k, 0.01 * k)
 
@@ -39,7 +39,7 @@ def image(k: float) -> RGBD:
 
 
 def error(belief, T_room_cam: np.ndarray, T_room_world: np.ndarray | None = None) -> tuple[float, float]:
-    """Of an estimated pose, m and degrees; the world is the first camera's frame."""
+    """Return the error of an estimated pose, m and degrees; the world is the first camera's frame."""
     start = true_pose(0) if T_room_world is None else T_room_world
     truth = np.linalg.inv(start) @ T_room_cam
     off = np.linalg.inv(truth) @ np.asarray(belief.mean.T_world_body, float)
@@ -48,19 +48,19 @@ def error(belief, T_room_cam: np.ndarray, T_room_world: np.ndarray | None = None
 
 
 def copy(state: PrismState) -> PrismState:
-    """A state to step from twice: a step consumes what it is given."""
+    """Copy a state: a step consumes its argument."""
     return jax.tree.map(lambda a: a.copy() if eqx.is_array(a) else a, state)
 
 
 def prism_of(config: PrismConfig = CONFIG) -> Prism:
-    """The filter of a hand-held camera."""
+    """Return the filter of a hand-held camera."""
     return Prism(Rig.of(CAMERA), HAND, config)
 
 
 def step(
     state: PrismState, taken: RGBD, dt: float = DT, config: PrismConfig = CONFIG, control: jax.Array | None = None
 ) -> tuple[PrismState, FilterInfo]:
-    """One image; constant velocity unless an acceleration is given."""
+    """Filter one image; with constant velocity unless an acceleration is given."""
     return prism_of(config).step(state, jnp.zeros(6) if control is None else control, taken, dt)
 
 
@@ -71,7 +71,7 @@ def start(config: PrismConfig = CONFIG, extent: float = EXTENT, seed: int = 0, f
 
 
 def walk(state: PrismState, frames, config: PrismConfig = CONFIG) -> Iterator[tuple[PrismState, FilterInfo]]:
-    """A step for every frame number of the path, 0.1 s apart."""
+    """Filter every frame number of the path, 0.1 s apart."""
     for k in frames:
         state, info = step(state, image(k), DT, config)
         yield state, info
@@ -84,12 +84,12 @@ def _walked(config: PrismConfig, frames: int) -> tuple[PrismState, tuple[FilterI
 
 
 def walked(frames: int = 12, config: PrismConfig = CONFIG) -> tuple[PrismState, tuple[FilterInfo, ...]]:
-    """The state after so many frames, free to be consumed, and how each went."""
+    """Return the state after so many frames, free to be consumed, and the report of each."""
     state, infos = _walked(config, frames)
     return copy(state), infos
 
 
 def same_map(a: VoxelMap, b: VoxelMap) -> bool:
-    """Bit for bit."""
+    """Compare maps bit for bit."""
     pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
     return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in pairs)

@@ -1,4 +1,4 @@
-"""Random voxel maps of every kind that a search or an index must cope with, all of one size: one compilation a test."""
+"""Draw random voxel maps of every kind that a search or an index must handle, all of one size."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ kinds = st.sampled_from(KINDS)
 
 
 def _boxes(p: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Truncated signed distance of a few boxes, as map updates leave it."""
+    """Return the truncated signed distance of a few boxes, as map updates produce it."""
     occupancy = np.full(p.shape[:3], -0.2)
     for _ in range(rng.integers(1, 5)):
         centre, half = rng.uniform(p[0, 0, 0], p[-1, -1, -1]), rng.uniform(0.03, 0.6, 3)
@@ -27,7 +27,7 @@ def _boxes(p: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _thin_walls(p: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Single layers of cells barely above zero in a field that is barely below it."""
+    """Return single layers of cells slightly above zero in a field slightly below it."""
     occupancy = np.full(p.shape[:3], -0.001)
     for _ in range(rng.integers(1, 4)):
         axis = int(rng.integers(3))
@@ -38,7 +38,7 @@ def _thin_walls(p: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def random_occupancy(kind: str, seed: int, p: np.ndarray) -> np.ndarray:
-    """Occupancy (nx, ny, nz) at cell centres ``p``."""
+    """Return occupancy (nx, ny, nz) at cell centres ``p``."""
     rng = np.random.default_rng(seed)
     shape = p.shape[:3]
     if kind == "blobs":
@@ -56,7 +56,7 @@ def random_occupancy(kind: str, seed: int, p: np.ndarray) -> np.ndarray:
 
 
 def random_map(kind: str, seed: int) -> VoxelMap:
-    """A map of random occupancy and colour."""
+    """Return a map of random occupancy and colour."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     rng = np.random.default_rng([seed, 1])
     occupancy = random_occupancy(kind, seed, cell_centres(m)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What holds for every scene, wherever it comes from: free space, images without holes, and a robot drives in it."""
+"""Check what holds for every scene: free space, images without holes, and a robot that drives in it."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from vssm_gym.envs.sensors import CameraConfig
 
 
 def check_scene(apartment: Apartment, steps: int = 30) -> FreeSpace:
-    """Free space, rendering and driving; returns the free space of a robot of 0.1 m radius and 0.5 m height."""
+    """Check free space, rendering and driving; return the free space of a robot of 0.1 m radius and 0.5 m height."""
     space = FreeSpace.from_apartment(apartment, 0.1, 0.5)
     assert space.largest.area > 0.5
     env = PointNavEnv(apartment, camera=CameraConfig(64, 48), reward="sparse")

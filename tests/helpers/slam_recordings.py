@@ -1,4 +1,4 @@
-"""Recordings of a room known in closed form, for the tests of ``vssm-gym slam``."""
+"""Record a room known in closed form, for the tests of ``vssm-gym slam``."""
 
 from pathlib import Path
 
@@ -20,13 +20,13 @@ FILES = ["map.npz", "mesh.ply", "report.html", "stats.json", "trajectory.txt"]
 
 
 def true_pose(k: int) -> np.ndarray:
-    """A hand that moves 2 to 3 cm and about a degree a frame."""
+    """Return the pose of a hand that moves 2 to 3 cm and about a degree a frame."""
     place = (-0.8 + 0.025 * k, 0.2 * np.sin(0.25 * k), 1.1 + 0.05 * np.sin(0.4 * k))
     return camera_pose(place, 0.02 * k - 0.1, 0.2 + 0.01 * k, 0.01 * k)
 
 
 def image_from(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """RGB uint8 and z-depth (m)."""
+    """Return RGB uint8 and z-depth (m)."""
     image = ROOM.image(T_world_cam, CAMERA)
     return np.rint(255.0 * np.asarray(image.rgb)).astype(np.uint8), np.asarray(image.depth)
 
@@ -38,7 +38,7 @@ def frame_of(k: int) -> tuple[np.ndarray, np.ndarray]:
 def write_sequence(
     folder: Path, strange: int | None = None, blank: int = 0, first: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Path:
-    """A TUM folder of the room; frame ``strange`` looks the other way, the first ``blank`` frames have no depth.
+    """Write a TUM folder of the room; frame ``strange`` looks backwards, the first ``blank`` frames have no depth.
 
     ``first`` takes the place of the first image.
     """
@@ -54,7 +54,7 @@ def write_sequence(
 
 
 def poses_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps and poses, and that the file has a line for each."""
+    """Return stamps and poses, and check that the file has a line for each."""
     lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
     times, poses = read_trajectory(path)
     assert len(lines) == len(times)

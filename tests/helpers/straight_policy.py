@@ -1,4 +1,4 @@
-"""Policies whose drives are known beforehand."""
+"""Make policies of known paths."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from vssm_gym.training.environment import BODY
 
 
 def straight(step: float = 1.0) -> Policy:
-    """Turns towards the goal and drives at full speed (``step`` = -1: not at all).
+    """Turn towards the goal and drive at full speed (``step`` = -1: not at all).
 
     Its input is the bearing's cosine and sine, and two lengths.
     """

@@ -1,4 +1,4 @@
-"""The published Adam solver: the optimum of Gauss-Newton, the loss of the paper, its true gradient."""
+"""Test the published Adam solver: Gauss-Newton's optimum, the paper's loss and its gradient."""
 
 import jax
 import jax.numpy as jnp
@@ -77,7 +77,7 @@ def test_no_depth_leaves_the_prior() -> None:
 
 
 def loss_by_hand(T: np.ndarray, pixels: np.ndarray) -> float:
-    """The published loss over given pixels, one at a time, float64."""
+    """Return the published loss over given pixels, one at a time, float64."""
     ref = jax.tree.map(np.asarray, make_reference(REFERENCE, CAMERA, CONFIG))
     obs = jax.tree.map(np.asarray, make_observed(OBSERVED, CAMERA))
     total = 0.0

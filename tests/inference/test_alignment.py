@@ -1,4 +1,4 @@
-"""Pose by MAP: known motions are recovered, the prior speaks where the images do not, derivatives are true."""
+"""Test the pose by MAP: known motions are recovered, the prior decides where images do not, derivatives are true."""
 
 import jax
 import jax.numpy as jnp
@@ -51,14 +51,14 @@ def room_pose(rng: np.random.Generator) -> np.ndarray:
 
 
 def motion(rng: np.random.Generator, metres: float, radians: float) -> np.ndarray:
-    """T_ref_cam of a random direction; float64."""
+    """Draw T_ref_cam of a random direction; float64."""
     t, r = rng.standard_normal((2, 3))
     delta = np.concatenate([metres * t / np.linalg.norm(t), radians * r / np.linalg.norm(r)])
     return np.asarray(se3_exp(f32(delta)), float)
 
 
 def errors(T: jax.Array, truth: np.ndarray) -> tuple[float, float]:
-    """Metres and radians between two poses."""
+    """Return metres and radians between two poses."""
     delta = np.asarray(se3_log(f32(np.linalg.inv(truth) @ np.asarray(T, float))))
     return float(np.linalg.norm(delta[:3])), float(np.linalg.norm(delta[3:]))
 
@@ -212,7 +212,7 @@ def terms_at(T, reference: RGBD, observed: RGBD, factor: int = 1, config: AlignC
 
 @pytest.mark.parametrize("factor", [1, 2, 4])
 def test_jacobians_are_those_of_the_residuals(factor: int) -> None:
-    """Of every term, by a twist in the reference's frame: central differences in float64."""
+    """Every term, by a twist in the reference's frame, against central differences in float64."""
     rng = np.random.default_rng(11)
     T_world_ref = room_pose(rng)
     T = np.asarray(motion(rng, 0.03, 0.03), float)
@@ -253,7 +253,7 @@ def test_normal_equations_are_weighted_sums() -> None:
 
 
 def information(T_world_ref, T_ref_cam, config: AlignConfig = CONFIG, **more) -> np.ndarray:
-    """Of the data, at the solution."""
+    """Return the information of the data at the solution."""
     reference, observed = ROOM.image(T_world_ref, CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA)
     _, info = align_jit(IDENTITY, NO_PRIOR, IDENTITY, FREE, reference, observed, CAMERA, config, **more)
     return np.asarray(info.information, float)
@@ -334,7 +334,7 @@ def test_fewer_pixels_say_as_much() -> None:
 
 @given(seeds, st.floats(0.02, 0.3))
 def test_images_disagree_more_off_the_true_pose(seed: int, away: float) -> None:
-    """What picks the start of the search is least at the truth, and grows with the distance from it."""
+    """The alignment cost is least at the truth, and grows with the distance from it."""
     rng = np.random.default_rng(seed)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.02, 0.02)
     ref = make_reference(ROOM.image(T_world_ref, CAMERA), CAMERA, CONFIG, 2)
@@ -355,7 +355,7 @@ def test_looking_away_is_no_agreement() -> None:
 
 
 def faces_of(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which axis (height, width) is normal to the face that a pixel sees, and where on that axis the face stands."""
+    """Return the axis (height, width) normal to the face that a pixel sees, and the face's position on it."""
     depth = ROOM.depth(T_world_cam, CAMERA)
     p = T_world_cam[:3, 3] + (np.asarray(CAMERA.rays(), float) * depth[..., None]) @ T_world_cam[:3, :3].T
     planes = np.array([corner for solid in (ROOM.interior, *ROOM.boxes) for corner in solid])  # (faces, axis)
@@ -366,7 +366,7 @@ def faces_of(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("factor", [1, 2, 4])
 def test_planes_of_the_reference_are_those_of_the_room(factor: int) -> None:
-    """Where a pixel and its four neighbours see one face, its plane is that face, to a tenth of a millimetre."""
+    """A pixel whose four neighbours see the same face gets that face's plane, to 0.1 mm."""
     T = room_pose(np.random.default_rng(2))
     plane = np.asarray(make_reference(ROOM.image(T, CAMERA), CAMERA, CONFIG, factor).plane, float)
     axis, place = (a[factor // 2 :: factor, factor // 2 :: factor] for a in faces_of(T))

@@ -1,4 +1,4 @@
-"""Drift of the map's frame: what it adds to a pose, and when."""
+"""Test the drift of the map's frame: when it grows, and what it adds to a pose."""
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +68,7 @@ def test_the_frame_walks_by_the_share_that_the_image_wrote() -> None:
 
 
 def shares(frames, rate: float) -> np.ndarray:
-    """``k nu`` of each step, from the growth of the drift seen from the body and the pose's own covariance."""
+    """Return ``k nu`` of each step, from the growth of the drift seen from the body and the pose's covariance."""
     state, found = start(), []
     for k in frames:
         before = np.asarray(state.drift, float)

@@ -1,4 +1,4 @@
-"""The trackers that are compared: published Adam and emission-based, in the room of the default tracker's tests."""
+"""Test the baseline trackers, published Adam and emission-based, in the room of the default tracker's tests."""
 
 import jax
 import jax.numpy as jnp

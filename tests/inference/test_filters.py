@@ -1,4 +1,4 @@
-"""The contract of filters: every filter with every transition that it takes, in one room."""
+"""Test the contract of filters: every filter with every transition that it takes, in one room."""
 
 from collections.abc import Callable
 
@@ -51,7 +51,7 @@ every = pytest.mark.parametrize(("name", "kind"), PAIRS)
 
 
 def pose(k: float) -> np.ndarray:
-    """``T_world_body`` after ``k`` steps of the arc."""
+    """Return ``T_world_body`` after ``k`` steps of the arc."""
     radius, heading = STEP / TURN, START[2] + TURN * k
     centre = START[:2] + radius * np.array([-np.sin(START[2]), np.cos(START[2])])
     xy = centre + radius * np.array([np.sin(heading), -np.cos(heading)])
@@ -64,7 +64,7 @@ def see(k: float) -> RGBD:
 
 
 def control(kind: str, k: int) -> jax.Array:
-    """What the body was told or felt on its way from ``k`` to ``k + 1``."""
+    """Return the control from ``k`` to ``k + 1``."""
     if kind == "planar":  # the chord of the arc
         return jnp.array([TURN, 0.5 * TURN, STEP * np.sinc(0.5 * TURN / np.pi)])
     if kind == "bicycle":
@@ -81,7 +81,7 @@ def make(name: str, kind: str) -> tuple[Filter, Posterior]:
 
 
 def made(name: str, transition: Transition) -> tuple[Filter, Posterior]:
-    """The filter, and a prior at the start of the arc."""
+    """Return the filter, and a prior at the start of the arc."""
     entry = FILTERS[name]
     manifold = transition.manifold
     p = manifold.twists.shape[1]
@@ -95,7 +95,7 @@ def made(name: str, transition: Transition) -> tuple[Filter, Posterior]:
 
 
 def off(belief, k: float) -> tuple[float, float]:
-    """Metres and radians between a belief's mean and the truth."""
+    """Return metres and radians between a belief's mean and the truth."""
     T = belief.manifold.pose(belief.mean)
     xi = np.asarray(se3_log(jnp.asarray(np.linalg.inv(pose(k)), jnp.float32) @ T), float)
     return float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
@@ -109,7 +109,7 @@ def test_a_body_is_followed(name: str, kind: str) -> None:
 
 
 def follow(name: str, transition: Transition, told: Callable[[int], jax.Array], allowed: float = 1.0) -> None:
-    """Within 2 cm and 2 degrees of the arc after six steps; the belief is a density that can be drawn from."""
+    """Assert a pose within 2 cm and 2 degrees of the arc after six steps, and a belief that is a density."""
     tracker, prior = made(name, transition)
     assert tracker.transition is transition
     state = tracker.init(prior, see(0), jax.random.key(0))

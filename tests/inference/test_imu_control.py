@@ -1,4 +1,4 @@
-"""The IMU as PRISM's control: on exact readings the rigid body follows the flight, whatever way the world is turned."""
+"""Test the IMU as PRISM's control: with exact readings the rigid body follows the flight in any orientation."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +20,7 @@ DT, SUBSTEPS = 0.05, 10
 
 
 def flown(bias=0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Image times, poses and velocities of the camera in the first one's frame, and readings of ``imu.txt``."""
+    """Return image times, poses and velocities of the camera in the first one's frame, and readings of ``imu.txt``."""
     times = np.arange(0.0, HOVER + 4.0, DT)
     t = np.arange(1, len(times) * SUBSTEPS) * DT / SUBSTEPS
     middle = FLIGHT.at(t - 0.5 * DT / SUBSTEPS)

@@ -1,4 +1,4 @@
-"""Keyframes: a ring of images that are apart, searched by likeness."""
+"""Test keyframes: a ring of images from distinct poses, searched by similarity."""
 
 import jax
 import jax.numpy as jnp

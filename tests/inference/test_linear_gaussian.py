@@ -1,4 +1,4 @@
-"""The linear-Gaussian algebra against dense NumPy linear algebra in float64, and its laws."""
+"""Test the linear-Gaussian algebra against dense NumPy linear algebra in float64, and its laws."""
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ def spd(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def system(seed: int, n: int, m: int) -> tuple[np.ndarray, ...]:
-    """``mu, Sigma, A, a, S`` of float32 values, as float64."""
+    """Return ``mu, Sigma, A, a, S`` of float32 values, as float64."""
     rng = np.random.default_rng(seed)
     parts = rng.normal(size=n), spd(rng, n), rng.normal(size=(m, n)), rng.normal(size=m), spd(rng, m)
     return tuple(p.astype(np.float32).astype(float) for p in parts)
@@ -31,7 +31,7 @@ def model(mu, Sigma, A, a, S) -> tuple[Gaussian, LinearGaussian]:
 
 
 def dense_joint(mu, Sigma, A, a, S) -> tuple[np.ndarray, np.ndarray]:
-    """From the precision of the product ``p(z) p(x | z)``, completed to a square: no formula of the module."""
+    """Compute the joint from the precision of ``p(z) p(x | z)``, without the module's formulas."""
     P, Q = np.linalg.inv(Sigma), np.linalg.inv(S)
     precision = np.block([[P + A.T @ Q @ A, -A.T @ Q], [-Q @ A, Q]])
     information = np.concatenate([P @ mu - A.T @ Q @ a, Q @ a])
@@ -107,7 +107,7 @@ def test_an_exact_observation_leaves_no_doubt() -> None:
 
 @pytest.mark.parametrize("spread", [1.0, 1e-3, 1e-6])
 def test_conditionals_stay_positive_where_the_rest_is_nearly_determined(spread: float) -> None:
-    """What a pose says about a velocity when the pose noise vanishes: float32 must not make variances negative."""
+    """Float32 must not make variances negative when the pose noise vanishes."""
     rng = np.random.default_rng(3)
     A = rng.normal(size=(6, 6))
     prior = Gaussian(jnp.zeros(6), jnp.asarray(spd(rng, 6), jnp.float32))

@@ -1,4 +1,4 @@
-"""Map learning through the renderer: its step is the gradient of log p, and held-out views are predicted better."""
+"""Test map learning through the renderer: the gradient of log p, and the prediction of held-out views."""
 
 import functools
 
@@ -21,7 +21,7 @@ SCALES = EmissionScales(0.05, 0.05)
 
 
 def make_views(count: int, seed: int, noise: float = 0.0) -> Views:
-    """Images of the room from its middle, all around."""
+    """Take images of the room from its middle, all around."""
     rng = np.random.default_rng(seed)
     images, poses = [], []
     for yaw in np.linspace(0.0, 2.0 * np.pi, count, endpoint=False):

@@ -1,4 +1,4 @@
-"""The closed-form map update against a dense float64 oracle, and the laws of Bayes' rule."""
+"""Test the closed-form map update against a dense float64 oracle, and the laws of Bayes' rule."""
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ def f32(a: np.ndarray) -> jax.Array:
 
 
 def random_image(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depth with holes and jumps, colour, and a pose in or around the grid; float32 values."""
+    """Draw depth with holes and jumps, colour, and a pose in or around the grid; float32 values."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.1, 3.0) + rng.uniform(-0.3, 0.3, 2) @ np.indices((15, 20)).reshape(2, -1) / 15
     depth = depth.reshape(15, 20) + rng.uniform(0.0, 1.5) * (rng.uniform(size=(15, 20)) < 0.2)
@@ -47,7 +47,7 @@ def random_image(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def observation_oracle(
     depth: np.ndarray, rgb: np.ndarray, T_world_cam: np.ndarray, m: VoxelMap
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """SPEC 3 step 5 for every cell of the grid, float64.
+    """Observe every cell of the grid in float64 (PRISM, step 5).
 
     Returns weight and value of occupancy, weight and value of colour, and where rounding cannot change which pixel a
     cell falls on, nor whether it lies in the band.
@@ -72,7 +72,7 @@ def observation_oracle(
 
 
 class DensePosterior:
-    """One least-squares problem a cell: the prior and every observation made of it, solved at once at the end."""
+    """Solve one least-squares problem a cell from the prior and all its observations, at the end."""
 
     def __init__(self, m: VoxelMap) -> None:
         self.m, n = m, int(np.prod(m.shape))
@@ -100,7 +100,7 @@ class DensePosterior:
 
 
 def flat(m: VoxelMap, array: jax.Array) -> np.ndarray:
-    """Cells in the order of the dense grid, (cells[, channels])."""
+    """Return cells in the order of the dense grid, (cells[, channels])."""
     dense = np.asarray(m.dense(array), float)
     return dense.reshape(-1, *dense.shape[3:])
 
@@ -110,7 +110,7 @@ def empty_map() -> VoxelMap:
 
 
 def updated(m: VoxelMap, depth: np.ndarray, rgb: np.ndarray, T_world_cam: np.ndarray) -> VoxelMap:
-    """``update`` on a copy, since it consumes its map."""
+    """Call ``update`` on a copy, since it consumes its map."""
     return update(jax.tree.map(jnp.copy, m), f32(depth), f32(rgb), f32(T_world_cam), CAMERA, CONFIG)
 
 
@@ -165,7 +165,7 @@ def test_the_order_of_images_does_not_matter(seed: int) -> None:
 
 
 def assert_no_touched_block_is_missed(depth: np.ndarray, T_world_cam: np.ndarray) -> bool:
-    """Every block that holds a cell which the oracle updates is listed. Returns whether there was one."""
+    """Assert that every block with a cell that the oracle updates is listed; return whether there was one."""
     m = empty_map()
     weight, _, _, _, clear = observation_oracle(depth, np.zeros((15, 20, 3)), T_world_cam, m)
     touched = np.asarray(m.blocked(jnp.asarray((weight * clear).reshape(m.shape)))).any(axis=1)
@@ -213,7 +213,7 @@ def test_no_block_in_the_band_behind_a_wall_is_missed(seed: int) -> None:
 
 
 def view(depth: jax.Array, T_cam_world: jax.Array) -> np.ndarray:
-    """Which blocks are listed, (blocks,) bool; each stands in the list once."""
+    """Return which blocks are listed, (blocks,) bool; each is listed once."""
     ids, count = map(np.asarray, list_view(depth, T_cam_world[None]))
     blocks = int(np.prod(empty_map().blocks))
     assert (ids[count:] == blocks).all()
@@ -304,12 +304,12 @@ def test_updating_compiles_once() -> None:
 
 
 def expected(m: VoxelMap, depth: np.ndarray, rgb: np.ndarray, T_samples: np.ndarray) -> VoxelMap:
-    """``update_expected`` on a copy, since it consumes its map."""
+    """Call ``update_expected`` on a copy, since it consumes its map."""
     return update_expected(jax.tree.map(jnp.copy, m), f32(depth), f32(rgb), f32(T_samples), CAMERA, CONFIG)
 
 
 def around(T: np.ndarray, samples: int, std: float, seed: int) -> np.ndarray:
-    """(samples, 4, 4) poses ``T exp(delta)``, delta ~ N(0, std^2) in m and rad."""
+    """Draw (samples, 4, 4) poses ``T exp(delta)``, delta ~ N(0, std^2) in m and rad."""
     delta = std * np.random.default_rng([seed, 9]).standard_normal((samples, 6))
     return np.asarray(f32(T @ np.asarray(se3_exp(f32(delta)), float)))
 
@@ -381,7 +381,7 @@ WALL_CAMERA = Camera.from_hfov(64, 48, np.radians(75))
 
 
 def map_from_both_sides(voxel: float) -> VoxelMap:
-    """A wall of 10 cm between two rooms, seen from three places in each, straight on and at up to 65 degrees."""
+    """Map a wall of 10 cm between two rooms, seen from three places in each, straight on and at up to 65 degrees."""
     m = VoxelMap.prior((-1.2, -1.0, -0.05), voxel, (48, 40, 32))  # the size that tracking's tests compile too
     for side in (-1, 1):
         for y, yaw in ((-0.5, 0.5), (0.0, 0.0), (0.5, -0.5)):

@@ -1,4 +1,4 @@
-"""PRISM on a floor: it maps an unknown room while it finds its way in it, by images and commands alone."""
+"""Test PRISM on a floor: it maps an unknown room and localises in it, from images and commands alone."""
 
 import jax
 import jax.numpy as jnp

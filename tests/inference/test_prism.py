@@ -1,4 +1,4 @@
-"""PRISM in a room known in closed form: the five steps of the filter, each against what it must be."""
+"""Test the five steps of PRISM in a room known in closed form."""
 
 import logging
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_covariances_are_symmetric_and_positive() -> None:
 def track(
     state: PrismState, k: float, control: jax.Array | None = None, transition: Transition = HAND, **past
 ) -> Tracked:
-    """The image ``k`` with the state's past, parts of it replaced."""
+    """Track image ``k`` from the state's past, with some of its fields replaced."""
     before = replace(state.past, **past)
     moved = transition, jnp.zeros(6) if control is None else control, jnp.float32(DT)
     return camera_filter.track(before, *moved, state.reference, image(k), RIG, state.key, CONFIG.tracking)

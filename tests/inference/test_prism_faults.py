@@ -1,4 +1,4 @@
-"""What befalls a hand-held camera: none of it is fatal, none is silent, and none gets into the map."""
+"""Test faults of a hand-held camera: none is fatal, each is reported, and none enters the map."""
 
 from functools import cache
 
@@ -53,7 +53,7 @@ def step(state: PrismState, taken: RGBD, dt: float = DT, config=CONFIG):
 
 
 def check_map(state: PrismState, k: float) -> None:
-    """Rendered from where the camera truly is, the map shows the room."""
+    """Assert that the map, rendered from the true pose, shows the room."""
     T = jnp.asarray(np.linalg.inv(true_pose(0)) @ true_pose(k), jnp.float32)
     seen = render(state.map, T, CAMERA, CONFIG.update.max_depth)
     known = np.asarray(seen.known)
@@ -65,7 +65,7 @@ def check_map(state: PrismState, k: float) -> None:
 
 @cache
 def undisturbed() -> np.ndarray:
-    """Stds of pose and velocity of a walk to which nothing happened."""
+    """Return the stds of pose and velocity of a walk without faults."""
     return stds(walked(WALKED)[1][-1])
 
 
@@ -74,7 +74,7 @@ def stds(info: FilterInfo) -> np.ndarray:
 
 
 def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
-    """From frame ``k`` on the camera is tracked as if nothing had been, as surely, and the map is whole."""
+    """Assert that from frame ``k`` on the camera is tracked as without the fault, and the map is whole."""
     for j in range(k, k + frames):
         state, info = step(state, image(j))
         assert info.status in TRACKED, f"frame {j}: {info.status.message}"

@@ -1,4 +1,4 @@
-"""Adaptive process noise: what level a hand of known unsteadiness is given."""
+"""Test the adaptive process noise: the scale that a hand of known unsteadiness gets."""
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +16,20 @@ NOISE = RigidNoise(0.15, 0.01, 0.3, 0.01)
 
 @jax.jit
 def step(level, moved, predicted, posterior, dt):
-    """What a step of the configured noise adds to a pose at rest is what innovations are compared with."""
+    """Return the noise of a step of a pose at rest, which normalises innovations."""
     rest = RIGID.resting(jnp.eye(4))
     noise = Rigid(NOISE).noise_covariance(rest, jnp.zeros(6), dt)[:6, :6]
     return process_noise.adapt(level, moved, predicted, posterior, dt, noise, RIGID)
 
 
 def adapt(level, moved, dt: float, left: float = 0.0) -> jnp.ndarray:
-    """With an image that leaves the share ``left`` of the prediction's uncertainty."""
+    """Adapt to an image that leaves the share ``left`` of the prediction's uncertainty."""
     P = jnp.diag(jnp.asarray([2e-4] * 3 + [5e-4] * 3))
     return step(level, jnp.asarray(moved, jnp.float32), P, left * P, jnp.float32(dt))
 
 
 def innovations(rng: np.random.Generator, std: tuple[float, float], dt: float, n: int) -> np.ndarray:
-    """Of a hand whose noise is ``std`` of the configured one, drawn by its definition."""
+    """Draw innovations of a hand whose noise is ``std`` of the configured one."""
     pose, velocity = (np.asarray(v, float) for v in NOISE.variances(dt))
     return rng.standard_normal((n, 6)) * np.sqrt(pose + velocity * dt**2) * np.repeat(std, 3)
 

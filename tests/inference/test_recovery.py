@@ -1,4 +1,4 @@
-"""Recovery: a camera carried off finds its place in the map again, and a wrong place is not believed."""
+"""Test recovery: a displaced camera is relocalised in the map, and a wrong pose is not accepted."""
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ def place(rng: np.random.Generator) -> np.ndarray:
 
 
 def off(T: np.ndarray, rng: np.random.Generator, metres: float, degrees: float) -> np.ndarray:
-    """Carried along the floor and turned left or right: float64."""
+    """Displace a pose along the floor and turn it left or right: float64."""
     yaw = np.radians(degrees) * rng.choice([-1.0, 1.0])
     angle = rng.uniform(0.0, 2.0 * np.pi)
     c, s = np.cos(yaw), np.sin(yaw)
@@ -44,7 +44,7 @@ def off(T: np.ndarray, rng: np.random.Generator, metres: float, degrees: float) 
 
 
 def error(T: jax.Array, truth: np.ndarray) -> tuple[float, float]:
-    """m, degrees."""
+    """Return m, degrees."""
     xi = np.asarray(se3_log(f32(np.linalg.inv(truth) @ np.asarray(T, float))))
     return float(np.linalg.norm(xi[:3])), float(np.degrees(np.linalg.norm(xi[3:])))
 

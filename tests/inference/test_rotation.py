@@ -1,4 +1,4 @@
-"""The rotation between two images: known turns are found, and an image with nothing to go by asks for none."""
+"""Test the rotation between two images: known turns are found, and untextured images give none."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def seen(T: np.ndarray) -> jax.Array:
 
 
 def sky(seed: int, R: np.ndarray) -> jax.Array:
-    """Brightness of directions alone, amplitudes falling with frequency as in pictures of the world."""
+    """Return brightness by direction, with amplitudes that fall with frequency as in natural images."""
     rng = np.random.default_rng([seed, 2])
     size = np.geomspace(1.0, 20.0, 40)
     waves = rng.standard_normal((40, 3))
@@ -42,7 +42,7 @@ def sky(seed: int, R: np.ndarray) -> jax.Array:
 
 
 def angle(R: np.ndarray) -> float:
-    """Degrees."""
+    """Return degrees."""
     return float(np.degrees(np.linalg.norm(np.asarray(jaxlie.SO3.from_matrix(jnp.asarray(R, jnp.float32)).log()))))
 
 

@@ -1,4 +1,4 @@
-"""Tracking a planar robot in a known map: it stays on track where odometry drifts, says so when lost, and recovers."""
+"""Test tracking of a planar robot in a known map: accuracy, loss of track and relocalisation."""
 
 import jax
 import jax.numpy as jnp
@@ -28,13 +28,13 @@ START = np.array([-0.5, -0.4, 2.9])  # turning left from here wraps the heading
 
 
 def see(planar: np.ndarray) -> RGBD:
-    """The camera image of a robot at a pose, through the bytes that a camera delivers."""
+    """Take the camera image of a robot at a pose, quantised to bytes."""
     image = ROOM.image(planar_to_matrix(planar) @ ROBOT.T_body_cam, CAMERA)
     return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
 def drive(steps: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Commands of a tight noisy circle in the middle of the room, and the true pose after each."""
+    """Return commands of a tight noisy circle in the middle of the room, and the true pose after each."""
     rng, planar, result = np.random.default_rng(seed), START, []
     for _ in range(steps):
         command = np.array([0.18, rng.uniform(-0.08, 0.08), 0.08])
@@ -44,7 +44,7 @@ def drive(steps: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def error(state: TrackerState, planar: np.ndarray) -> tuple[float, float]:
-    """Metres and radians."""
+    """Return metres and radians."""
     delta = np.asarray(state.past.belief.mean, float) - planar
     return float(np.hypot(delta[0], delta[1])), abs(float(wrap_angle(delta[2:])[0]))
 
@@ -61,7 +61,7 @@ def start(tracker: Filter = IN_MAP, m: VoxelMap | None = None, std: float = 1e-3
 
 
 def dead_reckoning_error(drive: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Metres at the end, from the commands alone."""
+    """Return metres at the end, from the commands alone."""
     planar, still = START, np.random.default_rng(0)
     for command, _ in drive:
         planar = execute(planar, command, ExecutionNoise(0.0, 0.0), still)

@@ -1,4 +1,4 @@
-"""The empty-space index against brute force over the dense grid: what it calls empty is empty, and no box is missed."""
+"""Test the empty-space index against brute force over the dense grid: exact, and no box missed."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,10 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 
 def occupied_cubes(m: VoxelMap) -> np.ndarray:
-    """(nx, ny, nz): any of the eight cells from (i, j, k) on is above zero; cells beyond the grid repeat its last."""
+    """Return (nx, ny, nz): any of the eight cells from (i, j, k) on is above zero.
+
+    Cells beyond the grid repeat its last.
+    """
     above = np.pad(np.asarray(m.dense(m.occupancy)) > 0.0, (0, 1), mode="edge")
     cubes = np.zeros(m.shape, bool)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -24,7 +27,7 @@ def occupied_cubes(m: VoxelMap) -> np.ndarray:
 
 
 def levels_by_definition(m: VoxelMap) -> np.ndarray:
-    """The number of nested aligned boxes of 1, 2, 4, 8 cubes around a cube that are wholly empty."""
+    """Return the number of nested aligned boxes of 1, 2, 4, 8 cubes around a cube that are wholly empty."""
     occupied = occupied_cubes(m)
     level = np.zeros(m.shape, int)
     for size in (1, 2, 4, 8):

@@ -1,4 +1,4 @@
-"""The block-sparse map answers as the dense one does, cell for cell, and the window of both can move."""
+"""Test the block-sparse map against the dense one, cell for cell, and the rolling window of both."""
 
 from pathlib import Path
 
@@ -43,7 +43,7 @@ def pose(seed: int) -> np.ndarray:
 
 
 def seen(seed: int, images: int, slots: int | None) -> VoxelMap:
-    """A map of the room after some images."""
+    """Return a map of the room after some images."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE, slots)
     for i in range(images):
         T = np.asarray(f32(pose(seed + i)), float)
@@ -212,7 +212,7 @@ def test_save_and_load_a_sparse_map(tmp_path_factory, seed: int) -> None:
 
 
 def shifted(array: np.ndarray, shift: np.ndarray, fill: float) -> np.ndarray:
-    """(nx, ny, nz, ...) cells of the window moved by whole blocks."""
+    """Return (nx, ny, nz, ...) cells of the window moved by whole blocks."""
     out = np.full_like(array, fill)
     spans = [(max(0, BLOCK * s), min(n, n + BLOCK * s)) for s, n in zip(shift, array.shape, strict=False)]
     if all(a < b for a, b in spans):

@@ -1,4 +1,4 @@
-"""The map: interpolation laws, the prior, block storage, and files that are whole, versioned and free of pickle."""
+"""Test the map: interpolation laws, the prior, block storage, and files without pickle."""
 
 import io
 import json
@@ -31,14 +31,14 @@ field, precision = jax.jit(VoxelMap.field), jax.jit(VoxelMap.precision)
 
 
 def points(seed: int, margin: float = 0.0) -> np.ndarray:
-    """(POINTS, 3) in the grid, or up to ``margin`` of its size around it; float32 values."""
+    """Return (POINTS, 3) in the grid, or up to ``margin`` of its size around it; float32 values."""
     extent = VOXEL * (np.array(SHAPE) - 1)
     t = np.random.default_rng(seed).uniform(-margin, 1 + margin, (POINTS, 3))
     return np.asarray(ORIGIN + t * extent, np.float32)
 
 
 def affine_map(coefficients: np.ndarray) -> VoxelMap:
-    """Every channel an affine function of position: ``coefficients`` (4, 4) of (x, y, z, 1) for occupancy and RGB."""
+    """Return a map whose channels are affine: ``coefficients`` (4, 4) of (x, y, z, 1) for occupancy and RGB."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     p = cell_centres(m)
     values = p @ coefficients[:, :3].T + coefficients[:, 3]
@@ -89,7 +89,7 @@ def test_cells_are_returned_at_their_centres() -> None:
 
 
 def test_the_prior() -> None:
-    """Std 10 m and 10 in colour, occupancy -0.001, colour 0 (SPEC 1), inside the grid and beyond it."""
+    """Std 10 m and 10 in colour, occupancy -0.001, colour 0 (VSSM-LM), inside the grid and beyond it."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     p = points(0, margin=0.5)
     values, precisions = np.asarray(field(m, p)), np.asarray(precision(m, p))
@@ -209,13 +209,13 @@ def rewrite(path: Path, **changes: object) -> None:
 
 
 def header(path: Path, **changes: object) -> np.ndarray:
-    """The header of a map file with some fields changed or (with None) dropped."""
+    """Return the header of a map file with some fields changed or (with None) dropped."""
     fields = {**read_metadata(path), **changes}
     return np.frombuffer(json.dumps({k: v for k, v in fields.items() if v is not None}).encode(), np.uint8)
 
 
 def assert_refused(path: Path, field: str) -> None:
-    """One clear error that names the file and the field."""
+    """Assert one clear error that names the file and the field."""
     with pytest.raises(InputError) as caught:
         VoxelMap.load(path)
     assert caught.value.source == str(path)

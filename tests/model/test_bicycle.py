@@ -1,4 +1,4 @@
-"""The kinematic bicycle: circles, an ODE solver as oracle, beliefs against Monte Carlo."""
+"""Test the kinematic bicycle: circles, an ODE solver as oracle, beliefs against Monte Carlo."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Every spelling of the car's motion outside JAX, held in float64 to the one law of the bicycle's transition.
+"""Compare all implementations of the car's motion outside JAX with the bicycle's transition, in float64.
 
 Planners that run in NumPy, numba or CasADi lay arcs of their own; this table names them all.
 """
@@ -27,7 +27,7 @@ SPEEDS, STEERINGS = np.array([0.6, -0.6, 0.3, -0.05, 0.0]), np.linspace(-CAR.max
 
 
 def law(poses: np.ndarray, controls: np.ndarray, seconds: np.ndarray | float) -> np.ndarray:
-    """``Bicycle.mean`` in float64, ``(..., 3)``."""
+    """Return ``Bicycle.mean`` in float64, ``(..., 3)``."""
     with jax.enable_x64(True):
         bicycle = Bicycle(wheelbase=CAR.wheelbase)
         arguments = np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (poses, np.zeros(poses.shape))))
@@ -36,14 +36,14 @@ def law(poses: np.ndarray, controls: np.ndarray, seconds: np.ndarray | float) ->
 
 
 def assert_same(poses: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
-    """Metres and radians, headings modulo a turn."""
+    """Compare metres and radians, headings modulo a turn."""
     assert poses.shape == expected.shape
     np.testing.assert_allclose(poses[..., :2], expected[..., :2], rtol=0.0, atol=tolerance)
     assert np.abs(np.exp(1j * poses[..., 2]) - np.exp(1j * expected[..., 2])).max() <= tolerance
 
 
 def drawn(n: int = 400) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and controls of all kinds, steps that stand or go straight among them."""
+    """Draw poses and controls of all kinds, including steps at rest and straight ones."""
     rng = np.random.default_rng(0)
     poses = rng.uniform([-5.0, -5.0, -3.1], [5.0, 5.0, 3.1], (n, 3))
     controls = np.stack([rng.choice(SPEEDS, n), rng.choice([*STEERINGS, 1e-4], n)], axis=-1)
@@ -58,7 +58,7 @@ def numpy_arcs() -> tuple[np.ndarray, np.ndarray]:
 
 
 def numba_arcs() -> tuple[np.ndarray, np.ndarray]:
-    """With the exact chord."""
+    """Return arcs with the exact chord."""
     poses, controls = drawn()
     s = controls[:, 0] * CAR.dt
     turn = arc.turn_of(s, controls[:, 1], CAR.wheelbase)
@@ -75,7 +75,7 @@ def casadi_symbols() -> tuple[np.ndarray, np.ndarray]:
 
 
 def value_iteration_motions() -> tuple[np.ndarray, np.ndarray]:
-    """Along every motion from every heading of several grids."""
+    """Return the motions from every heading of several grids."""
     found, expected = [], []
     for n_headings, turns in ((8, (-1, 0, 1)), (16, (0, 2)), (64, (-3, -1, 0, 1, 3))):
         motions = Motions.of(CAR, n_headings, turns)
@@ -91,7 +91,7 @@ def value_iteration_motions() -> tuple[np.ndarray, np.ndarray]:
 
 
 def hybrid_astar_arcs() -> tuple[np.ndarray, np.ndarray]:
-    """Displacements of a search's arcs, applied as the search applies them."""
+    """Return the displacements of a search's arcs, applied as the search applies them."""
     radius, step = 1.2 * CAR.turning_radius, 0.15
     moves = hybrid_astar.arcs(step, radius, 5, 0.04)
     pose = np.array([1.0, -2.0, 0.7])
@@ -104,7 +104,7 @@ def hybrid_astar_arcs() -> tuple[np.ndarray, np.ndarray]:
 
 
 def reeds_shepp_curves() -> tuple[np.ndarray, np.ndarray]:
-    """One segment each, sampled."""
+    """Return sampled curves of one segment each."""
     radius, start = 0.6, np.array([0.3, 0.2, -2.0])
     found, expected = [], []
     for length in (0.9, -0.4):

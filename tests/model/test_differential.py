@@ -1,4 +1,4 @@
-"""Differential drive: laws of its noisy wheels, the robot in an apartment, and the model's transition beside it."""
+"""Test differential drive: laws of its noisy wheels, the robot in an apartment, and the transition."""
 
 import math
 
@@ -39,7 +39,7 @@ def executed(planar: np.ndarray, command: np.ndarray, noise: Noise, seed: int) -
 
 
 def rolled(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """What the wheels must have rolled to drive the arc between two poses, m; turns below pi."""
+    """Return the wheels' travel that drives the arc between two poses, m; turns below pi."""
     turn = float(wrap_angle(after[2] - before[2]))
     c, s = math.cos(before[2] + 0.5 * turn), math.sin(before[2] + 0.5 * turn)
     chord = c * (after[0] - before[0]) + s * (after[1] - before[1])

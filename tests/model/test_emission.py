@@ -1,4 +1,4 @@
-"""The renderer: the fast search against every sample of the march, depths known in closed form, and its gradients."""
+"""Test the renderer: the fast search against every sample of the march, closed-form depths, gradients."""
 
 import functools
 
@@ -40,18 +40,18 @@ def f32(a: np.ndarray) -> jax.Array:
 
 
 def look(m: VoxelMap, T_world_cam: np.ndarray, max_depth: float = MAX_DEPTH, camera: Camera = CAMERA) -> RGBD:
-    """The image of a map; always the same call, so that it compiles once."""
+    """Render a map with one fixed signature, so that it compiles once."""
     return render(m, f32(T_world_cam), camera, max_depth)
 
 
 def on_face(m: VoxelMap, p: np.ndarray) -> np.ndarray:
-    """Points within a thousandth of a cell of the planes that end the grid."""
+    """Return points within a thousandth of a cell of the planes that end the grid."""
     g = (p - np.asarray(m.origin, float)) / VOXEL
     return np.minimum(np.abs(g), np.abs(g - np.array(m.shape) + 1)).min(axis=-1) < 1e-3
 
 
 def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) -> float:
-    """``search`` finds ``march``'s sample on every ray, but for samples whose occupancy is zero up to rounding.
+    """Assert that ``search`` finds ``march``'s sample on every ray, except at samples of zero occupancy.
 
     Returns the share of rays with such a sample.
     """
@@ -173,7 +173,7 @@ def test_images_agree_with_the_float64_renderer(seed: int) -> None:
 
 
 def wall_field(occupancy_of_x: np.ndarray) -> VoxelMap:
-    """A map that varies along x only."""
+    """Return a map that varies along x only."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     dense = np.broadcast_to(occupancy_of_x[:, None, None], SHAPE)
     return m.with_occupancy(m.blocked(f32(dense)))
@@ -264,7 +264,7 @@ gradient = jax.jit(jax.grad(loss), static_argnums=4)
 
 @jax.jit
 def forward_gradient(theta, direction, rest: VoxelMap, T, mask, hits) -> jax.Array:
-    """The derivative along a direction, in forward mode, with the search's result given."""
+    """Return the derivative along a direction, in forward mode, with the search's result given."""
     return jax.jvp(lambda t: loss(t, rest, T, mask, lambda *_: hits), (theta,), (direction,))[1]
 
 
@@ -281,7 +281,7 @@ def theta_at(m: VoxelMap):
 
 
 def oracle_value(field: FieldOracle, T: np.ndarray, tangent: np.ndarray, intrinsics: np.ndarray, mask: np.ndarray):
-    """The float64 loss and the samples that were hit."""
+    """Return the float64 loss and the samples that were hit."""
     camera = Camera(CAMERA.width, CAMERA.height, *map(float, intrinsics))
     with jax.enable_x64(True):
         moved = T @ np.asarray(se3_exp(jnp.asarray(tangent, jnp.float64)))
@@ -294,7 +294,7 @@ def float32_pose(name: str) -> np.ndarray:
 
 
 def smooth_pixels(m: VoxelMap, T: np.ndarray) -> np.ndarray:
-    """Pixels where float32 and float64 hit the same sample: elsewhere a derivative means nothing."""
+    """Return pixels where float32 and float64 hit the same sample; elsewhere derivatives are undefined."""
     camera = Camera(CAMERA.width, CAMERA.height, *INTRINSICS)
     image = look(m, T, camera=camera)
     depth, _, k = FieldOracle.of(m).render(T, camera)
@@ -379,7 +379,7 @@ def test_gradients_are_finite_at_singular_points() -> None:
 
 
 def flat_image(depth: float, rgb: np.ndarray, hit: bool = True) -> RGBD:
-    """One pixel."""
+    """Return one pixel."""
     return RGBD(jnp.full((1, 1), depth), f32(rgb).reshape(1, 1, 3), jnp.full((1, 1), hit), jnp.full((1, 1), hit))
 
 

@@ -1,4 +1,4 @@
-"""Map uncertainty in images: propagation against Monte Carlo of sampled maps, exact sensitivities, and its laws."""
+"""Test map uncertainty in images: propagation against sampled maps, exact sensitivities, laws."""
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ WALL = Room(interior=((-2.0, -4.0, -4.0), (1.53, 4.0, 4.0)))
 
 
 def wall(count: float) -> VoxelMap:
-    """A room whose wall at x = 1.53 every cell has seen ``count`` times."""
+    """Return a room whose wall at x = 1.53 was observed ``count`` times by every cell."""
     m = WALL.to_map((-0.5, -1.6, -1.2), 0.07, (40, 48, 40))
     full = lambda a: jnp.full_like(a, count)
     return eqx.tree_at(
@@ -35,7 +35,7 @@ def pose(yaw: float = 0.0, pitch: float = 0.0) -> jax.Array:
 
 @pytest.fixture(scope="module")
 def seen() -> VoxelMap:
-    """A room mapped from two images: observed in part, as real maps are."""
+    """Return a room mapped from two images: observed in part, as real maps are."""
     m = VoxelMap.prior(*GRID)
     for yaw in (0.0, 0.4):
         T = camera_pose((-1.0, 0.0, 1.0), yaw)

@@ -1,4 +1,4 @@
-"""The IMU-driven body: laws of motion, its linearisation, and a real drone's IMU against motion capture."""
+"""Test the IMU-driven body: laws of motion, its linearisation, and a real drone's IMU against motion capture."""
 
 import gzip
 from pathlib import Path
@@ -97,7 +97,7 @@ def test_prediction_agrees_with_samples() -> None:
 
 @pytest.fixture(scope="module")
 def euroc(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
-    """EuRoC V1_01: IMU rows (t, gyro, accelerometer) at 200 Hz, true states at 20 Hz; s since the first."""
+    """Return EuRoC V1_01: IMU rows (t, gyro, accelerometer) at 200 Hz, true states at 20 Hz; s since the first."""
     folder = shared_data / "uav_imu" / "euroc_V1_01_easy"
     if not folder.is_dir():
         pytest.skip("no shared/data/uav_imu/euroc_V1_01_easy")

@@ -1,4 +1,4 @@
-"""The model: its joint density against a float64 oracle, ancestral rollouts and the regions they predict."""
+"""Test the model: its joint density against a float64 oracle, ancestral rollouts and the regions they predict."""
 
 import equinox as eqx
 import jax
@@ -51,7 +51,7 @@ def room() -> VoxelMap:
 
 
 def commands(rng: np.random.Generator, steps: int = STEPS) -> np.ndarray:
-    """What a robot is told: turn and drive within its limits; now and then one of the two alone."""
+    """Draw commands: turn and drive within the limits, sometimes only one of the two."""
     u = rng.uniform([-1.0, -1.0, 0.0], 1.0, (steps, 3)) * ROBOT.limits
     u[rng.random(steps) < 0.15, 0] = 0.0
     u[rng.random(steps) < 0.15, 2] = 0.0
@@ -59,7 +59,7 @@ def commands(rng: np.random.Generator, steps: int = STEPS) -> np.ndarray:
 
 
 def random_belief(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of a robot known to a few centimetres and degrees, correlated."""
+    """Return mean and covariance of a robot known to a few centimetres and degrees, correlated."""
     root = np.diag([0.03, 0.03, 0.03]) @ rng.normal(size=(3, 3)) / np.sqrt(3)
     return np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)]), root @ root.T
 
@@ -68,7 +68,7 @@ def random_belief(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 
 def oracle_images(m: VoxelMap, poses: list[np.ndarray], images: RGBD, scales: EmissionScales) -> list[float]:
-    """``sum log Laplace`` over pixels that both have depth, in float64."""
+    """Return ``sum log Laplace`` over pixels that both have depth, in float64."""
     oracle, total = FieldOracle.of(m), []
     for t, T in enumerate(poses):
         depth, rgb, k = oracle.render(T, VIEW)

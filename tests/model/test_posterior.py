@@ -1,4 +1,4 @@
-"""``q(z) q(M)``: samples, densities and entropies agree; what is saved is read back; damage is one error."""
+"""Test ``q(z) q(M)``: samples, densities and entropies agree; files are read back; damage is one error."""
 
 import json
 import zipfile
@@ -46,7 +46,7 @@ def belief(name: str) -> GaussianBelief:
 
 
 def tiny_map(storage: str) -> VoxelMap | None:
-    """Two blocks of 8^3 cells, the second one observed: near the surface, far from it, and not at all, a third each."""
+    """Return two blocks of 8^3 cells; the second is observed near the surface, far from it, and not at all."""
     if storage == "none":
         return None
     rng = np.random.default_rng(1)
@@ -142,7 +142,7 @@ def test_entropies_are_those_of_the_parts(kind: str, storage: str) -> None:
 
 
 class Either(eqx.Module):
-    """Half of one Gaussian, half of another."""
+    """Mix two Gaussians, half of each."""
 
     a: GaussianBelief
     b: GaussianBelief

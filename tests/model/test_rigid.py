@@ -1,4 +1,4 @@
-"""The rigid body: laws of motion, Jacobians against finite differences in float64, beliefs against Monte Carlo."""
+"""Test the rigid body: laws of motion, Jacobians against finite differences in float64, beliefs against Monte Carlo."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The planar transition against simulation, and the laws of every transition and of every belief."""
+"""Test the planar transition against simulation, and the laws of every transition and belief."""
 
 from collections.abc import Callable
 from functools import partial
@@ -56,12 +56,12 @@ def f32(a: np.ndarray) -> jax.Array:
 
 
 def body_frame_errors(mean: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """``xi`` (n, 3) of ``T = T_mean exp(xi)``, to first order in the rotation."""
+    """Return ``xi`` (n, 3) of ``T = T_mean exp(xi)``, to first order in the rotation."""
     return matrix_to_planar(inverse(planar_to_matrix(mean)) @ planar_to_matrix(samples))
 
 
 def as_executed(planar: np.ndarray, command: np.ndarray, noise: ExecutionNoise, rng: np.random.Generator) -> np.ndarray:
-    """The execution noise of many robots (n, 3) at once; a right turn flips its sign, a direction does not."""
+    """Add execution noise to many robots (n, 3); a right turn flips its sign, a direction does not."""
     turn, offset, step = command
     e_a, e_s = rng.normal(0.0, noise.turn, len(planar)), rng.normal(0.0, noise.step, len(planar))
     turned = np.sign(turn) * np.maximum(0.0, abs(turn) + e_a)
@@ -71,7 +71,7 @@ def as_executed(planar: np.ndarray, command: np.ndarray, noise: ExecutionNoise, 
 
 
 def assert_covariances_agree(predicted: np.ndarray, errors: np.ndarray, tolerance: float = 0.04) -> None:
-    """Entry by entry, in units of the predicted standard deviations."""
+    """Compare covariances entry by entry, in units of the predicted standard deviations."""
     empirical = np.cov(errors.T)
     spread = np.sqrt(np.maximum(np.diag(predicted), 1e-10))
     np.testing.assert_allclose(
@@ -170,7 +170,7 @@ def test_means_take_batches() -> None:
 
 
 class Case(NamedTuple):
-    """A transition, one state, one control, the length of the step; noise so wide that curvature shows."""
+    """Hold a transition, a state, a control and a step; the noise is wide, so that curvature matters."""
 
     transition: Transition
     state: Any
@@ -204,13 +204,13 @@ def dimensions(transition: Transition) -> int:
 
 
 def some_covariance(n: int, seed: int = 0, scale: float = 0.05) -> np.ndarray:
-    """Correlated and positive definite."""
+    """Return a correlated, positive definite covariance."""
     root = np.random.default_rng(seed).normal(size=(n, n)) * scale / np.sqrt(n)
     return root @ root.T + (0.3 * scale) ** 2 * np.eye(n)
 
 
 def same(actual: np.ndarray, expected: np.ndarray, turns: np.ndarray | None = None, atol: float = 1e-5) -> None:
-    """Entry by entry, headings modulo a whole turn."""
+    """Compare states entry by entry, headings modulo a whole turn."""
     off = np.asarray(actual, float) - np.asarray(expected, float)
     if turns is not None:
         off[..., turns] = np.angle(np.exp(1j * off[..., turns]))
@@ -218,7 +218,7 @@ def same(actual: np.ndarray, expected: np.ndarray, turns: np.ndarray | None = No
 
 
 def assert_density_belongs(manifold: Manifold, drawn: Any, log_prob: Callable[[Any], jax.Array]) -> None:
-    """``E_p[q / p] = 1`` for a Gaussian ``q`` centred elsewhere: constants and volumes count."""
+    """Assert ``E_p[q / p] = 1`` for a Gaussian ``q`` centred elsewhere, which tests constants and volumes."""
     error = eqx.filter_jit(manifold.error)
     log_p = np.asarray(log_prob(drawn), float)
     xi = np.asarray(error(jax.tree.map(lambda a: a[0], drawn), drawn), float)
@@ -286,7 +286,7 @@ def test_densities_belong_to_their_samples(name: str) -> None:
 
 @each
 def test_default_densities_belong_to_default_samples(name: str) -> None:
-    """What a transition that states nothing but its mean and its noise inherits."""
+    """A transition inherits densities from its mean and its noise."""
     transition, state, control, dt = EVERY[name]
     n = 20_000
     drawn = eqx.filter_jit(partial(Transition.sample, transition))(

@@ -1,4 +1,4 @@
-"""Calibration metrics: samples from the stated Gaussian are calibrated, others deviate the way they should."""
+"""Test calibration metrics: samples from the stated Gaussian are calibrated, others deviate as expected."""
 
 import jax
 import numpy as np
@@ -16,13 +16,13 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def covariances(rng: np.random.Generator, n: int, d: int = 6) -> np.ndarray:
-    """Full and different for each frame, millimetres beside degrees, one axis far more certain than the rest."""
+    """Return full covariances, different for each frame, with one axis far more certain than the rest."""
     A = rng.normal(size=(n, d, d)) * 10.0 ** rng.uniform(-4.0, -1.0, (n, d, 1))
     return A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(d)
 
 
 def samples(rng: np.random.Generator, S: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """Residuals whose true covariance is ``scale`` times the stated one."""
+    """Draw residuals whose true covariance is ``scale`` times the stated one."""
     return np.sqrt(scale) * np.einsum("nij,nj->ni", np.linalg.cholesky(S), rng.normal(size=S.shape[:2]))
 
 

@@ -1,4 +1,4 @@
-"""A flight as a recording: what ``record --motion flight`` leaves, what ``slam`` makes of it, and the study of it."""
+"""Test the recording of a flight, ``slam`` on it, and the study of it."""
 
 import json
 import shutil

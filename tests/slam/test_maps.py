@@ -1,4 +1,4 @@
-"""Recordings and the maps made from them: a whole TUM folder or none, and surfaces where the walls are."""
+"""Test recordings and the maps made from them: a complete TUM folder or none, and surfaces at the walls."""
 
 import json
 
@@ -23,7 +23,7 @@ TABLE = furniture("table", (1.5, 2.0, 0.25), (0.6, 0.6, 0.5))
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """Two rooms with a table in the west one, driven once with noise."""
+    """Record two rooms with a table in the west one, driven once with noise."""
     folder = tmp_path_factory.mktemp("recording")
     save_scene(two_rooms(pieces=(TABLE,)), folder / "rooms.json")
     heard = []
@@ -120,7 +120,7 @@ def test_the_map_has_its_surfaces_where_the_walls_are(recording):
     assert np.all(high - low < 2 * reach + 2.0)
 
     def surfaces(start, end, n=400):
-        """Places along a segment where the mean occupancy changes sign, as distances from its start."""
+        """Return places along a segment where the mean occupancy changes sign, as distances from its start."""
         start, end = np.array(start), np.array(end)
         t = np.linspace(0.0, 1.0, n)
         occupancy = np.asarray(voxel_map.field(jnp.asarray(start + t[:, None] * (end - start), jnp.float32)))[:, 0]
@@ -136,7 +136,7 @@ def test_the_map_has_its_surfaces_where_the_walls_are(recording):
 
 @pytest.fixture
 def drives(recording, monkeypatch):
-    """Makes :func:`ensure_map` quick: recordings are a note of what they are of, maps one empty block."""
+    """Make :func:`ensure_map` fast: a recording is a note of its arguments, a map one empty block."""
     made = []
 
     def record_note(scene, out, *, noise, seed, progress):

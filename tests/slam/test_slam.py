@@ -1,4 +1,4 @@
-"""``vssm-gym slam`` on a recording of a room known in closed form, on real data, interrupted, and on bad input."""
+"""Test ``vssm-gym slam`` on a room known in closed form, on real data, interrupted, and on bad input."""
 
 import json
 import re
@@ -40,7 +40,7 @@ def recording(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def vssm(monkeypatch, capsys):
-    """Runs the console script in this process: ``vssm("slam", ...) -> (exit code, stdout, stderr)``."""
+    """Run the console script in this process: ``vssm("slam", ...) -> (exit code, stdout, stderr)``."""
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
@@ -117,7 +117,7 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
 
 @pytest.fixture(scope="module")
 def learned(recording, tmp_path_factory) -> Path:
-    """The posterior that a run over the recording leaves."""
+    """Return the posterior of a run over the recording."""
     run = run_slam(load_sequence(recording), SlamOptions(size=(80, 60), voxel=0.08, extent=6.4))
     path = tmp_path_factory.mktemp("learned") / "room.npz"
     run.posterior.save(path)
@@ -143,7 +143,7 @@ def test_the_tracker_locates_a_camera_in_a_map_that_is_known(vssm, recording, le
 
 
 def test_a_tracker_that_starts_elsewhere_is_lost_and_says_so(vssm, recording, learned, tmp_path):
-    """Where the map ends nothing fits; recovery then tries the map's origin, where the camera is."""
+    """No pose beyond the map is accepted; recovery then tries the map's origin, where the camera is."""
     options = ("--method", "tracker", "--map", learned, "--start", "50,0,0,0,0,0,1")
     code, printed, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options)
     assert code == 0, err

@@ -1,4 +1,4 @@
-"""The loop of ``slam``: where a map starts, what is lost, real images."""
+"""Test the loop of ``slam``: the start of a map, lost frames, real images."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Frames thinned to a rate and images read ahead."""
+"""Test thinning of frames to a rate, and reading images ahead."""
 
 import time
 
@@ -44,7 +44,7 @@ def test_a_third_of_a_fast_camera_is_a_third():
 
 
 class SlowReader:
-    """Gives each frame its number, late ones first; fails at ``broken``."""
+    """Return each frame's number, late ones first; fail at ``broken``."""
 
     def __init__(self, broken: int | None = None) -> None:
         self.broken, self.asked = broken, []

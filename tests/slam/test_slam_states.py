@@ -1,4 +1,4 @@
-"""The states of a run and what the report says of them: calibration, statuses, slices of the map."""
+"""Test the states of a run in the report: calibration, statuses, slices of the map."""
 
 import json
 from dataclasses import replace
@@ -37,7 +37,7 @@ STD = np.array([0.003, 0.004, 0.005, 0.002, 0.003, 0.004, 0.05, 0.06, 0.07, 0.1,
 
 
 def made_up_run(sequence, frames: int, seed: int = 0, **changes) -> SlamRun:
-    """Frames that err just as their covariance says, fields of some changed (``at_3={...}``)."""
+    """Make frames whose errors follow their covariance, with some fields changed (``at_3={...}``)."""
     rng = np.random.default_rng(seed)
     times, truth = sequence.truth
     start = inverse(truth[0])
@@ -60,7 +60,7 @@ def made_up_run(sequence, frames: int, seed: int = 0, **changes) -> SlamRun:
 
 @pytest.fixture(scope="module")
 def long_sequence(tmp_path_factory):
-    """300 true poses that turn and move in all directions; only the first image exists, and only it is looked at."""
+    """Make 300 true poses that turn and move in all directions; only the first image exists and is read."""
     folder = write_sequence(tmp_path_factory.mktemp("long") / "room")
     sequence = load_sequence(folder)
     times = 1000.0 + 0.1 * np.arange(300)
@@ -134,7 +134,7 @@ def test_every_status_is_said(long_sequence):
 
 
 def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
-    """The same belief with rows for the observed blocks only, last ones first."""
+    """Return the same belief with rows for the observed blocks only, in reverse order."""
     stored = np.flatnonzero((np.asarray(m.occupancy_precision) > OBSERVED_PRECISION).any(axis=1))[::-1]
     assert len(stored) < slots
     sparse = VoxelMap.prior(m.origin, float(m.voxel_size), m.shape, slots=slots)
@@ -145,7 +145,7 @@ def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
 
 
 def test_slices_read_a_sparse_map_as_a_dense_one():
-    """Where cells are and which points are known: by storage row, without laying out the cube."""
+    """Cells and known points are found by storage row, without laying out the cube."""
     image, config = RGBD.from_camera(*frame_of(0)), options().filter(CAMERA).config.update
     dense = update(options().prior().map, image.depth, image.rgb, jnp.eye(4), CAMERA, config)
     sparse = stored_sparsely(dense, 900)

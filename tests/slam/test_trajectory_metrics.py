@@ -1,4 +1,4 @@
-"""ATE and RPE against published-data reference values, against evo, and against the laws they obey."""
+"""Test ATE and RPE against published reference values, evo, and the laws that they obey."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ TRUTH = {
 
 
 def random_poses(rng: np.random.Generator, n: int) -> np.ndarray:
-    """A smooth random walk on SE(3)."""
+    """Draw a smooth random walk on SE(3)."""
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, :3, 3] = np.cumsum(rng.normal(0.0, 0.1, (n, 3)), axis=0)
     R = Rotation.identity()

@@ -1,4 +1,4 @@
-"""``vssm-gym map export``: a ROS map that a reader of its own understands, and meshes that other libraries do."""
+"""Test ``vssm-gym map export``: a ROS map read independently, and meshes that other libraries read."""
 
 import json
 import struct
@@ -33,7 +33,7 @@ def learned() -> VoxelMap:
 
 
 def read_ros_map(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """States and cell centres ``(rows, columns[, 2])`` as map_server's documentation says (wiki.ros.org/map_server)."""
+    """Read states and cell centres ``(rows, columns[, 2])`` as map_server documents (wiki.ros.org/map_server)."""
     about = yaml.safe_load(path.read_text())
     assert about["mode"] == "trinary"
     image = np.asarray(Image.open(path.parent / about["image"])).astype(float)
@@ -48,7 +48,7 @@ def read_ros_map(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def distance_inside(polygon: shapely.Polygon, xy: np.ndarray) -> np.ndarray:
-    """Metres to the polygon's border, positive inside."""
+    """Return metres to the polygon's border, positive inside."""
     points = shapely.points(xy)
     border = shapely.distance(polygon.exterior, points)
     return np.where(shapely.contains(polygon, points), border, -border)
@@ -202,7 +202,7 @@ def test_the_command_writes_everything_at_once(vssm, learned, tmp_path):
 
 
 def test_a_map_in_a_cameras_frame_has_no_plan(vssm, learned, tmp_path):
-    """Of `slam`: its z axis looks ahead, a horizontal cut through it is no floor plan."""
+    """A map of `slam` has its z axis ahead: a horizontal cut through it is no floor plan."""
     learned.save(tmp_path / "map.npz", sequence="desk", frames=7)
     code, out, err = vssm("map", "export", str(tmp_path / "map.npz"), "--out", str(tmp_path / "export"))
     assert (code, out, err.count("\n")) == (2, "", 1)

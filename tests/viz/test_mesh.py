@@ -1,4 +1,4 @@
-"""The surface mesh: on the zero of the field, facing free space, only where the map was observed; and its file."""
+"""Test the surface mesh: on the field's zero, facing free space, only where observed; and its file."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ CENTRE, RADIUS = np.array([1.03, -2.02, 0.71]), 0.63
 
 
 def observed(m: VoxelMap, occupancy: np.ndarray, colour: np.ndarray | None = None) -> VoxelMap:
-    """The map with these cells (nx, ny, nz), all of them observed four times."""
+    """Return the map with these cells (nx, ny, nz), all of them observed four times."""
     m = m.with_occupancy(m.blocked(jnp.asarray(occupancy, jnp.float32)))
     cells = m.colour if colour is None else m.blocked(jnp.asarray(colour, jnp.float32))
     seen = jnp.full_like(m.occupancy_precision, 4.0)
@@ -28,7 +28,7 @@ def observed(m: VoxelMap, occupancy: np.ndarray, colour: np.ndarray | None = Non
 
 
 def ball(shape: tuple[int, int, int] = (24, 24, 24)) -> VoxelMap:
-    """A ball whose colour is its place in the world."""
+    """Return a ball coloured by position."""
     m = VoxelMap.prior(CENTRE - 0.5 * VOXEL * (np.array(shape) - 1) + 0.013, VOXEL, shape)
     p = cell_centres(m)
     return observed(m, RADIUS - np.linalg.norm(p - CENTRE, axis=-1), 0.5 + 0.3 * (p - CENTRE))

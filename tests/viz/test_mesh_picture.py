@@ -1,4 +1,4 @@
-"""Pictures of meshes: which side is drawn, what hides what, what the cut takes away."""
+"""Test pictures of meshes: drawn sides, occlusion, the cut."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ RED, GREEN = (200, 0, 0), (0, 200, 0)
 
 
 def squares(*parts):
-    """Squares ``(corner, edge, edge, colour)``, seen from the side that ``edge x edge`` points to."""
+    """Return squares ``(corner, edge, edge, colour)``, seen from the side that ``edge x edge`` points to."""
     vertices, faces, colours = [], [], []
     for corner, a, b, colour in parts:
         c, a, b = (np.asarray(v, float) for v in (corner, a, b))
@@ -24,7 +24,7 @@ def squares(*parts):
 
 
 def share(image, colour):
-    """Of the pixels that show anything, how many have the hue of ``colour``."""
+    """Return the share of drawn pixels that have the hue of ``colour``."""
     shown = (image != PAPER).any(axis=2)
     return float(((image.argmax(axis=2) == int(np.argmax(colour))) & shown).sum() / max(shown.sum(), 1))
 

@@ -1,4 +1,4 @@
-"""The viewer's stream: what is shown arrives in a recording, and without rerun one sentence says how to get it."""
+"""Test the viewer's stream: frames arrive in a recording, and without rerun an error says how to install it."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), np.uint
 
 
 def show(file, frames: int, mesh: Mesh = TRIANGLE) -> list[str]:
-    """Stream some frames into a file; the lines of rerun's own print of it."""
+    """Stream some frames into a file; return the lines of rerun's own print of it."""
     pytest.importorskip("rerun", reason="the extra viz is not installed")
     viewer = open_viewer("test", CAMERA, file)
     for i in range(frames):
