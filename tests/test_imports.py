@@ -16,7 +16,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 # Each layer may import those before it; what stands on one line does not import its neighbours.
 LAYERS = [
-    ["errors", "files"],
+    ["errors", "files", "progress"],
     ["yaml_file", "output_folders"],
     ["geometry"],
     ["maps"],
@@ -31,7 +31,7 @@ LAYERS = [
     ["cli"],
 ]
 
-BASE = {"errors", "files", "geometry"}
+BASE = {"errors", "files", "progress", "geometry"}
 
 # Beside the layers: what else may be imported, by whom. The longest name that fits a module decides.
 ALLOWED: dict[str, set[str]] = {

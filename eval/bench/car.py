@@ -40,6 +40,7 @@ from vssm_gym.planning.mpc.mppi import Mppi
 from vssm_gym.planning.mpc.problem import MpcSolver
 from vssm_gym.planning.mpc.random_search import RandomSearch
 from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, solve
+from vssm_gym.progress import OnProgress
 
 SCENE = "arena"
 CELL = 0.035  # m
@@ -53,18 +54,17 @@ SPEED_ERROR, STEERING_ERROR = 0.03, np.radians(0.5)  # std of a step: relative, 
 AIM_VALUE, AIM_CONTROL = 2.0, 100.0  # s and ms
 SOLVERS: tuple[type[MpcSolver], ...] = (RandomSearch, Ipopt, Mppi)
 
-Progress = Callable[[str, int, int], None]
 Row = dict[str, Any]
 
 
-def measure(*, scene: str = SCENE, steps: int, seed: int, progress: Progress | None = None) -> dict[str, Any]:
+def measure(*, scene: str = SCENE, steps: int, seed: int, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """Times of everything that the car's agents are made of.
 
     Args:
         scene: an arena.
         steps: of closed loop for each controller.
         seed: of the bicycle's errors and of the environments.
-        progress: told ("measuring", parts, of how many).
+        on_progress: called with ("measuring", parts, of how many).
 
     Returns:
         ``rows`` with ``what, p50, p95`` (None for rates), ``unit, aim`` (of p95; of p50 where there is no p95), and
@@ -90,8 +90,8 @@ def measure(*, scene: str = SCENE, steps: int, seed: int, progress: Progress | N
     rows: list[Row] = []
     for i, part in enumerate(parts):
         rows += part()
-        if progress:
-            progress("measuring", i + 1, len(parts))
+        if on_progress:
+            on_progress("measuring", i + 1, len(parts))
     missing = None if bullet else "PyBullet is not installed: pip install 'vssm-gym[bullet]'"
     return {"scene": scene, "steps": steps, "rows": rows, "missing": missing, "machine": machine}
 

@@ -22,21 +22,20 @@ from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.geometry.transforms import R_BODY_CAM
+from vssm_gym.progress import OnProgress
 
 WINDOWS, SECONDS = 5, 1.0  # windows a row, and their length at least
 ROBOTS = 16  # of a vector environment
 SCENE = "oak"
 
-Progress = Callable[[str, int, int], None]
 
-
-def measure(*, scene: str = SCENE, seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
+def measure(*, scene: str = SCENE, seed: int = 0, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """Rates of every kind of environment.
 
     Args:
         scene: of the apartments' environments.
         seed: of tasks, noise and actions.
-        progress: told ("measuring", rows, of how many).
+        on_progress: called with ("measuring", rows, of how many).
 
     Returns:
         ``rows``: ``(what, steps a second, cores, aim or None)``; ``shapes`` of the scene; the machine; ``peer``: why
@@ -67,8 +66,8 @@ def measure(*, scene: str = SCENE, seed: int = 0, progress: Progress | None = No
             if not what.startswith("MiniWorld"):
                 raise
             peer = f"MiniWorld does not run here: {' '.join(str(error).split()):.200}"
-        if progress:
-            progress("measuring", i + 1, len(plans))
+        if on_progress:
+            on_progress("measuring", i + 1, len(plans))
     shapes = len(load_scene(scene).boxes())
     machine = {"cores": os.cpu_count(), "processor": platform.machine()}
     return {"scene": scene, "shapes": shapes, "rows": rows, "peer": peer, "machine": machine}

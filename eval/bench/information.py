@@ -8,7 +8,6 @@ and cells, and with what the true images at the same poses then give.
 import os
 import platform
 import time
-from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -30,6 +29,7 @@ from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.planning.exploration.information import InformationConfig, entropy, expected_gain
 from vssm_gym.planning.exploration.information.information_sum import gains
 from vssm_gym.planning.exploration.information.observed import Grid, observed
+from vssm_gym.progress import OnProgress
 
 VOXEL = 0.07  # m
 MARGIN = 0.25  # m of the map beyond floor and ceiling
@@ -52,17 +52,15 @@ ESTIMATES = {
     "default, 4 samples of the map": (InformationConfig(samples=4), 0.0),
 }
 
-Progress = Callable[[str, int, int], None]
 
-
-def measure(*, scene: str, candidates: int, seed: int, progress: Progress | None = None) -> dict[str, Any]:
+def measure(*, scene: str, candidates: int, seed: int, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """Times and rank correlations of every estimate, on maps of growing extent.
 
     Args:
         scene: built-in name or path.
         candidates: trajectories that are ranked on each map.
         seed: of the survey and of the candidates.
-        progress: told ("measuring", estimates, of how many).
+        on_progress: called with ("measuring", estimates, of how many).
 
     Returns:
         ``rows`` of ``map`` (images in it), ``entropy`` (nats), ``what``, ``ms`` (a step), ``rank`` (Spearman's, with
@@ -88,8 +86,8 @@ def measure(*, scene: str, candidates: int, seed: int, progress: Progress | None
             row = {"map": min(viewpoints * HEADINGS, len(looks)), "entropy": entropy(m), "what": what, "ms": ms}
             rows.append(row | {"rank": rank, "rank_true": rank_true, "ratio": ratio})
             recompilations += compiled
-            if progress:
-                progress("measuring", i * len(ESTIMATES) + j + 1, len(VIEWPOINTS) * len(ESTIMATES))
+            if on_progress:
+                on_progress("measuring", i * len(ESTIMATES) + j + 1, len(VIEWPOINTS) * len(ESTIMATES))
     eye.close()
     found = {"scene": scene, "candidates": candidates, "steps": STEPS, "cells": int(np.prod(m.shape)), "rows": rows}
     return found | {"aims": (AIM_MS, AIM_RANK), "recompilations": recompilations, "machine": machine}

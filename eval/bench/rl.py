@@ -21,6 +21,7 @@ import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.envs.world_model.step import programs
 from vssm_gym.eval.bench.envs import ROBOTS, steps_a_second
 from vssm_gym.eval.bench.imagined_replay import replay
+from vssm_gym.progress import OnProgress
 
 SCANS = (1, 16, 64, 256, 1024)  # robots of the imagined rows
 IMAGES = (16, 64, 256)
@@ -28,12 +29,11 @@ MAIN = 256  # robots of what is promised
 SCAN_AIM, IMAGE_AIM, RATIO_AIM = 150_000.0, 5_000.0, 50.0
 BLOCK = 50  # batches of actions drawn beforehand: drawing them is the caller's time
 
-Progress = Callable[[str, int, int], None]
 Plan = tuple[str, int, Callable[[], float], float | None]  # what, robots, its rate, what is promised
 
 
 def measure(
-    scene: str, map_file: Path, *, steps: int = 1_000_000, seed: int = 0, progress: Progress | None = None
+    scene: str, map_file: Path, *, steps: int = 1_000_000, seed: int = 0, on_progress: OnProgress | None = None
 ) -> dict[str, Any]:
     """Rates, memory, recompilations and agreement.
 
@@ -42,7 +42,7 @@ def measure(
         map_file: learned from its images.
         steps: robot-steps over which memory is watched.
         seed: of tasks, noise and actions.
-        progress: told ("measuring", rows, of how many).
+        on_progress: called with ("measuring", rows, of how many).
 
     Returns:
         ``rows``: ``(what, robots, steps a second, aim or None)``; ``ratios`` of imagined to real rates; ``memory_mb``
@@ -65,8 +65,8 @@ def measure(
     rows = []
     for i, (what, robots, rate, aim) in enumerate(plans):
         rows.append((what, robots, rate(), aim))
-        if progress:
-            progress("measuring", i + 1, len(plans) + 2)
+        if on_progress:
+            on_progress("measuring", i + 1, len(plans) + 2)
     rate_of = {(what, robots): rate for what, robots, rate, _ in rows}
     scan, depth = rate_of["imagined, scan", MAIN], rate_of["imagined, depth 64x48", MAIN]
     alone, many = (rate_of["real, RGB-D 160x120", n] for n in (1, ROBOTS))
@@ -78,11 +78,11 @@ def measure(
         (f"imagined depth / real RGB-D 64x48, {ROBOTS} at once", depth / images, None),
     ]
     soaked = _soak(map_file, steps, seed)
-    if progress:
-        progress("measuring", len(plans) + 1, len(plans) + 2)
+    if on_progress:
+        on_progress("measuring", len(plans) + 1, len(plans) + 2)
     agreement = replay(scene, map_file, seed=seed)
-    if progress:
-        progress("measuring", len(plans) + 2, len(plans) + 2)
+    if on_progress:
+        on_progress("measuring", len(plans) + 2, len(plans) + 2)
     machine = {"cores": os.cpu_count(), "processor": platform.machine(), "device": str(jax.devices()[0])}
     return {"scene": scene, "rows": rows, "ratios": ratios, **soaked, "replay": agreement, "machine": machine}
 

@@ -9,7 +9,6 @@ two take turns, run by run, so that a machine that slows down slows both.
 import functools
 import os
 import platform
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.open3d_process import run_open3d
 from vssm_gym.eval.bench.open3d_slam import STAGES
+from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
 
@@ -28,17 +28,15 @@ RATE = 10.0  # frames a second
 OURS = ("track", "map", "anchor", "recover")  # stages of our step, those of :data:`open3d_slam.STAGES` beside them
 LARGE = 0.05  # m; a frame further off than this counts as astray
 
-Progress = Callable[[str, int, int], None]
 
-
-def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, progress: Progress | None = None) -> dict:
+def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_progress: OnProgress | None = None) -> dict:
     """Run both ``trials`` times at every size that the recording has.
 
     Args:
         sequence: with ground truth, if there are to be errors.
         trials: runs of each at each size; times are of all runs, errors of the last.
         voxel: of our map, m.
-        progress: told after every frame.
+        on_progress: called after every frame.
 
     Returns:
         ``rows``: one dict a method and size, see :func:`_row`; ``missing``: why there is no Open3D, how its process
@@ -57,12 +55,12 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, progres
         ours: list[dict[str, np.ndarray]] = []
         theirs: list[dict[str, np.ndarray]] = []
         for _ in range(trials):
-            told = None if progress is None else functools.partial(_told, progress)
-            run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), progress=told)
+            told = None if on_progress is None else functools.partial(_told, on_progress)
+            run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), on_progress=told)
             ours.append(_stages(run))
             if missing is None:
                 try:
-                    poses_theirs, failed, seconds = _theirs(sequence, size, progress)
+                    poses_theirs, failed, seconds = _theirs(sequence, size, on_progress)
                     theirs.append(seconds)
                 except InputError as reason:
                     missing = str(reason)
@@ -84,17 +82,17 @@ def _stages(run: SlamRun) -> dict[str, np.ndarray]:
     return {"step": np.array([frame.step_s for frame in warm])} | seconds
 
 
-def _told(progress: Progress, _: str, done: int, total: int) -> None:
-    progress("vssm-gym", done, total)
+def _told(on_progress: OnProgress, _: str, done: int, total: int) -> None:
+    on_progress("vssm-gym", done, total)
 
 
 def _theirs(
-    sequence: Sequence, size: tuple[int, int], progress: Progress | None
+    sequence: Sequence, size: tuple[int, int], on_progress: OnProgress | None
 ) -> tuple[tuple[np.ndarray, np.ndarray], int, dict[str, np.ndarray]]:
     """Times and poses, failures of its odometry, and the seconds of every step after the first."""
     reader, indices = FrameReader(sequence, size), thin(sequence.times, RATE)
     frames = ((rgb, depth) for rgb, depth, _ in prefetch(reader, indices))
-    told = None if progress is None else lambda version, done: progress(f"Open3D {version}", done, len(indices))
+    told = None if on_progress is None else lambda version, done: on_progress(f"Open3D {version}", done, len(indices))
     run = run_open3d(frames, reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH, told=told)
     seconds = run.seconds[1:]
     by_stage = {"step": seconds.sum(axis=1)} | {stage: seconds[:, i] for i, stage in enumerate(STAGES)}

@@ -15,6 +15,7 @@ import numpy as np
 from shapely import Point, contains_xy, prepare
 
 import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.progress import OnProgress
 
 APARTMENTS = ("vssm_gym/PointNav-v0", "vssm_gym/ImageNav-v0", "vssm_gym/Explore-v0")
 PROCEDURAL = 10
@@ -25,14 +26,12 @@ FLOOR = 0.03
 SEEING = {"camera": {"width": 40, "height": 30}, "sensor_noise": "kinect"}
 CAR_SCENE = "arena"
 
-Progress = Callable[[str, int, int], None]
-
 
 class SoakError(RuntimeError):
     """A step that broke a promise: which environment, scene, seed and step."""
 
 
-def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
+def soak(*, steps: int = 100_000, seed: int = 0, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """``steps`` in all, over every id and ten procedural apartments.
 
     Returns:
@@ -53,8 +52,8 @@ def soak(*, steps: int = 100_000, seed: int = 0, progress: Progress | None = Non
         rows.append((name.removeprefix("vssm_gym/"), world, *_drive(name, scene, share, seed, keywords)))
         if i + 1 == max(1, len(plans) // 10) or i + 1 == len(plans):
             memory.append(_resident_mb())
-        if progress:
-            progress("driving at random", i + 1, len(plans))
+        if on_progress:
+            on_progress("driving at random", i + 1, len(plans))
     memory = [memory[0], memory[-1]]
     if memory[1] > memory[0] + GROWTH:
         raise SoakError(f"memory grew from {memory[0]:.0f} to {memory[1]:.0f} MB")

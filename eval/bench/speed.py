@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.model.emission import RGBD
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 
 EXTENT, VOXEL = 14.0, 0.07  # m: the published grid of 200^3 cells
 FRAMES = 160  # of the drive
@@ -48,14 +48,14 @@ def median_ms(function: Callable[[int], Any], times: int) -> float:
     return 1e3 * float(np.median(seconds[1:]))
 
 
-def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[str, Any]:
+def speed(scene: str, map_file: Path, *, seed: int, on_progress: OnProgress) -> dict[str, Any]:
     """Time image, tracker, map update, environment, planner and control loop; medians in milliseconds.
 
     Args:
         scene: built-in name or path.
         map_file: the scene's learned map, for planner and agent; image, update and tracker use the published grid.
         seed: of the drive.
-        progress: told after every stage.
+        on_progress: called after every stage.
 
     Returns:
         ``rows`` of (stage, value, unit, aim) and what machine it was.
@@ -103,7 +103,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     rows: list[tuple[str, float, str, float | None]] = [
         ("environment, RGB-D 160x120", 1.0 / float(np.median(seconds)), "steps/s", 350.0)
     ]
-    progress("bench", 1, stages)
+    on_progress("bench", 1, stages)
 
     updates = []
     for image, T in frames:
@@ -112,7 +112,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
         updates.append(time.perf_counter() - began)
     shape = "x".join(str(n) for n in m.shape)
     rows.append((f"map update, {shape} cells", 1e3 * float(np.median(updates[1:])), "ms", AIMS["map update"]))
-    progress("bench", 2, stages)
+    on_progress("bench", 2, stages)
 
     counter = CompileCounter()
     march = jax.jit(lambda m, T: emission.render_with(emission.march, m, T, camera))
@@ -128,7 +128,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
             times.append(time.perf_counter() - began)
     rows.append((f"image 160x120, {shape} cells, skipping search", 1e3 * float(np.median(fast)), "ms", AIMS["image"]))
     rows.append((f"image 160x120, {shape} cells, fixed march", 1e3 * float(np.median(slow)), "ms", None))
-    progress("bench", 3, stages)
+    on_progress("bench", 3, stages)
 
     rig = Rig.of(camera, env.robot.T_body_cam)
     motion = Planar(MotionNoise(jnp.float32(noise[0]), jnp.float32(noise[1])))
@@ -152,7 +152,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
     rows.append(("tracker step, image at hand", median_ms(by_frames, TIMED), "ms", AIMS["tracker"]))
     rows.append(("tracker step, image included", median_ms(in_map, TIMED), "ms", None))
     recompiled += counter.count - before
-    progress("bench", 4, stages)
+    on_progress("bench", 4, stages)
 
     learned = VoxelMap.load(map_file)
     clearance = ClearanceMap.from_voxel_map(learned, 0.08, 0.5, 0.025)
@@ -164,7 +164,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
         TIMED,
     )
     rows.append(("planner, A* across the scene", planner, "ms", None))
-    progress("bench", 5, stages)
+    on_progress("bench", 5, stages)
 
     agent, loops, alone = AStarAgent(), [], []
     for i in range(3):
@@ -183,7 +183,7 @@ def speed(scene: str, map_file: Path, *, seed: int, progress: Progress) -> dict[
         recompiled += counter.count - before
     rows.append(("agent: track, plan, steer", 1e3 * float(np.median(alone[1:])), "ms", None))
     rows.append(("control loop with the environment", 1e3 * float(np.median(loops[1:])), "ms", AIMS["control loop"]))
-    progress("bench", 7, stages)
+    on_progress("bench", 7, stages)
     return {
         "scene": scene,
         "rows": [list(row) for row in rows],

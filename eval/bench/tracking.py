@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.eval.sweep import worker
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 
 TRIAL_STEPS = 100
 PUBLISHED_TURN, PUBLISHED_STEP = math.radians(3.0), 0.05  # rad; share of the body length (TNP-SM, section 5)
@@ -37,7 +37,9 @@ class _Trial:
     metres: float | None = None
 
 
-def tracker_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed: int, progress: Progress) -> dict:
+def tracker_trials(
+    scene: str, map_file: Path, *, trials: int, workers: int, seed: int, on_progress: OnProgress
+) -> dict:
     """Location RMSE of the map tracker over drives of 100 steps that the true pose steers.
 
     On the first drives the published Adam tracker and the emission-based one ride along, on the same images.
@@ -50,7 +52,7 @@ def tracker_trials(scene: str, map_file: Path, *, trials: int, workers: int, see
 
     noise = (PUBLISHED_TURN, PUBLISHED_STEP * HolonomicRobot().body_length)
     jobs = [_Trial(scene, map_file, seed + i, "oracle", noise, _riders(i), steps=TRIAL_STEPS) for i in range(trials)]
-    results = _run(jobs, workers, "tracker", progress)
+    results = _run(jobs, workers, "tracker", on_progress)
     rmse = np.array([math.sqrt(np.mean(np.square(r["errors"]["astar"]))) for r in results])
     heading = np.array([r["heading_rmse"]["astar"] for r in results])
     return {
@@ -82,7 +84,7 @@ def _method(name: str, results: list[dict]) -> dict[str, Any]:
     }
 
 
-def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed: int, progress: Progress) -> dict:
+def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed: int, on_progress: OnProgress) -> dict:
     """Location error over 100 m of chained goals that the ``astar`` agent drives; all methods see the same images.
 
     Returns:
@@ -95,7 +97,7 @@ def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed:
         _Trial(scene, map_file, seed + i, "astar", (noise.turn, noise.step), riders, metres=DRIFT_METRES)
         for i in range(trials)
     ]
-    results = _run(jobs, workers, "drift", progress)
+    results = _run(jobs, workers, "drift", on_progress)
     tenths = np.linspace(0.0, DRIFT_METRES, 11)
     summary: dict[str, Any] = {"scene": scene, "drives": trials, "metres": DRIFT_METRES, "methods": {}}
     for name in riders:
@@ -117,7 +119,7 @@ def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed:
     return summary
 
 
-def _run(jobs: list[_Trial], workers: int, stage: str, progress: Progress) -> list[dict]:
+def _run(jobs: list[_Trial], workers: int, stage: str, on_progress: OnProgress) -> list[dict]:
     """All trials over spawned, single-threaded workers."""
     results = []
     context = multiprocessing.get_context("spawn")
@@ -127,7 +129,7 @@ def _run(jobs: list[_Trial], workers: int, stage: str, progress: Progress) -> li
     ):
         for result in pool.map(_trial, jobs):
             results.append(result)
-            progress(stage, len(results), len(jobs))
+            on_progress(stage, len(results), len(jobs))
     return results
 
 

@@ -21,9 +21,10 @@ from vssm_gym.data.trajectories import interpolate, velocities
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.geometry.transforms import inverse
+from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.calibration import Calibration, cross_fitted, fit_scale, pose_residuals
-from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.slam.states import BAND, tidy
 from vssm_gym.viz import pictures
 
@@ -42,13 +43,15 @@ class Judged:
     error_m: float  # RMSE of position after first-pose alignment
 
 
-def run(recordings: Sequence[sequences.Sequence], *, options: SlamOptions, progress: Progress | None = None) -> Study:
+def run(
+    recordings: Sequence[sequences.Sequence], *, options: SlamOptions, on_progress: OnProgress | None = None
+) -> Study:
     """Run the filter over every recording and judge its covariances.
 
     Args:
         recordings: at least two, with ground truth.
         options: of the filter, the same for all.
-        progress: told after every frame.
+        on_progress: called after every frame.
 
     Raises:
         InputError: fewer than two recordings, two of one name, one without ground truth or that was never tracked.
@@ -63,7 +66,7 @@ def run(recordings: Sequence[sequences.Sequence], *, options: SlamOptions, progr
     judged: dict[str, Judged] = {}
     notices: list[str] = []
     for name, recording in zip(names, recordings, strict=True):
-        done = run_slam(recording, options, progress=labelled(progress, name))
+        done = run_slam(recording, options, on_progress=labelled(on_progress, name))
         judged[name] = judge(done, recording)
         notices += done.notices
     raw = {name: one.poses for name, one in judged.items()}

@@ -22,8 +22,9 @@ from vssm_gym.envs.tasks.reference_flights import Yaw
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.geometry.transforms import inverse
+from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
-from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
 GOAL = 0.10  # m of ATE
@@ -41,7 +42,7 @@ def run(
     sensor_noise: str,
     options: SlamOptions,
     seeds: int = 1,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Study:
     """Fly, record and track every flight at every speed.
 
@@ -52,7 +53,7 @@ def run(
         sensor_noise: what the camera adds to exact images.
         options: of the filter; images are recorded at its size and rate.
         seeds: flights of each kind, with other gusts and noises.
-        progress: told of recording and tracking.
+        on_progress: called after every frame recorded or tracked.
 
     Raises:
         InputError: an unknown name, or a flight that does not fit the scene.
@@ -78,10 +79,10 @@ def run(
                         sensor_noise=sensor_noise,
                         camera=CameraConfig(*options.size),
                         seed=seed,
-                        progress=labelled(progress, f"{label}: recording"),
+                        on_progress=labelled(on_progress, f"{label}: recording"),
                     )
                     sequence = load_sequence(recording)
-                    done = run_slam(sequence, options, progress=labelled(progress, f"{label}: tracking"))
+                    done = run_slam(sequence, options, on_progress=labelled(on_progress, f"{label}: tracking"))
                 true = sequence.true_poses()[[frame.index for frame in done.frames]]
                 rows.append({"flight": flight, "speed": speed, "seed": seed} | measured(done, true))
     return Study(

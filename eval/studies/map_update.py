@@ -24,7 +24,8 @@ from vssm_gym.inference.mapping.map_learning import RefineConfig
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
 from vssm_gym.inference.mapping.views import Views, fit_scales, held_out
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.slam.map_building import Progress, grid_bounds
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.map_building import grid_bounds
 from vssm_gym.viz import pictures
 
 STEPS = (1, 4, 16, 64)  # of gradient descent a frame
@@ -35,7 +36,7 @@ GRADIENT = RefineConfig(images=1, pixels=1024, occupancy_rate=0.02, colour_rate=
 
 
 def run(
-    sequence: Sequence, *, size: tuple[int, int], frames: int, voxel: float, progress: Progress | None = None
+    sequence: Sequence, *, size: tuple[int, int], frames: int, voxel: float, on_progress: OnProgress | None = None
 ) -> Study:
     """Both ways over up to ``frames`` frames, spread over the sequence.
 
@@ -44,7 +45,7 @@ def run(
         size: width and height that images are resized to.
         frames: how many are used at most, the held-out ones included.
         voxel: cell size, m.
-        progress: told after every frame of every arm.
+        on_progress: called after every frame of every arm.
 
     Raises:
         InputError: no ground truth, or fewer than 20 frames.
@@ -67,9 +68,9 @@ def run(
         for factor in FACTORS if k else (0.0,):
             shown = f"{name}, rates x {factor:g}" if k else name
             seconds, m = (
-                _descend(prior, views["train"], k, factor, shown, progress)
+                _descend(prior, views["train"], k, factor, shown, on_progress)
                 if k
-                else _closed_form(prior, views["train"], shown, progress)
+                else _closed_form(prior, views["train"], shown, on_progress)
             )
             judged = held_out(m, views["test"], fit_scales(m, views["train"]))
             timed = {"ms_a_frame": 1e3 * float(np.median(seconds)), "steps": k, "rate_factor": factor}
@@ -133,20 +134,22 @@ def _fuse(m: VoxelMap, views: Views, i: int) -> VoxelMap:
     return jax.block_until_ready(update(m, views.depth[i], rgb, views.T_world_cam[i], views.camera, MapUpdateConfig()))
 
 
-def _closed_form(prior: VoxelMap, views: Views, name: str, progress: Progress | None) -> tuple[list[float], VoxelMap]:
+def _closed_form(
+    prior: VoxelMap, views: Views, name: str, on_progress: OnProgress | None
+) -> tuple[list[float], VoxelMap]:
     """One update a frame; the first frames, which compile or meet an empty map, are not timed."""
     m, seconds = jax.tree.map(jnp.copy, prior), []
     for i in range(len(views)):
         began = time.perf_counter()
         m = _fuse(m, views, i)
         seconds.append(time.perf_counter() - began)
-        if progress:
-            progress(name, i + 1, len(views))
+        if on_progress:
+            on_progress(name, i + 1, len(views))
     return seconds[2:], m
 
 
 def _descend(
-    prior: VoxelMap, views: Views, steps: int, factor: float, name: str, progress: Progress | None
+    prior: VoxelMap, views: Views, steps: int, factor: float, name: str, on_progress: OnProgress | None
 ) -> tuple[list[float], VoxelMap]:
     """``steps`` steps on each frame; which cells were observed is that of the closed form, so both are judged alike."""
     observed = _closed_form(prior, views, name, None)[1]
@@ -159,8 +162,8 @@ def _descend(
             state, _ = map_learning.step(state, frame, GRADIENT, jax.random.fold_in(key, i * steps + j), factor)
         state = jax.block_until_ready(map_learning.refresh(state))
         seconds.append(time.perf_counter() - began)
-        if progress:
-            progress(name, i + 1, len(views))
+        if on_progress:
+            on_progress(name, i + 1, len(views))
     counts = (observed.occupancy_precision, observed.colour_precision)
     return seconds[2:], eqx.tree_at(lambda m: (m.occupancy_precision, m.colour_precision), state.map, counts)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.files import atomic_write
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz import pictures
 from vssm_gym.viz.html import STYLE, html_table
@@ -34,9 +34,9 @@ class Study:
     notes: tuple[str, ...] = field(default=())  # how it was measured, one paragraph each
 
 
-def labelled(progress: Progress | None, label: str) -> Progress | None:
-    """``progress`` told ``label`` instead of the stage: many runs of one kind have a bar each."""
-    return None if progress is None else lambda _, done, total: progress(label, done, total)
+def labelled(on_progress: OnProgress | None, label: str) -> OnProgress | None:
+    """Return a callback that reports ``label`` instead of the stage, so that each of many runs has its own bar."""
+    return None if on_progress is None else lambda _, done, total: on_progress(label, done, total)
 
 
 def write_study(study: Study, out: Path) -> Path:

@@ -16,8 +16,9 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.inference.tracking.localise import tracking_factor
+from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
-from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
 LEAST = 3  # frames; fewer positions cannot be aligned
@@ -31,7 +32,7 @@ def run(
     size: tuple[int, int],
     rate: float,
     seeds: int,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Study:
     """Every voxel size with every tracking width, ``seeds`` runs each.
 
@@ -42,7 +43,7 @@ def run(
         size: width and height that images are resized to.
         rate: frames a second at most.
         seeds: runs of each setting.
-        progress: told after every frame.
+        on_progress: called after every frame.
 
     Raises:
         InputError: no ground truth, too few frames, or a setting that makes no sense.
@@ -63,7 +64,7 @@ def run(
         later = replace(sequence, frames=sequence.frames[seed:])
         for (voxel, width), chosen in options.items():
             label = f"{100 * voxel:g} cm, {width} px, run {seed + 1}"
-            done = run_slam(later, replace(chosen, seed=seed), progress=labelled(progress, label))
+            done = run_slam(later, replace(chosen, seed=seed), on_progress=labelled(on_progress, label))
             runs[voxel, width].append(_measured(done, sequence))
             tracked[width] = size[0] // tracking_factor(done.reader.camera, width)
             notices = done.notices

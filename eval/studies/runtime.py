@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from vssm_gym.data.sequences import Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
-from vssm_gym.slam.run import MAX_DENSE_CELLS, Progress, SlamOptions, TrackedFrame, run_slam
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.run import MAX_DENSE_CELLS, SlamOptions, TrackedFrame, run_slam
 from vssm_gym.viz import pictures
 
 SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded size are run
@@ -39,13 +40,13 @@ def settings(recorded: tuple[int, int], rate: float) -> dict[tuple[str, str], Sl
     return chosen | {("extent", f"{extent:g} m"): replace(default, extent=extent) for extent in EXTENTS}
 
 
-def run(sequence: Sequence, *, rate: float, progress: Progress | None = None) -> Study:
+def run(sequence: Sequence, *, rate: float, on_progress: OnProgress | None = None) -> Study:
     """Time every setting on the same frames.
 
     Args:
         sequence: the recording; ground truth is not needed.
         rate: frames a second at most.
-        progress: told after every frame.
+        on_progress: called after every frame.
 
     Raises:
         InputError: images below the default size, or fewer frames than compile everything.
@@ -60,7 +61,7 @@ def run(sequence: Sequence, *, rate: float, progress: Progress | None = None) ->
     for turn in range(ROUNDS):
         for i, options in enumerate(frames):
             label = f"setting {i + 1} of {len(frames)}, round {turn + 1}"
-            done = run_slam(sequence, options, progress=labelled(progress, label))
+            done = run_slam(sequence, options, on_progress=labelled(on_progress, label))
             frames[options] += done.frames
             notices = done.notices
     arms: list[dict[str, Any]] = [

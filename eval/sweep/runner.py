@@ -28,7 +28,8 @@ from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.shards import Shard
 from vssm_gym.files import atomic_write
 from vssm_gym.output_folders import check_at_least, check_folder
-from vssm_gym.slam.map_building import Progress, ensure_map, map_hash
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.map_building import ensure_map, map_hash
 from vssm_gym.version import package_version
 
 
@@ -40,7 +41,7 @@ def run_sweep(
     workers: int = 2,
     seed: int = 0,
     shard: Shard | None = None,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Path:
     """Run what is not yet in ``out/episodes.jsonl``; returns that file.
 
@@ -54,7 +55,7 @@ def run_sweep(
         workers: processes.
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
-        progress: told ("recording" | "map" | "episodes", done, total).
+        on_progress: called with ("recording" | "map" | "episodes", done, total).
 
     Raises:
         InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
@@ -73,9 +74,9 @@ def run_sweep(
         todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
         for scene in dict.fromkeys(episode.condition.scene for episode in todo):
             batch = [episode for episode in todo if episode.condition.scene == scene]
-            jobs = _jobs(batch, scene, out, config, manifest, progress)
+            jobs = _jobs(batch, scene, out, config, manifest, on_progress)
             worker.release_memory()
-            _run(jobs, log, workers, len(episodes), progress)
+            _run(jobs, log, workers, len(episodes), on_progress)
     return out / FILE
 
 
@@ -149,7 +150,7 @@ def _jobs(
     out: Path,
     config: SweepConfig,
     manifest: dict[str, Any],
-    progress: Progress | None,
+    on_progress: OnProgress | None,
 ) -> list[worker.Job]:
     """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
     from vssm_gym.agents.registry import agent_type
@@ -161,7 +162,7 @@ def _jobs(
         protocol_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
     if any(agent_type(episode.agent).needs_map for episode in episodes):
         map_file = ensure_map(
-            scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, progress=progress
+            scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, on_progress=on_progress
         )
     with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
     maps = {agent: with_map if agent_type(agent).needs_map else without for agent in config.agents}
@@ -188,7 +189,7 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
     return out / "explored" / f"{'-'.join(world)}.npz"
 
 
-def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, progress: Progress | None) -> None:
+def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_progress: OnProgress | None) -> None:
     """All jobs of a scene over workers of its own, whose memory is free at its end; results are logged as they come.
 
     One episode of each agent that uses the map goes first, one after the other in one worker: it compiles what the
@@ -212,8 +213,8 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, prog
         report()
 
     def report() -> None:
-        if progress:
-            progress("episodes", len(log.rows), total)
+        if on_progress:
+            on_progress("episodes", len(log.rows), total)
 
     report()
     context = multiprocessing.get_context("spawn")

@@ -14,22 +14,22 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.eval.video import pictures
 from vssm_gym.eval.video.recording import EVERY, Recording
 from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 
 _CHARACTERS = 92  # of a status that fit into a line
 
 
-def write_video(path: Path, recording: Recording, title: str, progress: Progress | None = None) -> None:
+def write_video(path: Path, recording: Recording, title: str, on_progress: OnProgress | None = None) -> None:
     """Write the run as MP4 (H.264), several times as fast as it was driven.
 
     Args:
         path: of the file, which ends in ``.mp4``.
         recording: of a run that has ended, with a moment at least.
         title: who explores what.
-        progress: told ("video", done, total).
+        on_progress: called with ("video", done, total).
     """
     sheet, n = Sheet(recording, title), len(recording.moments)
-    write_frames(path, (sheet.draw(i) for i in range(n)), n, progress)
+    write_frames(path, (sheet.draw(i) for i in range(n)), n, on_progress)
 
 
 class Sheet:

@@ -18,7 +18,7 @@ from vssm_gym.eval.video import pictures as explore_pictures
 from vssm_gym.eval.video.explorer import write_video
 from vssm_gym.eval.video.recording import Recording
 from vssm_gym.files import atomic_write
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
@@ -26,13 +26,13 @@ from vssm_gym.viz.mesh_picture import mesh_picture
 DPI = 110
 
 
-def explore(config: SweepConfig, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """Run the one episode of ``config`` and write the folder ``out``, which appears whole or not at all.
 
     Args:
         config: of Explore, with one scene, one agent, one of each condition, one task and one seed.
         out: new or empty folder; see ``vssm-gym explore --help`` for what is in it.
-        progress: told ("exploring" | "video", done, total).
+        on_progress: called with ("exploring" | "video", done, total).
 
     Returns:
         The row of a sweep of ``config``.
@@ -44,15 +44,15 @@ def explore(config: SweepConfig, out: Path, progress: Progress | None = None) ->
 
     def see(step: Step) -> None:
         recording(step)
-        if progress:
-            progress("exploring", step.number, limit)
+        if on_progress:
+            on_progress("exploring", step.number, limit)
 
     with tempfile.TemporaryDirectory() as folder:
         task_file = Path(folder) / "tasks.json"
         explore_protocol.write_tasks(apartment, episode.task + 1, task_file)
         result = explore_protocol.run(episode, agent, task_file, None, see)
-    if progress:
-        progress("exploring", limit, limit)
+    if on_progress:
+        on_progress("exploring", limit, limit)
     content, version = apartment.content_hash(), package_version()
     hashed = config_hash(config, {episode.condition.scene: content}, 0)
     signature = {"version": version, "config_hash": hashed, "map_hash": None}
@@ -70,5 +70,5 @@ def explore(config: SweepConfig, out: Path, progress: Progress | None = None) ->
         explore_pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=DPI)
         Image.fromarray(mesh_picture(surface_mesh(explored))).save(unfinished / "mesh.png")
         title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
-        write_video(unfinished / "run.mp4", recording, title, progress)
+        write_video(unfinished / "run.mp4", recording, title, on_progress)
     return row

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vssm_gym.errors import InputError
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 
 RATE = 15  # frames a second
 SIZE, DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
@@ -36,7 +36,7 @@ def write_frames(
     path: Path,
     frames: Iterable[UInt8[np.ndarray, "height width 3"]],
     total: int,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> None:
     """Write frames as MP4 (H.264).
 
@@ -44,7 +44,7 @@ def write_frames(
         path: of the file, which ends in ``.mp4``.
         frames: one at least; the last one stays for a while.
         total: how many.
-        progress: told ("video", done, total).
+        on_progress: called with ("video", done, total).
     """
     writer: Any = imageio.get_writer(
         path, format="FFMPEG", fps=RATE, codec="libx264", quality=6, ffmpeg_log_level="error"
@@ -55,8 +55,8 @@ def write_frames(
         warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
         for i, frame in enumerate(frames):
             writer.append_data(frame)
-            if progress:
-                progress("video", i + 1, total)
+            if on_progress:
+                on_progress("video", i + 1, total)
         for _ in range(round(HOLD * RATE)):
             writer.append_data(frame)
 

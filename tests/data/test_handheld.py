@@ -107,7 +107,7 @@ def test_a_recording_has_the_truth_of_every_frame(tmp_path):
         metres=3.0,
         camera=SMALL,
         seed=2,
-        progress=lambda *event: heard.append(event),
+        on_progress=lambda *event: heard.append(event),
     )
     sequence = load_sequence(tmp_path / "clean")
     path = walk(two_rooms(), 3.0, 10.0, 2)

@@ -38,7 +38,7 @@ def no_open3d(tmp_path, monkeypatch):
 
 def test_without_open3d_ours_is_reported_and_the_reason_said(sequence, no_open3d):
     heard = []
-    result = bench_slam.compare(sequence, trials=2, progress=lambda *event: heard.append(event))
+    result = bench_slam.compare(sequence, trials=2, on_progress=lambda *event: heard.append(event))
     (row,) = result["rows"]
     assert row["method"] == "vssm-gym"
     assert row["size"] == [160, 120]  # the recording is no larger

@@ -39,7 +39,7 @@ def finished(folder):
     """The whole sweep, run once without interruption."""
     heard = []
     log = run_sweep(
-        load_config(folder / "sweep.yaml"), folder / "whole", workers=1, progress=lambda *event: heard.append(event)
+        load_config(folder / "sweep.yaml"), folder / "whole", workers=1, on_progress=lambda *event: heard.append(event)
     )
     return log, heard
 

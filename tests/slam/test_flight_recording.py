@@ -34,7 +34,7 @@ def recording(tmp_path_factory):
         speed=4.0,
         camera=SMALL,
         seed=1,
-        progress=lambda *event: heard.append(event),
+        on_progress=lambda *event: heard.append(event),
     )
     assert heard[-1] == ("recording", frames, frames)
     return folder / "figure8"
@@ -100,7 +100,7 @@ def test_the_study_says_what_it_measured(tmp_path):
         speeds=(4.0,),
         sensor_noise="none",
         options=options,
-        progress=lambda *e: heard.append(e),
+        on_progress=lambda *e: heard.append(e),
     )
     (row,) = study.figures["rows"]
     assert len(study.lines[0]) == len(study.header)

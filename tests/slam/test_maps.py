@@ -27,7 +27,9 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording")
     save_scene(two_rooms(pieces=(TABLE,)), folder / "rooms.json")
     heard = []
-    frames = record(folder / "rooms.json", folder / "drive", noise="mid", progress=lambda *event: heard.append(event))
+    frames = record(
+        folder / "rooms.json", folder / "drive", noise="mid", on_progress=lambda *event: heard.append(event)
+    )
     return folder / "drive", frames, heard
 
 
@@ -85,7 +87,7 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record(tmp_path / "rooms.json", tmp_path / "drive", progress=interrupt)
+        record(tmp_path / "rooms.json", tmp_path / "drive", on_progress=interrupt)
     assert [path.name for path in tmp_path.iterdir()] == ["rooms.json"]
 
 
@@ -139,7 +141,7 @@ def drives(recording, monkeypatch):
     """Make :func:`ensure_map` fast: a recording is a note of its arguments, a map one empty block."""
     made = []
 
-    def record_note(scene, out, *, noise, seed, progress):
+    def record_note(scene, out, *, noise, seed, on_progress):
         out.mkdir()
         (out / PROVENANCE).write_text(json.dumps(read_provenance(recording[0]) | {"noise": noise, "seed": seed}))
         made.append(out)

@@ -73,26 +73,26 @@ def bench(
         if recording is not None:
             from vssm_gym.eval.bench.slam import compare
 
-            result = compare(recording, trials=count, progress=progress)
+            result = compare(recording, trials=count, on_progress=progress)
         elif suite == "envs":
             from vssm_gym.eval.bench.envs import measure
 
-            result = measure(scene=scene, seed=seed, progress=progress)
+            result = measure(scene=scene, seed=seed, on_progress=progress)
         elif suite == "soak":
             from vssm_gym.eval.bench.soak import soak
 
-            result = soak(steps=count, seed=seed, progress=progress)
+            result = soak(steps=count, seed=seed, on_progress=progress)
         elif suite == "car":
             from vssm_gym.eval.bench.car import measure as measure_car
 
-            result = measure_car(scene=scene, steps=count, seed=seed, progress=progress)
+            result = measure_car(scene=scene, steps=count, seed=seed, on_progress=progress)
         elif suite == "information":
             from vssm_gym.eval.bench.information import measure as measure_information
 
             check_at_least("bench", "trials", count, 5)  # that can be ranked
-            result = measure_information(scene=scene, candidates=count, seed=seed, progress=progress)
+            result = measure_information(scene=scene, candidates=count, seed=seed, on_progress=progress)
         else:
-            map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, progress=progress)
+            map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
             result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
             result["map_hash"] = map_hash(map_file)
     out.mkdir(parents=True, exist_ok=True)
@@ -110,15 +110,15 @@ def _on_a_map(
     if suite == "speed":
         from vssm_gym.eval.bench.speed import speed
 
-        return speed(scene, map_file, seed=seed, progress=progress)
+        return speed(scene, map_file, seed=seed, on_progress=progress)
     if suite == "rl":
         from vssm_gym.eval.bench.rl import measure
 
-        return measure(scene, map_file, steps=trials, seed=seed, progress=progress)
+        return measure(scene, map_file, steps=trials, seed=seed, on_progress=progress)
     from vssm_gym.eval.bench import tracking as bench_tracking
 
     run = bench_tracking.tracker_trials if suite == "tracker" else bench_tracking.drift_trials
-    return run(scene, map_file, trials=trials, workers=workers, seed=seed, progress=progress)
+    return run(scene, map_file, trials=trials, workers=workers, seed=seed, on_progress=progress)
 
 
 def _show(suite: str, result: dict[str, Any], console: Any) -> None:

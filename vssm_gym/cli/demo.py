@@ -25,7 +25,7 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
         check_arguments(out, workers, seed)
         _clear(out)
     with progress_bars() as progress:
-        log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, progress=progress)
+        log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, on_progress=progress)
     print_results(log)
     print(write_report(out))
 

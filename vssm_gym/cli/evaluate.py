@@ -62,7 +62,7 @@ def evaluate(
             resume=resume,
             workers=workers,
             seed=seed,
-            progress=progress,
+            on_progress=progress,
         )
     title = f"{found.label} · {scene} · {noise} · {tasks} tasks; in brackets 95 % intervals"
     table = Table(title=title, title_justify="left", box=None)
@@ -84,7 +84,7 @@ def evaluate(
         path = out / f"task-{video}.mp4"
         with progress_bars() as progress:
             both = record_both(
-                policy, out, scene=scene, task=video, noise=noise, map_file=map, seed=seed, progress=progress
+                policy, out, scene=scene, task=video, noise=noise, map_file=map, seed=seed, on_progress=progress
             )
             write_video(path, both, progress)
         print(f"video: {path}")

@@ -77,7 +77,7 @@ def record(
                 sensor_noise=sensor_noise,
                 camera=camera,
                 seed=seed,
-                progress=progress,
+                on_progress=progress,
             )
             following = f"vssm-gym map build {out} --out map.npz"
         elif motion == "handheld":
@@ -89,7 +89,7 @@ def record(
                 sensor_noise=sensor_noise,
                 camera=camera,
                 seed=seed,
-                progress=progress,
+                on_progress=progress,
             )
         else:
             frames = flights.record_flight(
@@ -103,7 +103,7 @@ def record(
                 sensor_noise=sensor_noise,
                 camera=camera,
                 seed=seed,
-                progress=progress,
+                on_progress=progress,
             )
             following += (
                 f" --rate {20.0 if rate is None else rate:g} --voxel 0.125 --extent 25 --max-depth 20 --depth stereo"

@@ -39,7 +39,7 @@ def map_update(
     check_folder(out)
     recording = load_sequence(sequence)
     with progress_bars() as progress:
-        study = study_map_update.run(recording, size=_size(size), frames=frames, voxel=voxel, progress=progress)
+        study = study_map_update.run(recording, size=_size(size), frames=frames, voxel=voxel, on_progress=progress)
     print(study.answer)
     print(write_study(study, out))
 
@@ -80,7 +80,13 @@ def resolution(
     recording = load_sequence(sequence)
     with progress_bars() as progress:
         study = study_resolution.run(
-            recording, voxels=cells, render_widths=widths, size=_size(size), rate=rate, seeds=seeds, progress=progress
+            recording,
+            voxels=cells,
+            render_widths=widths,
+            size=_size(size),
+            rate=rate,
+            seeds=seeds,
+            on_progress=progress,
         )
     print(study.answer)
     print(write_study(study, out))
@@ -105,7 +111,7 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
     check_folder(out)
     recording = load_sequence(sequence)
     with progress_bars() as progress:
-        study = study_runtime.run(recording, rate=rate, progress=progress)
+        study = study_runtime.run(recording, rate=rate, on_progress=progress)
     print(study.answer)
     print(write_study(study, out))
 
@@ -143,7 +149,7 @@ def calibration(
     check_folder(out)
     recordings = [load_sequence(sequence) for sequence in sequences]
     with progress_bars() as progress:
-        study = study_calibration.run(recordings, options=options, progress=progress)
+        study = study_calibration.run(recordings, options=options, on_progress=progress)
     print(study.answer)
     print(write_study(study, out))
 
@@ -202,7 +208,7 @@ def flight(
             sensor_noise=sensor_noise,
             options=options,
             seeds=seeds,
-            progress=progress,
+            on_progress=progress,
         )
     print(study.answer)
     print(write_study(study, out))

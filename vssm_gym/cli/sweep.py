@@ -37,7 +37,7 @@ def sweep(
     checked = load_config(config)
     print_notices(checked.scenes, checked.env[0])
     with progress_bars() as progress:
-        log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, shard=part, progress=progress)
+        log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, shard=part, on_progress=progress)
     print_results(log)
     following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} shards have ended"
     print(f"episodes: {log}\nnext: vssm-gym {following}")

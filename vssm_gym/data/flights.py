@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vssm_gym.data.recording import Progress, check_new, folder_for
+from vssm_gym.data.recording import check_new, folder_for
 from vssm_gym.data.sequences import SequenceWriter, imu_line
 from vssm_gym.envs.flight import FlightEnv
 from vssm_gym.envs.flight_body import FlightController
@@ -17,6 +17,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.reference_flights import Yaw
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
+from vssm_gym.progress import OnProgress
 
 DEPTH_SCALE = 2000.0  # units a metre: 16 bits reach 32 m, in steps of half a millimetre
 
@@ -33,7 +34,7 @@ def record_flight(
     sensor_noise: str = "none",
     camera: CameraConfig | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> int:
     """Fly a reference once, from hover to hover; returns the number of frames.
 
@@ -48,7 +49,7 @@ def record_flight(
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
         seed: of gusts, camera and IMU.
-        progress: called with ("recording", frames, total) now and then.
+        on_progress: called with ("recording", frames, total) now and then.
 
     Raises:
         InputError: an unknown name, a flight that does not fit, or a folder that is not empty.
@@ -69,12 +70,12 @@ def record_flight(
     about |= {"sensor_noise": sensor_noise, "imu_noise": "adis16448", "renderer": env.renderer_name, "seed": seed}
     try:
         with folder_for(out, env.apartment, about) as unfinished:
-            return _fly(env, unfinished, seed, progress)
+            return _fly(env, unfinished, seed, on_progress)
     finally:
         env.close()
 
 
-def _fly(env: FlightEnv, folder: Path, seed: int, progress: Progress | None) -> int:
+def _fly(env: FlightEnv, folder: Path, seed: int, on_progress: OnProgress | None) -> int:
     writer = SequenceWriter(folder, env.camera, env.body.T_body_cam, depth_scale=DEPTH_SCALE)
     pilot = FlightController(env.body)
     observation, info = env.reset(seed=seed)
@@ -93,8 +94,8 @@ def _fly(env: FlightEnv, folder: Path, seed: int, progress: Progress | None) -> 
         lines += [
             imu_line(env.time - s, np.roll(reading, 3)) for s, reading in zip(ago, observation["imu"], strict=True)
         ]
-        if progress and (frame % 20 == 0 or frame + 1 == total):
-            progress("recording", frame + 1, total)
+        if on_progress and (frame % 20 == 0 or frame + 1 == total):
+            on_progress("recording", frame + 1, total)
     with atomic_write(folder / "imu.txt") as temporary:
         temporary.write_text("# time wx wy wz fx fy fz\n" + "".join(lines))
     writer.close()

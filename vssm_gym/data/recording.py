@@ -29,8 +29,7 @@ from vssm_gym.files import atomic_write
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer
-
-Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
 ARRIVED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
@@ -44,7 +43,7 @@ def record(
     sensor_noise: str = "none",
     camera: CameraConfig | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> int:
     """Drive the survey route of ``scene`` and turn around once at each viewpoint; returns the number of frames.
 
@@ -55,7 +54,7 @@ def record(
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
         seed: of the route and of both noises.
-        progress: called with ("recording", waypoints passed, waypoints) after every waypoint.
+        on_progress: called with ("recording", waypoints passed, waypoints) after every waypoint.
 
     Raises:
         InputError: an unknown scene or noise, or a folder that is not empty.
@@ -68,7 +67,7 @@ def record(
     about = {"motion": "survey", "noise": noise, "sensor_noise": sensor_noise, "renderer": env.renderer_name}
     try:
         with folder_for(out, env.apartment, about | {"seed": seed}) as unfinished:
-            return _drive(env, route, unfinished, seed, progress)
+            return _drive(env, route, unfinished, seed, on_progress)
     finally:
         env.close()
 
@@ -82,7 +81,7 @@ def record_handheld(
     sensor_noise: str = "none",
     camera: CameraConfig | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> int:
     """Carry a camera through ``scene`` (:func:`handheld.walk`); returns the number of frames.
 
@@ -94,7 +93,7 @@ def record_handheld(
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
         seed: of the path and of the sensor.
-        progress: called with ("recording", frames, total) now and then.
+        on_progress: called with ("recording", frames, total) now and then.
 
     Raises:
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
@@ -114,8 +113,8 @@ def record_handheld(
             sensor = NoisySensor(measured, eye.camera, _sensor_stream(seed))
             for i, (time, T_world_cam) in enumerate(zip(path.times, path.T_world_cam, strict=True)):
                 writer.append(time, *sensor(*eye.render(T_world_cam), 1.0 / rate), T_world_cam)
-                if progress and (i % 20 == 0 or i + 1 == len(path.times)):
-                    progress("recording", i + 1, len(path.times))
+                if on_progress and (i % 20 == 0 or i + 1 == len(path.times)):
+                    on_progress("recording", i + 1, len(path.times))
             writer.close()
     finally:
         eye.close()
@@ -180,7 +179,7 @@ def _drive(
     route: list[Waypoint],
     folder: Path,
     seed: int,
-    progress: Progress | None,
+    on_progress: OnProgress | None,
 ) -> int:
     """Follow the route from its first waypoint and write every image; returns how many."""
     ahead = next((w for w in route[1:]), route[0])
@@ -215,8 +214,8 @@ def _drive(
         if waypoint.turn_around:
             for _ in range(int(np.ceil(2.0 * np.pi / limits[0]))):
                 command(limits[0], 0.0, 0.0)
-        if progress:
-            progress("recording", i + 1, len(route))
+        if on_progress:
+            on_progress("recording", i + 1, len(route))
     writer.close()
     return frames
 

@@ -3,7 +3,6 @@
 A map made at these poses uses no ground truth: it is the map that the robot itself would have.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -22,8 +21,7 @@ from vssm_gym.maps.voxel_map import DEFAULT_SLOTS, VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
-
-Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
+from vssm_gym.progress import OnProgress
 
 REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
 LOW, HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
@@ -38,13 +36,13 @@ class DrivePoses:
     accepted: Bool[np.ndarray, "frames"]  # False: the pose follows the commands alone
 
 
-def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None = None) -> DrivePoses:
+def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | None = None) -> DrivePoses:
     """Estimate ``q(z_1:T)`` by PRISM with the planar transition, from the first true pose on.
 
     Args:
         sequence: a survey of ``vssm-gym record``: images, commands, ``T_body_cam``, and the robot's noise level.
         voxel: cell size of the filter's map, m.
-        progress: called with ("poses", frames done, frames).
+        on_progress: called with ("poses", frames done, frames).
 
     Raises:
         InputError: a recording without a robot's commands, a drive too far from its start, or too small cells.
@@ -74,8 +72,8 @@ def estimate_poses(sequence: Sequence, voxel: float, progress: Progress | None =
         accepted.append(info.status.accepted)
         if np.abs(planar[-1][:2] - planar[0][:2]).max() > REACH - 1.0:
             raise InputError(sequence.root, "controls", f"a drive that stays within {REACH - 1.0} m of its start")
-        if progress:
-            progress("poses", i + 1, len(reader))
+        if on_progress:
+            on_progress("poses", i + 1, len(reader))
     if state.map.table is not None and (refused := int(state.map.table.refused)):
         raise InputError("map", "voxel", f"larger cells: {refused} blocks of the drive found no room at {voxel} m")
     T_world_body = np.asarray(planar_to_matrix(jnp.asarray(np.array(planar), jnp.float32)), float)

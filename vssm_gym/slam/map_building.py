@@ -20,10 +20,10 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.progress import OnProgress
 from vssm_gym.slam.drive_poses import estimate_poses
 from vssm_gym.version import package_version
 
-Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 Poses = Literal["recorded", "estimated"]
 
 MARGIN = 0.25  # m around the farthest points seen, for the truncation band and the noise of other frames
@@ -35,7 +35,7 @@ NOISE = "low"  # execution noise of the drive that a map is learned from
 def build_map(
     sequence: Sequence,
     voxel: float,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     warn: Callable[[tuple[str, ...]], None] | None = None,
     poses: Poses = "recorded",
 ) -> VoxelMap:
@@ -46,14 +46,14 @@ def build_map(
     Args:
         sequence: with ``groundtruth.txt``; only its first pose is read if poses are estimated.
         voxel: cell size, m.
-        progress: called after every frame.
+        on_progress: called after every frame.
         warn: called at the end with the damaged frames, which count as empty.
 
     Raises:
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
     """
     reader, config = FrameReader(sequence), MapUpdateConfig()
-    taken, accepted = _poses(sequence, voxel, poses, progress)
+    taken, accepted = _poses(sequence, voxel, poses, on_progress)
     low, high = grid_bounds(reader, taken, config)
     shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
     if np.prod(shape) > MAX_CELLS:
@@ -69,18 +69,20 @@ def build_map(
             reader.camera,
             config,
         )
-        if progress:
-            progress("map", done, int(accepted.sum()))
+        if on_progress:
+            on_progress("map", done, int(accepted.sum()))
     if warn:
         warn(reader.notices)
     return voxel_map
 
 
-def _poses(sequence: Sequence, voxel: float, poses: Poses, progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
+def _poses(
+    sequence: Sequence, voxel: float, poses: Poses, on_progress: OnProgress | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return ``T_world_cam`` of each frame, and which of them enter the map."""
     if poses == "recorded":
         return sequence.true_poses(), np.ones(len(sequence.frames), dtype=bool)
-    estimate = estimate_poses(sequence, voxel, progress)
+    estimate = estimate_poses(sequence, voxel, on_progress)
     return estimate.T_world_cam, estimate.accepted
 
 
@@ -113,7 +115,7 @@ def ensure_map(
     voxel: float,
     seed: int,
     poses: Poses = "recorded",
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Path:
     """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
 
@@ -126,7 +128,7 @@ def ensure_map(
         voxel: cell size, m.
         seed: of the recorded drive.
         poses: at which the images enter the map: see :func:`build_map`.
-        progress: called after every frame recorded and every frame mapped.
+        on_progress: called after every frame recorded and every frame mapped.
 
     Raises:
         InputError: a scene that cannot be used, or files of another origin at the places of map or recording.
@@ -154,8 +156,8 @@ def ensure_map(
             shutil.rmtree(recording)
     if not recording.exists():
         recording.parent.mkdir(parents=True, exist_ok=True)
-        record(scene, recording, noise=NOISE, seed=seed, progress=progress)
-    voxel_map = build_map(load_sequence(recording), voxel, progress, poses=poses)
+        record(scene, recording, noise=NOISE, seed=seed, on_progress=on_progress)
+    voxel_map = build_map(load_sequence(recording), voxel, on_progress, poses=poses)
     map_file.parent.mkdir(parents=True, exist_ok=True)
     voxel_map.save(map_file, **origin, voxel=voxel, poses=poses, package_version=package_version())
     return map_file

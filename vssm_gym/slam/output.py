@@ -19,10 +19,11 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 from vssm_gym.inference.status import Status
 from vssm_gym.output_folders import check_folder
+from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES
 from vssm_gym.slam.report import page
-from vssm_gym.slam.run import Progress, SlamOptions, SlamRun, TrackedFrame, run_slam
+from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame, run_slam
 from vssm_gym.slam.states import Truth, calibration_summary
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh, write_ply
@@ -46,7 +47,7 @@ def process(
     sequence: Sequence,
     out: Path,
     options: SlamOptions,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
     viewer: Viewer | None = None,
 ) -> dict[str, Any]:
@@ -59,7 +60,7 @@ def process(
         sequence: the recording.
         out: new or empty folder, or that of an unfinished run.
         options: image size, rate, grid, solver.
-        progress: called after every frame, and after every file.
+        on_progress: called after every frame, and after every file.
         on_frame: called with every finished frame.
         viewer: shows every frame, and the surface at the end.
 
@@ -79,7 +80,7 @@ def process(
             on_frame(frame)
 
     with _TrajectoryFile(out) as file:
-        run = run_slam(sequence, options, finished, progress)
+        run = run_slam(sequence, options, finished, on_progress)
     truth = Truth.of(run, sequence)
     stats = summarise(run, sequence, options, time.perf_counter() - start, truth)
     mesh = surface_mesh(run.map)
@@ -94,8 +95,8 @@ def process(
     )
     for done, write in enumerate(writers, start=1):
         write()
-        if progress:
-            progress("writing", done, len(writers))
+        if on_progress:
+            on_progress("writing", done, len(writers))
     return stats
 
 

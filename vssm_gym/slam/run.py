@@ -33,6 +33,7 @@ from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RIGID
+from vssm_gym.progress import OnProgress
 
 START_STD = 0.3  # m, rad: std of the tracker's given start in a map
 PATIENCE = 3  # readable frames that may be rejected after the first one before the map starts anew
@@ -40,8 +41,6 @@ AHEAD = 4  # images that are read ahead of the filter
 MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
 MAX_CELLS = 1_000_000_000  # an unobserved cell of a sparse cube takes a tenth of a byte
 SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; the rotation search needs to shrink images to 20 pixels
-
-Progress = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 
 
 @dataclass(frozen=True)
@@ -285,7 +284,7 @@ def run_slam(
     sequence: Sequence,
     options: SlamOptions,
     on_frame: Callable[[TrackedFrame], None] | None = None,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> SlamRun:
     """Track and map a sequence, frame by frame.
 
@@ -296,7 +295,7 @@ def run_slam(
         sequence: the recording.
         options: image size, rate, grid.
         on_frame: called with every finished frame.
-        progress: called after every frame.
+        on_progress: called after every frame.
 
     Raises:
         InputError: an image that cannot be read, or no depth reading in the whole sequence.
@@ -316,8 +315,8 @@ def run_slam(
             frames.append(frame)
             if on_frame:
                 on_frame(frame)
-            if progress:
-                progress("tracking and mapping", len(frames), len(indices))
+            if on_progress:
+                on_progress("tracking and mapping", len(frames), len(indices))
             asked = time.perf_counter()
     if tracker.state is None:
         share = f"{options.tracking.min_reading:.0%}"

@@ -17,7 +17,7 @@ from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.sweep.config import SweepConfig, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.files import atomic_write
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 from vssm_gym.training.imagined_episodes import imagine, real_return
 
 FILE = "evaluation.json"
@@ -54,7 +54,7 @@ def evaluate_policy(
     resume: bool = False,
     workers: int = 2,
     seed: int = 0,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Evaluation:
     """Run the sweep and the imagined episodes; writes ``evaluation.json`` beside the sweep's own files.
 
@@ -68,7 +68,7 @@ def evaluate_policy(
         resume: continue.
         workers: processes.
         seed: of the drive that the map is learned from, and of imagination.
-        progress: told as by :func:`vssm_gym.eval.sweep.runner.run_sweep`.
+        on_progress: called as by :func:`vssm_gym.eval.sweep.runner.run_sweep`.
 
     Raises:
         InputError: what the sweep says, or a file that is no policy.
@@ -76,7 +76,7 @@ def evaluate_policy(
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)))
     check_names(config, "evaluate")
-    log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, progress=progress)
+    log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, on_progress=on_progress)
     rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
     task_file, given_map = files_of(out, scene)
     set_ = load(task_file).tasks[:tasks]

@@ -30,7 +30,7 @@ from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import render
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 from vssm_gym.training.evaluation import files_of
 from vssm_gym.training.imagined_episodes import STEPS, Look, imagine
 from vssm_gym.viz import pictures
@@ -108,7 +108,7 @@ def record_both(
     noise: str = "low",
     map_file: Path | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Both:
     """Drive one task of an evaluation in both worlds.
 
@@ -120,7 +120,7 @@ def record_both(
         noise: of execution.
         map_file: to imagine in; None: the one that the sweep's agents are given.
         seed: of imagination.
-        progress: told ("driving" | "imagining", done, total).
+        on_progress: called with ("driving" | "imagining", done, total).
 
     Raises:
         InputError: a task that does not fit the map.
@@ -128,15 +128,15 @@ def record_both(
     task_file, given_map = files_of(out, scene)
     wanted = load(task_file).tasks[task]
     # First what may be refused
-    imagined = _imagined(policy, map_file or given_map, wanted, noise, seed + task, progress)
+    imagined = _imagined(policy, map_file or given_map, wanted, noise, seed + task, on_progress)
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=(task,))
-    real = _real(config, task_file, VoxelMap.load(given_map), progress)
+    real = _real(config, task_file, VoxelMap.load(given_map), on_progress)
     radius = policy_file.load(str(policy)).spec.success_radius
     return Both(policy_file.agent_label(agent), scene_name(scene), wanted, radius, real, imagined)
 
 
-def _real(config: SweepConfig, task_file: Path, m: VoxelMap, progress: Progress | None) -> Run:
+def _real(config: SweepConfig, task_file: Path, m: VoxelMap, on_progress: OnProgress | None) -> Run:
     (episode,) = expand(config)
     agent: Any = make_agent(episode.agent)
     spec, moments, touched = agent.policy.spec, [], 0
@@ -148,24 +148,24 @@ def _real(config: SweepConfig, task_file: Path, m: VoxelMap, progress: Progress 
         hits = ray_ends(step.planar, scan_of(step.observation["depth"], spec.max_depth), spec.hfov)
         image, status = np.array(step.observation["rgb"]), step.decision.status
         moments.append(Moment(step.seconds, step.planar, step.decision.pose, hits, image, touched, status))
-        if progress:
-            progress("driving", step.number, STEPS)
+        if on_progress:
+            on_progress("driving", step.number, STEPS)
 
     row = pointnav_protocol.run(episode, agent, task_file, m, see)
-    if progress:
-        progress("driving", STEPS, STEPS)
+    if on_progress:
+        on_progress("driving", STEPS, STEPS)
     ending = "arrived" if row["success"] else str(row["failure"])
     return Run(tuple(moments), true_plan(episode.condition.scene), bool(row["success"]), ending)
 
 
-def _imagined(policy: Path, map_file: Path, task: Task, noise: str, seed: int, progress: Progress | None) -> Run:
+def _imagined(policy: Path, map_file: Path, task: Task, noise: str, seed: int, on_progress: OnProgress | None) -> Run:
     network, moments, touched = policy_file.load(str(policy)), [], 0
     m, looks, hfov = VoxelMap.load(map_file), [], network.spec.hfov
 
     def see(look: Look) -> None:
         looks.append(look)
-        if progress:
-            progress("imagining", look.number, STEPS)
+        if on_progress:
+            on_progress("imagining", look.number, STEPS)
 
     (row,) = imagine(network, map_file, [task], noise, seed, see)
     for look in looks:
@@ -175,8 +175,8 @@ def _imagined(policy: Path, map_file: Path, task: Task, noise: str, seed: int, p
         status = "arrived" if look.stop[0] else "driving"
         image = _seen(m, planar, hfov)
         moments.append(Moment(look.number * ROBOT.dt, planar, believed, hits, image, touched, status))
-    if progress:
-        progress("imagining", STEPS, STEPS)
+    if on_progress:
+        on_progress("imagining", STEPS, STEPS)
     away = float(np.linalg.norm(moments[-1].planar[:2] - task.goal))
     failure = f"{'stopped outside' if looks[-1].stop[0] else 'time out'}: {away:.2f} m from the goal"
     return Run(tuple(moments), Plan.of(m), row["success"], "arrived" if row["success"] else failure)

@@ -17,7 +17,7 @@ from matplotlib.patches import Circle
 from vssm_gym.eval.video import pictures as explore_pictures
 from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
 from vssm_gym.files import atomic_write
-from vssm_gym.slam.map_building import Progress
+from vssm_gym.progress import OnProgress
 from vssm_gym.training.recording import ROBOT, Both, Run
 from vssm_gym.viz import pictures
 
@@ -28,19 +28,19 @@ HEADS = "in the simulator", "imagined in the learned map"
 SEEN = "what its camera sees", "what the map looks like from there; the policy sees the scan alone"
 
 
-def write_video(path: Path, both: Both, progress: Progress | None = None) -> None:
+def write_video(path: Path, both: Both, on_progress: OnProgress | None = None) -> None:
     """Write the two runs as MP4 (H.264), one frame a step; the file appears whole or not at all.
 
     Args:
         path: of the file, which ends in ``.mp4``.
         both: runs that have ended.
-        progress: told ("video", done, total).
+        on_progress: called with ("video", done, total).
     """
     sheet = Sheet(both)
     with atomic_write(path) as temporary:
         unfinished = temporary.with_suffix(".mp4")  # ffmpeg goes by the name's end
         try:
-            write_frames(unfinished, (sheet.draw(i) for i in range(len(both))), len(both), progress)
+            write_frames(unfinished, (sheet.draw(i) for i in range(len(both))), len(both), on_progress)
             unfinished.replace(temporary)
         finally:
             unfinished.unlink(missing_ok=True)

@@ -18,7 +18,6 @@ same images, so that a penalty towards it would count them twice. Precisions kee
 means are no longer averages of observations.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -32,6 +31,7 @@ from vssm_gym.inference.mapping.views import Views, fit_scales
 from vssm_gym.maps.voxel_map import VoxelMap, trilinear
 from vssm_gym.model import emission
 from vssm_gym.model.emission import STEP, TAU, EmissionScales
+from vssm_gym.progress import OnProgress
 
 BAND = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray without a surface is given one
 
@@ -252,7 +252,7 @@ def refine(
     config: RefineConfig,
     key: PRNGKeyArray,
     start: EmissionScales | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> tuple[VoxelMap, EmissionScales]:
     """Refine the map ``m`` (not consumed) by ``config.steps`` steps, with rates falling linearly to zero.
 
@@ -262,7 +262,7 @@ def refine(
         config: Batch, rates, effort.
         key: Of the draws.
         start: Emission scales at the start; by default those that fit ``m`` best.
-        progress: Called after every refresh.
+        on_progress: Called after every refresh.
 
     Returns:
         The refined map, its index up to date, and the learned scales.
@@ -274,6 +274,6 @@ def refine(
         state, _ = _steps(state, views, config, key, jnp.asarray(done), count)
         state = refresh(state)
         done += count
-        if progress:
-            progress("refining the map", done, config.steps)
+        if on_progress:
+            on_progress("refining the map", done, config.steps)
     return state.map, scales(state)
