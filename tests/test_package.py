@@ -129,7 +129,7 @@ def test_annotated_shapes_are_checked_here():
 
 
 def test_the_example_of_the_readme_runs():
-    [example] = re.findall(r"```python\n(.*?)```", (CHECKOUT / "README.md").read_text(), re.DOTALL)
+    example = re.findall(r"```python\n(.*?)```", (CHECKOUT / "README.md").read_text(), re.DOTALL)[0]
     names: dict[str, Any] = {}
     exec(example, names)
     assert names["observation"]["rgb"].shape == (120, 160, 3)
