@@ -228,7 +228,8 @@ def test_python_of_the_pages_compiles_and_its_imports_resolve(page):
 
 def commands(page: Path) -> list[str]:
     """List the command lines of a page: in fences, continuation lines joined, and in backticks."""
-    fenced = re.findall(r"^```(?:bash|sh|console)?\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    fences = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    fenced = [block for language, block in fences if language in {"", "bash", "sh", "console"}]
     lines = re.findall(r"^(?:\S*/)?(vssm-gym .*(?:\n +\S.*)*)", "\n".join(fenced), flags=re.MULTILINE)
     return lines + [span for span in spans(page) if span.startswith("vssm-gym ")]
 
