@@ -11,7 +11,7 @@ from tests.helpers.box_rooms import furniture
 from tests.helpers.car_yard import arc, two_yards, yard
 from vssm_gym.envs.carnav import COLLISION_COST, MAX_ACCELERATION, STEP_COST, SUCCESS_REWARD, CarNavEnv
 from vssm_gym.envs.robots.car_noise import NOISE_LEVELS, CarNoise
-from vssm_gym.envs.tasks.car import REACHED, CarTask, car_sampler_of
+from vssm_gym.envs.tasks.car import REACHED, CarTask, CarTaskSampler
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 
@@ -19,7 +19,7 @@ ID = "vssm_gym:vssm_gym/CarNav-v0"
 CAR = Car()
 SCENE = yard(4.0, 3.0, (furniture("crate", (2.9, 2.2, 0.2), (0.3, 0.5, 0.4), 0.6),))
 OPEN = yard(6.0, 6.0)
-SAMPLERS = [car_sampler_of(scene, CAR) for scene in (SCENE, OPEN)]  # kept, so that every test finds them made
+SAMPLERS = [CarTaskSampler.of(scene, CAR) for scene in (SCENE, OPEN)]  # kept, so that every test finds them made
 SMALL = {"width": 32, "height": 24}
 
 

@@ -10,7 +10,7 @@ import shapely
 from tests.helpers.car_yard import arc
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import footprint
-from vssm_gym.envs.tasks.car import car_sampler_of
+from vssm_gym.envs.tasks.car import CarTaskSampler
 from vssm_gym.geometry.car import Car
 
 CAR = Car()
@@ -51,14 +51,14 @@ def test_everything_is_textured(scene):
 @pytest.mark.parametrize("bay", [0, 2, 3, 5])
 @pytest.mark.parametrize("heading", [0.5 * math.pi, -0.5 * math.pi])
 def test_the_garages_free_bays_can_be_parked_in_either_way(bay, heading):
-    sampler = car_sampler_of(load_scene("garage"), CAR)
+    sampler = CarTaskSampler.of(load_scene("garage"), CAR)
     goal = (1.43 + 0.48 * bay, 3.7 if heading > 0.0 else 3.9, heading)
     assert sampler.space.free(np.array(goal), 0.05)
     sampler.validate(sampler.task((2.6, 2.5, 0.0), goal))
 
 
 def test_the_garages_gaps_can_be_parked_in_along_the_wall():
-    sampler = car_sampler_of(load_scene("garage"), CAR)
+    sampler = CarTaskSampler.of(load_scene("garage"), CAR)
     for x in (1.215, 2.405, 3.595):
         sampler.validate(sampler.task((2.6, 2.5, 0.0), (x, 0.25, 0.0)))
 
@@ -66,7 +66,7 @@ def test_the_garages_gaps_can_be_parked_in_along_the_wall():
 @pytest.mark.parametrize("start", [(0.8, 1.12, math.pi), (0.8, 1.8, math.pi), (4.4, 1.88, 0.0), (4.4, 2.44, 0.0)])
 def test_the_docks_alleys_are_left_backwards(start):
     """No chain of forward arcs leads out, and one backwards does."""
-    sampler = car_sampler_of(load_scene("dock"), CAR)
+    sampler = CarTaskSampler.of(load_scene("dock"), CAR)
     space, inside = sampler.space, (lambda poses: (poses[:, 0] < 1.2) | (poses[:, 0] > 3.9))
     poses = np.array([start])
     assert space.free(poses).all()

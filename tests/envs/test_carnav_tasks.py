@@ -21,7 +21,7 @@ from vssm_gym.envs.tasks.car import (
     GOAL_MARGIN,
     REACHED,
     CarTask,
-    car_sampler_of,
+    CarTaskSampler,
 )
 from vssm_gym.envs.tasks.car_sets import make_car_tasks
 from vssm_gym.envs.tasks.car_space import CELL, HEADINGS, TURNS, CarSpace
@@ -39,8 +39,8 @@ PIECES = (
 ROOM = yard(3.0, 2.4, PIECES)
 SPACE = CarSpace(ROOM, CAR)
 SOLID = shapely.union_all([footprint(box) for box in ROOM.boxes() if box.kind == "wall" or box.name == "crate"])
-SAMPLER = car_sampler_of(ROOM, CAR)
-CUT = car_sampler_of(two_yards(), CAR)
+SAMPLER = CarTaskSampler.of(ROOM, CAR)
+CUT = CarTaskSampler.of(two_yards(), CAR)
 
 
 @given(st.floats(0.1, 2.9), st.floats(0.1, 2.3), st.floats(-4.0, 4.0), st.sampled_from([0.0, 0.03, -0.01]))
@@ -84,7 +84,7 @@ def test_a_pocket_without_room_to_turn_or_leave_is_a_part_of_its_own():
         furniture("west", (1.6, 2.0, 0.2), (0.1, 0.4, 0.4)),
         furniture("east", (2.4, 2.0, 0.2), (0.1, 0.4, 0.4)),
     ]
-    sampler = car_sampler_of(yard(4.0, 4.0, tuple(pen)), CAR)
+    sampler = CarTaskSampler.of(yard(4.0, 4.0, tuple(pen)), CAR)
     inside = np.array([1.88, 2.0, 0.0])
     assert sampler.space.free(inside, 0.02)
     assert sampler.space.part(inside) != sampler.space.part(np.array([0.5, 0.5, 0.0])) == 0
@@ -95,7 +95,7 @@ def test_a_pocket_without_room_to_turn_or_leave_is_a_part_of_its_own():
 @pytest.mark.parametrize("targets", ["poses", "points"])
 @pytest.mark.parametrize("scene", ARENAS)
 def test_tasks_are_free_apart_and_within_reach(scene, targets):
-    sampler = car_sampler_of(load_scene(scene), CAR)
+    sampler = CarTaskSampler.of(load_scene(scene), CAR)
     tasks = [sampler.draw(np.random.default_rng([7, i]), targets, i) for i in range(12)]
     assert len(set(tasks)) == 12
     for i, task in enumerate(tasks):
@@ -112,7 +112,7 @@ def test_tasks_are_free_apart_and_within_reach(scene, targets):
 @pytest.mark.parametrize("scene", ARENAS)
 def test_nearly_all_of_an_arena_is_within_reach(scene):
     """What is left are single poses of the lattice without a way out between its other poses, none of them a place."""
-    sampler = car_sampler_of(load_scene(scene), CAR)
+    sampler = CarTaskSampler.of(load_scene(scene), CAR)
     count = np.bincount(sampler.space.labels[sampler.space.labels >= 0])
     assert count[0] > 0.97 * count.sum() and count[1] < 10
     poses = sampler.space.sample(np.random.default_rng(0), 2000, GOAL_MARGIN)
@@ -172,12 +172,12 @@ def test_tasks_of_other_scenes_are_refused():
 
 
 def test_a_scene_has_one_sampler_also_through_pickle():
-    assert car_sampler_of(ROOM, CAR) is SAMPLER
+    assert CarTaskSampler.of(ROOM, CAR) is SAMPLER
     assert pickle.loads(pickle.dumps(SAMPLER)) is SAMPLER
 
 
 def test_a_scene_without_room_is_refused():
-    sampler = car_sampler_of(yard(0.5, 0.5), CAR)
+    sampler = CarTaskSampler.of(yard(0.5, 0.5), CAR)
     with pytest.raises(InputError, match="yard: rooms: expected room for a car"):
         sampler.draw(np.random.default_rng(0))
 
@@ -185,7 +185,7 @@ def test_a_scene_without_room_is_refused():
 def test_every_target_that_is_drawn_would_be_accepted():
     """A corner of `paddock` holds poses near the drivable part that nothing drivable comes close enough to."""
     tasks = make_car_tasks(load_scene("paddock"), 70)
-    sampler = car_sampler_of(load_scene("paddock"), CAR)
+    sampler = CarTaskSampler.of(load_scene("paddock"), CAR)
     for task in tasks.tasks:
         sampler.validate(task)
 
@@ -197,7 +197,7 @@ def test_the_lattice_is_joined_by_the_arcs_of_the_bicycle(k: int, curvature: int
     turn, angle = TURNS[1], 2.0 * np.pi * TURNS[1] / HEADINGS
     steering = curvature * CAR.max_steering
     bicycle = Bicycle(wheelbase=CAR.wheelbase)
-    for share, (i, j, heading) in zip((0.25, 0.5, 0.75, 1.0), SPACE._way(k, curvature, turn), strict=True):
+    for share, (i, j, heading) in zip((0.25, 0.5, 0.75, 1.0), SPACE._cells_along(k, curvature, turn), strict=True):
         start = jnp.array([0.0, 0.0, 2.0 * np.pi * k / HEADINGS])
         x, y, after = bicycle.mean(start, jnp.array([CAR.turning_radius * angle * share, steering]), 1.0)
         assert max(abs(CELL * i - float(x)), abs(CELL * j - float(y))) <= 0.5 * CELL + 1e-6

@@ -1,4 +1,4 @@
-"""Laws of the holonomic robot's noisy kinematics (SPEC 6)."""
+"""Laws of the holonomic robot's noisy kinematics."""
 
 import math
 

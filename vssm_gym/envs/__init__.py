@@ -1,1 +1,1 @@
-"""Simulated apartments and the Gymnasium environments in them."""
+"""Simulate furnished apartments as Gymnasium environments."""

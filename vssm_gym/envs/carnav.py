@@ -1,8 +1,8 @@
-"""CarNav: a 1:10 car with an RGB-D camera parks at poses, or drives to points, of a cluttered arena (SPEC 7).
+"""Define CarNav: a 1:10 car with an RGB-D camera parks at poses, or drives to points, of a cluttered arena.
 
 It acts ``(speed, steering)`` at 10 Hz and is simulated as rigid bodies, by MuJoCo or by PyBullet, with servos that lag,
-a linkage with play and tyres that slip: what a planner's bicycle model leaves out. The tables of observation, action,
-reward and termination are in ``docs/envs/carnav.md``.
+a linkage with backlash and tyres that slip, none of which a planner's bicycle model contains. The tables of
+observation, action, reward and termination are in ``docs/envs/carnav.md``.
 """
 
 import math
@@ -31,7 +31,7 @@ from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.tasks.car import REACHED, TARGETS, CarTask, Targets, car_sampler_of
+from vssm_gym.envs.tasks.car import REACHED, TARGETS, CarTask, CarTaskSampler, Targets
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
@@ -43,22 +43,21 @@ ALIGNING = 0.1  # m that a radian between the car's heading and the target's is 
 
 
 class CarNavEnv(PhasedEnv):
-    """One arena, one car; see the module. Registered as ``vssm_gym/CarNav-v0``, truncated after 600 steps: 60 s.
+    """Simulate one car in one arena. Registered as ``vssm_gym/CarNav-v0``, truncated after 600 steps: 60 s.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
-        noise: how the car strays from commands: ``none``, ``low``, ``mid``, ``high`` or a :class:`CarNoise`.
-        sensor_noise: what the camera adds to the exact image: ``none``, ``kinect``, ``stereo`` or a
-            :class:`SensorNoise`.
-        camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
+        noise: execution noise: ``none``, ``low``, ``mid``, ``high`` or a :class:`CarNoise`.
+        sensor_noise: errors of the camera: ``none``, ``kinect``, ``stereo`` or a :class:`SensorNoise`.
+        camera: size and field of view of the images: a :class:`CameraConfig` or a mapping of its fields.
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
         physics: ``mujoco``, or ``bullet`` where PyBullet is installed.
         targets: ``poses`` (x, y, heading) or ``points`` (x, y).
         control: the action's first number: ``speed``, m/s, or ``acceleration``, m/s^2.
-        chain: whether an episode begins where the one before has ended, speed and contact included.
-        sensors: what the car carries besides its camera, as PointNav's: names, configurations or mappings.
-        observe_pose: whether the observation holds the true pose (an oracle's privilege).
-        images: whether it holds ``rgb`` and ``depth``; without them nothing is rendered.
+        chain: if True, an episode begins where the one before has ended, speed and contact included.
+        sensors: sensors besides the camera, as in PointNav: names, configurations or mappings.
+        observe_pose: if True, the observation holds the true pose (an oracle's privilege).
+        images: if True, it holds ``rgb`` and ``depth``; otherwise nothing is rendered.
         reward: ``dense`` (metres gained along free space, costs of steps and collisions, a success reward) or
             ``sparse``.
         render_mode: ``rgb_array`` or None.
@@ -109,7 +108,7 @@ class CarNavEnv(PhasedEnv):
         told = TaskObservation("goal", gym.spaces.Box(-goal, goal), self._goal)
         self.sensors = SensorSuite("CarNav", [*mounted, told, *oracle])
         self.parallel = self.sensors.parallel
-        self.sampler = car_sampler_of(self.apartment, self.car)
+        self.sampler = CarTaskSampler.of(self.apartment, self.car)
         self.body = _make_body(physics, self.apartment, self.car)
         self.body.reads_contacts = self.sensors.reads_contacts
         self._goal_distance = self.sampler.goal_distance() if reward == "dense" else None
@@ -131,17 +130,17 @@ class CarNavEnv(PhasedEnv):
 
     @property
     def planar(self) -> PlanarPose:
-        """The true ``(x, y, heading)`` of the rear axle, m and rad; not for agents."""
+        """Return the true ``(x, y, heading)`` of the rear axle, m and rad; not for agents."""
         return self._planar.copy()
 
     @property
     def T_world_cam(self) -> Matrix4:
-        """The true camera pose; not for agents."""
+        """Return the true camera pose; not for agents."""
         return self._carrier.T_world_cam.copy()
 
     @property
     def _carrier(self) -> GroundBody:
-        """The true state of the car, for its sensors; not for agents."""
+        """Return the true state of the car, for its sensors; not for agents."""
         if self._body is None:
             contacts = self.body.contact_bearings()
             self._body = GroundBody.at(self.planar, self.car.T_body_cam, self.car.dt, contacts)
@@ -150,9 +149,9 @@ class CarNavEnv(PhasedEnv):
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Start a task: ``options["task"]``, or one of the seeded task stream.
 
-        In a chain the car stays as it is and gets a new target, ``options["goal"]`` if that is given. It is put down
-        anew, at rest, where no chain is, with a seed, with ``options["task"]``, with ``options["restart"]``, and after
-        it overturned. A seed restarts all streams; without one they go on.
+        In a chain the car stays as it is and gets a new target, ``options["goal"]`` if that is given. It is placed
+        anew, at rest, without a chain, with a seed, with ``options["task"]``, with ``options["restart"]``, and after it
+        overturned. A seed restarts all streams; without one they go on.
 
         Raises :class:`InputError` for a target that the car cannot reach, or a task of another scene.
         """
@@ -227,14 +226,17 @@ class CarNavEnv(PhasedEnv):
         self.sensors.sense(self._carrier)
 
     def report(self) -> Report:
-        """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
+        """Return observation, reward, terminated, truncated (always False: a wrapper counts steps) and info."""
         assert self.task is not None
         self.sense()
         reward, terminated, info = self._outcome
         return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The camera's image, where there are images, beside the plan: uint8 ``(360, width, 3)``; None if not asked."""
+        """Return the camera's image, if there are images, beside the plan: uint8 ``(360, width, 3)``.
+
+        None without render_mode.
+        """
         if self.render_mode is None or self.task is None:
             return None
         if self._plan is None:
@@ -247,7 +249,7 @@ class CarNavEnv(PhasedEnv):
         return beside_plan(self.sensors.reading("rgb"), plan)
 
     def close(self) -> None:
-        """Let go of the simulator."""
+        """Free the simulator."""
         self.body.close()
 
     def _action_space(self) -> gym.spaces.Box:
@@ -256,7 +258,7 @@ class CarNavEnv(PhasedEnv):
         return gym.spaces.Box(-high, high)
 
     def _goal(self) -> np.ndarray:
-        """What the car is told."""
+        """Return the goal, as observed."""
         assert self.task is not None
         return np.array(self.task.goal, dtype=np.float32)
 
@@ -276,7 +278,7 @@ class CarNavEnv(PhasedEnv):
         self.sampler.validate(task)
 
     def _parsed(self, goal: Any) -> list[float]:
-        """A target of the kind that this environment has."""
+        """Return a target of the kind that this environment has, checked."""
         names = ("x", "y", "heading")[: 3 if self.targets == "poses" else 2]
         try:
             values = np.asarray(goal, dtype=np.float64)

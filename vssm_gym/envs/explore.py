@@ -1,4 +1,4 @@
-"""Explore: a noisy holonomic robot with an RGB-D camera sees as much of an unknown apartment as it can (SPEC 8).
+"""Define Explore: a noisy holonomic robot with an RGB-D camera observes as much of an unknown apartment as it can.
 
 It acts ``(turn, o, s, stop)`` at 5 Hz like PointNav's robot; its pose is observed unless that is switched off. Reward
 and score are the coverage of what a robot of its size could see at all (:mod:`vssm_gym.envs.tasks.coverage`). The
@@ -22,13 +22,13 @@ STEP_COST, COVERAGE_REWARD = 0.005, 10.0
 
 
 class ExploreEnv(PhasedEnv):
-    """One apartment, one robot; see the module. Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
+    """Simulate one robot in one apartment. Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         reward: ``dense`` (ten times the coverage gained, less a cost a step) or ``sparse`` (1 when finished).
         finish: coverage at which the episode ends with success; above 1 it never does.
-        observe_pose: whether the observation holds the true pose, as in the published experiments.
+        observe_pose: if True, the observation holds the true pose, as in the published experiments.
         simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
@@ -61,7 +61,7 @@ class ExploreEnv(PhasedEnv):
 
     @property
     def planar(self) -> PlanarPose:
-        """The true ``(x, y, heading)``, m and rad; not for agents."""
+        """Return the true ``(x, y, heading)``, m and rad; not for agents."""
         return self.simulation.planar
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -80,7 +80,7 @@ class ExploreEnv(PhasedEnv):
         self._outcome = 0.0, False, self._info(self.simulation.rest, collision=False) | {"start_pose": start}
 
     def advance(self, action: np.ndarray) -> None:
-        """Carry out ``(turn, o, s, stop)``; a stop ends the episode and carries out nothing else of the action."""
+        """Carry out ``(turn, o, s, stop)``; a stop ends the episode without a motion."""
         command, stop = self.simulation.parse(action)
         command = self.simulation.rest if stop else command
         collision = False if stop else self.simulation.drive(command)
@@ -97,13 +97,13 @@ class ExploreEnv(PhasedEnv):
         self.simulation.sense()
 
     def report(self) -> Report:
-        """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
+        """Return observation, reward, terminated, truncated (always False: a wrapper counts steps) and info."""
         assert self._outcome is not None
         reward, terminated, info = self._outcome
         return self.simulation.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
+        """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture()
 
     def _info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:

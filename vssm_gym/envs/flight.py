@@ -1,7 +1,7 @@
-"""Flight: a multirotor with an RGB-D camera and an IMU follows a reference flight through a hall.
+"""Define Flight: a multirotor with an RGB-D camera and an IMU follows a reference flight through a hall.
 
-It commands specific force and body rates, is pushed about by gusts and drag, and must know where it is from images and
-IMU: the reference is given in the world's frame. The tables of observation, action, reward and termination are in
+It commands specific force and body rates, is disturbed by gusts and drag, and must localise itself by images and IMU,
+since the reference is given in the world's frame. The tables of observation, action, reward and termination are in
 ``docs/envs/flight.md``.
 """
 
@@ -45,20 +45,20 @@ HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
 
 
 class FlightEnv(PhasedEnv):
-    """One hall, one body, one reference flight an episode; see the module. Registered as ``vssm_gym/Flight-v0``.
+    """Simulate one body in one hall, with one reference flight per episode. Registered as ``vssm_gym/Flight-v0``.
 
     No wrapper counts its steps: an episode lasts as long as its reference, LONGEST seconds at most, whatever the rate.
 
     Args:
         scene: built-in name, path of a scene file, or an :class:`Apartment`.
         noise: gusts and actuator errors: ``none``, ``low``, ``mid``, ``high`` or a :class:`FlightNoise`.
-        sensor_noise: what the camera adds to exact images: a name of ``sensor_noise.PRESETS`` or a `SensorNoise`.
-        imu_noise: what the IMU adds: a name of ``imu.PRESETS`` or an :class:`ImuSensorNoise`.
-        camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
+        sensor_noise: errors of the camera: a name of ``rgbd_noise.PRESETS`` or a :class:`SensorNoise`.
+        imu_noise: errors of the IMU: a name of ``imu.PRESETS`` or an :class:`ImuSensorNoise`.
+        camera: size and field of view of the images: a :class:`CameraConfig` or a mapping of its fields.
         rate: steps and images a second, 5 to 100. A step is ``substeps`` equal periods of the IMU, ``imu_period`` s
             each: the whole number that comes nearest to 5 ms.
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
-        observe_pose: whether the observation holds true pose and velocity (an oracle's privilege).
+        observe_pose: if True, the observation holds true pose and velocity (an oracle's privilege).
         flight: name of the reference, or None: one is drawn at each reset.
         speed: its peak, m/s, 0.2 to 20 as far as the rotors allow, or None: drawn from SPEEDS.
         yaw: ``forward``: the nose points along the motion; ``constant``.
@@ -130,7 +130,7 @@ class FlightEnv(PhasedEnv):
 
     @property
     def time(self) -> float:
-        """Seconds since the reset."""
+        """Return the seconds since the reset."""
         return self.steps * self.dt
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -159,7 +159,7 @@ class FlightEnv(PhasedEnv):
         self.sensors.begin(self._carrier())
 
     def advance(self, action: np.ndarray) -> None:
-        """Carry out ``(specific force, body rates)`` for one period; what exceeds the limits is clipped to them."""
+        """Carry out ``(specific force, body rates)`` for one period, clipped to the limits."""
         assert self.task is not None
         self._control = self._command(action)
         self._gust = self.noise.following(self._gust, self.dt, self._streams["dynamics"])
@@ -175,11 +175,11 @@ class FlightEnv(PhasedEnv):
         self._path.append(self.state.position)
 
     def sense(self) -> None:
-        """Let the sensors measure, once a step however often it is asked for; it changes no other state."""
+        """Let the sensors measure, once a step however often it is called; it changes no other state."""
         self.sensors.sense(self._carrier())
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """What :meth:`step` returns, of the state that it has left."""
+        """Return observation, reward, terminated, truncated and info of the present state."""
         assert self.task is not None
         error = self.tracking_error()
         strayed, arrived = error > STRAYED, self.time >= self.task.duration
@@ -203,7 +203,7 @@ class FlightEnv(PhasedEnv):
         return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
+        """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         if self.render_mode is None or self.task is None:
             return None
         if self._plan is None:
@@ -215,12 +215,12 @@ class FlightEnv(PhasedEnv):
         return beside_plan(self.sensors.reading("rgb"), plan)
 
     def tracking_error(self) -> float:
-        """Metres from where the reference is now."""
+        """Return the distance to the present position of the reference, m."""
         assert self.task is not None
         return float(np.linalg.norm(self.state.position - self.task.at(np.array([self.time])).position[0]))
 
     def _carrier(self) -> FlyingBody:
-        """The true state of the body, for its sensors; not for agents."""
+        """Return the true state of the body, for its sensors; not for agents."""
         T_world_body, T_body_cam = self.state.T_world_body, self.body.T_body_cam
         return FlyingBody(T_world_body, self.state.velocity, T_body_cam, self.dt, self._felt, self.imu_period)
 
@@ -230,13 +230,16 @@ class FlightEnv(PhasedEnv):
         return ReferenceFlight(name, speed, self._places[name], self.yaw, drag=self.body.drag)
 
     def _drawn(self) -> ReferenceFlight:
-        """The next task; both numbers are drawn whether or not they are needed."""
+        """Draw the next task; both numbers are drawn even if they are not needed."""
         stream = self._streams["task"]
         name, speed = list(CURVES)[stream.integers(len(CURVES))], float(stream.uniform(*SPEEDS))
         return self._reference(self.flight or name, speed if self.speed is None else self.speed)
 
     def _checked(self, reference: ReferenceFlight) -> ReferenceFlight:
-        """The flight itself, where nothing is in its way, the body is strong enough and the end comes in time."""
+        """Return the flight if its path is free, the body is strong enough and it ends in time.
+
+        Else raise InputError.
+        """
         if reference.duration > LONGEST:
             expected = f"a flight of at most {LONGEST:g} s; {reference.speed:g} m/s here takes {reference.duration:.0f}"
             raise InputError("Flight", "speed", expected)
@@ -257,7 +260,10 @@ class FlightEnv(PhasedEnv):
         return np.clip(values, *self.body.limits)
 
     def _wanted(self) -> Float[np.ndarray, "10"]:
-        """Where the reference is at the end of the coming step: position, velocity, acceleration, heading; world."""
+        """Return the reference at the end of the coming step: position, velocity, acceleration, heading.
+
+        World frame.
+        """
         assert self.task is not None
         motion = self.task.at(np.array([self.time + self.dt]))
         nose = motion.R_world_body[0, :, 0]

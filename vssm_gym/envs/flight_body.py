@@ -1,11 +1,11 @@
-"""A flying body: what it may be told, how it answers, and a controller that keeps it on a reference flight.
+"""Simulate a flying body: its command limits, its dynamics, and a controller that keeps it on a reference flight.
 
     v' = R (f + e_f) + g - drag v,    p' = v,    R' = R (w + e_w)^
 
 The command ``(f, w)`` is a specific force (m/s^2) and an angular rate (rad/s) in the body's frame: the control that
-the IMU-driven transition takes (SPEC 1(b)), so that without drag and gusts a model of the body is exact. ``e`` are
-gusts and the rotors' errors, an Ornstein-Uhlenbeck process. What an IMU at the body's centre feels is
-``(R^T (v' - g), w + e_w)``.
+the IMU-driven transition takes (:mod:`vssm_gym.model.transition.imu`), so that without drag and gusts a model of the
+body is exact. ``e`` are gusts and the rotors' errors, an Ornstein-Uhlenbeck process. An IMU at the body's centre
+measures ``(R^T (v' - g), w + e_w)``.
 
 World frame, z up; body x forward, y left, z up.
 """
@@ -27,7 +27,7 @@ from vssm_gym.geometry.transforms import R_BODY_CAM
 
 @dataclass(frozen=True)
 class FlightBody:
-    """A small multirotor, as contacts know it a ball; camera and IMU sit at its centre, the camera looks along x."""
+    """Define a small multirotor: a ball for contacts, with camera and IMU at its centre; the camera looks along x."""
 
     radius: float = 0.25  # m
     drag: float = 0.3  # 1/s, of the rotors: proportional to speed (Faessler et al. 2018)
@@ -37,7 +37,7 @@ class FlightBody:
 
     @property
     def limits(self) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-        """Lowest and highest command ``(f, w)``."""
+        """Return the lowest and the highest command ``(f, w)``."""
         high = np.array([*self.max_push, *[self.max_rate] * 3])
         low = -high
         low[2] = 0.0
@@ -45,7 +45,7 @@ class FlightBody:
 
     @property
     def T_body_cam(self) -> Matrix4:
-        """Camera frame to body frame, constant; float64 ``(4, 4)``."""
+        """Return the constant transform from camera to body; float64 ``(4, 4)``."""
         T = np.eye(4)
         T[:3, :3] = R_BODY_CAM
         return T
@@ -53,7 +53,7 @@ class FlightBody:
 
 @dataclass(frozen=True)
 class FlightNoise:
-    """Gusts and actuator errors: standard deviations of a process that forgets over ``time``."""
+    """Define gusts and actuator errors: standard deviations of a process with correlation time ``time``."""
 
     push: float  # m/s^2
     rate: float  # rad/s
@@ -66,7 +66,7 @@ class FlightNoise:
                 raise InputError("FlightNoise", field, f"a finite number >= 0 (time: above 0), not {value!r}")
 
     def following(self, gust: Float[np.ndarray, "6"], dt: float, rng: np.random.Generator) -> Float[np.ndarray, "6"]:
-        """The gust ``dt`` s after ``gust``; every call draws six normals."""
+        """Return the gust ``dt`` s after ``gust``; every call draws six normals."""
         keep = math.exp(-dt / self.time)
         std = np.repeat([self.push, self.rate], 3)
         return keep * gust + math.sqrt(1.0 - keep**2) * std * rng.standard_normal(6)
@@ -85,7 +85,7 @@ flight_noise = Presets("Flight", "noise", FlightNoise, NOISE_LEVELS)
 
 @dataclass(frozen=True)
 class FlightState:
-    """Where the body is and how it moves, world frame; float64."""
+    """Hold pose and velocity of the body, world frame; float64."""
 
     position: Float[np.ndarray, "3"]  # m
     velocity: Float[np.ndarray, "3"]  # m/s
@@ -93,7 +93,7 @@ class FlightState:
 
     @property
     def T_world_body(self) -> Matrix4:
-        """The pose; float64 ``(4, 4)``."""
+        """Return the pose; float64 ``(4, 4)``."""
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = self.R_world_body, self.position
         return T
@@ -102,12 +102,12 @@ class FlightState:
 def fly(
     state: FlightState, command: Float[np.ndarray, "6"], gust: Float[np.ndarray, "6"], drag: float, h: float
 ) -> tuple[FlightState, Float[np.ndarray, "6"]]:
-    """``h`` seconds of free flight by the midpoint rule, and what the body's IMU felt halfway.
+    """Integrate ``h`` seconds of free flight by the midpoint rule, with the IMU's exact reading halfway.
 
     Args:
-        state: before.
+        state: the state before.
         command: ``(f, w)``, body frame, within the limits.
-        gust: what is added to it.
+        gust: disturbance added to the command.
         drag: 1/s.
         h: s; errors of position grow with its square, 5 ms give micrometres a second.
 
@@ -137,9 +137,11 @@ def rotation(phi: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 @dataclass(frozen=True)
 class FlightController:
-    """A geometric controller (Mellinger and Kumar 2011): rotors push along body z; rates turn it to where it should be.
+    """Follow a reference by geometric control: rotors push along body z, and rates turn z to the wanted direction.
 
-    a = a_ref + k_p (p_ref - p) + k_v (v_ref - v),   f_z = |a - g + drag v|,   w = w_ref + k_R log(R^T R_wanted)
+        a = a_ref + k_p (p_ref - p) + k_v (v_ref - v),   f_z = |a - g + drag v|,   w = w_ref + k_R log(R^T R_wanted)
+
+    Mellinger and Kumar, ICRA 2011.
     """
 
     body: FlightBody = FlightBody()
@@ -148,7 +150,7 @@ class FlightController:
     attitude_gain: float = 10.0  # 1/s
 
     def __call__(self, state: FlightState, reference: ReferenceFlight, t: float, dt: float) -> Float[np.ndarray, "6"]:
-        """The command for the ``dt`` seconds from ``t`` on, of a body at ``state``."""
+        """Return the command for the ``dt`` seconds from ``t`` on, of a body at ``state``."""
         # The command is held: aim at the middle of the interval, towards which the body coasts.
         middle = np.array([t + 0.5 * dt])
         motion = reference.at(middle)

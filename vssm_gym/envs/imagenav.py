@@ -1,7 +1,7 @@
-"""ImageNav: PointNav whose goal is an image, taken where the robot is to go (Zhu et al., ICRA 2017).
+"""Define ImageNav: PointNav whose goal is an image, taken at the goal (Zhu et al., ICRA 2017).
 
-The goal's position is never told, only what the robot's own camera, without noise, would see from there. The tables of
-observation, action, reward and termination are in ``docs/envs/imagenav.md``.
+The goal's position is not observed, only the image that the robot's own camera, without noise, would take there. The
+tables of observation, action, reward and termination are in ``docs/envs/imagenav.md``.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ OPEN = 1.0  # m, median depth from which a view counts as open: bare walls withi
 
 
 class ImageNavEnv(PhasedEnv):
-    """One apartment, one robot; see the module. Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
+    """Simulate one robot in one apartment. Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
@@ -57,11 +57,11 @@ class ImageNavEnv(PhasedEnv):
         self.navigation.sense()
 
     def report(self) -> Report:
-        """What PointNav reports, with the goal's image in place of its position."""
+        """Return what PointNav reports, with the goal's image in place of its position."""
         return self.navigation.report()
 
     def render(self) -> np.ndarray | None:
-        """The camera's image, the goal's and the plan, side by side: uint8 ``(360, width, 3)``."""
+        """Return the camera's image, the goal's and the plan, side by side: uint8 ``(360, width, 3)``."""
         picture = self.navigation.render()
         if picture is None or self._goal_rgb is None:
             return picture
@@ -69,15 +69,15 @@ class ImageNavEnv(PhasedEnv):
         return np.concatenate([picture[:, :-PICTURE], beside_plan(self._goal_rgb, plan)], axis=1)
 
     def _goal(self) -> np.ndarray:
-        """What the robot is told: the goal's image, rendered once an episode."""
+        """Return the goal's image, rendered once an episode."""
         if self._goal_rgb is None:
             self._goal_rgb = self._goal_image()
         return self._goal_rgb
 
     def _goal_image(self) -> np.ndarray:
-        """The view from the goal: of eight headings, in an order drawn from the task, the first that is open.
+        """Render the view from the goal: of eight headings, in an order drawn from the task, the first that is open.
 
-        Where none is (a niche), the one that sees farthest.
+        Where none is open (a niche), take the one with the largest median depth.
         """
         task, renderer = self.navigation.task, self.simulation.renderer
         assert task is not None

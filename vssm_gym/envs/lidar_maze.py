@@ -1,8 +1,8 @@
-"""LidarMaze: a noisy disc with a laser scanner drives through a maze of the unit square (SPEC 11).
+"""Define LidarMaze: a noisy disc with a laser scanner drives through a maze of the unit square.
 
-The plane has no physics beyond contact, so no simulator stands behind it: rays and sliding discs are solved exactly
-(:mod:`vssm_gym.envs.physics.planar`). The robot acts ``(turn, s, stop)``, strays from every command by seeded noise,
-and sees ranges only. The tables of observation, action, reward and termination are in ``docs/envs/lidar_maze.md``.
+The plane has no physics beyond contact, so no simulator is needed: rays and sliding discs are solved exactly
+(:mod:`vssm_gym.envs.physics.planar`). The robot acts ``(turn, s, stop)`` with seeded execution noise, and observes
+ranges only. The tables of observation, action, reward and termination are in ``docs/envs/lidar_maze.md``.
 """
 
 import math
@@ -40,20 +40,20 @@ _RAY = (236, 140, 40)
 
 
 class LidarMazeEnv(PhasedEnv):
-    """One maze, one robot; see the module. Registered as ``vssm_gym/LidarMaze-v0``, truncated after 1000 steps.
+    """Simulate one robot in one maze. Registered as ``vssm_gym/LidarMaze-v0``, truncated after 1000 steps.
 
     Args:
         scene: name of a built-in maze, path of a maze in our JSON format, or an :class:`Apartment` of the unit square.
-        noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
-        sensor_noise: how ranges err: the same names or a :class:`LidarNoise`.
-        beams: readings a scan, all around.
-        observe_pose: whether the observation holds the true pose (an oracle's privilege).
+        noise: execution noise: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
+        sensor_noise: errors of ranges: the same names or a :class:`LidarNoise`.
+        beams: readings in a scan of a full circle.
+        observe_pose: if True, the observation holds the true pose (an oracle's privilege).
         task: ``navigate`` to a goal, or ``explore``: visit every tile.
         tasks: the tasks that ``reset`` draws from; by default all pairs of the maze's 5 x 5 grid. ``explore`` takes
             their starts. A task passed in ``reset(options={"task": task})`` comes before both.
-        end_on: ``stop``: the episode ends when the agent says so, and success is judged there; ``reach``: it ends when
-            the task is done and ``stop`` means nothing.
-        reward: ``dense`` (metres gained, a cost a step, a prize for success) or ``sparse`` (success).
+        end_on: ``stop``: the episode ends at the agent's stop, where success is evaluated; ``reach``: it ends when the
+            task is done and ``stop`` means nothing.
+        reward: ``dense`` (metres gained, a cost a step, a success reward) or ``sparse`` (success).
         render_mode: ``rgb_array`` or None.
     """
 
@@ -112,7 +112,7 @@ class LidarMazeEnv(PhasedEnv):
         self._plan: TopDown | None = None
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """The first stage of a reset: streams, task and pose, no scan yet."""
+        """Start an episode: streams, task and pose, without a scan."""
         if seed is not None or not self._streams:
             self._streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
             self.sensors.seed(self._streams)
@@ -133,7 +133,7 @@ class LidarMazeEnv(PhasedEnv):
         self._outcome = 0.0, False, info
 
     def advance(self, action: np.ndarray) -> None:
-        """The first stage of a step: the robot moves, and what that earns is settled."""
+        """Move the robot, and compute reward and termination."""
         assert self.task is not None
         command, stop = self._command(action)
         collision = False
@@ -154,17 +154,17 @@ class LidarMazeEnv(PhasedEnv):
         self._outcome = reward, terminated, info
 
     def sense(self) -> None:
-        """Let the sensors measure at the robot's pose; once, however often it is asked for."""
+        """Let the sensors measure at the robot's pose, once however often it is called."""
         self.sensors.sense(self)
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """The last stage: what Gymnasium's ``step`` returns; ``reset`` returns its first and last."""
+        """Return observation, reward, terminated, truncated and info of the last reset or step."""
         assert self.task is not None
         reward, terminated, info = self._outcome
         return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The plan with path, robot, goal region and the latest readings around the true pose: ``(480, 480, 3)``."""
+        """Return the plan with path, robot, goal region and the latest scan around the true pose: ``(480, 480, 3)``."""
         if self.render_mode is None or self.task is None:
             return None
         if self._plan is None:
@@ -182,12 +182,12 @@ class LidarMazeEnv(PhasedEnv):
         return np.asarray(image)
 
     def _goal(self) -> np.ndarray:
-        """What the robot is told."""
+        """Return the goal, as observed."""
         assert self.task is not None
         return np.asarray(self.task.goal, dtype=np.float32)
 
     def _drive(self, command: np.ndarray) -> bool:
-        """Move as the noise has it, sliding along walls; whether one was touched."""
+        """Execute a command with noise, sliding along walls; return True on collision."""
         turn, step = command
         wanted = execute(self.planar, np.array([turn, 0.0, step]), self.noise, self._streams["dynamics"])
         x, y = self.planar[:2]

@@ -1,8 +1,8 @@
-"""How a maze's robot strays from its commands and how its scanner errs: levels of two laws that stand elsewhere.
+"""Define the noise levels of a maze's robot and scanner.
 
-Motion errs as :func:`vssm_gym.envs.robots.execute` says, ranges as :mod:`vssm_gym.envs.sensors.lidar` does, here
-with a width that does not grow with the range: that Gaussian is the emission which the thesis' spatial
-model assumes (DVBF-LM).
+Motion errs by the law of :func:`vssm_gym.envs.robots.execute`, ranges by that of :mod:`vssm_gym.envs.sensors.lidar`,
+here with a standard deviation that does not grow with the range: that Gaussian is the emission of the spatial model
+DVBF-LM.
 """
 
 import math
@@ -11,8 +11,8 @@ from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.sensors.lidar import LidarNoise
 
-# low: dead reckoning errs by 0.14 after 3000 steps, as the thesis' path integration does (0.14 +- 0.1); high: SPEC 6's
-# low, 3 degrees and 10 % of a body length a step, with which it is lost after 500.
+# low: dead reckoning errs by 0.14 after 3000 steps, as path integration does in DVBF-LM (0.14 +- 0.1); high: the low
+# level of TNP-SM, 3 degrees and 10 % of a body length a step, with which dead reckoning is lost after 500.
 MOTION_NOISE: dict[str, ExecutionNoise] = {
     "none": ExecutionNoise(0.0, 0.0),
     "low": ExecutionNoise(math.radians(0.35), 0.0005),

@@ -1,8 +1,8 @@
-"""PointNav: a noisy holonomic robot with an RGB-D camera drives to a point of a furnished apartment (SPEC 6).
+"""Define PointNav: a noisy robot with an RGB-D camera drives to a point of a furnished apartment.
 
-The robot is told its start and its goal, then sees images only. It acts ``(turn, o, s, stop)`` at 5 Hz, strays from
-every command by seeded noise, collides with walls and furniture, and says itself when it has arrived. The tables of
-observation, action, reward and termination are in ``docs/envs/pointnav.md``.
+The robot knows its start and its goal, then observes images only. It acts ``(turn, o, s, stop)`` at 5 Hz with seeded
+execution noise, collides with walls and furniture, and decides itself when it has arrived. The tables of observation,
+action, reward and termination are in ``docs/envs/pointnav.md``.
 """
 
 import warnings
@@ -24,15 +24,15 @@ STEP_COST, SUCCESS_REWARD = 0.01, 2.5
 
 
 class PointNavEnv(PhasedEnv):
-    """One apartment, one robot; see the module. Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
+    """Simulate one robot in one apartment. Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         tasks: the tasks that ``reset`` draws from; by default it samples new ones. A task passed in
             ``reset(options={"task": task})`` comes before both.
-        end_on: ``stop``: the episode ends when the agent says so, and success is judged there; ``reach``: it ends on
+        end_on: ``stop``: the episode ends at the agent's stop, where success is evaluated; ``reach``: it ends on
             arrival and ``stop`` means nothing (for training only: it rewards a lost robot).
-        reward: ``dense`` (metres gained along free space, a cost a step, a prize for success) or ``sparse`` (success).
+        reward: ``dense`` (metres gained along free space, a cost a step, a success reward) or ``sparse`` (success).
         simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
@@ -75,12 +75,12 @@ class PointNavEnv(PhasedEnv):
 
     @property
     def planar(self) -> PlanarPose:
-        """The true ``(x, y, heading)``, m and rad; not for agents."""
+        """Return the true ``(x, y, heading)``, m and rad; not for agents."""
         return self.simulation.planar
 
     @property
     def path_length(self) -> float:
-        """Metres driven in this episode."""
+        """Return the metres driven in this episode."""
         return self.simulation.path_length
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -106,7 +106,7 @@ class PointNavEnv(PhasedEnv):
     def advance(self, action: np.ndarray) -> None:
         """Carry out the robot's command and ``stop``, such as ``(turn, o, s, stop)``, clipped to its limits.
 
-        A stop ends the episode where the robot stands: nothing else of the action is carried out.
+        A stop ends the episode without a motion.
         """
         assert self.task is not None
         command, stop = self.simulation.parse(action)
@@ -127,17 +127,17 @@ class PointNavEnv(PhasedEnv):
         self.simulation.sense()
 
     def report(self) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Observation, reward, terminated, truncated (never: a wrapper counts steps), info."""
+        """Return observation, reward, terminated, truncated (always False: a wrapper counts steps) and info."""
         assert self.task is not None
         reward, terminated, info = self._outcome
         return self.simulation.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
+        """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture(None if self.task is None else np.asarray(self.task.goal), self.success_radius)
 
     def _goal(self) -> np.ndarray:
-        """What the robot is told."""
+        """Return the goal, as observed."""
         assert self.task is not None
         return np.asarray(self.task.goal, dtype=np.float32)
 

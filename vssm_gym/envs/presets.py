@@ -11,14 +11,14 @@ Config = TypeVar("Config")
 
 @dataclass(frozen=True)
 class Presets(Generic[Config]):
-    """The configurations of one class that a keyword accepts; calling it parses a value.
+    """Parse the values of a keyword that accepts configurations of one class.
 
     Args:
-        source: what takes the keyword, such as ``environment``; it opens the error message.
+        source: name of what takes the keyword, such as ``environment``; it opens the error message.
         field: name of the keyword.
         kind: the frozen dataclass of the configurations. It checks its own fields.
-        named: presets by name; empty where there are none.
-        default: what None stands for; without one None is refused.
+        named: presets by name; may be empty.
+        default: the configuration that None stands for; without one None is refused.
     """
 
     source: str

@@ -1,4 +1,4 @@
-"""A scene at a glance: its furnished plan beside two camera images, from viewpoints chosen by what they show."""
+"""Draw a preview of a scene: its furnished plan beside two camera images from viewpoints chosen by what they show."""
 
 import math
 
@@ -29,12 +29,12 @@ _INK = (24, 92, 196)
 
 
 def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "height width 3"]:
-    """The plan, north up, and beside it two camera images one above the other.
+    """Draw the plan, north up, and beside it two camera images one above the other.
 
     The images are taken in the two largest rooms (both in the one room of a studio, at least APART from each other
     where it is large enough), each from where most pieces of furniture are seen that the other does not show. Blue dots
-    in the plan say from where, their angles the field of view. The width follows the plan's proportions. A maze is
-    drawn as its plan alone: it is a world of two dimensions.
+    in the plan mark the viewpoints, their angles the field of view. The width follows the plan's proportions. A maze is
+    drawn as its plan alone, since it is a world of two dimensions.
 
     Args:
         apartment: the scene.
@@ -76,7 +76,7 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
 
 
 def _positions(space: FreeSpace, room: shapely.Polygon) -> Float[np.ndarray, "n 2"]:
-    """About POSITIONS viewpoints spread over the free space well inside a room, or of all rooms if it has none."""
+    """Return about POSITIONS viewpoints spread over the free space well inside a room, or of all rooms without one."""
     inside_doors = space.largest.intersection(room.buffer(-0.5))
     area = inside_doors if inside_doors.area > 0.01 else space.largest
     shapely.prepare(area)
@@ -88,7 +88,7 @@ def _positions(space: FreeSpace, room: shapely.Polygon) -> Float[np.ndarray, "n 
 
 
 def _apart(positions: Float[np.ndarray, "n 2"], poses: list[Matrix4]) -> Float[np.ndarray, "m 2"]:
-    """The positions APART from all that were chosen; the farthest one where none is."""
+    """Return the positions APART from all that were chosen, or the farthest one where there are none."""
     if not poses:
         return positions
     taken = np.array([pose[:2, 3] for pose in poses])
@@ -99,7 +99,7 @@ def _apart(positions: Float[np.ndarray, "n 2"], poses: list[Matrix4]) -> Float[n
 def _best_view(
     coarse: RaycastCamera, names: np.ndarray, positions: Float[np.ndarray, "n 2"], known: set[str]
 ) -> tuple[Matrix4, set[str]]:
-    """The pose that shows most pieces not in ``known``, then the deepest view, and the pieces it shows."""
+    """Return the pose that shows most pieces not in ``known``, then the deepest view, and the pieces it shows."""
     best: tuple[float, Matrix4, set[str]] = (-math.inf, np.eye(4), set())
     for x, y in positions:
         for heading in 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS:
@@ -116,7 +116,7 @@ def _best_view(
 
 
 def _look(x: float, y: float, heading: float) -> Matrix4:
-    """Camera pose at (x, y, EYE), looking along ``heading`` and DOWN below the horizon."""
+    """Return the camera pose at (x, y, EYE), looking along ``heading`` and DOWN below the horizon."""
     c, s, cd, sd = math.cos(heading), math.sin(heading), math.cos(DOWN), math.sin(DOWN)
     right, down, forward = (s, -c, 0.0), (-c * sd, -s * sd, -cd), (c * cd, s * cd, -sd)
     T = np.eye(4)
@@ -126,7 +126,7 @@ def _look(x: float, y: float, heading: float) -> Matrix4:
 
 
 def _with_eyes(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "height width 3"]:
-    """The plan with a dot at each camera and the borders of its field of view."""
+    """Draw a dot at each camera and the borders of its field of view into the plan."""
     image = Image.fromarray(plan.background)
     pen = ImageDraw.Draw(image)
     for T in poses:

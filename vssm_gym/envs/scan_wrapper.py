@@ -1,4 +1,4 @@
-"""Depth images as the scans of :mod:`vssm_gym.geometry.scan`, for one environment and for vector environments."""
+"""Convert depth images to the scans of :mod:`vssm_gym.geometry.scan`, in one environment and in vector environments."""
 
 from typing import Any
 
@@ -13,12 +13,12 @@ from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH, scan_of
 
 
 class ScanObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """``scan (64,)`` in the place of ``rgb`` and ``depth``; the rest of the observation stays.
+    """Observe ``scan (64,)`` in place of ``rgb`` and ``depth``; the rest of the observation stays.
 
     ``ScanObservation(RelativeGoal(env))`` of a PointNav that observes its pose has the spaces of WorldModelNav.
 
     Args:
-        env: one that observes ``depth``, at least 64 pixels wide.
+        env: an environment that observes ``depth``, at least 64 pixels wide.
         max_depth: m.
     """
 
@@ -29,12 +29,12 @@ class ScanObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
         self.observation_space = with_scan(env.observation_space, max_depth)
 
     def observation(self, observation: Observation) -> Observation:
-        """The observation of this environment."""
+        """Return the observation with a scan."""
         return scanned(observation, self.max_depth)
 
 
 class VectorScanObservation(VectorObservationWrapper):
-    """The same for vector environments."""
+    """Observe ``scan (n, 64)`` in place of ``rgb`` and ``depth``, for vector environments."""
 
     def __init__(self, env: VectorEnv, max_depth: float = MAX_DEPTH) -> None:
         super().__init__(env)
@@ -43,18 +43,18 @@ class VectorScanObservation(VectorObservationWrapper):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def observations(self, observations: Observation) -> Observation:
-        """The observations of this environment."""
+        """Return the observations with scans."""
         return scanned(observations, self.max_depth)
 
 
 def scanned(observation: Observation, max_depth: float) -> Observation:
-    """``scan`` instead of the images."""
+    """Return the observation with ``scan`` in place of the images."""
     kept = {key: value for key, value in observation.items() if key not in ("rgb", "depth")}
     return kept | {"scan": scan_of(observation["depth"], max_depth)}
 
 
 def with_scan(space: gym.Space, max_depth: float) -> gym.spaces.Dict:
-    """The space of :func:`scanned`."""
+    """Return the space of :func:`scanned`."""
     if not isinstance(space, gym.spaces.Dict) or "depth" not in space.spaces:
         raise InputError("ScanObservation", "env", f"an environment that observes 'depth'; found {space!s:.80}")
     if (shape := space["depth"].shape or (0, 0))[1] < BEAMS:

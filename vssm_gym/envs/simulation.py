@@ -1,7 +1,7 @@
-"""A noisy robot with an RGB-D camera in an apartment: what PointNav, ImageNav and Explore have in common.
+"""Simulate a noisy robot with an RGB-D camera in an apartment: the common part of PointNav, ImageNav and Explore.
 
-An environment owns one :class:`Simulation`, tells it to :meth:`~Simulation.place` and :meth:`~Simulation.drive` the
-robot, and adds goals, rewards and ends of its own. Moving and looking are apart: images are rendered when
+An environment owns one :class:`Simulation`, calls :meth:`~Simulation.place` and :meth:`~Simulation.drive`, and adds
+goals, rewards and terminations of its own. Moving and sensing are separate: images are rendered when
 :meth:`~Simulation.sense` is called, so that a vector environment moves all robots first and then renders in parallel.
 """
 
@@ -33,23 +33,23 @@ from vssm_gym.geometry.axes import Matrix4, PlanarPose
 
 
 class Simulation:
-    """One robot, its sensors and its streams of random numbers; see the module.
+    """Simulate one robot with its sensors and its streams of random numbers.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         robot: a name of :data:`~vssm_gym.envs.robots.registry.ROBOTS`.
-        noise: how motion strays from commands: ``none``, ``low``, ``mid``, ``high`` or the robot's noise: an
-            :class:`ExecutionNoise` of the holonomic one.
-        sensor_noise: what the camera adds to the exact image: ``none``, ``kinect``, ``stereo`` or a
-            :class:`SensorNoise`.
-        camera: size and angle of the images: a :class:`CameraConfig` or a mapping of its fields.
-        renderer: ``raycast``, or ``gl`` where the machine has OpenGL. What made the images is in ``renderer_name``, to
-            be recorded with results.
+        noise: execution noise: ``none``, ``low``, ``mid``, ``high`` or the robot's noise: an :class:`ExecutionNoise` of
+            the holonomic one.
+        sensor_noise: errors of the camera: ``none``, ``kinect``, ``stereo`` or a :class:`SensorNoise`.
+        camera: size and field of view of the images: a :class:`CameraConfig` or a mapping of its fields.
+        renderer: ``raycast``, or ``gl`` where the machine has OpenGL. The environment's ``renderer_name`` is recorded
+            with
+            results.
         physics: ``mujoco``.
-        sensors: what the robot carries besides its camera: names of
-            :data:`~vssm_gym.envs.sensors.registry.SENSORS`, configurations, or mappings of their fields with
-            ``"sensor": name``.
-        observe_pose: whether the observation holds the true pose (an oracle's privilege).
+        sensors: sensors besides the camera: names of :data:`~vssm_gym.envs.sensors.registry.SENSORS`, configurations,
+            or
+            mappings of their fields with ``"sensor": name``.
+        observe_pose: if True, the observation holds the true pose (an oracle's privilege).
         render_mode: ``rgb_array`` or None.
     """
 
@@ -93,27 +93,27 @@ class Simulation:
 
     @property
     def parallel(self) -> bool:
-        """Whether several environments may look at once, in threads of one process."""
+        """Return True if several environments may sense at once, in threads of one process."""
         return self.sensors.parallel
 
     def action_space(self) -> gym.spaces.Box:
-        """The robot's commands, such as ``(turn, o, s)``, and ``stop``: above 0.5 for yes."""
+        """Return the space of the robot's commands, such as ``(turn, o, s)``, and ``stop``, which is true above 0.5."""
         low, high = self.robot.bounds
         return gym.spaces.Box(np.array([*low, 0.0], np.float32), np.array([*high, 1.0], np.float32))
 
     @property
     def rest(self) -> np.ndarray:
-        """The command that moves nothing."""
+        """Return the command without motion."""
         return np.zeros(len(self.robot.commands))
 
     @property
     def planar(self) -> PlanarPose:
-        """The true ``(x, y, heading)``, m and rad; not for agents."""
+        """Return the true ``(x, y, heading)``, m and rad; not for agents."""
         return self.world.pose()
 
     @property
     def body(self) -> GroundBody:
-        """The true state of the robot, for its sensors; not for agents."""
+        """Return the true state of the robot, for its sensors; not for agents."""
         if self._body is None:
             contacts = self.world.contact_bearings() if self.world.reads_contacts else NO_CONTACTS
             self._body = GroundBody.at(self.planar, self._T_body_cam, self.robot.dt, contacts)
@@ -121,27 +121,24 @@ class Simulation:
 
     @property
     def T_world_cam(self) -> Matrix4:
-        """The true camera pose; not for agents."""
+        """Return the true camera pose; not for agents."""
         return self.body.T_world_cam.copy()
 
     def seed(self, seed: int | None) -> None:
-        """Restart all streams by a seed; without one they go on, or begin anywhere where there are none yet."""
+        """Restart all streams by a seed; without one they go on, or start from fresh entropy the first time."""
         if seed is not None or not self.streams:
             self.streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
             self.sensors.seed(self.streams)
 
     def place(self, start: PlanarPose) -> None:
-        """Put the robot at ``(x, y, heading)``, m and rad: an episode begins."""
+        """Start an episode with the robot at ``(x, y, heading)``, m and rad."""
         self.world.reset(start)
         self.path_length, self.path = 0.0, [self.planar[:2]]
         self._body = None
         self.sensors.begin(self.body)
 
     def drive(self, command: np.ndarray) -> bool:
-        """Carry out a command for one step of ``robot.dt`` s, noise and contacts included.
-
-        Returns whether the robot touched an obstacle.
-        """
+        """Carry out a command for one step of ``robot.dt`` s, noise and contacts included; return True on collision."""
         before = self.planar
         collision = self.world.drive(self.robot.execute(before, command, self.noise, self.streams["dynamics"]))
         after = self.planar[:2]
@@ -160,20 +157,23 @@ class Simulation:
         return np.clip(values[:-1], *self._bounds), bool(values[-1] > 0.5)
 
     def sense(self) -> None:
-        """Let the sensors measure the robot's surroundings; once a pose, however often it is asked for."""
+        """Let the sensors measure, once after every motion however often it is called."""
         self.sensors.sense(self.body)
 
     def observation(self) -> dict[str, np.ndarray]:
-        """What the sensors have measured; the arrays are the caller's."""
+        """Return copies of the sensors' latest measurements."""
         self.sense()
         return self.sensors.observation()
 
     def info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
-        """What every environment reports beside the observation; agents never see it."""
+        """Return the entries of ``info`` that all environments share; agents never see them."""
         return {"T_world_cam": self.T_world_cam, "K": self._K.copy(), "collision": collision, "control": command}
 
     def picture(self, goal: np.ndarray | None = None, goal_radius: float = 0.0) -> np.ndarray | None:
-        """The camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``; None if not asked for."""
+        """Return the camera's image beside the plan with the path so far, uint8 ``(360, width, 3)``.
+
+        None without render_mode.
+        """
         if self.render_mode is None or not self.path:
             return None
         if self._plan is None:

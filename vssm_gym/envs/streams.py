@@ -1,4 +1,4 @@
-"""Give each thing that is random a generator of its own, so that one's use never shifts another's."""
+"""Give each source of randomness a generator of its own, so that using one never shifts another."""
 
 import zlib
 

@@ -1,4 +1,4 @@
-"""What people bring, files and keywords: the first thing wrong becomes one `InputError`."""
+"""Check files and keywords that users pass in: the first error becomes one `InputError`."""
 
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ class StrictModel(BaseModel):
 
 
 def validated(model: type[Model], data: Any, source: object, at: str = "") -> Model:
-    """``model`` built from plain data.
+    """Build ``model`` from plain data.
 
     Raises InputError naming ``source``, the first bad field (below the field ``at``) and what was expected of it.
     """
@@ -48,7 +48,10 @@ def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> N
 
 
 def parse_action(action: Any, names: tuple[str, ...]) -> np.ndarray:
-    """``action`` as float64, one number for each of ``names``; `InputError` for anything but finite numbers."""
+    """Return ``action`` as float64, one number for each of ``names``.
+
+    Raise `InputError` for anything but finite numbers.
+    """
     wanted = f"{len(names)} numbers ({', '.join(names)})"
     try:
         values = np.asarray(action)

@@ -1,6 +1,6 @@
-"""Many environments in one process: all move, then all look at once, in as many threads as there are cores.
+"""Run many environments in one process: all move, then all sense in parallel, in as many threads as there are cores.
 
-``gym.make_vec("vssm_gym/PointNav-v0", num_envs=16)`` gives this. Environments of one scene share its renderer and its
+``gym.make_vec("vssm_gym/PointNav-v0", num_envs=16)`` returns this. Environments of one scene share its renderer and its
 free space (:mod:`vssm_gym.envs.sensors.shared_renderer`, :mod:`vssm_gym.envs.tasks.scene_cache`). Episodes restart
 as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its action and
 returns the next episode's first observation with reward 0.
@@ -24,15 +24,15 @@ from vssm_gym.errors import InputError
 
 
 class PhasedVectorEnv(VectorEnv):
-    """``num_envs`` environments of one class; see the module.
+    """Run ``num_envs`` environments of one class; see the module.
 
     Args:
         make: builds one environment from keywords.
-        num_envs: how many.
+        num_envs: number of environments.
         max_episode_steps: steps after which an episode is truncated; -1 for none.
         scene: one scene for all, or a sequence of scenes that the environments take in turn.
-        threads: threads that look; by default as many as there are cores.
-        keywords: of each environment.
+        threads: threads that sense; by default as many as there are cores.
+        keywords: keywords of each environment.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  (Gymnasium's own declaration)
@@ -74,11 +74,11 @@ class PhasedVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode everywhere, or where ``options["reset_mask"]`` says so.
+        """Start an episode in every environment, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: one a environment, or the first of consecutive ones; None: their streams go on.
-            options: of every environment's reset, ``reset_mask`` ``(num_envs,)`` bool excepted.
+            seed: one for each environment, or the first of consecutive ones; None: their streams go on.
+            options: options of every environment's reset, and ``reset_mask`` ``(num_envs,)`` bool.
         """
         seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if _single(seed) else list(seed)  # type: ignore[arg-type, operator]
         if len(seeds) != self.num_envs:
@@ -97,9 +97,10 @@ class PhasedVectorEnv(VectorEnv):
         return observation, infos
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Carry out one action an environment; those whose episode has ended start their next one instead.
+        """Carry out one action for each environment; those whose episode has ended start their next one instead.
 
-        Actions that are not ``num_envs`` finite ones of the action space's shape change nothing anywhere.
+        Raises :class:`InputError`, without any effect, for actions that are not ``num_envs`` finite ones of the right
+        shape.
         """
         if not self._begun.all():
             raise gym.error.ResetNeeded("call reset before step")
@@ -123,16 +124,16 @@ class PhasedVectorEnv(VectorEnv):
         return observation, rewards, terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
-        """Every environment's picture."""
+        """Return every environment's picture."""
         return None if self.render_mode is None else tuple(env.render() for env in self.envs)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """The attribute ``name`` of every environment, called with the arguments where it is a method."""
+        """Return the attribute ``name`` of every environment, called with the arguments where it is a method."""
         values = (getattr(env, name) for env in self.envs)
         return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """The attribute ``name`` of every environment."""
+        """Return the attribute ``name`` of every environment."""
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
@@ -144,14 +145,14 @@ class PhasedVectorEnv(VectorEnv):
             setattr(env, name, value)
 
     def close_extras(self, **_: Any) -> None:
-        """Let go of the threads."""
+        """Stop the threads and close the environments."""
         if self._pool is not None:
             self._pool.shutdown()
         for env in self.envs:
             env.close()
 
     def _gather(self, fresh: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Look everywhere and stack the reports; infos are of the ``fresh`` environments."""
+        """Sense in all environments and stack the reports; infos are of the ``fresh`` environments."""
         self._sense()
         reports = [env.report() for env in self.envs]
         infos: dict[str, Any] = {}
@@ -189,7 +190,7 @@ def _single(seed: Any) -> bool:
 
 
 def _of(path: str) -> Callable[..., PhasedVectorEnv]:
-    """The vector entry point of the environment class at ``module:name``."""
+    """Return the vector entry point of the environment class at ``module:name``."""
 
     def make(**keywords: Any) -> PhasedEnv:
         module, name = path.split(":")
@@ -199,7 +200,7 @@ def _of(path: str) -> Callable[..., PhasedVectorEnv]:
 
 
 def __getattr__(name: str) -> Callable[..., PhasedVectorEnv]:
-    """The vector entry point that a row of the environments' table calls ``name``."""
+    """Return the vector entry point that a row of the environments' table calls ``name``."""
     for spec in ENVIRONMENTS.values():
         if spec.vector == f"{__name__}:{name}":
             return _of(spec.env)

@@ -1,6 +1,6 @@
-"""The wrappers of :mod:`vssm_gym.envs.wrappers` for vector environments, under the same names as Gymnasium does it.
+"""Wrap vector environments as :mod:`vssm_gym.envs.wrappers` wraps one, under the same names, as Gymnasium does.
 
-The vector environment resets in the next step or not at all; one that resets in the same step is refused.
+The vector environment must reset in the next step or not at all; one that resets in the same step is refused.
 """
 
 from typing import Any
@@ -25,7 +25,7 @@ from vssm_gym.errors import InputError
 
 
 class DepthOnly(VectorObservationWrapper):
-    """The observations without their colour images."""
+    """Remove the colour images from the observations."""
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
@@ -33,7 +33,7 @@ class DepthOnly(VectorObservationWrapper):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def observations(self, observations: Observation) -> Observation:
-        """The observations of this environment."""
+        """Return the observations without colour."""
         return depth_only(observations)
 
 
@@ -47,12 +47,12 @@ class NormalizedDepth(VectorObservationWrapper):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def observations(self, observations: Observation) -> Observation:
-        """The observations of this environment."""
+        """Return the observations with normalised depth."""
         return normalized_depth(observations, self.max_depth)
 
 
 class RelativeGoal(VectorWrapper):
-    """``goal`` becomes ``(distance, cos(bearing), sin(bearing))`` from the observed or dead-reckoned poses."""
+    """Observe ``goal`` as ``(distance, cos(bearing), sin(bearing))`` from the observed or dead-reckoned poses."""
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
@@ -78,7 +78,10 @@ class RelativeGoal(VectorWrapper):
         return relative_goal(observations, self._believed), rewards, terminations, truncations, infos
 
     def _start(self, infos: dict[str, Any]) -> np.ndarray:
-        """Put the environments that have just been reset to their known starts; which those are, ``(num_envs,)``."""
+        """Set the pose estimates of the environments that have just been reset to their known starts.
+
+        Return which, a mask.
+        """
         begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
         self._believed[begun] = np.asarray(infos["start_pose"], np.float64)[begun] if begun.any() else 0.0
         return begun

@@ -1,7 +1,7 @@
-"""Observations as policies want them: wrappers of one environment (:mod:`.vector_wrappers` has those of many).
+"""Wrap one environment so that it observes what policies need (:mod:`.vector_wrappers` wraps many).
 
-``depth_only``, ``normalized_depth`` and ``relative_goal`` below say what happens to an observation. They act on the
-last axes, so that the classes of this module (for ``gym.make``) and those for ``gym.make_vec`` share them.
+``depth_only``, ``normalized_depth`` and ``relative_goal`` below transform an observation. They act on the last axes, so
+that the classes of this module (for ``gym.make``) and those for ``gym.make_vec`` share them.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ Observation = dict[str, np.ndarray]
 
 
 class DepthOnly(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """The observation without its colour image: ``depth`` and ``goal`` (and ``pose``) stay as they are."""
+    """Remove the colour image from the observation: ``depth`` and ``goal`` (and ``pose``) stay as they are."""
 
     def __init__(self, env: gym.Env) -> None:
         gym.utils.RecordConstructorArgs.__init__(self)
@@ -29,16 +29,16 @@ class DepthOnly(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstruct
         self.observation_space = without_colour(env.observation_space)
 
     def observation(self, observation: Observation) -> Observation:
-        """The observation of this environment."""
+        """Return the observation without colour."""
         return depth_only(observation)
 
 
 class NormalizedDepth(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """``depth' = min(depth / max_depth, 1)``: 0 is still no reading, and no reading but that becomes 0.
+    """``depth' = min(depth / max_depth, 1)``: 0 remains no reading, and no reading but that becomes 0.
 
     Args:
         env: an environment that observes ``depth``, m.
-        max_depth: m, what is shown as 1 and beyond.
+        max_depth: m; larger depths become 1.
     """
 
     def __init__(self, env: gym.Env, max_depth: float = MAX_DEPTH) -> None:
@@ -48,19 +48,20 @@ class NormalizedDepth(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
         self.observation_space = with_normalized_depth(env.observation_space)
 
     def observation(self, observation: Observation) -> Observation:
-        """The observation of this environment."""
+        """Return the observation with normalised depth."""
         return normalized_depth(observation, self.max_depth)
 
 
 class RelativeGoal(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """``goal`` becomes ``(distance, cos(bearing), sin(bearing))``, m, as the robot believes it lies.
+    """Observe ``goal`` as ``(distance, cos(bearing), sin(bearing))``, m, relative to the robot's pose estimate.
 
-    The robot's pose is the observation's, where it has one (``observe_pose=True``). Otherwise it is dead reckoning: the
-    known start and the robot's own commands, as if they had been carried out exactly. That drifts, as it would for any
-    agent which does not look: the true pose is never used.
+    The estimate is the observed pose, if there is one (``observe_pose=True``). Otherwise it is dead reckoning: the
+    known start and the robot's own commands, as if they had been executed exactly. It drifts; the true pose is never
+    used.
 
     Args:
-        env: one that observes ``goal``, and either observes ``pose`` or takes PointNav's ``(turn, o, s, stop)``.
+        env: an environment that observes ``goal``, and either observes ``pose`` or takes PointNav's ``(turn, o, s,
+            stop)``.
     """
 
     def __init__(self, env: gym.Env) -> None:
@@ -70,13 +71,13 @@ class RelativeGoal(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         self._believed = np.zeros(3)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; the robot knows where."""
+        """Start an episode; the estimate is the known start."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._believed = np.asarray(info["start_pose"], dtype=np.float64)
         return relative_goal(observation, self._believed), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Carry out ``action`` and reckon where that leads."""
+        """Carry out ``action`` and update the estimate by it."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if "pose" not in observation:
             self._believed = reckoned(self._believed, info["control"])
@@ -84,17 +85,17 @@ class RelativeGoal(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
 
 
 def depth_only(observation: Observation) -> Observation:
-    """Everything but ``rgb``."""
+    """Return the observation without ``rgb``."""
     return {key: value for key, value in observation.items() if key != "rgb"}
 
 
 def normalized_depth(observation: Observation, max_depth: float) -> Observation:
-    """``depth`` in [0, 1], 0 = no reading, in images ``(*batch, height, width)``."""
+    """Return the observation with ``depth`` in [0, 1], 0 = no reading, in images ``(*batch, height, width)``."""
     return observation | {"depth": np.minimum(observation["depth"] / np.float32(max_depth), np.float32(1.0))}
 
 
 def relative_goal(observation: Observation, believed: np.ndarray) -> Observation:
-    """``goal (*batch, 3)`` from the observed pose or the ``believed (*batch, 3)`` one."""
+    """Return the observation with ``goal (*batch, 3)`` relative to the observed pose, or to ``believed``."""
     pose = np.asarray(observation.get("pose", believed), dtype=np.float64)
     away = observation["goal"].astype(np.float64) - pose[..., :2]
     bearing = np.arctan2(away[..., 1], away[..., 0]) - pose[..., 2]
@@ -103,24 +104,24 @@ def relative_goal(observation: Observation, believed: np.ndarray) -> Observation
 
 
 def reckoned(believed: PlanarPose, control: np.ndarray) -> PlanarPose:
-    """Where ``control`` (turn, o, s) leads from ``believed`` without noise and obstacles."""
+    """Return the pose after ``control`` (turn, o, s) from ``believed`` without noise and obstacles."""
     return execute(believed, control, _EXACT, np.random.default_rng(0))
 
 
 def without_colour(space: gym.Space) -> gym.spaces.Dict:
-    """The space of :func:`depth_only`."""
+    """Return the space of :func:`depth_only`."""
     found = _observed(space, "depth", "DepthOnly")
     return gym.spaces.Dict({key: item for key, item in found.items() if key != "rgb"})
 
 
 def with_normalized_depth(space: gym.Space) -> gym.spaces.Dict:
-    """The space of :func:`normalized_depth`."""
+    """Return the space of :func:`normalized_depth`."""
     found = _observed(space, "depth", "NormalizedDepth")
     return gym.spaces.Dict(dict(found) | {"depth": gym.spaces.Box(0.0, 1.0, found["depth"].shape, np.float32)})
 
 
 def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.Dict:
-    """The space of :func:`relative_goal`; refuses an environment whose commands nobody could reckon with."""
+    """Return the space of :func:`relative_goal`; raise InputError for commands that cannot be dead-reckoned."""
     found = _observed(space, "goal", "RelativeGoal")
     if found["goal"].shape != (2,):
         raise InputError("RelativeGoal", "goal", f"a point (x, y); found shape {found['goal'].shape}")
@@ -132,7 +133,7 @@ def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.
 
 
 def checked_max_depth(max_depth: float) -> float:
-    """``max_depth`` as a float; raises :class:`InputError` unless it is positive and finite."""
+    """Return ``max_depth`` as a float; raise :class:`InputError` unless it is positive and finite."""
     if not (isinstance(max_depth, int | float) and np.isfinite(max_depth) and max_depth > 0.0):
         raise InputError("NormalizedDepth", "max_depth", f"a positive number of metres; found {max_depth!r}")
     return float(max_depth)

@@ -10,7 +10,7 @@ import pytest
 from tests.envs.scenes.test_procthor import imported, small_house, vec
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Material, Room, Wall
-from vssm_gym.envs.scenes.faults import MOST, floating, misplaced, open_edges, told
+from vssm_gym.envs.scenes.faults import MOST, floating, misplaced, open_edges, with_notes
 from vssm_gym.envs.scenes.importers.houseexpo import import_houseexpo
 from vssm_gym.envs.scenes.importers.mjcf import import_mjcf
 from vssm_gym.envs.scenes.scene import built_in_scenes, load_scene, save_scene
@@ -76,13 +76,13 @@ def test_large_things_in_the_air_are_named() -> None:
 def test_what_is_found_is_a_warning_and_a_note_and_no_other_scene() -> None:
     odd = room(*((f"chair {i}", box(9, i, 0.3)) for i in range(MOST + 5)), walls=3)
     with pytest.warns(UserWarning, match=r"room: Den has no wall along .*; chair 0 is outside the walls") as caught:
-        said = told(odd, open_edges, misplaced)
+        said = with_notes(odd, open_edges, misplaced)
     assert len(caught) == 1
     assert len(said.notes) == 1 + MOST + 1 and said.notes[-1] == "and 5 more of the same kind"
     assert said.content_hash() == odd.content_hash()
     with pytest.warns(UserWarning, match="Den has no wall"):
-        assert told(said, open_edges, misplaced) == said  # notes that a file has are not doubled
-    assert told(room(), open_edges, misplaced, floating) == room()
+        assert with_notes(said, open_edges, misplaced) == said  # notes that a file has are not doubled
+    assert with_notes(room(), open_edges, misplaced, floating) == room()
 
 
 def test_our_own_files_are_looked_over(tmp_path: Path) -> None:

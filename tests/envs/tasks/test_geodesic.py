@@ -120,7 +120,7 @@ def test_lies_between_finely_rounded_robots(obstacles: list, seed: int) -> None:
 
 
 def test_within_one_percent_of_finely_rounded_corners() -> None:
-    """SPEC 12's bound in a room full of boxes at generic places."""
+    """The error stays within its bound in a room full of boxes at generic places."""
     rng = np.random.default_rng(3)
     boxes = [shapely.box(x, y, x + w, y + 0.3) for x, y, w in rng.uniform((0, 0, 0.1), (4.5, 3.7, 0.8), (14, 3))]
     space = free_space(boxes, 0.1)

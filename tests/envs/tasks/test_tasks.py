@@ -32,7 +32,7 @@ SOFA = furniture("sofa", (1.2, 2.0, 0.3), (0.8, 1.6, 0.6))
 
 
 def check_definition(tasks: TaskSet, sampler: TaskSampler) -> None:
-    """SPEC 6: free with a margin, apart, long enough, and of this scene."""
+    """Tasks are free with a margin, apart, long enough, and of this scene."""
     starts, goals = np.array([t.start for t in tasks.tasks]), np.array([t.goal for t in tasks.tasks])
     geodesic = np.array([t.geodesic for t in tasks.tasks])
     border = sampler.space.region.boundary
@@ -214,7 +214,7 @@ def test_bad_requests() -> None:
             furniture("c", (4.5, 2.0, 0.3), (2.9, 3.9, 0.6)),
         ),
     )
-    with pytest.raises(InputError, match="m of way apart"):
+    with pytest.raises(InputError, match="m of path apart"):
         TaskSampler(crowded, ROBOT).draw(np.random.default_rng(0))
 
 

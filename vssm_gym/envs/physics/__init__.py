@@ -1,8 +1,8 @@
-"""All that uses MuJoCo: :mod:`physics` moves robots on the floor, :mod:`flight_world` a body in the air and :mod:`car`
-a car on its wheels through contacts, :mod:`gl` draws with MuJoCo's renderer, :mod:`static_geoms` compiles the models
-that people bring.
+"""Simulate motion with contacts, in MuJoCo and PyBullet, and trace rays.
 
-No module outside this folder imports MuJoCo.
+:mod:`floor_world` moves robots on the floor, :mod:`flight_world` a body in the air, :mod:`mujoco_car` and
+:mod:`bullet_car` a car on its wheels; :mod:`gl_camera` draws with MuJoCo's renderer and :mod:`static_geoms` compiles
+imported models. No module outside this folder imports MuJoCo, PyBullet or Embree.
 """
 
 from vssm_gym.envs.physics.flight_world import FlightWorld, build_flight_spec

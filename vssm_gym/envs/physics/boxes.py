@@ -1,4 +1,4 @@
-"""An apartment's boxes in a MuJoCo model: how they get there, and which of them a ray meets."""
+"""Put an apartment's boxes into a MuJoCo model, and cast rays at them."""
 
 import math
 from typing import Any
@@ -13,7 +13,7 @@ LOOKS, ROBOT, CONTACTS = 0, 2, 3  # MuJoCo's geom groups: real boxes, the robot'
 
 
 def empty_spec(name: str) -> mujoco.MjSpec:
-    """A model without weight or sensors, solved exactly."""
+    """Return a model without gravity or sensors, whose contacts are solved by Newton's method."""
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.option.gravity = [0.0, 0.0, 0.0]
@@ -23,7 +23,7 @@ def empty_spec(name: str) -> mujoco.MjSpec:
 
 
 def fixed_box(spec: mujoco.MjSpec, name: str, box: SolidBox, group: int, rgba: list[float]) -> Any:
-    """A box that stands still and that nothing touches until ``contype`` says so; it is the geom returned."""
+    """Add a static box without collisions and return its geom; set ``contype`` to let it collide."""
     return spec.worldbody.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -38,7 +38,7 @@ def fixed_box(spec: mujoco.MjSpec, name: str, box: SolidBox, group: int, rgba: l
 
 
 def boxes_of_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """The box behind each geom; -1 for the robot's."""
+    """Return the index of the box behind each geom of the model; -1 for the robot's geoms."""
     geoms = [model.geom(i).name.split() for i in range(model.ngeom)]
     return np.array([int(words[1]) if words[0] in ("box", "prism") else -1 for words in geoms])
 
@@ -46,12 +46,12 @@ def boxes_of_geoms(model: mujoco.MjModel) -> np.ndarray:
 def bearings(
     boxes: Int[np.ndarray, "n 2"], normals: Float[np.ndarray, "n 3"], R_world_body: np.ndarray
 ) -> Float[np.ndarray, "n"]:
-    """Return the directions from a robot to the boxes that it touches, rad, counter-clockwise from body x.
+    """Return the directions from a robot to the boxes in contact with it, rad, counter-clockwise from body x.
 
     Args:
-        boxes: index of the box behind each contact's two geoms, -1 for the robot's.
-        normals: of the contacts, from their first geom to their second, world frame.
-        R_world_body: nine numbers, the robot's orientation.
+        boxes: index of the box behind each of a contact's two geoms, -1 for the robot's.
+        normals: normals of the contacts, from the first geom to the second, world frame.
+        R_world_body: orientation of the robot, nine numbers.
     """
     outwards = np.where(boxes[:, 1:] >= 0, normals, -normals) @ R_world_body.reshape(3, 3)
     return np.arctan2(outwards[:, 1], outwards[:, 0])
@@ -60,11 +60,11 @@ def bearings(
 def cast_rays(
     model: mujoco.MjModel, data: mujoco.MjData, box_of_geom: np.ndarray, origin: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First box along each ray ``origin + t direction`` (``mj_multiRay``); the robot itself is transparent.
+    """Return the first box along each ray ``origin + t direction`` (``mj_multiRay``); the robot is transparent.
 
     Args:
-        model: the simulation.
-        data: its state.
+        model: the simulation's model.
+        data: the simulation's state.
         box_of_geom: index of the box behind each geom, -1 for the robot's.
         origin: ``(3,)`` world frame, m.
         directions: ``(n, 3)`` world frame, any length.

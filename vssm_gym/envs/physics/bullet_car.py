@@ -1,8 +1,8 @@
-"""The car as a multi-body in PyBullet: the second simulator, with a solver and a drive of its own.
+"""Simulate the car as a multi-body in PyBullet: the second simulator, with a solver and a drive of its own.
 
-Where MuJoCo's car has an open differential, each rear wheel has a motor here that holds the speed Ackermann asks of it
-(an electronic differential), and contacts are solved by sequential impulses. Measures, masses and boxes are the same.
-No other module imports PyBullet, which is the extra ``bullet``.
+Where MuJoCo's car has an open differential, each rear wheel has a motor here that holds the speed of the Ackermann
+geometry (an electronic differential). Contacts are solved by sequential impulses. Dimensions, masses and boxes are the
+same. No other module imports PyBullet, which is the extra ``bullet``.
 """
 
 import math
@@ -29,10 +29,11 @@ _SETTLE = 20  # substeps at rest after which the tyres carry the car
 
 
 class BulletCar:
-    """A :class:`~vssm_gym.envs.robots.car_body.CarBody` in PyBullet; one object is one DIRECT client, for one thread.
+    """Simulate a :class:`~vssm_gym.envs.robots.car_body.CarBody` in PyBullet, in one DIRECT client, for one thread.
 
-    Every :meth:`reset` builds the client's world anew, so that nothing of an episode is left in the solver's caches.
-    A pickled car goes on from the same poses and velocities, to rounding: those caches are not part of its state.
+    Every :meth:`reset` rebuilds the client's world, so that nothing of an episode is left in the solver's caches. A
+    pickled car continues from the same poses and velocities up to rounding, since those caches are not part of its
+    state.
     """
 
     reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
@@ -79,7 +80,7 @@ class BulletCar:
         self._bearings, self.reads_contacts = state["bearings"], state["reads_contacts"]
 
     def reset(self, planar: PlanarPose) -> None:
-        """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
+        """Place the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         p, client = self._bullet, self._client
         p.resetSimulation(physicsClientId=client)
         self._bearings = []
@@ -108,7 +109,10 @@ class BulletCar:
         self._place(planar)
 
     def _build_car(self, planar: PlanarPose) -> None:
-        """Links: hub and wheel of each front wheel (0 to 3), then the rear wheels (4, 5); left before right."""
+        """Build the chassis and its links.
+
+        Hub and wheel of each front wheel (0 to 3), then the rear wheels (4, 5), left first.
+        """
         p, client, car = self._bullet, self._client, self.car
         tall = car.height - CLEARANCE
         # The base's frame is its centre of mass, low between the axles as in MuJoCo.
@@ -184,7 +188,7 @@ class BulletCar:
             p.resetJointState(self._body, j, 0.0, 0.0, physicsClientId=client)
 
     def _hold(self, speed: float, steering: float) -> None:
-        """Give the motors their set points."""
+        """Pass the set points to the motors."""
         p, client, car = self._bullet, self._client, self.car
         for j, angle in zip((0, 2), ackermann(steering, car), strict=True):
             p.setJointMotorControl2(
@@ -208,7 +212,10 @@ class BulletCar:
             )
 
     def drive(self, points: Float[np.ndarray, "ticks 2"], friction: float) -> tuple[str, ...]:
-        """Follow ``(speed, steering)`` set points, one a TICK; the names of the obstacles touched, in their order."""
+        """Follow ``(speed, steering)`` set points, one per TICK.
+
+        Return the names of the obstacles hit, in the boxes' order.
+        """
         p, client = self._bullet, self._client
         for j in (1, 3, 4, 5):
             p.changeDynamics(self._body, j, lateralFriction=friction, physicsClientId=client)
@@ -228,24 +235,24 @@ class BulletCar:
         return tuple(dict.fromkeys(self._names[body] for body in sorted(collided)))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
-        """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""
+        """Return the directions of the obstacles in contact during the last :meth:`drive`, rad, from body x."""
         return np.array(self._bearings)
 
     def pose(self) -> PlanarPose:
-        """The rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
+        """Return the rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
         (x, y, _), rotation = self._where()
         at = rotation @ self._centre
         heading = math.atan2(rotation[1, 0], rotation[0, 0])
         return np.array([x - at[0], y - at[1], heading if heading < math.pi else -math.pi])
 
     def speed(self) -> float:
-        """Of the rear axle along the heading, m/s."""
+        """Return the speed of the rear axle along the heading, m/s."""
         (vx, vy, _), _ = self._bullet.getBaseVelocity(self._body, physicsClientId=self._client)
         heading = self.pose()[2]
         return math.cos(heading) * vx + math.sin(heading) * vy
 
     def upright(self) -> bool:
-        """Whether its wheels can carry it: tilted by less than 45 degrees, and on the floor."""
+        """Return True if the car can drive: its tilt is below 45 degrees and it is on the floor."""
         (_, _, z), rotation = self._where()
         height = z - float(rotation[2] @ self._centre)
         return bool(rotation[2, 2] > math.sqrt(0.5) and abs(height) < self.car.wheel_radius)
@@ -255,5 +262,5 @@ class BulletCar:
         return at, np.array(self._bullet.getMatrixFromQuaternion(turned)).reshape(3, 3)
 
     def close(self) -> None:
-        """Let go of the client; the car is of no use afterwards."""
+        """Disconnect the client; the car cannot be used afterwards."""
         self._finalizer()

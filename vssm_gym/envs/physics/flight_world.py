@@ -1,4 +1,4 @@
-"""Flight: an apartment and a ball in MuJoCo, and the world that moves the ball through contacts."""
+"""Simulate a ball in flight among an apartment's boxes in MuJoCo."""
 
 from typing import Any
 
@@ -11,9 +11,9 @@ from vssm_gym.envs.scenes.apartment import Apartment
 
 
 def build_flight_spec(apartment: Apartment, radius: float) -> mujoco.MjSpec:
-    """The apartment's boxes, fixed and solid as they are, and a ball on three slides ``(x, y, z)``; SI units, z up.
+    """Build the model of the apartment's solid boxes and a ball on three slides ``(x, y, z)``; SI units, z up.
 
-    The ball does not turn: without friction nothing that it touches could tell.
+    The ball does not turn: its contacts are frictionless, so a rotation would have no effect.
     """
     spec = empty_spec(apartment.name)
     for i, box in enumerate(apartment.boxes()):
@@ -39,10 +39,10 @@ def build_flight_spec(apartment: Apartment, radius: float) -> mujoco.MjSpec:
 
 
 class FlightWorld:
-    """A ball in flight among the apartment's boxes; one object is one simulation, for one thread.
+    """Simulate a ball in flight among the apartment's boxes; one object is one simulation, for one thread.
 
-    The ball moves as it is told and nothing else pulls at it: what a body's rotors, weight and drag do is the caller's
-    (:mod:`vssm_gym.envs.flight_body`). Boxes stop it without friction.
+    The ball moves at a velocity that the caller sets. Rotors, weight and drag are the caller's part
+    (:mod:`vssm_gym.envs.flight_body`). Boxes stop the ball without friction.
     """
 
     def __init__(self, apartment: Apartment, radius: float) -> None:
@@ -65,20 +65,20 @@ class FlightWorld:
         self.reset(state["at"])
 
     def reset(self, position: Float[np.ndarray, "3"]) -> None:
-        """Put the ball's centre there, m, world frame, at rest."""
+        """Place the ball's centre at ``position``, m, world frame, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = position
         mujoco.mj_kinematics(self.model, self.data)  # rays need the geoms' places
 
     def position(self) -> Float[np.ndarray, "3"]:
-        """The ball's centre, m, world frame; float64."""
+        """Return the ball's centre, m, world frame; float64."""
         return self.data.qpos.copy()
 
     def move(self, velocity: Float[np.ndarray, "3"], seconds: float) -> bool:
         """Move at ``velocity`` (m/s, world frame) for a time in which the ball covers less than its radius.
 
         Returns:
-            Whether it touched an obstacle; what it kept of its velocity is :meth:`velocity` then.
+            True on collision; :meth:`velocity` is then the velocity after the contact.
         """
         self.model.opt.timestep = seconds
         self.data.qvel[:] = velocity
@@ -86,9 +86,9 @@ class FlightWorld:
         return bool(self.data.ncon)
 
     def velocity(self) -> Float[np.ndarray, "3"]:
-        """The ball's velocity after the last :meth:`move`, m/s, world frame; float64."""
+        """Return the ball's velocity after the last :meth:`move`, m/s, world frame; float64."""
         return self.data.qvel.copy()
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""
+        """Return the first box along each ray ``origin + t direction``; see :func:`cast_rays`."""
         return cast_rays(self.model, self.data, self._box_of_geom, origin, directions)

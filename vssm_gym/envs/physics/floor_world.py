@@ -1,9 +1,9 @@
-"""Physics: an apartment and a robot as a MuJoCo model, and the world that moves the robot through contacts.
+"""Simulate a robot on the floor among an apartment's boxes in MuJoCo.
 
-Each box of the apartment appears once as it is, for rays and pictures,
-and, where the robot could touch it, once more as an invisible upright prism for contacts: motion on the floor then
-meets vertical faces only, so that no table edge can press the robot into the floor. The robot itself is a sphere
-halfway up the prisms, whose contact with them is the cylinder's own, in closed form.
+Each box of the apartment is in the model once as it is, for rays and pictures. Where the robot can collide with it, it
+is there once more as an invisible upright prism for contacts: the robot then meets vertical faces only, so that no
+table edge can press it into the floor. The robot is a sphere halfway up the prisms, whose contact with a prism is that
+of the cylinder, in closed form.
 """
 
 import math
@@ -37,7 +37,10 @@ SUBSTEP = 0.005  # m that the robot covers in a substep at most: contacts are fo
 
 
 def obstacles(boxes: Sequence[SolidBox], height: float) -> list[int]:
-    """Indices of the boxes that a robot of this height can touch: those that meet z in (STEP_HEIGHT, height)."""
+    """Return the indices of the boxes that a robot of this height can hit.
+
+    Those that meet z in (STEP_HEIGHT, height).
+    """
     return [
         i
         for i, box in enumerate(boxes)
@@ -46,7 +49,7 @@ def obstacles(boxes: Sequence[SolidBox], height: float) -> list[int]:
 
 
 def build_floor_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
-    """The apartment's boxes, fixed, and the robot on two slides and a hinge ``(x, y, heading)``; SI units, z up.
+    """Build the model of the apartment's fixed boxes and the robot on joints ``(x, y, heading)``; SI units, z up.
 
     Geoms are named ``box I`` and ``prism I`` after the index in ``apartment.boxes()``; the body is named ``robot``.
     """
@@ -93,7 +96,7 @@ def build_floor_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
 
 
 class FloorWorld:
-    """The robot among the apartment's boxes; one object is one simulation, for one thread."""
+    """Simulate the robot among the apartment's boxes; one object is one simulation, for one thread."""
 
     reads_contacts = True  # keep contacts for :meth:`contact_bearings`: a quarter of the time of a step in contact
 
@@ -128,25 +131,25 @@ class FloorWorld:
         self._collided, self._contacts = state["collided"], state["contacts"]
 
     def reset(self, planar: PlanarPose) -> None:
-        """Put the robot at ``(x, y, heading)``, m and rad, at rest."""
+        """Place the robot at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = planar
         mujoco.mj_kinematics(self.model, self.data)  # rays need the geoms' places
         self._collided, self._contacts = set(), []
 
     def pose(self) -> PlanarPose:
-        """The robot's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
+        """Return the robot's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
         x, y, heading = self.data.qpos
         return np.array([x, y, wrap_angle(heading)])
 
     def drive(self, target: PlanarPose) -> bool:
         """Move towards ``target = (x, y, heading)`` for ``robot.dt`` seconds at constant speed, by the shorter turn.
 
-        In free space the robot ends at the target; obstacles stop it or make it slide along them. As far as nothing
-        can be in the way, by the exact distance to the nearest obstacle, no physics is needed.
+        In free space the robot ends at the target; obstacles stop it or make it slide along them. Physics is simulated
+        only from where an obstacle can be in the way, by the exact distance to the nearest one.
 
         Returns:
-            Whether the robot touched an obstacle (:meth:`contacts` names them).
+            True on collision (:meth:`contacts` names the obstacles).
         """
         model, data = self.model, self.data
         displacement = np.asarray(target, dtype=np.float64) - data.qpos
@@ -180,18 +183,18 @@ class FloorWorld:
         return bool(self._collided)
 
     def contacts(self) -> list[str]:
-        """Names of the obstacles that the last :meth:`drive` touched, in the order of the apartment's boxes."""
+        """Return the names of the obstacles hit in the last :meth:`drive`, in the order of the apartment's boxes."""
         return list(dict.fromkeys(self.boxes[i].name for i in sorted(self._collided)))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
-        """Directions in which obstacles pressed against the robot during the last :meth:`drive`, rad.
+        """Return the directions of the obstacles in contact during the last :meth:`drive`, rad, from body x.
 
-        Against the contact's normal, from the robot to the obstacle, counter-clockwise from body x; one a contact and
-        substep, none where nothing was touched.
+        There is one direction for each contact and substep, counter-clockwise, from the robot to the obstacle, against
+        the contact's normal.
         """
         met = [bearings(self._box_of_geom[geoms], normals, R) for geoms, normals, R in self._contacts]
         return np.concatenate(met) if met else np.zeros(0)
 
     def multi_ray(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First box along each ray ``origin + t direction``: see :func:`cast_rays`."""
+        """Return the first box along each ray ``origin + t direction``; see :func:`cast_rays`."""
         return cast_rays(self.model, self.data, self._box_of_geom, origin, directions)

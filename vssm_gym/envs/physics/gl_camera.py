@@ -1,10 +1,10 @@
-"""The GL camera: MuJoCo's renderer over the boxes' faces, for machines with OpenGL; the raycast camera's twin.
+"""Render the boxes' faces with MuJoCo's OpenGL renderer: the twin of the raycast camera for machines with OpenGL.
 
     z-depth d = n f / (n + b (f - n)),    b the depth buffer, 1 at the near and 0 at the far plane
 
-Geometry, pose, intrinsics, textures and lights are those of the raycast camera, so depths agree to float32; colours
-differ by a few grey levels (OpenGL filters textures otherwise, and lights faces at the corners of cells). No shadows,
-no reflections, no antialiasing: an image is one draw and one read of colour and depth.
+Geometry, pose, intrinsics, textures and lights are those of the raycast camera, so depths agree to float32. Colours
+differ by a few grey levels, since OpenGL filters textures differently and computes the light at the corners of cells.
+There are no shadows, reflections or antialiasing: an image is one draw and one read of colour and depth.
 """
 
 import importlib
@@ -29,12 +29,12 @@ NEAR = 0.01  # m, nearest depth; half of the thinnest thing, a window's pane
 
 
 class GlCamera:
-    """Renders the boxes as a pinhole camera sees them; one image at a time, from any thread.
+    """Render the boxes as a pinhole camera sees them; one image at a time, from any thread.
 
     Args:
         boxes: the solid boxes.
-        camera: intrinsics; their size is that of the images.
-        backend: ``egl``, ``osmesa`` or ``glfw``; by default the first that works, ``MUJOCO_GL`` respected.
+        camera: intrinsics, which hold the image size.
+        backend: ``egl``, ``osmesa`` or ``glfw``; by default the first that works, or the one in ``MUJOCO_GL``.
 
     Raises:
         InputError: no OpenGL on this machine; the message says what to install.
@@ -48,14 +48,14 @@ class GlCamera:
 
     @property
     def name(self) -> str:
-        """What draws, to be recorded with results: ``gl-egl``, ``gl-osmesa`` or ``gl-glfw``."""
+        """Return the name to be recorded with results: ``gl-egl``, ``gl-osmesa`` or ``gl-glfw``."""
         return f"gl-{self._backend}"
 
     def __getstate__(self) -> dict[str, Any]:
         return {"camera": self.camera, "_boxes": self._boxes, "_backend": self._backend, "_thread": None}
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
-        """The image at a camera pose.
+        """Render the image at a camera pose.
 
         Args:
             T_world_cam: ``(4, 4)``, m.
@@ -71,7 +71,7 @@ class GlCamera:
         return self._thread.submit(self._picture.draw, np.asarray(T_world_cam, dtype=np.float64)).result()
 
     def close(self) -> None:
-        """Free the OpenGL context and its thread; the next image makes new ones."""
+        """Free the OpenGL context and its thread; the next image creates new ones."""
         if self._thread is not None:
             self._release()
             self._thread = None
@@ -87,7 +87,7 @@ def _release(thread: ThreadPoolExecutor, picture: "_Picture") -> None:
 
 
 class _Picture:
-    """An OpenGL context with the scene in it; all calls from the thread that made it."""
+    """Hold an OpenGL context with the scene in it; all calls must come from the thread that made it."""
 
     def __init__(self, boxes: Sequence[SolidBox], camera: Camera, backend: str) -> None:
         self._width, self._height = camera.width, camera.height
@@ -120,7 +120,7 @@ class _Picture:
         self._buffer = np.empty((camera.height, camera.width), dtype=np.float32)
 
     def draw(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Colour and depth from one pose; new arrays."""
+        """Return new colour and depth arrays of one pose."""
         position = T_world_cam[:3, 3]
         far = float(np.linalg.norm(position - self._center)) + self._radius + 1.0
         for eye in self._scene.camera:  # one for each eye; both the same
@@ -137,13 +137,13 @@ class _Picture:
         return rgb, depth
 
     def free(self) -> None:
-        """Give the context back."""
+        """Free the context."""
         self._context.free()
         self._gl.free()
 
 
 def _looks(boxes: Sequence[SolidBox], camera: Camera) -> mujoco.MjSpec:
-    """The boxes as meshes, one for each texture and colour."""
+    """Build a model of the boxes as meshes, one for each texture and colour."""
     spec = mujoco.MjSpec()
     names = sorted({box.material.texture for box in boxes})
     for name, image in zip(names, texture_atlas(names), strict=True):
@@ -179,7 +179,7 @@ _HEAD = 2  # the light that goes with the camera
 def _light(scene: mujoco.MjvScene) -> None:
     """``ambient + lamp (1 + n.l) / 2 + head cos / (1 + (distance / range)^2)``, the raycast camera's light.
 
-    OpenGL's lamps give ``max(0, n.l)``; a second one from below with negative light makes it ``n.l``.
+    OpenGL's lamps give ``max(0, n.l)``; a second lamp from below with negative light makes it ``n.l``.
     """
     directional, spot = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, mujoco.mjtLightType.mjLIGHT_SPOT
     down = -np.array(LAMP_DIRECTION)
@@ -199,7 +199,7 @@ def _light(scene: mujoco.MjvScene) -> None:
 
 @numba.njit(nogil=True, cache=True)
 def _develop(seen, buffer, near, far, rgb, depth):
-    """The read image the right way up, its depth in metres, and the sky where nothing was drawn."""
+    """Flip the read image upright, convert its depth to metres, and fill in the sky where nothing was drawn."""
     height, width = buffer.shape
     for i in range(height):
         for j in range(width):

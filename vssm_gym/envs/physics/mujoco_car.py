@@ -1,8 +1,8 @@
-"""The car as rigid bodies in MuJoCo: a chassis on four wheels, the rear two driven through an open differential.
+"""Simulate the car as rigid bodies in MuJoCo: a chassis on four wheels, the rear two driven by an open differential.
 
-The chassis is the footprint's box; it touches obstacles, the tyres touch the floor. Tyres are thin ellipsoids, so that
-each meets the floor in one point below its hub. Steering angles of the front wheels follow Ackermann: their axes
-meet in a point on the rear axle's line.
+The chassis is a box over the footprint and collides with obstacles; the tyres roll on the floor. Tyres are thin
+ellipsoids, so that each meets the floor in one point below its hub. Steering angles of the front wheels follow
+Ackermann: their axes meet in a point on the rear axle's line.
 """
 
 import math
@@ -27,7 +27,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 def build_car_spec(apartment: Apartment, car: Car) -> mujoco.MjSpec:
-    """A floor, the apartment's boxes as upright prisms and a free car; SI units, z up.
+    """Build the model of a floor, the apartment's boxes as upright prisms and a free car; SI units, z up.
 
     Prisms are named after the index in ``apartment.boxes()``. The car's frame is the footprint's: on the floor below
     the rear axle.
@@ -103,7 +103,7 @@ def _add_wheel(spec: mujoco.MjSpec, body: Any, car: Car, name: str, at: tuple[fl
 
 
 def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
-    """One motor on the mean of the rear wheels: each gets half of its torque, whatever their speeds."""
+    """Add one motor on the mean of the rear wheels: each gets half of its torque, whatever their speeds."""
     axle = spec.add_tendon(name="axle")
     for side in ("left", "right"):
         axle.wrap_joint(f"rear {side}", 0.5)
@@ -116,7 +116,10 @@ def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
 
 
 class MujocoCar:
-    """A :class:`~vssm_gym.envs.robots.car_body.CarBody` in MuJoCo; one object is one simulation, for one thread."""
+    """Simulate a :class:`~vssm_gym.envs.robots.car_body.CarBody` in MuJoCo.
+
+    One object is one simulation, for one thread.
+    """
 
     reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
     _bearings: list[np.ndarray]  # of obstacles hit in the last drive, rad, one array a substep
@@ -153,14 +156,17 @@ class MujocoCar:
         self._bearings = state["bearings"]
 
     def reset(self, planar: PlanarPose) -> None:
-        """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
+        """Place the rear axle at ``(x, y, heading)``, m and rad, at rest."""
         mujoco.mj_resetData(self.model, self.data)
         self._bearings = []
         half = 0.5 * float(planar[2])
         self.data.qpos[:7] = planar[0], planar[1], 0.0, math.cos(half), 0.0, 0.0, math.sin(half)
 
     def drive(self, points: Float[np.ndarray, "ticks 2"], friction: float) -> tuple[str, ...]:
-        """Follow ``(speed, steering)`` set points, one a TICK; the names of the obstacles touched, in their order."""
+        """Follow ``(speed, steering)`` set points, one per TICK.
+
+        Return the names of the obstacles hit, in the boxes' order.
+        """
         model, data = self.model, self.data
         model.geom_friction[self._tyres, 0] = friction
         collided: set[int] = set()
@@ -179,28 +185,28 @@ class MujocoCar:
         return tuple(dict.fromkeys(self.boxes[i].name for i in sorted(collided - {-1})))
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
-        """Directions in which obstacles pressed against the chassis in the last :meth:`drive`, rad, from body x."""
+        """Return the directions of the obstacles in contact during the last :meth:`drive`, rad, from body x."""
         return np.concatenate(self._bearings) if self._bearings else np.zeros(0)
 
     def _controls(self, speed: float, steering: float) -> tuple[float, float, float]:
-        """Set points of the two steering servos and the motor, as they stand in the model."""
+        """Return the set points of the two steering servos and the motor in the model's units."""
         return *ackermann(steering, self.car), speed / self.car.wheel_radius
 
     def pose(self) -> PlanarPose:
-        """The rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
+        """Return the rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
         x, y, _, w, i, j, k = self.data.qpos[:7].tolist()
         heading = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return np.array([x, y, heading if heading < math.pi else -math.pi])
 
     def speed(self) -> float:
-        """Of the rear axle along the heading, m/s."""
+        """Return the speed of the rear axle along the heading, m/s."""
         heading = self.pose()[2]
         return float(math.cos(heading) * self.data.qvel[0] + math.sin(heading) * self.data.qvel[1])
 
     def upright(self) -> bool:
-        """Whether its wheels can carry it: tilted by less than 45 degrees, and on the floor."""
+        """Return True if the car can drive: its tilt is below 45 degrees and it is on the floor."""
         _, _, z, _, i, j, _ = self.data.qpos[:7].tolist()
         return 1.0 - 2.0 * (i * i + j * j) > math.sqrt(0.5) and abs(z) < self.car.wheel_radius
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: MuJoCo's memory is freed with the object."""

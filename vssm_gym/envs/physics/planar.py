@@ -1,8 +1,8 @@
-"""Boxes in the plane: rectangles, the rays that end at them and the discs that slide along them, all exact.
+"""Compute exact ray ranges and sliding contacts among rectangles in the plane.
 
-A rectangle is the cut of an upright box. A ray meets it where the slabs of its two axes overlap; a disc of radius R
-touches it where the disc's centre meets the rectangle grown by R, whose corners are circles. Lengths in metres, angles
-in rad, world frame; loops are compiled (numba) and let other threads run.
+A rectangle is the horizontal section of an upright box. A ray meets it where the slabs of its two axes overlap. A disc
+of radius R is in contact with it where the disc's centre meets the rectangle grown by R, whose corners are circles.
+Lengths are in metres, angles in rad, world frame. The loops are compiled (numba) and release the interpreter lock.
 
     rectangles: ``(m, 6)`` float64, one row ``(x, y, cos yaw, sin yaw, half length, half width)``
 """
@@ -26,7 +26,7 @@ _PARALLEL = 1e-30  # a direction's smallest component: its inverse stays finite,
 
 
 def rectangles(boxes: Sequence[SolidBox], z: float | None = None) -> Float[np.ndarray, "m 6"]:
-    """The rectangles of ``boxes``, or of those that the plane at height ``z`` cuts."""
+    """Return the rectangles of ``boxes``, or of those that the plane at height ``z`` cuts."""
     cut = [box for box in boxes if z is None or abs(z - box.center[2]) < 0.5 * box.size[2]]
     rows = [(*b.center[:2], math.cos(b.yaw), math.sin(b.yaw), 0.5 * b.size[0], 0.5 * b.size[1]) for b in cut]
     return np.array(rows, dtype=np.float64).reshape(-1, 6)
@@ -39,7 +39,7 @@ def scan(poses: np.ndarray, rectangles: np.ndarray, beams: int) -> np.ndarray:
     Args:
         poses: ``(n, 3)`` float64, ``(x, y, heading)`` of n scanners.
         rectangles: ``(m, 6)``, see the module.
-        beams: readings a scan.
+        beams: number of beams.
 
     Returns:
         ``(n, beams)`` float64; 0 inside a rectangle, inf where a ray meets none.
@@ -63,7 +63,7 @@ def scan(poses: np.ndarray, rectangles: np.ndarray, beams: int) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def clearance(x: float, y: float, rectangles: np.ndarray) -> float:
-    """Distance from a point to the nearest rectangle; 0 inside one, inf where there is none."""
+    """Return the distance from a point to the nearest rectangle, m; 0 inside one, inf where there is none."""
     nearest = np.inf
     for j in range(len(rectangles)):
         at_x, at_y, c, s, half_x, half_y = rectangles[j]
@@ -75,7 +75,7 @@ def clearance(x: float, y: float, rectangles: np.ndarray) -> float:
 
 @njit(cache=True, nogil=True)
 def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: np.ndarray) -> tuple[float, float, bool]:
-    """A disc at ``(x, y)`` is pushed by ``(dx, dy)``: where it ends, and whether it collided a rectangle.
+    """Push a disc at ``(x, y)`` by ``(dx, dy)`` and return where it ends, and True if it collided with a rectangle.
 
     At a contact with normal n the rest d of the push becomes ``d - min(0, d . n) n``: walls stop without friction.
     The centre keeps ``radius + SKIN`` from every rectangle (to rounding), if it did so before.
@@ -110,7 +110,7 @@ def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: n
 
 @njit(cache=True, nogil=True)
 def _contact(x: float, y: float, dx: float, dy: float, half_x: float, half_y: float, grown: float) -> float:
-    """Share of the way ``d`` after which the point meets the rectangle grown by a disc; inf where it does not."""
+    """Return the fraction of ``d`` after which the point meets the rectangle grown by a disc; inf where it does not."""
     away_x, away_y = _away(x, y, half_x, half_y)
     if away_x * away_x + away_y * away_y <= _CONTACT * grown * grown:
         # Touching already: the grown rectangle is convex, so a point that does not move inwards never enters it.
@@ -134,7 +134,10 @@ def _contact(x: float, y: float, dx: float, dy: float, half_x: float, half_y: fl
 
 @njit(cache=True, nogil=True)
 def _crossing(x: float, y: float, dx: float, dy: float, half_x: float, half_y: float) -> tuple[float, float]:
-    """Where the line ``p + t d`` enters and leaves an upright rectangle around the origin; enter > leave: it misses."""
+    """Return where the line ``p + t d`` enters and leaves an upright rectangle around the origin.
+
+    Enter > leave: a miss.
+    """
     over_x = 1.0 / (dx if abs(dx) > _PARALLEL else _PARALLEL)
     over_y = 1.0 / (dy if abs(dy) > _PARALLEL else _PARALLEL)
     one_x, other_x = (-half_x - x) * over_x, (half_x - x) * over_x
@@ -144,5 +147,5 @@ def _crossing(x: float, y: float, dx: float, dy: float, half_x: float, half_y: f
 
 @njit(cache=True, nogil=True)
 def _away(x: float, y: float, half_x: float, half_y: float) -> tuple[float, float]:
-    """From the nearest point of an upright rectangle around the origin to ``(x, y)``; zero inside."""
+    """Return the vector from the nearest point of an upright rectangle around the origin to ``(x, y)``; zero inside."""
     return x - min(max(x, -half_x), half_x), y - min(max(y, -half_y), half_y)

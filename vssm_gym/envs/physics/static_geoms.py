@@ -1,4 +1,4 @@
-"""What a model that somebody brings is made of: its geoms at their initial poses, as MuJoCo compiles them."""
+"""Read the geoms of an imported MJCF model at their initial poses, as MuJoCo compiles them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from vssm_gym.errors import InputError
 
 @dataclass(frozen=True)
 class StaticGeom:
-    """A geom of a compiled model at its initial pose, world frame, m.
+    """Hold a geom of a compiled model at its initial pose, world frame, m.
 
-    ``shape`` is MuJoCo's name ("plane", "box", "mesh", ...), ``size`` its three size parameters, ``rotation`` its axes
-    in columns, ``collides`` whether MuJoCo lets anything touch it. ``vertices`` (n, 3) in the geom's frame and
-    ``faces`` (m, 3) are a mesh's, empty for other shapes.
+    ``shape`` is MuJoCo's name ("plane", "box", "mesh", ...), ``size`` its three size parameters, ``rotation`` holds its
+    axes in columns, ``collides`` is True if MuJoCo lets other geoms collide with it. ``vertices`` (n, 3) in the geom's
+    frame and ``faces`` (m, 3) are those of a mesh, empty for other shapes.
     """
 
     name: str
@@ -30,7 +30,10 @@ class StaticGeom:
 
 
 def static_geoms(xml: str, assets: Mapping[str, bytes], source: object) -> list[StaticGeom]:
-    """The geoms of an MJCF text whose files are ``assets``; InputError where MuJoCo does not compile it."""
+    """Return the geoms of an MJCF text whose files are ``assets``.
+
+    Raise InputError where MuJoCo does not compile it.
+    """
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)  # by default warnings go to a file in the working directory
     try:

@@ -1,6 +1,6 @@
-"""The first box along any rays: ``p(t) = o + t d``. Laser scanners and coverage ask for it; images are drawn (raster).
+"""Find the first box along rays ``p(t) = o + t d``, for laser scanners and coverage.
 
-Embree traces over the boxes' faces, by its wheel's public call; this is the only module that imports it.
+Images are rasterised instead (:mod:`vssm_gym.envs.rendering.raster`). This is the only module that imports Embree.
 """
 
 import itertools
@@ -20,9 +20,9 @@ _TRIANGLES = 12  # a box
 
 
 class Tracer(Protocol):
-    """Finds the first box along rays that leave one point.
+    """Find the first box along rays that leave one point.
 
-    ``trace(origin (3,), directions (n, 3))``, float32 directions, gives ``t`` float32 ``(n,)`` in multiples of the
+    ``trace(origin (3,), directions (n, 3))``, float32 directions, returns ``t`` float32 ``(n,)`` in multiples of the
     direction and the box's index int32 ``(n,)``; where nothing is hit ``t`` is 0 and the index -1. World frame, m.
     """
 
@@ -30,11 +30,11 @@ class Tracer(Protocol):
     parallel: bool  # whether trace may run in several threads at once
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First hits of the rays ``origin + t direction``."""
+        """Return the first hits of the rays ``origin + t direction``."""
 
 
 class EmbreeTracer:
-    """Embree over the boxes' faces; raises ImportError where embreex has no wheel or cannot be loaded."""
+    """Trace with Embree over the boxes' faces; raise ImportError where embreex has no wheel or cannot be loaded."""
 
     name = "embree"
     parallel = True
@@ -58,7 +58,7 @@ class EmbreeTracer:
         self._build()
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First hits of the rays ``origin + t direction``; see :class:`Tracer`."""
+        """Return the first hits of the rays ``origin + t direction``; see :class:`Tracer`."""
         origins = np.empty_like(directions)
         origins[:] = origin
         hits = self._scene.run(origins, directions, output=1)
@@ -69,7 +69,7 @@ class EmbreeTracer:
 
 
 class MujocoTracer:
-    """``mj_multiRay`` over the same boxes: slower, for machines without Embree."""
+    """Trace with ``mj_multiRay`` over the same boxes: slower, for machines without Embree."""
 
     name = "mujoco"
     parallel = False
@@ -78,13 +78,16 @@ class MujocoTracer:
         self._world = world
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First hits of the rays ``origin + t direction``; see :class:`Tracer`."""
+        """Return the first hits of the rays ``origin + t direction``; see :class:`Tracer`."""
         t, box = self._world.multi_ray(origin, directions)
         return t.astype(np.float32), box
 
 
 def box_mesh(boxes: Sequence[SolidBox]) -> tuple[np.ndarray, np.ndarray]:
-    """The boxes' faces: vertices float32 ``(8 n, 3)``, world frame, m, triangles int32 ``(12 n, 3)``, box by box."""
+    """Return the boxes' faces.
+
+    Vertices float32 ``(8 n, 3)``, world frame, m, and triangles int32 ``(12 n, 3)``, box by box.
+    """
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corner 4 x + 2 y + z
     faces = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     vertices = np.empty((len(boxes), 8, 3))

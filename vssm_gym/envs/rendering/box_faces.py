@@ -1,8 +1,8 @@
-"""The boxes' faces as triangles with normals and texture coordinates: what a rasteriser draws instead of tracing rays.
+"""Cut the boxes' faces into triangles with normals and texture coordinates, for an OpenGL renderer.
 
-    p = c + R (x, y, z),    (u, v) = tiles a metre * (metres right, metres down), as :func:`shading.shade` has them
+    p = c + R (x, y, z),    (u, v) = tiles per metre * (metres right, metres down), as in :func:`shading.shade`
 
-Faces are cut into cells, because OpenGL's lights are computed at the corners and blended between them.
+Faces are cut into cells, because OpenGL's lights are computed at the corners and interpolated between them.
 """
 
 import math
@@ -21,7 +21,7 @@ _MOST = 32  # cells along an edge, however long it is
 
 @dataclass(frozen=True)
 class Triangles:
-    """A triangle soup in the world frame; corners of a triangle run counter-clockwise as seen from outside."""
+    """Hold triangles in the world frame; corners of a triangle run counter-clockwise as seen from outside."""
 
     vertices: Float[np.ndarray, "n 3"]  # m
     normals: Float[np.ndarray, "n 3"]
@@ -30,7 +30,7 @@ class Triangles:
 
 
 def box_triangles(boxes: Sequence[SolidBox], cell: float = CELL) -> Triangles:
-    """All faces of ``boxes``, cut into cells of at most ``cell`` metres (longer on faces beyond 32 cells)."""
+    """Return all faces of ``boxes``, cut into cells of at most ``cell`` metres (longer on faces beyond 32 cells)."""
     vertices, normals, texture, triangles = [], [], [], []
     count = 0
     for box in boxes:
@@ -46,7 +46,7 @@ def box_triangles(boxes: Sequence[SolidBox], cell: float = CELL) -> Triangles:
 
 
 def _face(box: SolidBox, axis: int, sign: float, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, normal, texture coordinates and triangles of the face where the box's ``axis`` points to ``sign``."""
+    """Return vertices, normal, texture coordinates and triangles of the box's face on side ``sign`` of ``axis``."""
     across, along = (axis + 1) % 3, (axis + 2) % 3
     n_across, n_along = (min(_MOST, max(1, math.ceil(box.size[a] / cell))) for a in (across, along))
     a, b = np.meshgrid(np.linspace(-0.5, 0.5, n_across + 1), np.linspace(-0.5, 0.5, n_along + 1), indexing="ij")

@@ -1,4 +1,4 @@
-"""A car's run drawn into the plan: its path, its footprint with the nose marked, and the target."""
+"""Draw a car's run into the floor plan: its path, its footprint with the front marked, and the target."""
 
 import math
 
@@ -16,9 +16,17 @@ _SMOOTH = 2  # drawn this much larger, then reduced: smooth edges
 def draw_run(
     plan: TopDown, path: np.ndarray, car: Car, planar: PlanarPose, goal: np.ndarray, radius: float
 ) -> np.ndarray:
-    """The plan with the rear axle's path ``(n, 2)``, the car at ``planar`` and its goal ``(2,)`` or ``(3,)``, m, rad.
+    """Return the plan with the path of the rear axle, the car's footprint and its target.
 
-    The target is a disc of ``radius`` m, and the footprint's outline with an arrow where a heading is asked.
+    The target is a disc of ``radius`` m, and the footprint's outline with an arrow if the goal has a heading.
+
+    Args:
+        plan: the floor plan.
+        path: ``(n, 2)`` positions of the rear axle, m.
+        car: its dimensions.
+        planar: ``(x, y, heading)`` of the rear axle, m and rad.
+        goal: ``(2,)`` or ``(3,)``, m and rad.
+        radius: of the target, m.
 
     Returns:
         uint8 image of the plan's size.
@@ -45,7 +53,7 @@ def draw_run(
 
 
 def _nose(car: Car, planar: PlanarPose) -> np.ndarray:
-    """An arrow's head inside the footprint: from one side over the nose to the other, ``(3, 2)``."""
+    """Return an arrow head inside the footprint: from one side over the front to the other, ``(3, 2)``."""
     c, s = math.cos(planar[2]), math.sin(planar[2])
     front = car.length - car.rear_overhang - 0.02
     forward = np.array([front - 0.1, front, front - 0.1])

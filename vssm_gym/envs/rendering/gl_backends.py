@@ -1,7 +1,7 @@
-"""Which ways to OpenGL work on this machine: each is tried in a process of its own, where a crash hurts nobody.
+"""Find an OpenGL backend that works on this machine: each is tried in a process of its own, where a crash is harmless.
 
 MuJoCo's renderer draws in a context of EGL (a graphics card or Mesa, no screen), OSMesa (software) or GLFW (a screen).
-``MUJOCO_GL`` is the user's: where it is set, only that way counts; it is never set here.
+``MUJOCO_GL`` is the user's: where it is set, only that backend is tried; it is never set here.
 """
 
 import os
@@ -17,7 +17,7 @@ TIMEOUT = 120.0  # seconds for one try; a first import from a cold disk is slow
 
 @dataclass(frozen=True)
 class Backend:
-    """One way to an OpenGL context: MuJoCo's name for it, ours, and how to get it."""
+    """Describe one kind of OpenGL context: MuJoCo's name for it, a title, and how to install it."""
 
     name: str
     title: str
@@ -64,12 +64,12 @@ print("draws with", name)
 
 
 def probe_code(backend: Backend) -> str:
-    """A Python program that draws a picture in this way, prints by what, and fails where that is impossible."""
+    """Return a Python program that draws a picture, prints the renderer's name, and fails where that is impossible."""
     return _PROBE.format(backend=backend.name)
 
 
 def try_python(code: str, timeout: float = TIMEOUT) -> tuple[bool, str]:
-    """Run a program in a process of its own: whether it worked, and the last line that it wrote."""
+    """Run a program in a process of its own; return True if it succeeded, and the last line of its output."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, timeout=timeout, check=False
@@ -82,7 +82,7 @@ def try_python(code: str, timeout: float = TIMEOUT) -> tuple[bool, str]:
 
 
 def find_backend() -> str:
-    """The first backend that draws here, or the one of ``MUJOCO_GL`` where the user set it.
+    """Return the first backend that draws here, or the one in ``MUJOCO_GL`` if the user set it.
 
     Raises :class:`InputError` where none does, with each reason and remedy, as ``vssm-gym doctor`` prints them.
     """
@@ -101,6 +101,6 @@ def _find(wanted: str) -> str:
         if ok:
             return backend.name
         failures.append(f"{backend.title}: {detail} -> {backend.remedy}")
-    only = f"; MUJOCO_GL={wanted} allows no other way" if wanted else ""
-    expected = f"OpenGL, which no way leads to on this machine (see vssm-gym doctor{only})"
+    only = f"; MUJOCO_GL={wanted} allows no other backend" if wanted else ""
+    expected = f"OpenGL, which no backend of this machine offers (see vssm-gym doctor{only})"
     raise InputError("renderer", "gl", "; ".join([expected, *failures]) + "; or renderer='raycast'")

@@ -1,11 +1,11 @@
-"""The first box along every pixel's ray, by drawing the boxes' faces into a buffer of nearness.
+"""Find the first box along every pixel's ray, by drawing the boxes' faces into a buffer of inverse depth.
 
     w(i, j) = 1 / z = (n . K^-1 [i, j, 1]) / (n . p)        on the plane of a face with normal n through p
 
-is linear in the pixel, so a face costs one multiplication and one comparison a pixel: several times less than a
-ray. Faces turned away are skipped, others clipped before the eye and cut to the convex outline that they show. A pixel
-belongs to the face that its centre's ray meets first, as if it were traced: but for rays that pass an outline closer
-than :data:`_RIM`. Of faces that coincide the first box's shows.
+is linear in the pixel, so a face costs one multiplication and one comparison a pixel, several times less than a ray.
+Back faces are skipped, the others are clipped before the camera and cut to their convex outline. A pixel belongs to the
+face that its centre's ray meets first, as if it were traced, except for rays that pass an outline closer than
+:data:`_RIM`. Of faces that coincide the first box's is shown.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ SIDES = 6  # faces a box
 
 
 def box_frames(boxes: Sequence[SolidBox]) -> np.ndarray:
-    """``(n, 8)`` float64: centre (m), half size (m), cosine and sine of yaw, as :func:`draw` reads them."""
+    """Return ``(n, 8)`` float64: centre (m), half size (m), cosine and sine of yaw, as :func:`draw` reads them."""
     rows = [(*box.center, *(0.5 * extent for extent in box.size), np.cos(box.yaw), np.sin(box.yaw)) for box in boxes]
     return np.array(rows, dtype=np.float64).reshape(-1, 8)
 
@@ -97,7 +97,7 @@ def draw(T, frames, fx, fy, cx, cy, nearness, face):
 
 @numba.njit(nogil=True, cache=True, inline="always")
 def _beyond(center, spans, a, sign, bound):
-    """Whether the whole box has ``sign x_a + bound z > 0``: it lies outside one side of the view."""
+    """Return True if the whole box has ``sign x_a + bound z > 0``: it lies outside one side of the view."""
     middle = sign * center[a] + bound * center[2]
     reach = 0.0
     for i in range(3):
@@ -107,7 +107,7 @@ def _beyond(center, spans, a, sign, bound):
 
 @numba.njit(nogil=True, cache=True)
 def _clip(corner, clipped, cut):
-    """The part of a quadrilateral before the plane ``z = NEAR``; returns its number of corners."""
+    """Cut a quadrilateral to its part beyond the plane ``z = NEAR``; return its number of corners."""
     if not cut:
         clipped[:4] = corner
         return 4
@@ -128,7 +128,7 @@ def _clip(corner, clipped, cut):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _fill(corners, n, edges, fx, fy, cx, cy, wx, wy, w0, nearness, face, index):
-    """Draw one convex polygon (camera frame) of nearness ``w0 + wx i + wy j`` where it is nearer than what is there."""
+    """Draw one convex polygon (camera frame) of inverse depth ``w0 + wx i + wy j`` where it is nearest so far."""
     height, width = nearness.shape
     top, bottom, left, right = np.inf, -np.inf, np.inf, -np.inf
     turn = 0.0
@@ -168,7 +168,10 @@ def _fill(corners, n, edges, fx, fy, cx, cy, wx, wy, w0, nearness, face, index):
 
 @numba.njit(nogil=True, cache=True)
 def _draw_run(w, step, nearest, owner, index):
-    """Pixels of one row: those that the face is nearer in than what is there. Apart, so that it vectorises."""
+    """Draw the pixels of one row in which the face is nearest so far.
+
+    It is a function of its own so that it vectorises.
+    """
     for i in range(nearest.shape[0]):
         here = w + step * np.float32(i)
         old, at = nearest[i], owner[i]

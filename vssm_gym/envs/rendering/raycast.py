@@ -1,4 +1,4 @@
-"""The raycast camera: what each pixel's ray meets first, ``p(z) = c + z R K^-1 [i, j, 1]^T``, then a texture and light.
+"""Render what each pixel's ray ``p(z) = c + z R K^-1 [i, j, 1]^T`` meets first, with texture and light.
 
 Equal inputs give equal bytes.
 """
@@ -16,11 +16,11 @@ from vssm_gym.geometry.camera import Camera
 
 
 class RaycastCamera:
-    """Renders the boxes as a pinhole camera sees them; several threads may render at once.
+    """Render the boxes as a pinhole camera sees them; several threads may render at once.
 
     Args:
         boxes: the solid boxes, at least one.
-        camera: intrinsics; their size is that of the images.
+        camera: intrinsics, which hold the image size.
     """
 
     name = "raycast"  # recorded with results
@@ -37,7 +37,7 @@ class RaycastCamera:
         self._length2 = (1.0 + np.square(x) + np.square(y)[:, None]).astype(np.float32)
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
-        """The image at a camera pose.
+        """Render the image at a camera pose.
 
         Args:
             T_world_cam: ``(4, 4)``, m.
@@ -56,7 +56,10 @@ class RaycastCamera:
         return rgb, depth
 
     def first_boxes(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
-        """The z-depth that :meth:`render` gives, and which box each pixel shows: int32 ``(H, W)``, -1 for none."""
+        """Return the z-depth of :meth:`render`, and the index of the box in each pixel.
+
+        Int32 ``(H, W)``, -1 for none.
+        """
         _, nearness, face = self._draw(T_world_cam)
         depth = np.divide(1.0, nearness, out=np.zeros_like(nearness), where=face >= 0)
         return depth, face // SIDES
@@ -71,4 +74,4 @@ class RaycastCamera:
         return T, nearness, face
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is no context to free."""

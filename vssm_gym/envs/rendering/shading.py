@@ -1,10 +1,10 @@
-"""Colours of what pixels see: box-face texture coordinates, mip-mapped textures, and light, in one compiled pass.
+"""Shade visible faces in one compiled pass: texture coordinates, mip-mapped textures, and light.
 
     rgb = colour texture(u, v) (ambient + lamp (1 + n.l) / 2 + head cos / (1 + (distance / range)^2))
 
-A distant lamp from above tells faces of different direction apart, a weak lamp on the head gives some depth; there are
-no shadows. Textures are sampled trilinearly from their mips at the size of the pixel's footprint, so that distant
-surfaces do not shimmer: images that a tracker compares must change as little as the view does.
+A distant lamp from above makes faces of different direction distinguishable, and a weak lamp at the camera shows
+distance; there are no shadows. Textures are sampled trilinearly from their mips at the size of the pixel's footprint,
+so that distant surfaces do not shimmer: an image that a tracker compares must change as little as the view does.
 """
 
 import math
@@ -26,7 +26,7 @@ SKY = (0.62, 0.75, 0.90)  # colour where a ray leaves the apartment
 
 @dataclass(frozen=True)
 class Looks:
-    """Boxes as the shader reads them; ``n`` boxes.
+    """Hold the colours and textures of ``n`` boxes as the shader reads them.
 
     Attributes:
         shifts: float64 ``(n, 6)``, m: :func:`texture_shifts`.
@@ -45,7 +45,7 @@ class Looks:
 
 
 def looks_of(boxes: Sequence[SolidBox]) -> Looks:
-    """The shader's tables for ``boxes``."""
+    """Build the shader's tables for ``boxes``."""
     names = sorted({box.material.texture for box in boxes})
     shifts = np.array([sum(texture_shifts(box), ()) for box in boxes], dtype=np.float64)
     colors = np.array([(*box.material.color, 1.0 / box.material.scale) for box in boxes], dtype=np.float32)
@@ -57,7 +57,10 @@ def looks_of(boxes: Sequence[SolidBox]) -> Looks:
 
 
 def texture_shifts(box: SolidBox) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Where a box's patterns start, m along its axes: shifts that turn with the face's direction, and others."""
+    """Return the offsets of a box's patterns, m along its axes.
+
+    Those that turn with the face's direction, and the others.
+    """
     if box.kind in ("wall", "floor", "ceiling"):
         # One pattern runs through all the pieces of a wall or floor: it starts at the world's origin.
         c, s = math.cos(box.yaw), math.sin(box.yaw)
@@ -68,12 +71,15 @@ def texture_shifts(box: SolidBox) -> tuple[tuple[float, float, float], tuple[flo
 
 
 def _lanes(colors: np.ndarray) -> np.ndarray:
-    """``(..., 3)`` in [0, 255] as bytes in lanes of 21 bits: one multiplication weighs three colours at once."""
+    """Pack ``(..., 3)`` in [0, 255] as bytes in lanes of 21 bits: one multiplication weighs three colours at once."""
     return (np.rint(colors).astype(np.uint64) << np.array([0, 21, 42], dtype=np.uint64)).sum(axis=-1, dtype=np.uint64)
 
 
 def _mips(atlas: np.ndarray) -> tuple[np.ndarray, int]:
-    """Each texture's mips, from its mean to itself: uint8 ``(n, size, size, 3)`` to uint64 ``(n, sum of size^2)``."""
+    """Return each texture's mips, from its mean to itself.
+
+    Uint8 ``(n, size, size, 3)`` to uint64 ``(n, sum of size^2)``.
+    """
     level, flat = atlas.astype(np.float64), []
     while True:
         n, size = level.shape[:2]
@@ -85,7 +91,7 @@ def _mips(atlas: np.ndarray) -> tuple[np.ndarray, int]:
 
 @numba.njit(nogil=True, cache=True, inline="always")
 def _log2(x):
-    """``log2(x)`` of a positive number to 0.09, continuous and rising: its exponent plus its mantissa."""
+    """Return ``log2(x)`` of a positive number to 0.09, continuous and monotone: its exponent plus its mantissa."""
     bits = np.float32(x).view(np.int32)
     return np.float32((bits >> 23) - 127) + np.float32(bits & 0x7FFFFF) * np.float32(2.0**-23)
 
@@ -97,10 +103,10 @@ def _byte(value):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _describe(T, fx, fy, cx, cy, frame, shift, color, axis, sign, row):
-    """What of one face all its pixels share, into ``row`` (14,).
+    """Write what all pixels of one face share into ``row`` (14,).
 
-    ``u = row[0] + z (row[1] + row[2] i + row[3] j)`` tiles, ``v`` alike from ``row[4]``; ``row[8]``: m from the eye to
-    the face's plane; ``row[9]``: light of sky and lamp; ``row[10]``: tiles^2 a pixel at depth 1; colour from 11 on.
+    ``u = row[0] + z (row[1] + row[2] i + row[3] j)`` tiles, ``v`` alike from ``row[4]``; ``row[8]``: m from the camera
+    to the face's plane; ``row[9]``: light of sky and lamp; ``row[10]``: tiles^2 a pixel at depth 1; colour from 11 on.
     """
     c, s = frame[6], frame[7]
     dx, dy, dz = T[0, 3] - frame[0], T[1, 3] - frame[1], T[2, 3] - frame[2]
@@ -138,7 +144,7 @@ def _describe(T, fx, fy, cx, cy, frame, shift, color, axis, sign, row):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def shade(T, fx, fy, cx, cy, frames, shifts, colors, textures, texels, levels, length2, nearness, face, rgb, depth):
-    """Colour and depth of what :func:`vssm_gym.envs.rendering.raster.draw` has drawn.
+    """Compute colour and depth of the faces that :func:`vssm_gym.envs.rendering.raster.draw` has drawn.
 
     Each row is cut into runs of pixels that show one face, and the work into loops that the compiler can vectorise;
     only the texels are fetched one pixel after another.
@@ -197,7 +203,7 @@ _WHOLE = 1 << 13  # the sum of a pixel's eight weights: 8 bits of colour and 13 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def _place(first, end, j, row, nearness, u, v, depth):
-    """Depth, and texture coordinates in [0, 1), of a run of pixels that show one face."""
+    """Compute depth, and texture coordinates in [0, 1), of a run of pixels that show one face."""
     u0, uz, ux = row[0], row[1] + row[3] * np.float32(j), row[2]
     v0, vz, vx = row[4], row[5] + row[7] * np.float32(j), row[6]
     for i in range(first, end):
@@ -209,7 +215,7 @@ def _place(first, end, j, row, nearness, u, v, depth):
 
 @numba.njit(nogil=True, cache=True)
 def _spread(first, end, f, row, away, steady, texel2, shown):
-    """What a face's pixels share, to each of a run."""
+    """Copy what a face's pixels share to each pixel of a run."""
     for i in range(first, end):
         away[i], steady[i], texel2[i] = row[8], row[9], row[10]
     for i in range(first, end):
@@ -218,7 +224,7 @@ def _spread(first, end, f, row, away, steady, texel2, shown):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def _light(away, steady, texel2, levels, length2, depth, level, light):
-    """Level of detail, 0 for one texel, and light of a row."""
+    """Compute level of detail, 0 for one texel, and light of a row."""
     one, zero, finest = np.float32(1.0), np.float32(0.0), np.float32(levels - 1)
     head, fade = np.float32(HEAD), np.float32(1.0 / HEAD_RANGE**2)
     for i in range(level.shape[0]):
@@ -234,9 +240,9 @@ def _light(away, steady, texel2, levels, length2, depth, level, light):
 
 @numba.njit(nogil=True, cache=True)
 def _find(levels, coarser, u, v, level, upper, lower):
-    """Where in a texture the four texels around each place are, in the finer level or the ``coarser`` one.
+    """Find the four texels around each texture coordinate, in the finer level or the ``coarser`` one.
 
-    Two indices a word of 64 bits. Texel centres are at half integers; tiles repeat.
+    Two indices are packed in a word of 64 bits. Texel centres are at half integers; tiles repeat.
     """
     one = np.int32(1)
     for i in range(level.shape[0]):
@@ -255,7 +261,10 @@ def _find(levels, coarser, u, v, level, upper, lower):
 
 @numba.njit(nogil=True, cache=True)
 def _weigh(levels, u, v, level, fine, wide):
-    """Weights of these texels, bilinear within a level and linear between two: four a word, ``_WHOLE`` in all."""
+    """Compute the weights of these texels, bilinear within a level and linear between two.
+
+    Four a word, ``_WHOLE`` in all.
+    """
     one, half = np.float32(1.0), np.float32(0.5)
     for i in range(level.shape[0]):
         below = min(np.int32(level[i]), np.int32(levels - 2))
@@ -278,7 +287,7 @@ def _weigh(levels, u, v, level, fine, wide):
 
 @numba.njit(nogil=True, cache=True)
 def _fetch(texels, starts, shown, fine_upper, fine_lower, fine, wide_upper, wide_lower, wide, mixed):
-    """The weighted sums of eight texels a pixel, lane by lane."""
+    """Sum eight weighted texels for each pixel, lane by lane."""
     for i in range(mixed.shape[0]):
         start = starts[shown[i]]
         mixed[i] = _four(texels, start, fine_upper[i], fine_lower[i], fine[i]) + _four(
@@ -296,7 +305,7 @@ def _four(texels, start, upper, lower, w):
 
 @numba.njit(nogil=True, cache=True)
 def _paint(mixed, light, rows, shown, rgb):
-    """Bytes of the mixed texels times the face's colour and the light."""
+    """Write the bytes of the mixed texels times the face's colour and the light."""
     mask, lane, share = np.uint64((1 << 21) - 1), np.uint64(21), np.float32(1.0 / _WHOLE)
     for i in range(mixed.shape[0]):
         f, bright = shown[i], share * light[i]

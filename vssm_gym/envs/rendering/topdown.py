@@ -1,4 +1,4 @@
-"""A plan of the apartment as a picture, with a robot, its path and its goal drawn into it."""
+"""Draw a floor plan of the apartment with a robot, its path and its goal."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ _PATH, _ROBOT, _GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)
 
 
 class TopDown:
-    """The plan of ``boxes`` fitted into ``height`` x ``width`` pixels, north (world y) up.
+    """Draw the plan of ``boxes`` fitted into ``height`` x ``width`` pixels, north (world y) up.
 
     The background is drawn once; :meth:`draw` adds what moves.
     """
@@ -51,7 +51,7 @@ class TopDown:
             pen.polygon(outline, fill=_INK[box.kind])
 
     def pixels(self, xy: np.ndarray) -> np.ndarray:
-        """Image coordinates (column, row) of world positions ``(..., 2)``, m."""
+        """Return image coordinates (column, row) of world positions ``(..., 2)``, m."""
         xy = np.asarray(xy, dtype=np.float64)
         return np.stack([(xy[..., 0] - self._left) * self._scale, (self._top - xy[..., 1]) * self._scale], axis=-1)
 
@@ -63,7 +63,7 @@ class TopDown:
         goal: np.ndarray | None = None,
         goal_radius: float = 0.0,
     ) -> np.ndarray:
-        """The plan with the path ``(n, 2)`` so far, the robot with its direction of view and a goal's disc, if any.
+        """Return the plan with the path ``(n, 2)``, the robot with its direction of view, and a goal's disc, if any.
 
         Returns:
             uint8 ``(height, width, 3)``.
@@ -85,10 +85,10 @@ class TopDown:
 
 
 def beside_plan(rgb: np.ndarray, plan: np.ndarray) -> np.ndarray:
-    """A camera's image ``(H, W, 3)`` beside a plan, both uint8, at the plan's height.
+    """Put a camera's image ``(H, W, 3)`` to the left of a plan, both uint8, at the plan's height.
 
     Pixels are repeated, not smoothed: the picture shows what the agent sees. An image flatter than ``FLATTEST`` is
-    stretched upwards: of a scan of one row there would be nothing to see.
+    stretched vertically: a scan of one row would be invisible otherwise.
     """
     height = len(plan)
     width = min(height * rgb.shape[1] // rgb.shape[0], FLATTEST * height)

@@ -1,5 +1,6 @@
-"""Define the robots on the floor: measures, commands and how a noisy body executes them. One file a robot, one row each
-in :mod:`.registry`; the holonomic one, which most of the project is about, is offered here.
+"""Define the robots on the floor: their dimensions, commands and execution noise.
+
+There is one file for each robot and one row in :mod:`.registry`. The holonomic robot, the default, is exported here.
 """
 
 from vssm_gym.envs.robots.holonomic import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute, execution_noise

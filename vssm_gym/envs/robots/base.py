@@ -1,4 +1,4 @@
-"""State what a robot on the floor is to the simulator: an upright cylinder with a camera, and a law of motion.
+"""Define the protocol of robots on the floor: an upright cylinder with a camera, and a law of motion.
 
 (x, y, heading)' ~ p(. | (x, y, heading), command)        in free space; contacts are the simulator's
 """
@@ -13,43 +13,49 @@ from vssm_gym.geometry.transforms import R_BODY_CAM
 
 
 class Robot(Protocol):
-    """One kind of robot: a frozen dataclass whose fields all have defaults, so that ``robot="name"`` builds it."""
+    """Define one kind of robot.
+
+    A frozen dataclass whose fields all have defaults, so that ``robot="name"`` builds it.
+    """
 
     @property
     def body_length(self) -> float:
-        """Diameter of the cylinder, m."""
+        """Return the diameter of the cylinder, m."""
 
     @property
     def height(self) -> float:
-        """Top of the cylinder, m."""
+        """Return the height of the cylinder's top, m."""
 
     @property
     def camera_height(self) -> float:
-        """Of the camera above the floor, m."""
+        """Return the height of the camera above the floor, m."""
 
     @property
     def dt(self) -> float:
-        """Length of a step, s."""
+        """Return the length of a step, s."""
 
     @property
     def radius(self) -> float:
-        """Radius of the footprint, m."""
+        """Return the radius of the footprint, m."""
 
     @property
     def T_body_cam(self) -> Matrix4:
-        """Camera frame to body frame (origin on the floor below the axis), constant; float64 ``(4, 4)``."""
+        """Return the constant transform from camera to body (origin on the floor below the axis).
+
+        Float64 ``(4, 4)``.
+        """
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """Names of a command's numbers, in their order."""
+        """Return the names of a command's components, in order."""
 
     @property
     def limits(self) -> np.ndarray:
-        """Largest command; float64, one number for each name."""
+        """Return the largest command; float64, one number for each name."""
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest command; float64, one number for each name."""
+        """Return the lowest and the highest command; float64, one number for each name."""
 
     def parse_noise(self, level: str | Mapping[str, Any] | Any) -> Any:
         """Return the execution noise of a level's name, of a mapping of its fields, or the noise itself."""

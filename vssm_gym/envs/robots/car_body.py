@@ -1,6 +1,6 @@
-"""What a simulated car is to its environment, and what both simulators know of it.
+"""Define the protocol of a simulated car, and the dimensions and masses that both simulators share.
 
-A body gets set points of its wheels (:class:`~vssm_gym.envs.robots.car_noise.CarActuators`) and says where that leads.
+A body follows set points of its wheels (:class:`~vssm_gym.envs.robots.car_noise.CarActuators`).
 """
 
 import math
@@ -20,50 +20,52 @@ BUMPER = 0.2  # friction of the chassis on obstacles
 
 
 class CarBody(Protocol):
-    """A car among a scene's boxes."""
+    """Simulate a car among a scene's boxes."""
 
     reads_contacts: bool  # whether contacts are kept for :meth:`contact_bearings`
 
     def reset(self, planar: PlanarPose) -> None:
-        """Put the rear axle at ``(x, y, heading)``, m and rad, at rest."""
+        """Place the rear axle at ``(x, y, heading)``, m and rad, at rest."""
 
     def drive(self, points: Float[np.ndarray, "ticks 2"], friction: float) -> tuple[str, ...]:
-        """Follow set points of the wheels and name what the chassis touched meanwhile.
+        """Follow set points of the wheels, and return the obstacles that the chassis hit.
 
         Args:
-            points: ``(speed m/s, steering rad)``, one a :data:`~vssm_gym.envs.robots.car_noise.TICK`; steering is that
-            of the
-                wheel in the middle of the front axle that there is not.
+            points: ``(speed m/s, steering rad)``, one for each :data:`~vssm_gym.envs.robots.car_noise.TICK`; steering
+                is that
+                of a virtual wheel in the middle of the front axle.
             friction: coefficient of tyres on the floor.
 
         Returns:
-            Names of the obstacles touched, each once, in the order of the apartment's boxes; tyres touch floor only.
+            Names of the obstacles hit, each once, in the order of the apartment's boxes; tyres collide with the floor
+            only.
         """
 
     def contact_bearings(self) -> Float[np.ndarray, "n"]:
-        """Directions in which obstacles pressed against the chassis during the last :meth:`drive`, rad.
+        """Return the directions of the obstacles in contact during the last :meth:`drive`, rad, from body x.
 
-        Against the contact's normal, from the car to the obstacle, counter-clockwise from body x; one a contact and
-        substep, none where nothing was touched.
+        There is one direction for each contact and substep, counter-clockwise, from the car to the obstacle, against
+        the contact's normal.
         """
 
     def pose(self) -> PlanarPose:
-        """The rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
+        """Return the rear axle's ``(x, y, heading)``, m and rad, heading in [-pi, pi); float64 ``(3,)``."""
 
     def speed(self) -> float:
-        """Of the rear axle along the heading, m/s."""
+        """Return the speed of the rear axle along the heading, m/s."""
 
     def upright(self) -> bool:
-        """Whether its wheels can carry it: tilted by less than 45 degrees, and on the floor."""
+        """Return True if the car can drive: its tilt is below 45 degrees and it is on the floor."""
 
     def close(self) -> None:
-        """Let go of what the simulator holds."""
+        """Free the simulator's resources."""
 
 
 def ackermann(steering: float, car: Car) -> tuple[float, float]:
     """``atan(L k / (1 -+ k W / 2))``, ``k = tan(steering) / L``: angles of the left and the right front wheel, rad.
 
-    ``L`` is the wheelbase and ``W`` the track; ``steering`` is the angle of the wheel in the middle that there is not.
+    ``L`` is the wheelbase, ``W`` the track and ``steering`` the angle of a virtual wheel in the middle of the front
+    axle.
     """
     tangent = math.tan(steering)
     inward = 0.5 * car.track * tangent / car.wheelbase

@@ -1,14 +1,14 @@
-"""How the car strays from its commands: servos that lag, a linkage with play, a battery that tires, floors that slip.
+"""Simulate the actuators of a car: lagging servos, a linkage with backlash, a drooping battery, and slippery floors.
 
     speed'    = ((1 + c) d(t) (1 + e_v) v - speed) / lag_v          d(t) = 1 - droop (1 - exp(-t / BATTERY))
     servo'    = clip((steering + trim + e_s - servo) / lag_s, -rate, rate)
     wheels    = servo within +-backlash / 2 of where they were, else dragged along (a play operator)
     friction  = mu exp(patchiness n)
 
-``c ~ N(0, calibration^2)`` and ``trim ~ N(0, trim^2)`` are the car's own, drawn when it is put down; ``e_v ~ N(0,
-speed_jitter^2)``, ``e_s ~ N(0, steering_jitter^2)`` and ``n ~ N(0, 1)`` are drawn every control step. What comes out
-are set points of the rear wheels and of the steering; what the car does with them is rigid-body physics
-(:mod:`vssm_gym.envs.robots.car_body`): its wheels spin and skid wherever the tyres' friction does not suffice.
+``c ~ N(0, calibration^2)`` and ``trim ~ N(0, trim^2)`` are the car's own, drawn when an episode begins; ``e_v ~ N(0,
+speed_jitter^2)``, ``e_s ~ N(0, steering_jitter^2)`` and ``n ~ N(0, 1)`` are drawn every control step. The outputs are
+set points of the rear wheels and of the steering. The motion that follows is rigid-body physics
+(:mod:`vssm_gym.envs.robots.car_body`): the wheels spin and skid wherever the tyres' friction does not suffice.
 """
 
 import math
@@ -26,7 +26,7 @@ TICK = 0.01  # s between set points
 
 @dataclass(frozen=True)
 class CarNoise:
-    """Imperfections of one car; see the module for the laws. All numbers >= 0."""
+    """Define the imperfections of one car; see the module for the laws. All numbers >= 0."""
 
     speed_lag: float = 0.0  # s, time constant
     steering_lag: float = 0.0  # s
@@ -102,11 +102,11 @@ car_noise = Presets("environment", "noise", CarNoise, NOISE_LEVELS)
 
 
 class CarActuators:
-    """The servos and the battery of one car: commands go in, set points of the wheels come out.
+    """Turn commands into set points of the wheels, through the servos and the battery of one car.
 
     Args:
-        noise: what is wrong with them.
-        rng: the dynamics stream. Putting the car down draws two normals and every step three, whatever is commanded,
+        noise: their imperfections.
+        rng: the dynamics stream. The start of an episode draws two normals and every step three, whatever is commanded,
             so that runs which share a seed share the noise of step ``t``.
     """
 
@@ -122,10 +122,10 @@ class CarActuators:
     def __call__(
         self, ramp: Float[np.ndarray, "2"], steering: float, dt: float
     ) -> tuple[Float[np.ndarray, "ticks 2"], float]:
-        """Set points of the wheels over one control step.
+        """Return the set points of the wheels over one control step.
 
         Args:
-            ramp: commanded speed at its begin and its end, m/s; it changes evenly between them.
+            ramp: commanded speed at its begin and its end, m/s; it changes linearly between them.
             steering: commanded angle, rad.
             dt: length of the step, s, a whole number of TICKs.
 
@@ -152,5 +152,5 @@ class CarActuators:
 
 
 def _share(lag: float) -> float:
-    """Of the way to its input that a first-order lag covers in a TICK."""
+    """Return the fraction of the distance to its input that a first-order lag covers in a TICK."""
     return 1.0 if lag == 0.0 else -math.expm1(-TICK / lag)

@@ -1,4 +1,4 @@
-"""Drive a robot on two wheels: a command is the travel of each wheel in one step.
+"""Define a robot with differential drive: a command is the travel of each wheel in one step.
 
     s = (l + r) / 2,   turn = (r - l) / track        T' = T exp(s, 0, turn): an arc, integrated exactly
     l' = sign(l) max(0, |l| + e_l),   e_l ~ N(0, (slip l)^2 + play^2)        where l != 0, and r alike
@@ -24,7 +24,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 @dataclass(frozen=True)
 class WheelNoise:
-    """``e ~ N(0, (slip l)^2 + play^2)``: how far a wheel strays from a commanded travel ``l`` in a step."""
+    """``e ~ N(0, (slip l)^2 + play^2)``: error of a wheel's travel in a step of commanded travel ``l``."""
 
     slip: float  # share of the travel, standard deviation
     play: float  # m, standard deviation of a step however short
@@ -49,9 +49,9 @@ wheel_noise = Presets("environment", "noise", WheelNoise, WHEEL_NOISE)
 
 @dataclass(frozen=True)
 class DifferentialRobot:
-    """The holonomic robot's cylinder and camera on two wheels, which stand beside the cylinder's axis.
+    """Define the holonomic robot's cylinder and camera on two wheels, one on each side of the cylinder's axis.
 
-    One command ``(left, right)`` lasts ``dt``: how far each wheel rolls, m, negative backwards.
+    One command ``(left, right)`` lasts ``dt``: the travel of each wheel, m, negative backwards.
     """
 
     body_length: float = 0.2  # m, the cylinder's diameter
@@ -65,22 +65,25 @@ class DifferentialRobot:
 
     @property
     def radius(self) -> float:
-        """Radius of the footprint, m."""
+        """Return the radius of the footprint, m."""
         return 0.5 * self.body_length
 
     @property
     def limits(self) -> np.ndarray:
-        """Largest ``(left, right)``, m; float64 ``(2,)``."""
+        """Return the largest ``(left, right)``, m; float64 ``(2,)``."""
         return np.full(2, self.max_travel)
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest ``(left, right)``, m; float64 ``(2,)``."""
+        """Return the lowest and the highest ``(left, right)``, m; float64 ``(2,)``."""
         return -self.limits, self.limits
 
     @property
     def T_body_cam(self) -> Matrix4:
-        """Camera frame to body frame (origin on the floor below the axis), constant; float64 ``(4, 4)``."""
+        """Return the constant transform from camera to body (origin on the floor below the axis).
+
+        Float64 ``(4, 4)``.
+        """
         return camera_ahead(self.camera_height)
 
     def parse_noise(self, level: str | WheelNoise | Mapping[str, Any]) -> WheelNoise:
@@ -111,7 +114,7 @@ class DifferentialRobot:
 
 
 def _rolled(travel: float, normal: float, noise: WheelNoise) -> float:
-    """How far a wheel rolls that was to roll ``travel`` m; ``normal`` is a draw of N(0, 1)."""
+    """Return the executed travel of a wheel, m, of a commanded ``travel`` m; ``normal`` is a draw of N(0, 1)."""
     if travel == 0.0:
         return 0.0
     error = math.hypot(noise.slip * travel, noise.play) * normal

@@ -1,4 +1,4 @@
-"""Drive a robot that turns and slides on the floor: its measures, its commands and their noise (TNP-SM)."""
+"""Define a robot that turns and slides on the floor: its dimensions, commands and execution noise (TNP-SM)."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,9 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 @dataclass(frozen=True)
 class HolonomicRobot:
-    """A vertical cylinder that turns and slides on the floor; its camera looks along body x from the cylinder's axis.
+    """Define a vertical cylinder that turns and slides on the floor.
+
+    Its camera looks along body x from the cylinder's axis.
 
     One command ``(turn, o, s)`` lasts ``dt``: turn by ``turn`` rad, and move ``s`` m in the direction ``heading + o``.
     """
@@ -33,26 +35,29 @@ class HolonomicRobot:
 
     @property
     def radius(self) -> float:
-        """Radius of the footprint, metres."""
+        """Return the radius of the footprint, m."""
         return 0.5 * self.body_length
 
     @property
     def limits(self) -> np.ndarray:
-        """``(max_turn, max_offset, max_step)``, rad, rad, m; float64 ``(3,)``."""
+        """Return ``(max_turn, max_offset, max_step)``, rad, rad, m; float64 ``(3,)``."""
         return np.array([self.max_turn, self.max_offset, self.max_step])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest ``(turn, o, s)``, rad, rad, m; float64 ``(3,)``."""
+        """Return the lowest and the highest ``(turn, o, s)``, rad, rad, m; float64 ``(3,)``."""
         return np.array([-self.max_turn, -self.max_offset, 0.0]), self.limits
 
     @property
     def T_body_cam(self) -> Matrix4:
-        """Camera frame to body frame (origin on the floor below the axis), constant; float64 ``(4, 4)``."""
+        """Return the constant transform from camera to body (origin on the floor below the axis).
+
+        Float64 ``(4, 4)``.
+        """
         return camera_ahead(self.camera_height)
 
     def clip(self, command: np.ndarray) -> np.ndarray:
-        """The nearest command within the limits, component by component: ``(turn, o, s)`` float64 ``(3,)``."""
+        """Return the nearest command within the limits, component by component: ``(turn, o, s)`` float64 ``(3,)``."""
         return np.clip(np.asarray(command, dtype=np.float64), *self.bounds)
 
     def parse_noise(self, level: "str | ExecutionNoise | Mapping[str, Any]") -> "ExecutionNoise":
@@ -62,13 +67,13 @@ class HolonomicRobot:
     def execute(
         self, planar: PlanarPose, command: np.ndarray, noise: "ExecutionNoise", rng: np.random.Generator
     ) -> PlanarPose:
-        """Execute one noisy step in free space: see :func:`execute`."""
+        """Execute one noisy step in free space; see :func:`execute`."""
         return execute(planar, command, noise, rng)
 
 
 @dataclass(frozen=True)
 class ExecutionNoise:
-    """``e_a ~ N(0, turn^2)`` in rad and ``e_s ~ N(0, step^2)`` in m: how far the body strays from a command."""
+    """``e_a ~ N(0, turn^2)`` in rad and ``e_s ~ N(0, step^2)`` in m: the errors of an executed command."""
 
     turn: float  # rad, standard deviation of a step's heading error
     step: float  # m, standard deviation of a step's length error
@@ -80,7 +85,7 @@ class ExecutionNoise:
                 raise InputError("ExecutionNoise", field, f"a finite standard deviation >= 0, not {value!r}")
 
 
-# SPEC 6: 3, 6, 9 degrees a step and 10, 15, 30 % of a body length of 0.2 m.
+# TNP-SM: 3, 6, 9 degrees a step and 10, 15, 30 % of a body length of 0.2 m.
 NOISE_LEVELS: dict[str, ExecutionNoise] = {
     "none": ExecutionNoise(0.0, 0.0),
     "low": ExecutionNoise(math.radians(3.0), 0.10 * 0.2),
@@ -93,14 +98,14 @@ execution_noise = Presets("environment", "noise", ExecutionNoise, NOISE_LEVELS)
 
 
 def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng: np.random.Generator) -> PlanarPose:
-    """Execute one noisy step in free space (TNP-SM, body-frame ``o``).
+    """Execute one noisy step in free space (TNP-SM, with ``o`` in the body frame).
 
         heading' = heading + sign(turn) max(0, |turn| + e_a)                      where turn != 0
         xy'      = xy + [cos(phi), sin(phi)] max(0, s + e_s),  phi = heading + o + e_a    where s > 0
 
     ``e_a ~ N(0, noise.turn^2)``, ``e_s ~ N(0, noise.step^2)``; the same ``e_a`` serves both lines. Noise acts only
-    where the robot tries to move, and never reverses a motion. The law is the NumPy twin of what
-    :meth:`vssm_gym.model.transition.planar.Planar.executed` is in JAX; a test holds them together.
+    where the robot is commanded to move, and never reverses a motion. The law is the NumPy twin of
+    :meth:`vssm_gym.model.transition.planar.Planar.executed` in JAX; a test holds them together.
 
     Args:
         planar: ``(x, y, heading)`` before the step, m and rad.

@@ -1,1 +1,1 @@
-"""Scenes: apartments as data, their solids and free space, files, splits, importers and the generator."""
+"""Define scenes: apartments as data, their solids and free space, files, importers and the generator."""

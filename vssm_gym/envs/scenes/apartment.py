@@ -1,4 +1,4 @@
-"""A furnished apartment as data: rooms, walls with thickness, doors, windows and furniture made of boxes.
+"""Define a furnished apartment as data: rooms, walls with thickness, doors, windows and furniture made of boxes.
 
 World frame: z up, metres, radians; the finished floor is z = 0. `parse_apartment` turns plain data into an
 `Apartment` and reports the first thing wrong with it as one `InputError` that names the source and the field.
@@ -21,11 +21,11 @@ _FIT = 1e-6  # metres of rounding allowed when a hole is checked against its wal
 
 
 class Apartment(StrictModel):
-    """A whole apartment; see the fields' own types for frames and units.
+    """Hold a whole apartment; see the fields' own types for frames and units.
 
-    ``ceiling_height`` m is the ceiling's underside. ``notes`` are sentences for the user about how the scene came to
-    be (warnings of the file it was imported from, approximations); they are not part of the content hash. ``format``
-    is the version of the JSON format; a file of another version is refused.
+    ``ceiling_height`` m is the ceiling's underside. ``notes`` are sentences for the user on the origin of the scene
+    (warnings of the file it was imported from, approximations); they are not part of the content hash. ``format`` is
+    the version of the JSON format; a file of another version is refused.
     """
 
     format: Literal[1] = 1
@@ -47,11 +47,14 @@ class Apartment(StrictModel):
         return self
 
     def boxes(self) -> list[SolidBox]:
-        """Everything solid as upright boxes: floor, ceiling, walls around their holes, leaves, panes, furniture."""
+        """Return everything solid as upright boxes.
+
+        Floor, ceiling, walls around their holes, leaves, panes, furniture.
+        """
         return solid_boxes(self)
 
     def content_hash(self) -> str:
-        """First 16 hex digits of the SHA-256 of the canonical JSON without ``notes``."""
+        """Return the first 16 hex digits of the SHA-256 of the canonical JSON without ``notes``."""
         return content_hash(self, without="notes")
 
 
@@ -82,7 +85,7 @@ def _check_names(apartment: Apartment) -> None:
 
 
 def _check_holes(apartment: Apartment) -> None:
-    """Every door and window lies inside its wall and no two share a stretch of it."""
+    """Check that every door and window lies inside its wall and that no two overlap."""
     taken: dict[int, list[tuple[float, float, str]]] = {}
     holes: list[tuple[str, Door | Window]] = [(f"doors[{i}]", door) for i, door in enumerate(apartment.doors)]
     holes += [(f"windows[{i}]", window) for i, window in enumerate(apartment.windows)]
@@ -105,5 +108,8 @@ def _check_holes(apartment: Apartment) -> None:
 
 
 def parse_apartment(data: Any, source: object) -> Apartment:
-    """The `Apartment` that plain JSON data describes; InputError naming ``source`` and the first bad field."""
+    """Return the `Apartment` that plain JSON data describes.
+
+    Raise InputError naming ``source`` and the first bad field.
+    """
     return validated(Apartment, data, source)

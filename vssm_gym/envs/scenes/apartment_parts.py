@@ -1,4 +1,4 @@
-"""The parts of an apartment as data: materials, boxes, furniture, rooms, walls, doors and windows.
+"""Define the parts of an apartment as data: materials, boxes, furniture, rooms, walls, doors and windows.
 
 World frame: z up, metres, radians; the finished floor is z = 0. Every model is frozen and refuses unknown fields,
 NaN and infinities.
@@ -26,7 +26,7 @@ XYZ = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class Material(StrictModel):
-    """How a surface looks: a named texture tinted by a colour.
+    """Define the look of a surface: a named texture tinted by a colour.
 
     ``color`` RGB in [0, 1], multiplied into the texture; ``texture`` a key of `textures.TEXTURES`; ``scale`` metres
     that one repetition of the texture covers, both ways. Textures stand upright. On a face of furniture, a leaf or a
@@ -46,7 +46,10 @@ class Material(StrictModel):
 
 
 class Box(StrictModel):
-    """An upright box: ``center`` (x, y, z) m, ``size`` full extents m along its own axes, ``yaw`` rad about z."""
+    """Define an upright box.
+
+    ``center`` (x, y, z) m, ``size`` full extents m along its own axes, ``yaw`` rad about z.
+    """
 
     center: XYZ
     size: tuple[Positive, Positive, Positive]
@@ -55,7 +58,7 @@ class Box(StrictModel):
 
 
 class Furniture(StrictModel):
-    """A piece of furniture: a unique ``name``, a ``category`` such as "chair", and the solid boxes it is made of."""
+    """Define a piece of furniture: a unique ``name``, a ``category`` such as "chair", and its solid boxes."""
 
     name: str = Field(min_length=1)
     category: str = Field(min_length=1)
@@ -63,7 +66,7 @@ class Furniture(StrictModel):
 
 
 class Room(StrictModel):
-    """A room: unique ``name``, ``kind`` such as "kitchen", ``floor`` material and its outline.
+    """Define a room: unique ``name``, ``kind`` such as "kitchen", ``floor`` material and its outline.
 
     ``polygon`` (n, 2) m runs along the centre lines of the surrounding walls, in either direction and without
     repeating the first corner, so that rooms joined by a door share an edge and their union covers the doorway.
@@ -83,7 +86,7 @@ class Room(StrictModel):
 
 
 class Wall(StrictModel):
-    """A straight wall around the centre line ``start`` -> ``end`` (x, y) m.
+    """Define a straight wall around the centre line ``start`` -> ``end`` (x, y) m.
 
     It spans z from ``base`` to ``base + height`` and ``thickness`` across. ``front`` covers the side to the left of
     start -> end, ``back`` the side to its right.
@@ -99,12 +102,12 @@ class Wall(StrictModel):
 
     @property
     def length(self) -> float:
-        """Distance from start to end, m."""
+        """Return the distance from start to end, m."""
         return math.dist(self.start, self.end)
 
     @property
     def yaw(self) -> float:
-        """Direction start -> end, rad."""
+        """Return the direction start -> end, rad."""
         return math.atan2(self.end[1] - self.start[1], self.end[0] - self.start[0])
 
     @model_validator(mode="after")
@@ -115,7 +118,7 @@ class Wall(StrictModel):
 
 
 class Door(StrictModel):
-    """A hole from the wall's base up to ``height``, ``offset`` m from the wall's start, ``width`` m along it.
+    """Define a hole from the wall's base up to ``height``, ``offset`` m from the wall's start, ``width`` m along it.
 
     Each of its ``leaves`` stands at ``openness * 90`` degrees from closed: 0 leaves is an open doorway, 1 is hinged at
     the hole's ``hinge`` end and opens to the wall's ``swing`` side, 2 share the width and hinge at both ends.
@@ -135,12 +138,12 @@ class Door(StrictModel):
 
     @property
     def sill(self) -> float:
-        """A door starts at its wall's base: 0 m above it."""
+        """Return 0 m: a door starts at its wall's base."""
         return 0.0
 
 
 class Window(StrictModel):
-    """A hole filled with a pane, ``sill`` m above the wall's base and ``offset`` m from its start."""
+    """Define a hole filled with a pane, ``sill`` m above the wall's base and ``offset`` m from its start."""
 
     wall: Annotated[int, Field(ge=0)]
     offset: NonNegative

@@ -1,7 +1,7 @@
-"""What is wrong with a scene that can be used all the same: open edges, objects where none can be; said, not repaired.
+"""Find faults of a scene that can be used all the same, such as open edges or misplaced objects; report, not repair.
 
-Each check gives sentences that name an item and what is odd about it; :func:`told` puts them into the scene's notes and
-warns once. What a scene cannot be used with is refused elsewhere, by the fields' types or the importers.
+Each check returns sentences that name an item and its fault; :func:`with_notes` puts them into the scene's notes and
+warns once. A scene that cannot be used is refused elsewhere, by the fields' types or the importers.
 """
 
 import warnings
@@ -24,8 +24,8 @@ MOST = 20  # sentences of one check; more are counted
 Check = Callable[[Apartment], list[str]]
 
 
-def told(apartment: Apartment, *checks: Check) -> Apartment:
-    """The apartment with what the checks found in its ``notes``, after one warning that says the same."""
+def with_notes(apartment: Apartment, *checks: Check) -> Apartment:
+    """Return the apartment with the findings of the checks in its ``notes``, after one warning with the same text."""
     found: list[str] = []
     for check in checks:
         sentences = check(apartment)
@@ -38,7 +38,7 @@ def told(apartment: Apartment, *checks: Check) -> Apartment:
 
 
 def open_edges(apartment: Apartment) -> list[str]:
-    """A sentence for each room's edge, or part of one, along which nothing stands: no wall, and no furniture as one.
+    """Return a sentence for each room's edge, or part of one, without a wall or furniture in its place.
 
     Doors are holes in walls: their edges are closed. Robots leave the floor through an open edge at the outside, and
     rays the scene.
@@ -72,8 +72,10 @@ def open_edges(apartment: Apartment) -> list[str]:
 
 
 def misplaced(apartment: Apartment) -> list[str]:
-    """A sentence for each piece of furniture that no robot could meet: off all rooms, under the floor, above the
-    ceiling, or without extent. They stay where they are: images show them where the file has them.
+    """Return a sentence for each piece of furniture that no robot could meet.
+
+    It lies off all rooms, under the floor or above the ceiling, or has no extent. It stays where it is: images show it
+    where the file has it.
     """
     floor = shapely.union_all([shapely.Polygon(room.polygon) for room in apartment.rooms])
     shapely.prepare(floor)
@@ -92,7 +94,10 @@ def misplaced(apartment: Apartment) -> list[str]:
 
 
 def floating(apartment: Apartment) -> list[str]:
-    """A sentence for each large piece of furniture in the air: not on the floor, and touching nothing that holds it."""
+    """Return a sentence for each large piece of furniture in the air.
+
+    Neither on the floor nor next to what could hold it.
+    """
     boxes = apartment.boxes()
     plans = [footprint(box) for box in boxes]
     tree = shapely.STRtree(plans)

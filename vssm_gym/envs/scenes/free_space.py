@@ -1,10 +1,10 @@
-"""Where the robot's centre may be: the floor minus every obstacle at the robot's height, grown by its radius.
+"""Compute the free positions of a robot: the floor minus every obstacle at its height, grown by its radius.
 
     free = (floor ⊖ disc(r)) \\ (obstacles ⊕ disc(r))
 
 The floor is the union of the rooms' polygons (they run along the walls' centre lines, so it covers the doorways);
-obstacles are the boxes whose z-range meets (0.01 m, robot height). Metres, world frame. The simulator's own geometry,
-not the agents': tasks and geodesic distances (SPEC 12) are computed from it.
+obstacles are the boxes whose z-range meets (0.01 m, robot height). Metres, world frame. This is the simulator's own
+geometry, not the agents': tasks and geodesic distances are computed from it.
 """
 
 import math
@@ -31,10 +31,10 @@ _OUTSET = 1.0 / math.cos(0.75 * (0.5 * math.pi / _QUADRANT))
 
 
 class FreeSpace:
-    """Free positions of a disc of ``radius`` on a ``floor`` with named ``obstacles``.
+    """Hold the free positions of a disc of ``radius`` on a ``floor`` with named ``obstacles``.
 
-    ``region`` is all of it, ``largest`` its largest connected part: where robots start and tasks are. ``rooms`` says
-    which parts of the floor have which name. ``source`` (scene name or file) appears in errors.
+    ``region`` is all of it, ``largest`` its largest connected part, which holds starts and goals. ``rooms`` maps the
+    parts of the floor to their names. ``source`` (scene name or file) appears in errors.
     """
 
     def __init__(
@@ -61,7 +61,10 @@ class FreeSpace:
 
     @classmethod
     def from_apartment(cls, apartment: Apartment, radius: float, height: float) -> "FreeSpace":
-        """Free space of an upright cylinder in an apartment; raises :class:`InputError` where it fits nowhere."""
+        """Return the free space of an upright cylinder in an apartment.
+
+        Raise :class:`InputError` where it fits nowhere.
+        """
         rooms = {room.name: Polygon(room.polygon) for room in apartment.rooms}
         obstacles = [
             (box.name, footprint(box))
@@ -71,31 +74,37 @@ class FreeSpace:
         return cls(apartment.name, shapely.union_all(list(rooms.values())), obstacles, radius, rooms)
 
     def widened(self, margin: float) -> "FreeSpace":
-        """The free space of a disc ``margin`` m larger: the positions that keep this distance from everything."""
+        """Return the free space of a disc ``margin`` m larger.
+
+        The positions that keep this distance from everything.
+        """
         return FreeSpace(self.source, self._floor, self._obstacles, self.radius + margin, self.rooms)
 
     def contains(self, xy: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
-        """Whether positions are free: in ``region``, its border included."""
+        """Return True where positions are free: in ``region``, its border included."""
         xy = np.asarray(xy, dtype=np.float64)
         return np.asarray(shapely.intersects_xy(self.region, xy[..., 0], xy[..., 1]))
 
     def distance_to_obstacle(self, xy: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch"]:
-        """Metres from points to the nearest obstacle or the end of the floor; 0 inside an obstacle or off the floor."""
+        """Return the distance to the nearest obstacle or the end of the floor, m.
+
+        0 inside an obstacle or off the floor.
+        """
         points = shapely.points(np.asarray(xy, dtype=np.float64))
         return np.asarray(shapely.distance(self._blocked, points))
 
     def distance_to_solid(self, xy: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch"]:
-        """Metres from points to the nearest obstacle alone; the floor's end is none."""
+        """Return the distance to the nearest obstacle, m, where the end of the floor is none."""
         return np.asarray(shapely.distance(self._solid, shapely.points(np.asarray(xy, dtype=np.float64))))
 
     def obstacles_at(self, xy: ArrayLike) -> list[str]:
-        """Names of the obstacles that a robot at ``xy`` would touch, nearest first; of walls, doors, furniture."""
+        """Return the names of the obstacles that a robot at ``xy`` would collide with, nearest first."""
         point = shapely.points(xy)
         near = [(shape.distance(point), name) for name, shape in self._obstacles]
         return list(dict.fromkeys(name for distance, name in sorted(near) if distance < self.radius * _OUTSET))
 
     def nearest(self, xy: ArrayLike) -> Float[np.ndarray, "2"]:
-        """``xy`` itself where free, else the nearest position 0.1 mm inside free space.
+        """Return ``xy`` itself where free, else the nearest position 0.1 mm inside free space.
 
         A robot pressed against a wall may overlap it by the solver's tolerance; this gives its geodesics a start.
         """
@@ -105,7 +114,7 @@ class FreeSpace:
         return shapely.get_coordinates(shapely.shortest_line(self._inside, shapely.points(xy)))[0]
 
     def sample(self, rng: np.random.Generator, n: int, margin: float = 0.0) -> Float[np.ndarray, "n 2"]:
-        """``n`` positions uniform in ``largest``, at least ``margin`` m from its border; by rejection from its bounds.
+        """Draw ``n`` positions uniformly in ``largest``, at least ``margin`` m from its border, by rejection.
 
         Raises :class:`InputError` where no such position exists.
         """
@@ -122,7 +131,7 @@ class FreeSpace:
         return found[:n]
 
     def cut_off_rooms(self) -> list[str]:
-        """Names of the rooms of which (nearly) nothing belongs to the largest connected part, in the plan's order."""
+        """Return the names of the rooms of which (nearly) nothing belongs to the largest connected part."""
         return [name for name, room in self.rooms.items() if self.largest.intersection(room).area < ROOM_AREA]
 
     def check_connected(self) -> None:
@@ -132,9 +141,9 @@ class FreeSpace:
             raise InputError(self.source, "rooms", f"all of them connected; cut off: {', '.join(names)} ({kept})")
 
     def notice(self, notes: Sequence[str]) -> str:
-        """One line for the user: what the scene's ``notes`` say and which rooms are cut off; empty for a plain scene.
+        """Return one line for the user: the scene's ``notes`` and the rooms that are cut off; empty for a plain scene.
 
-        A file's own warning may speak of another robot, so the line says too where this one reaches every room.
+        A file's own warning may refer to another robot, so the line also says where this one reaches every room.
         """
         sentences = [note.rstrip(".") for note in notes]
         if names := self.cut_off_rooms():
@@ -145,7 +154,7 @@ class FreeSpace:
 
     @cached_property
     def _blocked(self) -> shapely.Geometry:
-        """Everything that is not floor between obstacles, near enough to matter to points on the floor."""
+        """Return everything that is not floor between obstacles, near enough to matter to points on the floor."""
         low, high = np.split(np.array(self._floor.bounds), 2)
         around = shapely.box(*(low - 1.0), *(high + 1.0)) - self._floor
         blocked = shapely.union_all([around, self._solid])

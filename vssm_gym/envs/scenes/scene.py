@@ -1,5 +1,7 @@
-"""Scenes by name or by file: `load_scene` gives the `Apartment` for a built-in name or a JSON path, `save_scene` writes
-one back. The data types are defined in `vssm_gym.envs.scenes.apartment` and offered here as well.
+"""Load scenes by name or from files, and save them.
+
+`load_scene` returns the `Apartment` of a built-in name or a path, `save_scene` writes one. The data types are defined
+in `vssm_gym.envs.scenes.apartment` and exported here as well.
 """
 
 import json
@@ -8,7 +10,7 @@ from typing import Any
 
 from vssm_gym.envs.scenes.apartment import Apartment, parse_apartment
 from vssm_gym.envs.scenes.apartment_parts import Box, Door, Furniture, Material, Room, Wall, Window
-from vssm_gym.envs.scenes.faults import floating, misplaced, open_edges, told
+from vssm_gym.envs.scenes.faults import floating, misplaced, open_edges, with_notes
 from vssm_gym.envs.scenes.generator import PREFIX, generate, parse_spec
 from vssm_gym.envs.scenes.importers.houseexpo import import_houseexpo, is_houseexpo
 from vssm_gym.envs.scenes.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets
@@ -39,16 +41,16 @@ LINES = (".jsonl", ".jsonl.gz")
 
 
 def built_in_scenes() -> list[str]:
-    """Names that `load_scene` knows without a file, sorted."""
+    """Return the names that `load_scene` knows without a file, sorted."""
     return sorted(path.stem for path in ASSETS.glob("*.json"))
 
 
 def load_scene(spec: str | Path | Apartment) -> Apartment:
-    """The apartment of a built-in name ("oak"), of a seed or of a file.
+    """Return the apartment of a built-in name ("oak"), of a seed or of a file.
 
     "procedural:7" and "procedural:7:large" are made by `generator.generate`. Files are JSON (our own, a ProcTHOR house
-    or a HouseExpo plan, told by their content), a line of a file of ProcTHOR houses (``houses.jsonl.gz#7``, counted
-    from 0), a ROS map's YAML, or MJCF (XML) with a floor.
+    or a HouseExpo plan, recognised by their content), a line of a file of ProcTHOR houses (``houses.jsonl.gz#7``,
+    counted from 0), a ROS map's YAML, or MJCF (XML) with a floor.
 
     An `Apartment` is returned as it is. Raises InputError naming the file and the field that is wrong.
     """
@@ -66,7 +68,7 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
 
 
 def _from_file(spec: str) -> Apartment:
-    """The apartment in a file, told by the file's name, and JSON by its content."""
+    """Read the apartment in a file, whose format is recognised by its name, or by its content if it is JSON."""
     name, _, number = spec.rpartition("#")
     if name.endswith(LINES) and number.isdigit():
         return _from_lines(Path(name), int(number[:9]))
@@ -104,11 +106,11 @@ def _from_json(path: Path) -> Apartment:
         return import_houseexpo(data, path.stem, path)
     apartment = parse_apartment(data, path)
     # The built-in scenes hold in the tests; what others make is looked over.
-    return apartment if ASSETS in path.parents else told(apartment, open_edges, misplaced, floating)
+    return apartment if ASSETS in path.parents else with_notes(apartment, open_edges, misplaced, floating)
 
 
 def _from_lines(path: Path, line: int) -> Apartment:
-    """The ProcTHOR house on a line, counted from 0, of a file of houses."""
+    """Read the ProcTHOR house on a line, counted from 0, of a file of houses."""
     source = f"{path}#{line}"
     name = f"{path.name.removesuffix('.gz').removesuffix('.jsonl')}#{line}"
     return _procthor(read_json_line(path, line), path, name, source)
@@ -127,7 +129,7 @@ def save_scene(apartment: Apartment, path: str | Path) -> None:
 
 
 def _pretty(value: Any, indent: int = 0) -> str:
-    """JSON in which whatever fits into 120 columns shares a line, so that a box or a wall reads as one."""
+    """Format JSON so that whatever fits into 120 columns shares a line, such as a box or a wall."""
     line = json.dumps(value, allow_nan=False)
     if len(line) + indent <= 120 or not isinstance(value, dict | list):
         return line

@@ -1,4 +1,4 @@
-"""Everything solid in an apartment as upright boxes: the one geometry that physics, images and free space share."""
+"""Cut everything solid in an apartment into upright boxes: the one geometry of physics, images and free space."""
 
 import math
 from collections import defaultdict
@@ -24,10 +24,10 @@ _HIDE = 1e-3  # m by which a wall stays inside the one it runs into, so that no 
 
 @dataclass(frozen=True)
 class SolidBox:
-    """An upright solid box in the world frame.
+    """Define an upright solid box in the world frame.
 
     ``center`` (x, y, z) m, ``size`` full extents m along the box's own axes, ``yaw`` rad about z.
-    ``name`` says what it belongs to: a room for floors, "wall 3", "door 0", "window 1", or the piece of furniture.
+    ``name`` is the item it belongs to: a room for floors, "wall 3", "door 0", "window 1", or the piece of furniture.
     """
 
     name: str
@@ -39,62 +39,62 @@ class SolidBox:
 
 
 class Solid(Protocol):
-    """An upright box of furniture or of the building."""
+    """Have the geometry of an upright box of furniture or of the building."""
 
     @property
     def center(self) -> tuple[float, float, float]:
-        """(x, y, z) m, world."""
+        """Return (x, y, z) m, world frame."""
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """Full extents m along its own axes."""
+        """Return the full extents m along its own axes."""
 
     @property
     def yaw(self) -> float:
-        """Rad about z."""
+        """Return the rotation about z, rad."""
 
 
 class Building(Protocol):
-    """Whatever has an apartment's parts; see :class:`vssm_gym.envs.scenes.apartment.Apartment` for them."""
+    """Have an apartment's parts; see :class:`vssm_gym.envs.scenes.apartment.Apartment` for them."""
 
     @property
     def rooms(self) -> tuple[Room, ...]:
-        """They tile the floor."""
+        """Return the rooms, which tile the floor."""
 
     @property
     def walls(self) -> tuple[Wall, ...]:
-        """Doors and windows name theirs by index."""
+        """Return the walls; doors and windows name theirs by index."""
 
     @property
     def doors(self) -> tuple[Door, ...]:
-        """Holes with leaves."""
+        """Return the holes with leaves."""
 
     @property
     def windows(self) -> tuple[Window, ...]:
-        """Holes with panes."""
+        """Return the holes with panes."""
 
     @property
     def furniture(self) -> tuple[Furniture, ...]:
-        """Pieces made of boxes."""
+        """Return the pieces made of boxes."""
 
     @property
     def ceiling_height(self) -> float:
-        """Of the ceiling's underside, m."""
+        """Return the height of the ceiling's underside, m."""
 
     @property
     def ceiling(self) -> Material:
-        """How it looks."""
+        """Return the ceiling's material."""
 
 
 def footprint(box: Solid) -> shapely.Polygon:
-    """The rectangle a box covers on the floor, world frame."""
+    """Return the rectangle that a box covers on the floor, world frame."""
     half = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * box.size[:2]
     c, s = math.cos(box.yaw), math.sin(box.yaw)
     return shapely.Polygon(half @ np.array([[c, s], [-s, c]]) + box.center[:2])
 
 
 def solid_boxes(apartment: Building) -> list[SolidBox]:
-    """Floor slabs (top at z = 0), ceiling, walls around their holes, door leaves, panes, furniture, in this order."""
+    """Return floor slabs (top at z = 0), ceiling, walls around their holes, leaves, panes, furniture, in this order."""
     boxes = [*_floor(apartment), _ceiling(apartment)]
     holes: dict[int, list[Door | Window]] = defaultdict(list)
     openings: list[Door | Window] = [*apartment.doors, *apartment.windows]
@@ -118,7 +118,7 @@ def _extent(apartment: Building) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _floor(apartment: Building) -> list[SolidBox]:
-    """Slabs that tile the apartment's bounding rectangle without gap or overlap, each with its room's floor.
+    """Tile the apartment's bounding rectangle with slabs, without gap or overlap, each with its room's floor.
 
     The rectangle is cut at every corner coordinate (up to CUTS of them), finer where a room has a slanted edge; a cell
     belongs to the first room that contains its centre (to the first room of all where none does: that ground is outside
@@ -158,7 +158,7 @@ def _slanted(polygon: tuple[tuple[float, float], ...]) -> bool:
 
 
 def _merge(owner: np.ndarray) -> list[tuple[int, int, int, int, int]]:
-    """Greedy rectangles (x0, x1, y0, y1, owner), half open, that tile the grid and are uniform in owner."""
+    """Tile the grid with greedy rectangles (x0, x1, y0, y1, owner), half open, that are uniform in owner."""
     free = np.ones(owner.shape, bool)
     rectangles = []
     for x0, y0 in np.ndindex(owner.shape):
@@ -189,13 +189,16 @@ def _span(name: str, kind: Kind, low: tuple, high: tuple, material: Material) ->
 
 
 def _place(wall: Wall, along: float, across: float, z: float) -> tuple[float, float, float]:
-    """World point of (metres along start -> end, metres to the left of it, z)."""
+    """Return the world point of (metres along start -> end, metres to the left of it, z)."""
     c, s = math.cos(wall.yaw), math.sin(wall.yaw)
     return (wall.start[0] + c * along - s * across, wall.start[1] + s * along + c * across, z)
 
 
 def _wall(wall: Wall, index: int, reach: tuple[float, float], holes: Sequence[Door | Window]) -> list[SolidBox]:
-    """The wall's solid parts: between holes, below sills and above lintels; two layers where its sides differ."""
+    """Return the wall's solid parts: between holes, below sills and above lintels.
+
+    Two layers where its sides differ.
+    """
     top = wall.base + wall.height
     parts: list[tuple[float, float, float, float]] = []
     at = -reach[0]
@@ -222,7 +225,7 @@ def _wall(wall: Wall, index: int, reach: tuple[float, float], holes: Sequence[Do
 
 
 def _reaches(apartment: Building) -> list[tuple[float, float]]:
-    """How far each wall runs beyond its start and its end to close the corners with the walls it meets there, m."""
+    """Return how far each wall extends beyond its start and its end to close the corners with other walls, m."""
     walls = apartment.walls
     lines = shapely.linestrings([[wall.start, wall.end] for wall in walls])
     tree = shapely.STRtree(lines)
@@ -244,7 +247,7 @@ def _reaches(apartment: Building) -> list[tuple[float, float]]:
 
 
 def door_leaves(name: str, wall: Wall, door: Door) -> list[SolidBox]:
-    """Leaves as thick as LEAF, flush with the wall's face on the side they swing to, hinged on that face."""
+    """Return leaves as thick as LEAF, flush with the wall's face on the side they swing to, hinged on that face."""
     hinges = ((), (door.hinge,), ("start", "end"))[door.leaves]
     if not hinges:
         return []

@@ -1,5 +1,6 @@
-"""Define what robots measure: one file a sensor, one row each in :mod:`.registry`, and :class:`.suite.SensorSuite`, the
-list that an environment holds. The configuration of the camera is offered here.
+"""Define the sensors of robots: one file each, one row each in :mod:`.registry`, held in a :class:`.suite.SensorSuite`.
+
+The camera's configuration is exported here.
 """
 
 from vssm_gym.envs.sensors.camera import (

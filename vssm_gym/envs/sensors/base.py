@@ -1,9 +1,10 @@
-"""State what a sensor is to an environment, and what it may read of the robot that carries it.
+"""Define the sensor protocol, and the true state of a robot that sensors may read.
 
     observation = union over sensors of measure(body)        body: the robot's true state
 
-An environment holds a list of sensors (:class:`~vssm_gym.envs.sensors.suite.SensorSuite`), and its observation is what
-they say. Each draws its noise from a stream of its own, so that adding or removing one changes no byte of the others.
+An environment holds a list of sensors (:class:`~vssm_gym.envs.sensors.suite.SensorSuite`), whose measurements are its
+observation. Each draws its noise from a stream of its own, so that adding or removing one changes no byte of the
+others.
 """
 
 from collections.abc import Mapping
@@ -25,36 +26,36 @@ Body = TypeVar("Body", contravariant=True)
 
 
 class Sensor(Protocol[Body]):
-    """One sensor of one robot, mounted in one scene; ``Body`` is the kind of robot that may carry it."""
+    """Measure the true state of one robot, mounted in one scene; ``Body`` is the kind of state that it reads."""
 
     @property
     def spaces(self) -> Mapping[str, gym.Space[Any]]:
-        """Keys that it adds to the observation, and their spaces."""
+        """Return the keys that it adds to the observation, and their spaces."""
 
     @property
     def stream(self) -> str:
-        """Name of its stream of random numbers (:mod:`vssm_gym.envs.streams`)."""
+        """Return the name of its stream of random numbers (:mod:`vssm_gym.envs.streams`)."""
 
     @property
     def parallel(self) -> bool:
-        """Whether sensors of several robots may measure at once, in threads of one process."""
+        """Return True if sensors of several robots may measure at once, in threads of one process."""
 
     @property
     def reads_contacts(self) -> bool:
-        """Whether it reads the body's contacts, which the simulator keeps only then."""
+        """Return True if it reads the body's contacts, which the simulator keeps only then."""
 
     def seed(self, rng: np.random.Generator) -> None:
-        """Switch the sensor on, with this stream of random numbers; a seeded reset does so."""
+        """Restart the sensor with this stream of random numbers, as a seeded reset does."""
 
     def begin(self, body: Body) -> None:
         """Start an episode with the robot as it is; without a seed the stream goes on."""
 
     def measure(self, body: Body) -> dict[str, np.ndarray]:
-        """Measure once: an array of the space of each key. It is called once after every motion."""
+        """Measure once, after every motion; return an array of its space for each key."""
 
 
 class SensorConfig(Protocol):
-    """A frozen dataclass that says which sensor a robot on the ground carries; a row of the registry names its class.
+    """Configure a sensor of a robot on the ground: a frozen dataclass whose class is a row of the registry.
 
     Every field has a default.
     """
@@ -64,7 +65,10 @@ class SensorConfig(Protocol):
 
 
 class GroundBody(NamedTuple):
-    """The true state of a robot on the floor at one moment. It is ground truth: sensors read it, agents never do."""
+    """Hold the true state of a robot on the floor at one moment.
+
+    It is ground truth: sensors read it, agents never do.
+    """
 
     planar: PlanarPose  # (x, y, heading), m and rad, world
     T_world_body: Matrix4  # on the floor
@@ -82,28 +86,28 @@ class GroundBody(NamedTuple):
 
 
 class HasPlanar(Protocol):
-    """Whatever stands on a floor."""
+    """Have a pose on the floor."""
 
     @property
     def planar(self) -> PlanarPose:
-        """``(x, y, heading)``, m and rad, world."""
+        """Return ``(x, y, heading)``, m and rad, world frame."""
 
 
 class HasPose(Protocol):
-    """Whatever has a pose in space."""
+    """Have a pose in space."""
 
     @property
     def T_world_body(self) -> Matrix4:
-        """Pose of the body."""
+        """Return the pose of the body."""
 
 
 class HasCamera(Protocol):
-    """Whatever carries a camera."""
+    """Carry a camera."""
 
     @property
     def T_world_cam(self) -> Matrix4:
-        """Pose of the camera."""
+        """Return the pose of the camera."""
 
     @property
     def dt(self) -> float:
-        """Seconds since the measurement before."""
+        """Return the seconds since the previous measurement."""

@@ -1,9 +1,9 @@
-"""Feel what touched the robot in its last step: a ring of switches around its footprint.
+"""Sense the contacts of the last step with a ring of switches around the robot's footprint.
 
     k = round(n bearing / 2 pi) mod n
 
-The bearing is the direction from the robot to the obstacle, against the normal of the simulator's own contact, in the
-body frame. Of four sectors the first is what the robot ran into ahead, then to the left, behind and to the right.
+The bearing is the direction from the robot to the obstacle, against the normal of the simulator's contact, in the body
+frame. Of four sectors the first is ahead, followed by left, behind and right.
 """
 
 import math
@@ -20,7 +20,7 @@ from vssm_gym.errors import InputError
 
 @dataclass(frozen=True)
 class BumperConfig:
-    """How finely a bumper tells directions apart."""
+    """Configure the angular resolution of the bumper."""
 
     sectors: int = 4  # equal ones, the first of them centred ahead, then counter-clockwise
 
@@ -29,12 +29,12 @@ class BumperConfig:
             raise InputError("BumperConfig", "sectors", f"1 to 64, not {self.sectors!r}")
 
     def mount(self, renderer: SharedRenderer) -> "BumperSensor":
-        """Build the sensor; it sees nothing of the scene."""
+        """Build the sensor; it does not use the scene."""
         return BumperSensor(self)
 
 
 class BumperSensor:
-    """``bumper`` int8 ``(sectors,)``: 1 where an obstacle touched the robot in the last step, 0 elsewhere."""
+    """Measure ``bumper`` int8 ``(sectors,)``, 1 where an obstacle was in contact with the robot in the last step."""
 
     stream = "bumper"
     parallel = True
@@ -45,13 +45,13 @@ class BumperSensor:
         self.spaces: dict[str, gym.Space[Any]] = {"bumper": gym.spaces.MultiBinary(config.sectors)}
 
     def seed(self, rng: np.random.Generator) -> None:
-        """Nothing is random."""
+        """Do nothing: the switches have no noise."""
 
     def begin(self, body: GroundBody) -> None:
-        """Nothing is kept."""
+        """Do nothing: no state is kept."""
 
     def measure(self, body: GroundBody) -> dict[str, np.ndarray]:
-        """Read the switches."""
+        """Return the switches of the last step."""
         n = self.config.sectors
         closed = np.zeros(n, dtype=np.int8)
         closed[np.rint(n * body.contacts / (2.0 * math.pi)).astype(int) % n] = 1

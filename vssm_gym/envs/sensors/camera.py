@@ -1,4 +1,4 @@
-"""The camera a robot carries: its configuration, and the renderer that stands behind it on this machine."""
+"""Configure the camera of a robot, and build the renderer and the ray tracer behind it."""
 
 import math
 import warnings
@@ -22,7 +22,7 @@ RENDERERS = ("raycast", "gl")
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """Size and angle of the RGB-D camera; pixels are square and the principal point is the image's middle."""
+    """Configure the RGB-D camera; pixels are square and the principal point is the middle of the image."""
 
     width: int = 160  # pixels
     height: int = 120  # pixels; 1 for a scan
@@ -37,7 +37,7 @@ class CameraConfig:
             raise InputError("CameraConfig", "hfov", f"an angle in radians between 0 and pi, not {self.hfov!r}")
 
     def intrinsics(self) -> Camera:
-        """The pinhole model."""
+        """Return the pinhole model."""
         return Camera.from_hfov(self.width, self.height, self.hfov)
 
 
@@ -45,27 +45,27 @@ camera_config = Presets("environment", "camera", CameraConfig, {}, default=Camer
 
 
 class SceneCamera(Protocol):
-    """An exact RGB-D camera in a scene; what draws it is recorded with results as ``name``."""
+    """Render exact RGB-D images of a scene; ``name`` is recorded with results."""
 
     camera: Camera
 
     @property
     def name(self) -> str:
-        """What makes the images, such as ``raycast``."""
+        """Return the name of the renderer, such as ``raycast``."""
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
-        """``rgb`` uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)`` in m, 0 where nothing is seen."""
+        """Return ``rgb`` uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)`` in m, 0 where nothing is seen."""
 
     def close(self) -> None:
-        """Let go of threads and contexts; the next image starts new ones."""
+        """Free threads and contexts; the next image creates new ones."""
 
 
 def make_camera(boxes: Sequence[SolidBox], config: CameraConfig, renderer: str = "raycast") -> SceneCamera:
-    """The camera among the boxes by the chosen renderer; one is never replaced by the other.
+    """Build a camera among the boxes with the chosen renderer; there is no fallback to the other one.
 
     Args:
-        boxes: what it sees.
-        config: size and angle.
+        boxes: the solid boxes.
+        config: size and field of view.
         renderer: ``raycast`` or ``gl`` (MuJoCo's OpenGL renderer; its threads are the driver's: ``LP_NUM_THREADS`` for
             Mesa).
 
@@ -82,7 +82,7 @@ def make_camera(boxes: Sequence[SolidBox], config: CameraConfig, renderer: str =
 
 
 def make_tracer(world: FloorWorld | FlightWorld) -> Tracer:
-    """What finds the first box along rays: Embree, or, with a warning that says why not, MuJoCo's own rays."""
+    """Build a ray tracer with Embree or, with a warning that says why, with MuJoCo's rays."""
     try:
         return EmbreeTracer(world.boxes)
     except ImportError as reason:

@@ -1,4 +1,4 @@
-"""Measure what a flying body feels and, for oracles, where it is: its IMU, and its true pose and velocity."""
+"""Measure the inertial readings of a flying body and, for oracles, its true pose and velocity."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from vssm_gym.geometry.axes import Matrix4
 
 @dataclass(frozen=True)
 class FlyingBody:
-    """The true state of a flying body at one moment. It is ground truth: sensors read it, agents never do."""
+    """Hold the true state of a flying body at one moment. It is ground truth: sensors read it, agents never do."""
 
     T_world_body: Matrix4
     velocity: Float[np.ndarray, "3"]  # m/s, world
@@ -27,18 +27,18 @@ class FlyingBody:
 
     @cached_property
     def T_world_cam(self) -> Matrix4:
-        """Pose of the camera."""
+        """Return the pose of the camera."""
         return self.T_world_body @ self.T_body_cam
 
 
 class ImuSensor:
-    """``imu`` float32 ``(n, 6)``: the readings since the last image, oldest first; m/s^2, rad/s, body frame.
+    """Measure ``imu`` float32 ``(n, 6)``: the readings since the last image, oldest first; m/s^2, rad/s, body frame.
 
-    It is switched on for each flight, with a bias of its own.
+    It is restarted for each flight, with a newly drawn bias.
 
     Args:
-        noise: what it adds to exact readings.
-        substeps: readings a step.
+        noise: errors added to the exact readings.
+        substeps: number of readings in a step.
     """
 
     stream = "imu"
@@ -56,18 +56,22 @@ class ImuSensor:
         self._rng = rng
 
     def begin(self, body: FlyingBody) -> None:
-        """Switch the IMU on: its bias is drawn anew."""
+        """Restart the IMU: its bias is drawn anew."""
         assert self._rng is not None
         self._imu = NoisyImu(self.noise, self._rng)
 
     def measure(self, body: FlyingBody) -> dict[str, np.ndarray]:
-        """Read what the body felt since the last measurement."""
+        """Return the readings since the last measurement."""
         assert self._imu is not None
         return {"imu": self._imu(body.felt, body.imu_period).astype(np.float32)}
 
 
 class FlightPoseSensor:
-    """``pose`` float32 ``(7,)``: true position (m) and quaternion x y z w; ``velocity`` ``(3,)``, m/s, world frame."""
+    """Measure the true ``pose`` and ``velocity`` of a flying body.
+
+    ``pose`` is float32 ``(7,)``: position (m) and quaternion x y z w; ``velocity`` is float32 ``(3,)``, m/s. World
+    frame.
+    """
 
     stream = "pose"
     parallel = True
@@ -80,13 +84,13 @@ class FlightPoseSensor:
         }
 
     def seed(self, rng: np.random.Generator) -> None:
-        """Nothing is random."""
+        """Do nothing: the pose is exact."""
 
     def begin(self, body: FlyingBody) -> None:
-        """Nothing is kept."""
+        """Do nothing: no state is kept."""
 
     def measure(self, body: FlyingBody) -> dict[str, np.ndarray]:
-        """Return pose and velocity as they are."""
+        """Return the true pose and velocity."""
         quaternion = Rotation.from_matrix(body.T_world_body[:3, :3]).as_quat(canonical=True)
         pose = np.concatenate([body.T_world_body[:3, 3], quaternion])
         return {"pose": pose.astype(np.float32), "velocity": body.velocity.astype(np.float32)}

@@ -1,4 +1,4 @@
-"""Measure where the robot is relative to its start: GPS and compass, as PointNav's literature calls them.
+"""Measure the robot's pose relative to its start: the GPS and compass of the PointNav literature.
 
     gps     = R(heading_0)^T (xy - xy_0) + e,    e ~ N(0, position^2 I)       x forward, y left at the start, m
     compass = heading - heading_0 + e_h,         e_h ~ N(0, heading^2)        counter-clockwise, rad, in [-pi, pi)
@@ -7,7 +7,7 @@
 
 Habitat's ``gps`` of dimensionality 2 is ``(-z, x)`` of its frame with x right, y up and -z forward: forward, then
 *right*. Its ``compass`` is the direction of the start's forward axis as the agent sees it, positive to the right, which
-is the angle that the agent has turned to the left: our sign. :class:`HabitatGps` turns the observation accordingly
+is the angle that the agent has turned to the left: our sign. :class:`HabitatGps` converts the observation accordingly
 (``EpisodicGPSSensor`` and ``EpisodicCompassSensor`` of habitat-lab, ``habitat/tasks/nav/nav.py``).
 """
 
@@ -31,7 +31,7 @@ FARTHEST = 4.0 * EXTENT  # m, bound of a coordinate: a scene's diagonal, in any 
 
 @dataclass(frozen=True)
 class GpsCompassNoise:
-    """Standard deviations of one measurement."""
+    """Define the standard deviations of one measurement."""
 
     position: float = 0.0  # m, of each coordinate
     heading: float = 0.0  # rad
@@ -56,7 +56,7 @@ gps_compass_noise = Presets("gps_compass", "noise", GpsCompassNoise, PRESETS)
 
 @dataclass(frozen=True)
 class GpsCompassConfig:
-    """How a GPS and compass errs; ``noise`` may be the name of a preset or a mapping of its fields as well."""
+    """Configure a GPS and compass; ``noise`` may also be the name of a preset or a mapping of its fields."""
 
     noise: GpsCompassNoise = GpsCompassNoise()
 
@@ -64,12 +64,15 @@ class GpsCompassConfig:
         object.__setattr__(self, "noise", gps_compass_noise(self.noise))
 
     def mount(self, renderer: SharedRenderer) -> "GpsCompassSensor":
-        """Build the sensor; it sees nothing of the scene."""
+        """Build the sensor; it does not use the scene."""
         return GpsCompassSensor(self)
 
 
 class GpsCompassSensor:
-    """``gps`` float32 ``(2,)``, m, and ``compass`` float32 ``(1,)``, rad, relative to the start; see the module."""
+    """Measure ``gps`` float32 ``(2,)``, m, and ``compass`` float32 ``(1,)``, rad, relative to the start.
+
+    See the module.
+    """
 
     stream = "gps_compass"
     parallel = True
@@ -89,7 +92,7 @@ class GpsCompassSensor:
         self._rng = rng
 
     def begin(self, body: GroundBody) -> None:
-        """Measure from here on relative to the body as it stands."""
+        """Set the origin to the body's present pose."""
         self._start = body.planar.copy()
 
     def measure(self, body: GroundBody) -> dict[str, np.ndarray]:
@@ -109,7 +112,7 @@ class GpsCompassSensor:
 
 
 def habitat_order(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Turn ``gps (*batch, 2)`` from (forward, left) into Habitat's (forward, right), m; the rest stays."""
+    """Convert ``gps (*batch, 2)`` from (forward, left) to Habitat's (forward, right), m; other keys stay."""
     return observation | {"gps": observation["gps"] * np.array([1.0, -1.0], np.float32)}
 
 
@@ -117,7 +120,7 @@ class HabitatGps(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstruc
     """Observe ``gps`` and ``compass`` in Habitat's order and signs: (forward, right) in m; counter-clockwise in rad.
 
     Args:
-        env: one with ``sensors=["gps_compass"]``.
+        env: an environment with ``sensors=["gps_compass"]``.
     """
 
     def __init__(self, env: gym.Env) -> None:
@@ -126,19 +129,19 @@ class HabitatGps(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstruc
         _check(env.observation_space)
 
     def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the observation of this environment."""
+        """Return the observation in Habitat's order."""
         return habitat_order(observation)
 
 
 class VectorHabitatGps(VectorObservationWrapper):
-    """The same for vector environments."""
+    """Observe ``gps`` and ``compass`` in Habitat's order and signs, for vector environments."""
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
         _check(env.single_observation_space)
 
     def observations(self, observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the observations of this environment."""
+        """Return the observations in Habitat's order."""
         return habitat_order(observations)
 
 

@@ -1,13 +1,13 @@
-"""What a strapdown IMU reads of a moving body: specific force and angular rate in the body frame, with bias and noise.
+"""Measure specific force and angular rate of a moving body in the body frame, with bias and noise: a strapdown IMU.
 
     a = R^T (dv/dt - g) + b_a + n_a,   w = w_body + b_g + n_g,      g = (0, 0, -9.81), world
     n ~ N(0, density^2 / dt),   b' = b + walk sqrt(dt) N(0, 1)      a step of dt later
 
 Densities are those of continuous time, as calibration sheets state them (EuRoC's ``sensor.yaml``). Readings are rows
-``(a, w)``, m/s^2 and rad/s: the controls of :mod:`vssm_gym.model.transition.imu`, which turns them into the trajectory
-again.
+``(a, w)``, m/s^2 and rad/s: the controls of :mod:`vssm_gym.model.transition.imu`, which integrates them to the
+trajectory.
 
-Left out: scale errors, axes out of square, saturation, vibration, temperature.
+Scale errors, axis misalignment, saturation, vibration and temperature are not modelled.
 
 Sources: Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016 (ADIS16448); Geneva et
 al., "OpenVINS", ICRA 2020, and its AR-table recordings (D455); Woodman, "An introduction to inertial navigation", 2007.
@@ -28,7 +28,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, world
 
 @dataclass(frozen=True)
 class ImuSensorNoise:
-    """Parameters of the sensor; zero switches an effect off."""
+    """Define the errors of the sensor; zero switches an effect off."""
 
     accel_density: float = 0.0  # m/s^2 / sqrt(Hz)
     accel_walk: float = 0.0  # m/s^3 / sqrt(Hz)
@@ -86,11 +86,11 @@ def specific_force(
 def readings(
     T_world_body: Float[np.ndarray, "n_1 4 4"], velocity: Float[np.ndarray, "n_1 3"], dt: float
 ) -> Float[np.ndarray, "n 6"]:
-    """The exact mean readings ``(a, w)`` of each step between states ``dt`` s apart.
+    """Return the exact mean readings ``(a, w)`` of each step between states ``dt`` s apart.
 
         a = R^T ((v' - v) / dt - g),    w = log(R^T R') / dt
 
-    Integrated by ``v' = v + (R a + g) dt``, ``R' = R exp(w dt)`` they give these states again.
+    Integrating ``v' = v + (R a + g) dt``, ``R' = R exp(w dt)`` gives these states again.
 
     Args:
         T_world_body: poses, m.
@@ -107,10 +107,10 @@ def readings(
 
 
 class NoisyImu:
-    """An IMU that reads exact values badly: one object is one sensor with its own random stream and biases.
+    """Add bias and noise to exact readings; one object is one IMU with its own random stream and biases.
 
     Args:
-        noise: what it does, or a preset's name.
+        noise: its errors, or a preset's name.
         rng: its stream; the same stream gives the same bytes, in whatever portions the readings are passed.
     """
 
@@ -124,11 +124,11 @@ class NoisyImu:
 
     @property
     def bias(self) -> Float[np.ndarray, "6"]:
-        """The present bias of ``(a, w)``: ground truth, not for agents."""
+        """Return the present bias of ``(a, w)``: ground truth, not for agents."""
         return self._bias.copy()
 
     def __call__(self, exact: Float[np.ndarray, "*n 6"], dt: float) -> Float[np.ndarray, "*n 6"]:
-        """Exact readings ``(a, w)``, ``dt`` s apart, one or several in order of time, as measured."""
+        """Return the measured readings of exact ones ``(a, w)``, ``dt`` s apart, one or several in order of time."""
         exact = np.asarray(exact, dtype=np.float64)
         white, steps = np.moveaxis(self._rng.standard_normal((*exact.shape[:-1], 2, 6)), -2, 0)
         walked = np.cumsum(

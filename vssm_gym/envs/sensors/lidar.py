@@ -1,13 +1,13 @@
-"""Scan with a planar laser: ranges to the first box along a fan of beams, and how a real scanner misreads them.
+"""Scan with a planar laser: ranges to the first box along a fan of beams, with the errors of a real scanner.
 
-The law of the errors is that of every scanner here, the mazes' too (:mod:`vssm_gym.envs.maze_noise` has their
+The law of the errors is that of every scanner here, that of the mazes included (:mod:`vssm_gym.envs.maze_noise` has its
 levels).
 
     a_k = fov ((k + 1/2) / beams - 1/2)        direction of beam k, counter-clockwise from the robot's x axis, rad
     r'  = r + e,  e ~ N(0, sigma(r)^2),        sigma(r) = floor + growth r
 
-Each beam stands for ``fov / beams`` and looks along its middle, so that a full circle has no beam twice. Ranges are
-metres along the beam, float32; **0 = no reading**, as in depth images: nothing within ``max_range``, something nearer
+Each beam stands for ``fov / beams`` and points along its middle, so that a full circle has no beam twice. Ranges are
+metres along the beam, float32; **0 = no reading**, as in depth images: nothing within ``max_range``, an obstacle nearer
 than ``min_range``, or a lost return.
 
 Sources: data sheets of Hokuyo's URG-04LX (indoor scanner of small robots) and Slamtec's RPLIDAR A1.
@@ -31,7 +31,7 @@ from vssm_gym.geometry.axes import Matrix4
 
 @dataclass(frozen=True)
 class LidarNoise:
-    """How ranges are misread; zero switches an effect off."""
+    """Define the errors of ranges; zero switches an effect off."""
 
     floor: float = 0.0  # m, standard deviation near by
     growth: float = 0.0  # of the standard deviation with the range
@@ -46,7 +46,7 @@ class LidarNoise:
             raise InputError("LidarNoise", "dropout", f"a share, 1 at most, not {self.dropout!r}")
 
     def range_std(self, ranges: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-        """``sigma(r)``, m, of ranges in m."""
+        """Return the standard deviation ``sigma(r)``, m, of ranges in m."""
         return self.floor + self.growth * ranges
 
 
@@ -64,7 +64,7 @@ lidar_noise = Presets("lidar", "noise", LidarNoise, PRESETS)
 
 @dataclass(frozen=True)
 class LidarConfig:
-    """The fan of beams, horizontal in the robot's frame, and how its ranges err.
+    """Configure the fan of beams, horizontal in the robot's frame, and the errors of its ranges.
 
     ``noise`` is a :class:`LidarNoise`, the name of a preset, or a mapping of its fields.
     """
@@ -92,7 +92,7 @@ class LidarConfig:
             raise InputError("LidarConfig", "height", f"a finite number of metres, not {self.height!r}")
 
     def angles(self) -> Float[np.ndarray, "beams"]:
-        """Direction of each beam, rad, rising."""
+        """Return the direction of each beam, rad, ascending."""
         return self.fov * ((np.arange(self.beams) + 0.5) / self.beams - 0.5)
 
     def mount(self, renderer: SharedRenderer) -> "LidarSensor":
@@ -101,11 +101,11 @@ class LidarConfig:
 
 
 class LidarSensor:
-    """``scan`` float32 ``(beams,)``: ranges in m, counter-clockwise, 0 = no reading; see the module.
+    """Measure ``scan`` float32 ``(beams,)``: ranges in m, counter-clockwise, 0 = no reading; see the module.
 
     Args:
         config: the fan and its noise.
-        renderer: what is scanned; the robot itself is transparent.
+        renderer: the scene; the robot itself is transparent.
     """
 
     stream = "lidar"
@@ -123,7 +123,7 @@ class LidarSensor:
         self._rng = rng
 
     def begin(self, body: HasPose) -> None:
-        """Go on as before."""
+        """Do nothing: the errors' stream goes on."""
 
     def measure(self, body: HasPose) -> dict[str, np.ndarray]:
         """Scan once."""
@@ -132,11 +132,11 @@ class LidarSensor:
 
 
 class Lidar:
-    """Scan exactly: one call of the tracer a scan.
+    """Scan exactly, with one call of the tracer.
 
     Args:
         config: the fan.
-        tracer: of the scene (:func:`vssm_gym.envs.sensors.make_tracer`).
+        tracer: the scene's ray tracer (:func:`vssm_gym.envs.sensors.make_tracer`).
     """
 
     def __init__(self, config: LidarConfig, tracer: Tracer) -> None:
@@ -146,7 +146,7 @@ class Lidar:
         self._beams = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
 
     def scan(self, T_world_body: Matrix4) -> Float[np.ndarray, "beams"]:
-        """Return ranges as they are, float32, m; 0 where nothing is in range, or something nearer.
+        """Return the exact ranges, float32, m; 0 where there is no obstacle in range, or one that is too near.
 
         Args:
             T_world_body: ``(4, 4)`` pose of the robot, m.
@@ -161,7 +161,7 @@ class Lidar:
 def measured(
     ranges: Float[np.ndarray, "*batch"], config: LidarConfig, rng: np.random.Generator
 ) -> Float[np.ndarray, "*batch"]:
-    """Read exact ranges as the scanner does: ``r' = r + e``, lost returns, nothing out of range; float32, m.
+    """Return measured ranges ``r' = r + e`` of exact ones, with lost returns and nothing out of range; float32, m.
 
     Each call draws the same amount from ``rng`` whatever the ranges; the same stream gives the same bytes.
     """

@@ -1,4 +1,4 @@
-"""Scan a maze: the exact ranges of :func:`vssm_gym.envs.physics.planar.scan`, measured by the law of every scanner."""
+"""Scan a maze: the exact ranges of :func:`vssm_gym.envs.physics.planar.scan` with the errors of a scanner."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from vssm_gym.envs.sensors.lidar import LidarConfig, measured
 
 
 class MazeScan:
-    """``scan`` float32 ``(beams,)``: ranges in m, beam 0 ahead, counter-clockwise; 0 = no reading.
+    """Measure ``scan`` float32 ``(beams,)``: ranges in m, beam 0 ahead, counter-clockwise; 0 = no reading.
 
     Args:
         config: beams, largest range and noise; the fan is a full circle.
-        rectangles: of the maze's walls.
+        rectangles: the maze's walls.
     """
 
     stream = "sensors"
@@ -34,7 +34,7 @@ class MazeScan:
         self._rng = rng
 
     def begin(self, body: HasPlanar) -> None:
-        """Go on as before."""
+        """Do nothing: the errors' stream goes on."""
 
     def measure(self, body: HasPlanar) -> dict[str, np.ndarray]:
         """Scan once from the robot's centre."""

@@ -1,4 +1,4 @@
-"""Observe the true pose of a robot on the floor: the privilege of oracles, which ``observe_pose=True`` grants."""
+"""Observe the true pose of a robot on the floor, which ``observe_pose=True`` grants to oracles."""
 
 from typing import Any
 
@@ -12,10 +12,10 @@ ANYWHERE = np.array([[-EXTENT, -EXTENT, -np.pi], [EXTENT, EXTENT, np.pi]])  # m,
 
 
 class PoseSensor:
-    """``pose`` float32 ``(3,)``: the true x, y (m) and heading (rad) in the world frame, exact.
+    """Measure ``pose`` float32 ``(3,)``: the true x, y (m) and heading (rad) in the world frame, exact.
 
     Args:
-        bounds: lowest and highest pose that there is.
+        bounds: lowest and highest pose.
     """
 
     stream = "pose"
@@ -26,11 +26,11 @@ class PoseSensor:
         self.spaces: dict[str, gym.Space[Any]] = {"pose": gym.spaces.Box(*bounds.astype(np.float32))}
 
     def seed(self, rng: np.random.Generator) -> None:
-        """Nothing is random."""
+        """Do nothing: the pose is exact."""
 
     def begin(self, body: HasPlanar) -> None:
-        """Nothing is kept."""
+        """Do nothing: no state is kept."""
 
     def measure(self, body: HasPlanar) -> dict[str, np.ndarray]:
-        """Return the pose as it is."""
+        """Return the true pose."""
         return {"pose": body.planar.astype(np.float32)}

@@ -22,7 +22,7 @@ SENSORS: dict[str, type[SensorConfig]] = {
 
 
 def parse_sensors(source: str, value: Any) -> list[SensorConfig]:
-    """Return the configurations that the keyword ``sensors`` of the environment ``source`` asks for, in its order.
+    """Return the configurations in the keyword ``sensors`` of the environment ``source``, in its order.
 
     Raises :class:`InputError` naming what is available for anything else, and for a sensor that is listed twice.
     """

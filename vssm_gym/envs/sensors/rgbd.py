@@ -1,8 +1,7 @@
 """Measure colour and depth with a robot's RGB-D camera.
 
 The renderer is shared (:mod:`vssm_gym.envs.sensors.shared_renderer`); the sensor owns its noise and its random
-stream. It goes on from episode to episode, as a real one whose exposure does not start anew, until a seed switches it
-on again.
+stream. Its state, such as the exposure, goes on from episode to episode, until a seed restarts it.
 """
 
 from typing import Any
@@ -16,11 +15,11 @@ from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 
 
 class RGBDSensor:
-    """``rgb`` uint8 ``(H, W, 3)`` and ``depth`` float32 ``(H, W)``, z-depth in m, 0 = no reading: one image, two keys.
+    """Measure ``rgb`` uint8 ``(H, W, 3)`` and ``depth`` float32 ``(H, W)``, z-depth in m, 0 = no reading.
 
     Args:
-        renderer: what is seen, and the renderer.
-        noise: what the sensor adds to the exact image.
+        renderer: the scene and its renderer.
+        noise: errors added to the exact image.
     """
 
     stream = "sensors"
@@ -37,11 +36,11 @@ class RGBDSensor:
         self._sensor: NoisySensor | None = None
 
     def seed(self, rng: np.random.Generator) -> None:
-        """Measure with a new sensor, whose noise is of this stream."""
+        """Restart the camera with this stream."""
         self._sensor = NoisySensor(self.noise, self.renderer.camera, rng)
 
     def begin(self, body: HasCamera) -> None:
-        """Go on as before."""
+        """Do nothing: exposure and stream go on."""
 
     def measure(self, body: HasCamera) -> dict[str, np.ndarray]:
         """Take the image, ``body.dt`` s after the one before."""

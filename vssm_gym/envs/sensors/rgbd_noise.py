@@ -1,17 +1,18 @@
-"""What a real RGB-D camera adds to an exact image: noise, quantisation, holes and exposure, the same at every size.
+"""Simulate the errors of a real RGB-D camera: noise, quantisation, holes and exposure, the same at every image size.
 
     z' = z + e,  e ~ N(0, sigma(z)^2),   sigma(z) = floor + growth max(0, z - start)^2        (Nguyen et al. 2012)
 
 ``sigma`` holds for a surface seen face on, quantisation included. Depth is measured by triangulation over a
-``baseline`` b: its disparity ``b / z`` comes in multiples of ``disparity_step``, and what the projector (or the second
-eye) cannot see has no depth. Lengths across the image are angles (tangents), not pixels, so that images of different
-sizes show one sensor. A depth pixel is one reading however wide the pixel; a colour pixel averages all its light.
+``baseline`` b: its disparity ``b / z`` comes in multiples of ``disparity_step``, and there is no depth where the
+projector (or the second camera) is occluded. Lengths across the image are angles (tangents), not pixels, so that images
+of different sizes show one sensor. A depth pixel is one reading however wide the pixel; a colour pixel averages all its
+light.
 
-Light that comes back is ``s = brightness cos(incidence) / distance^2``: what is dark, far or aslant has no depth. Half
-of the readings are lost at ``min_signal``, all below half of it, none above one and a half times as much. Brightness is
-that of the colour image, light included, which stands in for the reflectance that the scene does not tell apart.
+The returned light is ``s = brightness cos(incidence) / distance^2``: surfaces that are dark, far or aslant have no
+depth. Half of the readings are lost at ``min_signal``, all below half of it, none above one and a half times as much.
+Brightness is that of the colour image, light included, since scenes do not store reflectance.
 
-Left out: systematic distortion of depth, motion blur, rolling shutter, surfaces that reflect.
+Systematic distortion of depth, motion blur, rolling shutter and reflecting surfaces are not modelled.
 
 Sources: Nguyen, Izadi, Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking", 3DIMPVT
 2012 (sigma, its growth with the incidence angle, jitter across the image); Khoshelham and Elberink, Sensors 2012 (b,
@@ -37,7 +38,7 @@ PIXEL = 1.0 / 525.0  # tangent of the pixel that colour noise is stated for: a K
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Parameters of the sensor; zero switches an effect off (``max_depth`` is then infinite)."""
+    """Define the errors of the sensor; zero switches an effect off (``max_depth`` is then infinite)."""
 
     floor: float = 0.0  # m, depth standard deviation of a near surface seen face on
     growth: float = 0.0  # 1/m
@@ -69,7 +70,7 @@ class SensorNoise:
             raise InputError("SensorNoise", "baseline", "above 0 m where disparity comes in steps")
 
     def depth_std(self, depth: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-        """``sigma(z)`` in m of depths in m, face on, quantisation included."""
+        """Return ``sigma(z)`` in m of depths in m, face on, quantisation included."""
         return self.floor + self.growth * np.maximum(depth - self.start, 0.0) ** 2
 
 
@@ -121,10 +122,10 @@ sensor_noise = Presets("environment", "sensor_noise", SensorNoise, PRESETS)
 
 
 class NoisySensor:
-    """A camera that measures exact images badly: one object is one sensor with its own random stream.
+    """Add the errors to exact images; one object is one camera with its own random stream.
 
     Args:
-        noise: what it does.
+        noise: its errors.
         camera: intrinsics of the images.
         rng: its stream; the same stream and the same images give the same bytes.
     """
@@ -141,7 +142,10 @@ class NoisySensor:
     def __call__(
         self, rgb: UInt8[np.ndarray, "height width 3"], depth: Float[np.ndarray, "height width"], dt: float
     ) -> tuple[UInt8[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
-        """The image as measured, ``dt`` s after the one before: RGB uint8 and z-depth float32 in m, 0 = no reading."""
+        """Return the measured image, ``dt`` s after the one before.
+
+        RGB uint8 and z-depth float32 in m, 0 = no reading.
+        """
         if self.noise == PRESETS["none"]:
             return rgb.copy(), np.array(depth, dtype=np.float32)
         return self._colour(rgb, dt), self._depth(np.asarray(depth), rgb)
@@ -169,7 +173,7 @@ class NoisySensor:
         )
 
     def _near_edge(self, w: np.ndarray) -> tuple[np.ndarray, float]:
-        """Pixels within the angle ``edge`` of a jump in depth, and the share of their readings that is lost."""
+        """Return the pixels within the angle ``edge`` of a jump in depth, and the fraction of their lost readings."""
         edge, radius = kernels.edges(w), self.noise.edge / self._pixel
         if radius > 1.5:
             edge = binary_dilation(edge, iterations=round(radius) - 1)
@@ -177,7 +181,10 @@ class NoisySensor:
         return edge, 0.5 * min(1.0, radius)
 
     def _shift(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Pixels down and right to where each reading is really taken, ``(2, height, width)``; empty for nowhere."""
+        """Return the pixels down and right to where each reading is taken, ``(2, height, width)``.
+
+        Empty if there is no jitter.
+        """
         std = self.noise.jitter / self._pixel
         if std < 0.125:  # half a pixel is four standard deviations
             return np.zeros((0, 0, 0), dtype=np.int32)
@@ -199,12 +206,15 @@ _QUANTILES = (_QUANTILES / _QUANTILES.std()).astype(np.float32)
 
 
 def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Standard normal numbers, float32, of 16 random bits each (none beyond 4.4): six times faster than exact ones."""
+    """Draw standard normal numbers, float32, of 16 random bits each (none beyond 4.4).
+
+    Six times faster than exact ones.
+    """
     return _QUANTILES[rng.integers(0, 65536, shape, dtype=np.uint16)]
 
 
 def _smoothing(radius: float) -> np.ndarray:
-    """Taps of a Gaussian filter of ``radius`` pixels, float32, scaled so that an image's variance stays what it was."""
+    """Return the taps of a Gaussian filter of ``radius`` pixels, float32, scaled to preserve the variance of images."""
     if radius < 0.3:  # it would leave white noise white
         return np.ones(1, dtype=np.float32)
     offsets = np.arange(-math.ceil(4.0 * radius), math.ceil(4.0 * radius) + 1)

@@ -1,4 +1,4 @@
-"""The compiled passes of :mod:`vssm_gym.envs.sensors.rgbd_noise`: one loop over the pixels for each effect.
+"""Apply the errors of :mod:`vssm_gym.envs.sensors.rgbd_noise`: one compiled loop over the pixels for each effect.
 
 Images are ``(height, width)``; ``x`` and ``y`` are the tangents of the columns and rows; depth is z-depth in m, 0 where
 there is none.
@@ -14,7 +14,7 @@ JUMP = 0.05  # an edge is where inverse depth leaves the straight line of a plan
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def inverse_depth(z):
-    """``1 / z``; next to nothing where there is no depth, so that its border is an edge."""
+    """Return ``1 / z``, and almost 0 where there is no depth, so that its border is an edge."""
     w = np.empty(z.shape)
     for i in range(z.shape[0]):
         for j in range(z.shape[1]):
@@ -29,8 +29,10 @@ def _slope(before, after):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def incidence(w, x, y, fx, fy):
-    """Cosine between ray and normal. In the image of a plane ``n . p = c`` inverse depth is ``n . (x, y, 1) / c``: its
-    gradient gives the normal without error. Of the two one-sided slopes the smaller one crosses no edge.
+    """Return the cosine between ray and normal of each pixel.
+
+    In the image of a plane ``n . p = c`` inverse depth is ``n . (x, y, 1) / c``: its gradient gives the normal without
+    error. Of the two one-sided slopes the smaller one crosses no edge.
     """
     height, width = w.shape
     cosine = np.empty((height, width))
@@ -53,7 +55,10 @@ def incidence(w, x, y, fx, fy):
 
 @numba.njit(nogil=True, cache=True)
 def edges(w):
-    """Pixels on both sides of a jump: along a plane, however slanted, inverse depth has no second difference."""
+    """Return the pixels on both sides of a jump.
+
+    Along a plane, however slanted, inverse depth has no second difference.
+    """
     height, width = w.shape
     edge = np.empty((height, width), dtype=np.bool_)
     for i in range(height):
@@ -69,8 +74,10 @@ def edges(w):
 
 @numba.njit(nogil=True, cache=True)
 def shadow(w, x, baseline):
-    """Where the projector sees something nearer: ``x - b / z`` is its own coordinate of a point of the row, and it
-    falls from left to right only where a nearer surface to the right covers what lies to the left.
+    """Return the pixels that the projector does not reach because a nearer surface occludes them.
+
+    ``x - b / z`` is the projector's own coordinate of a point of the row, and it falls from left to right only where a
+    nearer surface to the right covers what lies to the left.
     """
     height, width = w.shape
     covered = np.empty((height, width), dtype=np.bool_)
@@ -86,7 +93,10 @@ def shadow(w, x, baseline):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def losses(z, w, cosine, rgb, x, y, edge, covered, chance, min_cosine, dropout, edge_share, min_signal):
-    """Where there is no reading: the effects are independent, so one ``chance`` in [0, 1) decides about all of them."""
+    """Return the pixels without a reading.
+
+    The effects are independent, so one ``chance`` in [0, 1) decides about all of them.
+    """
     height, width = z.shape
     lost = np.empty((height, width), dtype=np.bool_)
     for i in range(height):
@@ -104,7 +114,10 @@ def losses(z, w, cosine, rgb, x, y, edge, covered, chance, min_cosine, dropout, 
 
 @numba.njit(nogil=True, cache=True)
 def smooth(white, taps):
-    """Noise through the separable filter ``taps`` (odd number); what is ``len(taps) // 2`` off the rim is returned."""
+    """Filter noise with the separable ``taps`` (odd number).
+
+    Return the part that is ``len(taps) // 2`` off the border.
+    """
     height, width = white.shape[0] - len(taps) + 1, white.shape[1] - len(taps) + 1
     across, both = np.zeros((white.shape[0], width), dtype=np.float32), np.zeros((height, width), dtype=np.float32)
     for i in range(white.shape[0]):
@@ -120,13 +133,13 @@ def smooth(white, taps):
 
 @numba.njit(nogil=True, cache=True, inline="always")
 def _acos(c):
-    """Of 0 to 1, to 7e-5 rad (Abramowitz and Stegun 4.4.45), several times faster than the library's."""
+    """Return the arc cosine of 0 to 1, to 7e-5 rad (Abramowitz and Stegun 4.4.45), faster than the library's."""
     return math.sqrt(1.0 - c) * (1.5707288 + c * (-0.2121144 + c * (0.0742610 - c * 0.0187293)))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def measure(z, cosine, lost, shift, normal, floor, growth, start, grazing, step_1m, min_depth, max_depth):
-    """Depth as measured, float32: taken ``shift`` pixels aside, noisy, in steps of ``step_1m z^2``, within range."""
+    """Return measured depth, float32: read ``shift`` pixels aside, noisy, in steps of ``step_1m z^2``, within range."""
     height, width = z.shape
     seen = np.zeros((height, width), dtype=np.float32)
     for i in range(height):
@@ -158,7 +171,7 @@ def measure(z, cosine, lost, shift, normal, floor, growth, start, grazing, step_
 
 @numba.njit(nogil=True, cache=True)
 def colour(rgb, light, std, normal):
-    """``light[v] + std[v] n`` of each byte v, rounded and kept within a byte."""
+    """Return ``light[v] + std[v] n`` of each byte v, rounded and clipped to a byte."""
     seen = np.empty(rgb.shape, dtype=np.uint8)
     for i in range(rgb.shape[0]):
         for j in range(rgb.shape[1]):

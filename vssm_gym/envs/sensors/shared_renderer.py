@@ -58,22 +58,22 @@ class SharedRenderer:
 
     @cached_property
     def _scene_camera(self) -> SceneCamera:
-        """The backend, built on first use: an environment without images needs none."""
+        """Build the backend on first use: an environment without images needs none."""
         return make_camera(self.boxes, self.config, self._backend)
 
     @property
     def name(self) -> str:
-        """Name of the backend that makes the images, to be recorded with results."""
+        """Return the name of the backend that makes the images, to be recorded with results."""
         return self._scene_camera.name
 
     @property
     def parallel(self) -> bool:
-        """True if several threads may render at once."""
+        """Return True if several threads may render at once."""
         return isinstance(self._scene_camera, RaycastCamera)
 
     @cached_property
     def tracer(self) -> Tracer:
-        """The ray tracer that finds the first box along each ray."""
+        """Return the ray tracer that finds the first box along each ray."""
         return make_tracer(FloorWorld(self.apartment, HolonomicRobot()))  # the robot is transparent
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:

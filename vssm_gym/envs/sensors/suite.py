@@ -1,4 +1,4 @@
-"""Hold the sensors of one robot: its observation is what they measure, once after every motion."""
+"""Hold the sensors of one robot and their latest readings, which are the environment's observation."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
@@ -13,7 +13,7 @@ Body = TypeVar("Body")
 
 
 class SensorSuite(Generic[Body]):
-    """The list of a robot's sensors, and their latest readings.
+    """Hold a robot's sensors, and their latest readings.
 
     Args:
         source: name of the environment, for error messages.
@@ -31,37 +31,37 @@ class SensorSuite(Generic[Body]):
         return iter(self._sensors)
 
     def add(self, sensor: Sensor[Body]) -> None:
-        """Carry one more sensor; raises :class:`InputError` where one of its keys is taken."""
+        """Add a sensor; raise :class:`InputError` where one of its keys is taken."""
         if taken := sorted(set(sensor.spaces) & set(self.spaces())):
             expected = f"sensors without a key in common; {', '.join(map(repr, taken))} would be measured twice"
             raise InputError(self._source, "sensors", expected)
         self._sensors.append(sensor)
 
     def remove(self, key: str) -> None:
-        """Carry the sensor of ``key`` no longer."""
+        """Remove the sensor of ``key``."""
         self._sensors = [sensor for sensor in self._sensors if key not in sensor.spaces]
 
     def spaces(self) -> dict[str, gym.Space[Any]]:
-        """The spaces of :meth:`observation`."""
+        """Return the spaces of :meth:`observation`."""
         return {key: space for sensor in self._sensors for key, space in sensor.spaces.items()}
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """Names of the streams that :meth:`seed` needs."""
+        """Return the names of the streams that :meth:`seed` needs."""
         return tuple(dict.fromkeys(sensor.stream for sensor in self._sensors))
 
     @property
     def parallel(self) -> bool:
-        """Whether several robots may look at once, in threads of one process."""
+        """Return True if several robots may sense at once, in threads of one process."""
         return all(sensor.parallel for sensor in self._sensors)
 
     @property
     def reads_contacts(self) -> bool:
-        """Whether any of them reads contacts."""
+        """Return True if any sensor reads contacts."""
         return any(sensor.reads_contacts for sensor in self._sensors)
 
     def seed(self, streams: Mapping[str, np.random.Generator]) -> None:
-        """Switch every sensor on, each with its stream."""
+        """Restart every sensor with its stream."""
         for sensor in self._sensors:
             sensor.seed(streams[sensor.stream])
 
@@ -72,7 +72,7 @@ class SensorSuite(Generic[Body]):
         self.moved()
 
     def moved(self) -> None:
-        """Forget the readings: the robot has moved, and the next look measures anew."""
+        """Discard the readings: the robot has moved, and the next :meth:`sense` measures anew."""
         self._readings = None
 
     def sense(self, body: Body) -> None:
@@ -83,11 +83,11 @@ class SensorSuite(Generic[Body]):
                 self._readings |= sensor.measure(body)
 
     def reading(self, key: str) -> np.ndarray:
-        """The latest reading of one key; not to be changed."""
+        """Return the latest reading of one key; it must not be changed."""
         assert self._readings is not None
         return self._readings[key]
 
     def observation(self) -> dict[str, np.ndarray]:
-        """The latest readings of all sensors; the arrays are the caller's own copies."""
+        """Return copies of the latest readings of all sensors."""
         assert self._readings is not None
         return {key: value.copy() for key, value in self._readings.items()}

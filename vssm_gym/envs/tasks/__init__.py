@@ -1,1 +1,1 @@
-"""Tasks: starts and goals, path lengths through free space, coverage, surveys and reference flights."""
+"""Define tasks: starts and goals, path lengths through free space, coverage, surveys and reference flights."""

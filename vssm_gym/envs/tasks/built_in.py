@@ -1,4 +1,4 @@
-"""The built-in scenes that are made by code, and the one function that writes their files and tasks.
+"""Write the files and tasks of the built-in scenes that are made by code.
 
     python -c "from vssm_gym.envs.tasks.built_in import write_built_in; write_built_in()"
 
@@ -29,7 +29,7 @@ MAKERS: dict[str, Callable[[], Apartment]] = {
 
 
 def write_built_in(folder: Path = ASSETS) -> list[Path]:
-    """Write every scene's JSON, and the frozen tasks of the homes under ``tasks``; returns the scenes' paths."""
+    """Write every scene's JSON, and the frozen tasks of the homes under ``tasks``; return the scenes' paths."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, make in MAKERS.items():

@@ -1,4 +1,4 @@
-"""Tasks of the car: a start and a target, a point or a pose, that it can reach from there.
+"""Sample and check tasks of the car: a start and a target, a point or a pose, that it can reach from there.
 
 Starts and targets are uniform among the poses whose footprint keeps GOAL_MARGIN from everything, in one connected part
 of what the car can reach (:mod:`vssm_gym.envs.tasks.car_space`), and more than APART from each other.
@@ -10,7 +10,7 @@ import threading
 import weakref
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -44,38 +44,37 @@ class CarTask(StrictModel):
     goal: tuple[float, float] | tuple[float, float, float]
 
     def reached(self, planar: PlanarPose) -> bool:
-        """Whether a pose is within REACHED of the goal, and ALIGNED where the goal has a heading."""
+        """Return True if a pose is within REACHED of the goal, and ALIGNED where the goal has a heading."""
         near = math.hypot(planar[0] - self.goal[0], planar[1] - self.goal[1]) <= REACHED
         return near and self.turn(planar) <= ALIGNED
 
     def turn(self, planar: PlanarPose) -> float:
-        """Angle between a pose's heading and the goal's, rad; 0 for a point."""
+        """Return the angle between a pose's heading and the goal's, rad; 0 for a point."""
         return abs(float(wrap_angle(np.float64(planar[2] - self.goal[2])))) if len(self.goal) == 3 else 0.0
 
 
-_STAGES: "weakref.WeakValueDictionary[tuple[str, Car], CarTaskSampler]" = weakref.WeakValueDictionary()
-_BUILDING = threading.Lock()
-
-
-def car_sampler_of(apartment: Apartment, car: Car) -> "CarTaskSampler":
-    """The process's sampler of these, built where there is none: its lattice takes half a second."""
-    key = (apartment.content_hash(), car)
-    with _BUILDING:
-        sampler = _STAGES.get(key)
-        if sampler is None:
-            sampler = _STAGES[key] = CarTaskSampler(apartment, car)
-    return sampler
-
-
 class CarTaskSampler:
-    """Makes and checks tasks of one apartment and car; immutable to its users. Get it by :func:`car_sampler_of`."""
+    """Sample and check tasks of one apartment and car. Get it by :meth:`of`; it is immutable to its users."""
+
+    _instances: ClassVar["weakref.WeakValueDictionary[tuple[str, Car], CarTaskSampler]"] = weakref.WeakValueDictionary()
+    _lock: ClassVar = threading.Lock()
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
         self.apartment, self.car = apartment, car
         self.space = CarSpace(apartment, car)
 
+    @classmethod
+    def of(cls, apartment: Apartment, car: Car) -> "CarTaskSampler":
+        """Return the process's sampler of these two; it is built where there is none, in half a second."""
+        key = (apartment.content_hash(), car)
+        with cls._lock:
+            sampler = cls._instances.get(key)
+            if sampler is None:
+                sampler = cls._instances[key] = cls(apartment, car)
+        return sampler
+
     def __reduce__(self) -> Any:
-        return car_sampler_of, (self.apartment, self.car)
+        return CarTaskSampler.of, (self.apartment, self.car)
 
     @cached_property
     def _distance(self) -> GoalDistance:
@@ -84,11 +83,14 @@ class CarTaskSampler:
         return GoalDistance(FreeSpace.from_apartment(self.apartment, radius, self.car.height))
 
     def goal_distance(self) -> GoalDistance:
-        """The length of ways for a disc inside the footprint, to aim at will; all of them share one graph."""
+        """Return a distance field for a disc inside the footprint, whose goal the caller sets.
+
+        All of them share one graph.
+        """
         return copy.copy(self._distance)
 
     def draw(self, rng: np.random.Generator, targets: Targets = "poses", task_id: int = 0) -> CarTask:
-        """A task in the largest connected part: the first of ``rng`` that is one.
+        """Draw a task in the largest connected part: the first of ``rng`` that is one.
 
         Raises :class:`InputError` where the car finds no two poses far enough apart.
         """
@@ -103,7 +105,7 @@ class CarTaskSampler:
         task_id: int = 0,
         part: int | None = None,
     ) -> CarTask:
-        """The task from a pose, however close to obstacles, to a target that can be reached from there.
+        """Draw a task from a pose, however close to obstacles, to a target that can be reached from there.
 
         Raises :class:`InputError` where there is none.
         """
@@ -114,13 +116,13 @@ class CarTaskSampler:
         return self._task(task_id, start, goal.tolist())
 
     def task(self, start: Sequence[float], goal: Sequence[float], task_id: int = 0) -> CarTask:
-        """The task from ``start`` (x, y, heading) to ``goal``, a point or a pose; raises as :meth:`validate`."""
+        """Return the task from ``start`` (x, y, heading) to ``goal``, a point or a pose; raise as :meth:`validate`."""
         task = self._task(task_id, start, goal)
         self.validate(task)
         return task
 
     def validate(self, task: CarTask) -> None:
-        """Raise :class:`InputError` unless it is this scene's, free at both ends, its goal within reach."""
+        """Raise :class:`InputError` unless the task is of this scene, free at both ends, its goal reachable."""
         source = f"task {task.id} of {task.scene}"
         validated(CarTask, dict(task), source)  # again, since pydantic's model_copy(update=...) checks nothing
         if task.scene != self.apartment.name:
@@ -136,7 +138,7 @@ class CarTaskSampler:
             raise InputError(source, "goal", expected)
 
     def _first(self, rng: np.random.Generator, part: int, away_from: np.ndarray | None) -> np.ndarray:
-        """The first pose of ``rng`` in a connected part, more than APART from a point."""
+        """Return the first pose of ``rng`` in a connected part, more than APART from a point."""
         for _ in range(_ATTEMPTS):
             for pose in self.space.sample(rng, _BLOCK, GOAL_MARGIN).round(4):
                 if away_from is not None and math.hypot(*(pose[:2] - away_from)) <= APART:

@@ -1,4 +1,4 @@
-"""Frozen sets of the car's tasks: a chain of targets, each of which starts at the one before (SPEC 7).
+"""Make, save and load frozen sets of the car's tasks: a chain of targets, each of which starts at the one before.
 
 Target ``i`` is drawn from a stream of its own, seeded by (scene, split, kind of target, i): a longer set begins with
 the shorter one, and no split shares a stream with another.
@@ -13,7 +13,7 @@ import numpy as np
 
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.scene import Apartment
-from vssm_gym.envs.tasks.car import CarTask, Targets, car_sampler_of
+from vssm_gym.envs.tasks.car import CarTask, CarTaskSampler, Targets
 from vssm_gym.envs.tasks.navigation import Split, read
 from vssm_gym.envs.validation import StrictModel
 from vssm_gym.files import atomic_write
@@ -21,7 +21,7 @@ from vssm_gym.geometry.car import Car
 
 
 class CarTaskSet(StrictModel):
-    """The tasks of one scene, kind of target and split; ``hash`` is :meth:`content_hash`, verified on loading."""
+    """Hold the tasks of one scene, kind of target and split; ``hash`` is :meth:`content_hash`, verified on loading."""
 
     format: Literal[1] = 1
     scene: str
@@ -32,15 +32,15 @@ class CarTaskSet(StrictModel):
     hash: str = ""
 
     def content_hash(self) -> str:
-        """First 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
+        """Return the first 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
         return content_hash(self, without="hash")
 
 
 def make_car_tasks(
     apartment: Apartment, n: int, targets: Targets = "poses", split: Split = "test", car: Car | None = None
 ) -> CarTaskSet:
-    """A chain of ``n`` targets; raises :class:`InputError` for an arena without room for a car."""
-    sampler = car_sampler_of(apartment, car or Car())
+    """Make a chain of ``n`` targets; raise :class:`InputError` for an arena without room for a car."""
+    sampler = CarTaskSampler.of(apartment, car or Car())
     key = hashlib.sha256(f"{apartment.name}|car|{targets}|{split}".encode()).digest()
     entropy = [int.from_bytes(key[i : i + 4], "little") for i in range(0, 16, 4)]
     tasks: list[CarTask] = []
@@ -70,5 +70,5 @@ def save(tasks: CarTaskSet, path: Path) -> None:
 
 
 def load(path: Path, apartment: Apartment | None = None) -> CarTaskSet:
-    """The task set in a file; raises as :func:`vssm_gym.envs.tasks.navigation.read`."""
+    """Return the task set in a file; raise as :func:`vssm_gym.envs.tasks.navigation.read`."""
     return read(CarTaskSet, path, apartment)

@@ -1,11 +1,11 @@
-"""Which poses of the car are free, and which of them it can drive between: the exact rectangle among boxes.
+"""Compute which poses of the car are free, and which of them it can drive between, for its exact rectangle among boxes.
 
     free = {(x, y, heading): R(heading) rectangle + (x, y) meets no box of the car's height}
 
-Rectangles are compared by the separating-axis test. What can be reached is read from a lattice of poses joined by
-short arcs at full lock and straight lines, driven either way: a car that backs up can retrace whatever it drove, so
-that poses are reachable from each other or not at all, and each has the label of its connected part. The simulator's
-own geometry, not the agents'. Metres, rad, world frame; poses are of the rear axle.
+Rectangles are compared by the separating-axis test. Reachability is read from a lattice of poses joined by short arcs
+at full lock and straight lines, driven either way: a car that backs up can retrace its path, so that poses are
+reachable from each other or not at all, and each has the label of its connected part. This is the simulator's own
+geometry, not the agents'. Metres, rad, world frame; poses are of the rear axle.
 """
 
 import itertools
@@ -31,11 +31,11 @@ HEADINGS = 64
 MARGIN = 0.03  # m that the lattice's poses keep from everything: room to err while manoeuvring
 TURNS = (3, 4)  # steps of heading that arcs turn: 0.13 and 0.18 m at full lock. Coprime: every heading can be had
 NEAR = 0.15  # m, and m of wheelbase times rad: less than lies between two cars with a fence between them
-_ON_THE_WAY = (0.25, 0.5, 0.75, 1.0)  # shares of an arc at which it has to be free
+_CHECKED_AT = (0.25, 0.5, 0.75, 1.0)  # shares of an arc at which it has to be free
 
 
 class CarSpace:
-    """Free poses of ``car`` in an apartment; see the module."""
+    """Hold the free poses of ``car`` in an apartment; see the module."""
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
         boxes = apartment.boxes()
@@ -48,7 +48,7 @@ class CarSpace:
         self.low, self.high = bounds[:2], bounds[2:]
 
     def free(self, planar: Float[np.ndarray, "*batch 3"], margin: float = 0.0) -> Bool[np.ndarray, "*batch"]:
-        """Whether the footprint, grown by ``margin`` m all around, meets no box, and the rear axle is on the floor."""
+        """Return True where the footprint, grown by ``margin`` m, meets no box, and the rear axle is on the floor."""
         planar = np.asarray(planar, dtype=np.float64)
         flat = np.ascontiguousarray(planar.reshape(-1, 3))
         inside = np.asarray(shapely.intersects_xy(self.floor, flat[:, 0], flat[:, 1]))
@@ -56,7 +56,7 @@ class CarSpace:
         return (inside & (first < 0)).reshape(planar.shape[:-1])
 
     def obstacles_at(self, planar: PlanarPose) -> list[str]:
-        """Names of what the footprint meets, each once; of walls, doors, furniture."""
+        """Return the names of the walls, doors and furniture that the footprint meets, each once."""
         pose = np.array(planar, dtype=np.float64).reshape(1, 3)
         half = self._half(0.0)
         met = [
@@ -67,13 +67,16 @@ class CarSpace:
         return list(dict.fromkeys(met))
 
     def sample(self, rng: np.random.Generator, n: int, margin: float) -> Float[np.ndarray, "n 3"]:
-        """Of ``n`` poses, uniform over the floor's bounds and all headings, those that are free with ``margin``."""
+        """Draw ``n`` poses, uniform over the floor's bounds and all headings.
+
+        Return those that are free with ``margin``.
+        """
         poses = rng.uniform([*self.low, -np.pi], [*self.high, np.pi], (n, 3))
         return poses[self.free(poses, margin)]
 
     @cached_property
     def labels(self) -> Int[np.ndarray, "nx ny headings"]:
-        """The connected part of each pose of the lattice, 0 for the largest; -1 where it is not free.
+        """Return the connected part of each pose of the lattice, 0 for the largest; -1 where it is not free.
 
         Cell (0, 0) lies at ``low``, heading k is ``2 pi k / HEADINGS``.
         """
@@ -85,11 +88,11 @@ class CarSpace:
         starts, ends = [], []
         for k in range(HEADINGS):
             for curvature, turn in itertools.product((-1, 0, 1), TURNS):
-                way = self._way(k, curvature, turn)
+                cells = self._cells_along(k, curvature, turn)
                 passable = free[:, :, k].copy()
-                for i, j, then in way:
+                for i, j, then in cells:
                     passable &= _shifted(free[:, :, then], i, j)
-                i, j, then = way[-1]
+                i, j, then = cells[-1]
                 starts.append(index[:, :, k][passable])
                 ends.append(_shifted(index[:, :, then], i, j)[passable])
         start, end = np.concatenate(starts), np.concatenate(ends)
@@ -103,10 +106,10 @@ class CarSpace:
         return labels
 
     def part(self, planar: PlanarPose) -> int:
-        """The label of the largest part that comes within NEAR of a pose; -1 where none does.
+        """Return the label of the largest part that comes within NEAR of a pose; -1 where none does.
 
-        A car pressed against an obstacle belongs to the part that it came from, and one beside a pose without a way
-        out to the part around that pose.
+        A car pressed against an obstacle belongs to the part that it came from, and one next to a pose without an exit
+        to the part around that pose.
         """
         states, labels = self._around(np.asarray(planar[:2]), NEAR)
         turn = np.abs(wrap_angle(states[:, 2] - planar[2]))
@@ -114,7 +117,7 @@ class CarSpace:
         return int(min(labels[away <= NEAR], default=-1))
 
     def parts_within(self, goal: Float[np.ndarray, "2"] | PlanarPose, radius: float, angle: float) -> set[int]:
-        """Labels of the lattice's free poses within ``radius`` m of a point, or of a pose and ``angle`` rad."""
+        """Return the labels of the free lattice poses within ``radius`` m of a goal, and ``angle`` rad of a pose."""
         states, labels = self._around(np.asarray(goal[:2]), radius)
         near = np.hypot(*(states[:, :2] - goal[:2]).T) <= radius
         if len(goal) == 3:
@@ -122,7 +125,7 @@ class CarSpace:
         return set(labels[near].tolist())
 
     def _around(self, xy: Float[np.ndarray, "2"], radius: float) -> tuple[np.ndarray, np.ndarray]:
-        """Free poses of the lattice in the square of half side ``radius`` around ``xy``, and their labels."""
+        """Return the lattice's free poses in the square of half side ``radius`` around ``xy``, and their labels."""
         first = np.maximum(np.ceil((xy - radius - self.low) / CELL), 0).astype(int)
         last = np.maximum(np.floor((xy + radius - self.low) / CELL), -1).astype(int) + 1
         labels = self.labels[first[0] : last[0], first[1] : last[1]]
@@ -130,26 +133,26 @@ class CarSpace:
         x, y = self.low[0] + CELL * (i + first[0]), self.low[1] + CELL * (j + first[1])
         return np.stack([x, y, 2.0 * np.pi / HEADINGS * k], axis=-1), labels[i, j, k]
 
-    def _way(self, k: int, curvature: int, turn: int) -> list[tuple[int, int, int]]:
-        """Cells ``(i, j, heading)`` relative to the first, along an arc, or a line of its length."""
+    def _cells_along(self, k: int, curvature: int, turn: int) -> list[tuple[int, int, int]]:
+        """Return the cells ``(i, j, heading)`` relative to the first, along an arc, or a line of its length."""
         heading = 2.0 * math.pi * k / HEADINGS
-        way = []
-        for share in _ON_THE_WAY:
+        cells = []
+        for share in _CHECKED_AT:
             a = 2.0 * math.pi * share * turn / HEADINGS  # rad along an arc at full lock
             forward, left = (math.sin(a), 1.0 - math.cos(a)) if curvature else (a, 0.0)
             forward, left = self.car.turning_radius * forward, self.car.turning_radius * curvature * left
             x = math.cos(heading) * forward - math.sin(heading) * left
             y = math.sin(heading) * forward + math.cos(heading) * left
             then = round(k + curvature * share * turn) % HEADINGS
-            way.append((round(x / CELL), round(y / CELL), then))
-        return way
+            cells.append((round(x / CELL), round(y / CELL), then))
+        return cells
 
     def _half(self, margin: float) -> tuple[float, float]:
         return 0.5 * self.car.length + margin, 0.5 * self.car.width + margin
 
 
 def _shifted(plane: np.ndarray, i: int, j: int) -> np.ndarray:
-    """``plane[x + i, y + j]`` at every (x, y); 0 beyond its border."""
+    """Return ``plane[x + i, y + j]`` at every (x, y); 0 beyond its border."""
     moved = np.zeros_like(plane)
     nx, ny = plane.shape
     to = (slice(max(0, -i), nx - max(0, i)), slice(max(0, -j), ny - max(0, j)))
@@ -161,10 +164,10 @@ def _shifted(plane: np.ndarray, i: int, j: int) -> np.ndarray:
 def _first_met(
     poses: np.ndarray, rectangles: np.ndarray, forward: float, half_length: float, half_width: float
 ) -> np.ndarray:
-    """Index of the first rectangle (see :mod:`vssm_gym.envs.physics.planar`) that each footprint meets; -1 for none.
+    """Return the index of the first rectangle that each footprint meets; -1 for none.
 
-    Two rectangles are apart if the line through their centres, cast on one of their four axes, is longer than what
-    both of them cover of it.
+    Rectangles are those of :mod:`vssm_gym.envs.physics.planar`. Two rectangles are apart if the line through their
+    centres, projected on one of their four axes, is longer than what both of them cover of it.
     """
     first = np.full(len(poses), -1, dtype=np.int32)
     for n in range(len(poses)):

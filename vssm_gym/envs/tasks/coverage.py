@@ -1,11 +1,11 @@
-"""How much of an apartment a camera has seen: area of the plan that rays at the camera's height have crossed.
+"""Measure how much of an apartment a camera has seen: the area of the plan that its rays have crossed.
 
     coverage = |seen cells| / |cells that are seen from any reachable position in any direction|
 
-The plan is cut into cells of ``CELL``. A cell is seen when a ray of the camera's horizontal field of view, no longer
-than ``REACH``, crosses it before it hits anything. The denominator is the reachable, observable area: it leaves out
-what is walled off, behind furniture, or beyond the plan, so that 1 can be attained and 90 % means 90 % of what there
-is to see (SPEC 14). It is computed once for an apartment, from all positions of a grid in free space.
+The plan is cut into cells of ``CELL``. A cell is seen when a ray at the camera's height, of its horizontal field of
+view and no longer than ``REACH``, crosses it before it hits anything. The denominator is the reachable, observable
+area: it excludes what is walled off, behind furniture, or beyond the plan, so that 1 can be attained and 90 % means
+90 % of what there is to see. It is computed once for an apartment, from all positions of a grid in free space.
 """
 
 import math
@@ -26,12 +26,12 @@ _AROUND = 360  # rays of a whole turn there
 
 
 class Observable:
-    """The grid of an apartment's plan and which of its cells can be seen at all; see the module.
+    """Hold the grid of an apartment's plan and the cells that can be seen at all; see the module.
 
     Args:
-        space: where the robot may be; the largest connected part counts.
-        tracer: finds what rays hit.
-        height: of the camera above the floor, m.
+        space: the free space, whose largest connected part counts.
+        tracer: the scene's ray tracer.
+        height: height of the camera above the floor, m.
     """
 
     def __init__(self, space: FreeSpace, tracer: Tracer, height: float) -> None:
@@ -49,13 +49,13 @@ class Observable:
 
     @property
     def area(self) -> float:
-        """Square metres that can be seen."""
+        """Return the area that can be seen, m^2."""
         return float(self.cells.sum()) * CELL**2
 
     def mark(
         self, xy: Float[np.ndarray, "2"], bearings: Float[np.ndarray, "n"], cells: Bool[np.ndarray, "nx ny"]
     ) -> int:
-        """Set the cells that rays from ``xy`` in world directions ``bearings`` cross; returns how many were not set."""
+        """Set the cells that rays from ``xy`` in world directions ``bearings`` cross; return how many were not set."""
         directions = np.stack([np.cos(bearings), np.sin(bearings), np.zeros_like(bearings)], axis=1)
         origin = np.array([xy[0], xy[1], self._height])
         distance, _ = self._tracer.trace(origin, np.ascontiguousarray(directions, dtype=np.float32))
@@ -64,10 +64,10 @@ class Observable:
 
 
 class Coverage:
-    """What one camera has seen so far.
+    """Accumulate the cells that one camera has seen.
 
     Args:
-        observable: of the apartment; shared.
+        observable: the apartment's observable cells; shared.
         hfov: the camera's horizontal field of view, rad.
     """
 
@@ -79,11 +79,11 @@ class Coverage:
         self.seen = np.zeros_like(observable.cells)
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Clear the seen cells."""
         self.seen[:] = False
 
     def see(self, planar: PlanarPose) -> float:
-        """Look from ``(x, y, heading)``; returns by how much the coverage rose."""
+        """Add the view from ``(x, y, heading)``; return the increase of the coverage."""
         before = self.fraction
         self._observable.mark(planar[:2], planar[2] + self._bearings, self.seen)
         self.seen &= self._observable.cells
@@ -91,7 +91,7 @@ class Coverage:
 
     @property
     def fraction(self) -> float:
-        """Coverage, in [0, 1]."""
+        """Return the coverage, in [0, 1]."""
         return float(self.seen.sum()) / float(self._observable.cells.sum())
 
 

@@ -1,10 +1,10 @@
-"""Shortest any-angle paths of the robot's centre through its free space (SPEC 12), by a visibility graph.
+"""Compute shortest any-angle paths of the robot's centre through its free space, by a visibility graph.
 
 In a polygon a shortest path is a chain of straight segments that bends only at reflex vertices, and is *taut* there:
 both neighbours of the vertex lie on one side of the segment's line (de Berg et al., Computational Geometry, ch. 15).
 All taut, mutually visible pairs of reflex vertices form a graph, computed once; a query links its ends to it and runs
-Dijkstra's algorithm. Exact for the polygon, so within 1 mm of the disc's own free space at every corner. It shares no
-code with the agents' planner, so that SPL is judged independently of A*.
+Dijkstra's algorithm. It is exact for the polygon, so within 1 mm of the disc's own free space at every corner. It
+shares no code with the agents' planner, so that SPL is evaluated independently of A*.
 
 The graph grows with the square of the vertices. Free space with more than CORNERS of them (a large, noisy occupancy
 map) is first drawn in and straightened by at most the last of STRAIGHTEN: paths stay free, but are up to a few per cent
@@ -28,7 +28,7 @@ _NO_PATH = (np.inf, np.zeros((0, 2)))
 
 
 class Geodesics:
-    """Shortest paths in a :class:`FreeSpace`; building takes about a second, a query some milliseconds."""
+    """Compute shortest paths in a :class:`FreeSpace`; building takes about a second, a query some milliseconds."""
 
     def __init__(self, free_space: FreeSpace) -> None:
         self._space = free_space
@@ -47,18 +47,21 @@ class Geodesics:
     def length(self, start: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"], goal_radius: float = 0.0) -> float:
         """``min |path|`` from ``start`` to ``{p free: |p - goal| <= goal_radius}``, metres; inf where there is none.
 
-        A free point of the disc counts even where a wall parts it from the goal, as success does (SPEC 6).
+        A free point of the disc counts even where a wall separates it from the goal, as it does for success.
         """
         return self._shortest(start, goal, goal_radius)[0]
 
     def path(
         self, start: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"], goal_radius: float = 0.0
     ) -> Float[np.ndarray, "n 2"]:
-        """Corners of the path that :meth:`length` measures, start and end included, metres; ``(0, 2)`` if none."""
+        """Return the corners of the path that :meth:`length` measures, start and end included, metres.
+
+        ``(0, 2)`` if none.
+        """
         return self._shortest(start, goal, goal_radius)[1]
 
     def matrix(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n n"]:
-        """Shortest path lengths between all pairs of ``points``, metres; inf where there is none."""
+        """Return the shortest path lengths between all pairs of ``points``, metres; inf where there is none."""
         points = np.asarray(points, dtype=np.float64)
         n, size = len(points), len(self._vertex)
         i, j = np.triu_indices(n, 1)
@@ -76,7 +79,7 @@ class Geodesics:
     def _shortest(
         self, start: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"], radius: float
     ) -> tuple[float, Float[np.ndarray, "n 2"]]:
-        """Length and corners of the shortest path into the goal's disc."""
+        """Return length and corners of the shortest path into the goal's disc."""
         start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
         if not shapely.intersects_xy(self._region, *start):
             entry = self._entry(start)
@@ -117,7 +120,7 @@ class Geodesics:
         return _NO_PATH
 
     def _entry(self, start: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"] | None:
-        """Where a free position beside the straightened region enters it; None where ``start`` is not free."""
+        """Return where a free position outside the straightened region enters it; None where ``start`` is not free."""
         if self._region is self._space.region or not self._space.contains(start):
             return None
         inside = shapely.get_coordinates(shapely.shortest_line(shapely.points(start), self._region))[1]
@@ -125,7 +128,7 @@ class Geodesics:
         return shapely.get_coordinates(near.representative_point())[0] if near.area > 0.0 else None
 
     def _from(self, start: Float[np.ndarray, "2"]) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-        """Distances from ``start`` to every reflex vertex, and the vertex before each (-1: the start)."""
+        """Return the distances from ``start`` to every reflex vertex, and the vertex before each (-1: the start)."""
         graph, size = self._graph, len(self._vertex)
         _, vertex = self._links(start[None])
         weights = np.maximum(np.linalg.norm(self._vertex[vertex] - start, axis=1), 1e-12)  # 0 would mean no edge
@@ -141,7 +144,10 @@ class Geodesics:
         return distance[:size], np.where(previous[:size] == size, -1, previous[:size])
 
     def _visibility_graph(self) -> csr_array:
-        """Symmetric graph of the reflex vertices that see each other along segments taut at both ends; metres."""
+        """Build the symmetric graph of the reflex vertices that see each other along segments taut at both ends.
+
+        Metres.
+        """
         size = len(self._vertex)
         taut = np.zeros((size, size), dtype=bool)
         for first in range(0, size, 256):  # in blocks, to bound the memory
@@ -152,24 +158,30 @@ class Geodesics:
         return _symmetric_graph(self._vertex, rows[visible], columns[visible])
 
     def _links(self, points: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
-        """Index pairs (point, vertex) whose segment is free and taut at the vertex."""
+        """Return index pairs (point, vertex) whose segment is free and taut at the vertex."""
         source, vertex = np.nonzero(self._taut(points[:, None], np.arange(len(self._vertex))[None]))
         visible = self._visible(points[source], self._vertex[vertex])
         return source[visible], vertex[visible]
 
     def _taut(self, source: Float[np.ndarray, "*n 2"], vertex: Int[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
-        """Whether a path along the segment from ``source`` may bend at ``vertex`` and still be locally shortest."""
+        """Return True where a path from ``source`` may bend at ``vertex`` and still be locally shortest."""
         along = self._vertex[vertex] - source
         one = _cross(along, self._before[vertex] - self._vertex[vertex])
         other = _cross(along, self._after[vertex] - self._vertex[vertex])
         return ((one >= -_SIDE) & (other >= -_SIDE)) | ((one <= _SIDE) & (other <= _SIDE))
 
     def _visible(self, start: Float[np.ndarray, "n 2"], end: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Whether whole segments are free; touching the border is allowed. GEOS decides it without rounding."""
+        """Return True where whole segments are free; contact with the border is allowed.
+
+        GEOS decides it without rounding.
+        """
         return np.asarray(shapely.covers(self._region, shapely.linestrings(np.stack([start, end], axis=1))))
 
     def _free_arc_ends(self, goal: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "m 2"]:
-        """End points of the free arcs of the circle around ``goal``, a hair inside; ``(0, 2)`` if it is cut nowhere."""
+        """Return the end points of the free arcs of the circle around ``goal``, just inside.
+
+        ``(0, 2)`` if it is cut nowhere.
+        """
         # |a + t b - goal|^2 = radius^2 along every border segment a + t b, t in [0, 1]
         a, b = self._border[0] - goal, self._border[1] - self._border[0]
         bb, ab = np.sum(b * b, axis=1), np.sum(a * b, axis=1)
@@ -188,7 +200,7 @@ class Geodesics:
 
 
 def _straightened(region: shapely.MultiPolygon) -> shapely.MultiPolygon:
-    """``region`` itself, or a part of it that has few enough corners."""
+    """Return ``region`` itself, or a part of it that has few enough corners."""
     result = region
     for distance in STRAIGHTEN:
         if shapely.get_num_coordinates(result) <= CORNERS:
@@ -209,7 +221,7 @@ def _direction(angle: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 2"]:
 def _symmetric_graph(
     nodes: Float[np.ndarray, "n 2"], rows: Int[np.ndarray, "k"], columns: Int[np.ndarray, "k"]
 ) -> csr_array:
-    """Sparse ``(n, n)`` graph with an edge both ways for each pair, weighted by distance (never 0: no edge)."""
+    """Build a sparse ``(n, n)`` graph with an edge both ways for each pair, weighted by distance (never 0: no edge)."""
     weights = np.maximum(np.linalg.norm(nodes[rows] - nodes[columns], axis=1), 1e-12)
     both = (np.concatenate([rows, columns]), np.concatenate([columns, rows]))
     return csr_array(coo_array((np.concatenate([weights, weights]), both), shape=(len(nodes), len(nodes))))

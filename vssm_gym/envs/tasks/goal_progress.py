@@ -1,4 +1,4 @@
-"""How far the goal is along free space, fast enough for a reward at every step.
+"""Compute the distance to the goal along free space, fast enough for a reward at every step.
 
 ``d(p) = min over the nodes n around p of |p - n| + d(n)`` on a grid of free positions, where ``d(n)`` is the shortest
 path over edges to 16 neighbours: at most 3 % longer than the true distance along straight corridors. Scores (SPL) use
@@ -17,7 +17,7 @@ SPACING = 0.1  # m, for a radius of 0.1 m
 
 
 class GoalDistance:
-    """Distance to a goal through free space; :meth:`aim` costs some milliseconds, a call some microseconds.
+    """Compute the distance to a goal through free space; :meth:`aim` costs some milliseconds, a call some microseconds.
 
     ``spacing`` m lies between nodes; the longest edge is sqrt(5) times as long.
     """
@@ -41,7 +41,10 @@ class GoalDistance:
         return graph(self._free.size, row[kept], column[kept], self._spacing * length[kept])
 
     def _passable(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Which edges run through free space: of two grown obstacles that overlap a little, the lens is thin."""
+        """Return which edges run through free space.
+
+        Where two grown obstacles overlap a little, the overlap is thin.
+        """
         nodes = self._nodes.reshape(-1, 2)
         # Only an edge that begins near the border can cross it.
         near = np.zeros(len(nodes), dtype=bool)
@@ -55,7 +58,7 @@ class GoalDistance:
         return passable
 
     def aim(self, goal: np.ndarray) -> None:
-        """Measure to ``goal (2,)`` from now on, m, world frame."""
+        """Set the goal ``(2,)``, m, world frame."""
         self._goal = np.asarray(goal, dtype=np.float64)
         away = np.linalg.norm(self._nodes - self._goal, axis=-1)
         nearest = int(np.argmin(np.where(self._free, away, np.inf)))
@@ -63,7 +66,10 @@ class GoalDistance:
         self._distance = distance.reshape(self._free.shape) + away.flat[nearest]
 
     def __call__(self, xy: np.ndarray) -> float:
-        """Metres from ``xy (2,)`` to the goal; inf where no node with a path to it is within two spacings."""
+        """Return the distance from ``xy (2,)`` to the goal, m.
+
+        Inf where no node with a path to it is within two spacings.
+        """
         straight = float(np.hypot(*(xy - self._goal)))
         if straight <= self._spacing:
             return straight

@@ -1,4 +1,4 @@
-"""Mazes of the unit square: apartments of one floor whose walls are cut by the plane of a laser scanner (SPEC 11).
+"""Load mazes of the unit square: apartments of one floor whose walls are cut by the plane of a laser scanner.
 
 A maze is an :class:`Apartment` of 1 m x 1 m, in the same JSON format and made of the same solid boxes as any other; the
 2D world is its cut at the scanner's height. Seven are built in. A maze never changes under its name: another one gets
@@ -23,9 +23,9 @@ from vssm_gym.envs.tasks.navigation import Footprint, Split, Task, TaskSampler, 
 from vssm_gym.errors import InputError
 
 FOLDER = ASSETS / "mazes"
-# The first is for learning how the robot moves, the others for evaluation, as in the thesis.
+# The first is for learning how the robot moves, the others for evaluation, as in DVBF-LM.
 MAZES = ("pillars-v1", "rings-v1", "rooms-v1", "serpentine-v1", "slanted-v1", "spiral-v1", "tree-v1")
-# Success within two body lengths (SPEC 6) is then success within 0.05 (SPEC 11). It drives where it looks.
+# Success within two body lengths is then success within 0.05 m. It drives where it looks.
 ROBOT = HolonomicRobot(
     body_length=0.025, height=0.1, camera_height=0.05, max_turn=math.radians(30.0), max_offset=0.0, max_step=0.02
 )
@@ -36,7 +36,7 @@ _ROUNDING = 1e-6  # m
 
 @dataclass(frozen=True)
 class Maze:
-    """A maze ready to drive in: its geometry twice, as rectangles for rays and as free space for shortest paths.
+    """Hold a maze's geometry twice, as rectangles for rays and as free space for shortest paths.
 
     Attributes:
         apartment: the maze as it stands in its file.
@@ -50,17 +50,20 @@ class Maze:
 
     @property
     def name(self) -> str:
-        """The name of the maze, with its version."""
+        """Return the name of the maze, with its version."""
         return self.apartment.name
 
     @property
     def space(self) -> FreeSpace:
-        """Where the robot's centre may be; connected."""
+        """Return the connected free space of the robot's centre."""
         return self.sampler.space
 
     @cached_property
     def tasks(self) -> TaskSet:
-        """Every ordered pair of the 5 x 5 grid's free positions: from the frozen file, or made in about a second."""
+        """Return every ordered pair of the 5 x 5 grid's free positions.
+
+        From the frozen file, or made in about a second.
+        """
         path = FOLDER / "tasks" / f"{self.name}.json"
         if path.is_file():
             frozen = load(path)
@@ -70,7 +73,7 @@ class Maze:
 
 
 def load_maze(spec: str | Path | Apartment) -> Maze:
-    """The maze of a built-in name ("spiral-v1"), of a JSON file in our format, or of an :class:`Apartment`.
+    """Return the maze of a built-in name ("spiral-v1"), of a JSON file in our format, or of an :class:`Apartment`.
 
     Raises:
         InputError: what :func:`load_scene` refuses; a floor beyond the unit square or open at its border; walls that do
@@ -98,13 +101,13 @@ def load_maze(spec: str | Path | Apartment) -> Maze:
 
 
 def is_maze(apartment: Apartment) -> bool:
-    """Whether its floor lies within the unit square: a scene for a maze's robot, and for no larger one."""
+    """Return True if the floor lies within the unit square: a scene for a maze's robot, and for no larger one."""
     west, south, east, north = _floor(apartment).bounds
     return bool(min(west, south) >= -_ROUNDING and max(east, north) <= 1.0 + _ROUNDING)
 
 
 def grid_tasks(maze: Maze) -> TaskSet:
-    """Every ordered pair of the free positions of the grid ``((i + 1/2) / 5, (j + 1/2) / 5)``, row by row.
+    """Return every ordered pair of the free positions of the grid ``((i + 1/2) / 5, (j + 1/2) / 5)``, row by row.
 
     Start headings are uniform, from streams seeded by the maze's name: the same maze has the same tasks.
 
@@ -148,7 +151,10 @@ def _floor(apartment: Apartment) -> shapely.Geometry:
 
 
 def _plane(apartment: Apartment) -> Float[np.ndarray, "m 6"]:
-    """The cut at the scanner's height; refuses what the robot would touch and the scanner would not see."""
+    """Cut the maze at the scanner's height.
+
+    Raise InputError for obstacles of the robot that the scanner would not see.
+    """
     boxes = apartment.boxes()
     for box in boxes:
         low, high = box.center[2] - 0.5 * box.size[2], box.center[2] + 0.5 * box.size[2]

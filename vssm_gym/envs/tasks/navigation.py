@@ -1,4 +1,4 @@
-"""Navigation tasks: start and goal free, more than 3 body lengths apart, at least 1 m of way between them (SPEC 6).
+"""Sample, check and freeze navigation tasks: start and goal free, more than 3 body lengths apart, at least 1 m of path.
 
 Task i of a split is drawn from a stream of its own, seeded by (scene name, split, seed, i): a longer set begins with
 the shorter one, and no split shares a stream with another. Sets of the built-in scenes are frozen as JSON under
@@ -50,7 +50,7 @@ class Task(StrictModel):
 
 
 class Footprint(StrictModel):
-    """What of a robot decides where it fits and when it has arrived, metres."""
+    """Hold the dimensions of a robot that decide where it fits and when it has arrived, metres."""
 
     body_length: float
     radius: float
@@ -58,12 +58,12 @@ class Footprint(StrictModel):
 
     @classmethod
     def of(cls, robot: Robot) -> "Footprint":
-        """The footprint of a robot."""
+        """Return the footprint of a robot."""
         return cls(body_length=robot.body_length, radius=robot.radius, height=robot.height)
 
 
 class TaskSet(StrictModel):
-    """The tasks of one scene, robot and split; ``hash`` is :meth:`content_hash`, verified on loading."""
+    """Hold the tasks of one scene, robot and split; ``hash`` is :meth:`content_hash`, verified on loading."""
 
     format: Literal[1] = 1
     scene: str
@@ -74,7 +74,7 @@ class TaskSet(StrictModel):
     hash: str = ""
 
     def content_hash(self) -> str:
-        """First 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
+        """Return the first 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
         return content_hash(self, without="hash")
 
 
@@ -90,12 +90,12 @@ S = TypeVar("S", bound=BaseModel)
 
 
 def load(path: Path, apartment: Apartment | None = None) -> TaskSet:
-    """The task set in a file; see :func:`read`."""
+    """Return the task set in a file; see :func:`read`."""
     return read(TaskSet, path, apartment)
 
 
 def read(kind: type[S], path: Path, apartment: Apartment | None) -> S:
-    """The set of tasks of a kind of robot in a file; for ``apartment`` where one is given.
+    """Return the set of tasks of a kind of robot in a file; for ``apartment`` where one is given.
 
     Raises:
         InputError: no such file, no JSON, another format, content that does not match its hash, or another scene's.
@@ -117,7 +117,10 @@ def read(kind: type[S], path: Path, apartment: Apartment | None) -> S:
 
 
 def task_set(apartment: Apartment, robot: Robot, split: Split, n: int) -> TaskSet:
-    """The first ``n`` tasks of a split: from the frozen file where it is of this scene and robot, else made anew."""
+    """Return the first ``n`` tasks of a split.
+
+    From the frozen file where it is of this scene and robot, else made anew.
+    """
     path = FROZEN / f"{apartment.name}-{split}.json"
     if path.is_file():
         frozen = load(path)
@@ -128,7 +131,7 @@ def task_set(apartment: Apartment, robot: Robot, split: Split, n: int) -> TaskSe
 
 
 def make_tasks(apartment: Apartment, robot: Robot, n: int, split: Split, seed: int = 0) -> TaskSet:
-    """``n`` tasks, each from its own stream.
+    """Make ``n`` tasks, each from its own stream.
 
     Raises:
         InputError: an unknown split, or an apartment without two places far enough apart.
@@ -159,7 +162,7 @@ def freeze(apartment: Apartment, robot: Robot, n: int = 200, folder: Path = FROZ
 
 
 class TaskSampler:
-    """Makes and checks tasks of one apartment and robot, in the largest connected part of its free space."""
+    """Sample and check tasks of one apartment and robot, in the largest connected part of its free space."""
 
     def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
@@ -167,11 +170,11 @@ class TaskSampler:
 
     @cached_property
     def geodesics(self) -> Geodesics:
-        """Shortest paths in ``space``."""
+        """Return the shortest paths in ``space``."""
         return Geodesics(self.space)
 
     def draw(self, rng: np.random.Generator, task_id: int = 0) -> Task:
-        """A task with uniform positions and heading, conditioned on distances: the first of ``rng`` that is one.
+        """Draw a task with uniform positions and heading, conditioned on distances: the first of ``rng`` that is one.
 
         Raises :class:`InputError` where free space is too small for any.
         """
@@ -183,16 +186,16 @@ class TaskSampler:
             length = self.geodesics.length(start, goal, self._success)
             if SHORTEST <= length < np.inf:
                 return self._task(task_id, (*start.tolist(), heading), goal.tolist(), round(float(length), 6))
-        expected = f"free space with places {SHORTEST} m of way apart; none found for task {task_id}"
+        expected = f"free space with places {SHORTEST} m of path apart; none found for task {task_id}"
         raise InputError(self._scene, "rooms", expected)
 
     def task(self, start: Sequence[float], goal: Sequence[float], task_id: int = 0) -> Task:
-        """The task from ``start`` (x, y, heading) to ``goal``, of any length; raises as :meth:`validate`."""
+        """Return the task from ``start`` (x, y, heading) to ``goal``, of any length; raise as :meth:`validate`."""
         task = self._task(task_id, start, goal, 0.0)
         return task.model_copy(update={"geodesic": self._length(task)})
 
     def validate(self, task: Task) -> None:
-        """Raise :class:`InputError` unless it is this scene's: start and goal free and connected, its geodesic."""
+        """Raise :class:`InputError` unless the task is of this scene: free, connected ends and the right geodesic."""
         source = f"task {task.id} of {task.scene}"
         validated(Task, dict(task), source)  # again, since pydantic's model_copy(update=...) checks nothing
         if task.scene != self._scene:
@@ -225,7 +228,7 @@ class TaskSampler:
 
 
 def checked_set(source: str, tasks: object, apartment: Apartment) -> TaskSet:
-    """A task set that an environment was given; :class:`InputError` naming ``source`` unless it is of this scene."""
+    """Return a task set that an environment was given; raise :class:`InputError` unless it is of this scene."""
     if not isinstance(tasks, TaskSet) or not tasks.tasks:
         raise InputError(source, "tasks", f"a TaskSet that holds a task; found {tasks!r:.80}")
     if tasks.scene_hash != apartment.content_hash():

@@ -1,4 +1,4 @@
-"""Reference flights of a multirotor: closed smooth curves, flown from hover to hover (named after Blackbird's).
+"""Define reference flights of a multirotor: closed smooth curves, flown from hover to hover (named after Blackbird's).
 
     x + i y = scale sum_k c_k e^{i k phi} e^{i turn},   z = height + LIFT Re sum_k z_k e^{i k phi}
     phi' = Omega s(t / ramp)  from rest, Omega, and back to rest;   s(u) = 10 u^3 - 15 u^4 + 6 u^5
@@ -37,7 +37,10 @@ _TURNS, _SAMPLES = 12, 256  # orientations that are tried, points of the curve t
 
 @dataclass(frozen=True)
 class FlightCurve:
-    """Fourier coefficients by frequency: ``plane`` of x + iy, ``rise`` of z. Half-extent and rise are scaled to 1."""
+    """Define a curve by Fourier coefficients: ``plane`` of x + iy, ``rise`` of z, both by frequency.
+
+    Half-extent and rise are scaled to 1.
+    """
 
     plane: Mapping[int, complex]
     rise: Mapping[int, complex]
@@ -71,7 +74,7 @@ CURVES = {
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a curve lies in a scene."""
+    """Place a curve in a scene."""
 
     center: tuple[float, float]  # m
     scale: float  # m, half-extent
@@ -80,7 +83,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class Motion:
-    """A body's motion at ``n`` times, world frame."""
+    """Hold a body's motion at ``n`` times, world frame."""
 
     position: Float[np.ndarray, "n 3"]  # m
     velocity: Float[np.ndarray, "n 3"]  # m/s
@@ -90,10 +93,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class ReferenceFlight:
-    """``laps`` of a curve: a second of hover, a smooth start, full speed, a smooth stop where it began, hover.
+    """Fly ``laps`` of a curve: a second of hover, a smooth start, full speed, a smooth stop at the start, hover.
 
     ``speed`` is the peak; ``drag`` (1/s) that of the body, which must lean against it. Raises :class:`InputError` for
-    an unknown name or a speed that is none.
+    an unknown name or an invalid speed.
     """
 
     name: str  # a key of CURVES
@@ -120,11 +123,11 @@ class ReferenceFlight:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first moment of hover to the last."""
+        """Return the seconds from the first moment of hover to the last."""
         return 2.0 * HOVER + 2.0 * np.pi * self.laps / self.rate + self.ramp
 
     def at(self, t: Float[np.ndarray, "n"]) -> Motion:
-        """The motion at times ``t`` (s); before 0 and after ``duration`` it hovers."""
+        """Return the motion at times ``t`` (s); before 0 and after ``duration`` it hovers."""
         t = np.atleast_1d(np.asarray(t, dtype=np.float64))
         phi, dphi, ddphi = self._phase(t)
         first, second = self._curve(phi, 1), self._curve(phi, 2)
@@ -135,20 +138,20 @@ class ReferenceFlight:
         return Motion(self._curve(phi, 0), velocity, acceleration, attitude(push, heading))
 
     def body_rates(self, t: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-        """Angular velocity in the body's frame, rad/s: ``log(R(t - h)^T R(t + h)) / 2h``."""
+        """Return the angular velocity in the body's frame, rad/s: ``log(R(t - h)^T R(t + h)) / 2h``."""
         h = 1e-4
         before, after = (self.at(np.asarray(t, dtype=np.float64) + d).R_world_body for d in (-h, h))
         turn = np.swapaxes(before, -1, -2) @ after
         return Rotation.from_matrix(turn).as_rotvec() / (2.0 * h)
 
     def push(self) -> float:
-        """The largest specific force that the flight asks of the rotors, m/s^2; hover asks for 9.81."""
+        """Return the largest specific force that the flight demands of the rotors, m/s^2; hover demands 9.81."""
         motion = self.at(np.linspace(0.0, self.duration, 2048))
         push = motion.acceleration + self.drag * motion.velocity - GRAVITY
         return float(np.linalg.norm(push, axis=1).max())
 
     def _phase(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """phi and its first two derivatives; the stop is the start backwards."""
+        """Return phi and its first two derivatives; the stop is the start reversed."""
         end = self.duration - 2.0 * HOVER
         since = np.clip(t - HOVER, 0.0, end)
         back = since > 0.5 * end
@@ -169,7 +172,7 @@ class ReferenceFlight:
 
 
 def attitude(push: Float[np.ndarray, "n 3"], heading: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3 3"]:
-    """``R_world_body`` with z along ``push`` and x above or below ``heading``, neither of which is zero."""
+    """Return ``R_world_body`` with z along ``push`` and x above or below ``heading``, neither of which is zero."""
     up = push / np.linalg.norm(push, axis=-1, keepdims=True)
     square = np.stack([-heading[:, 1], heading[:, 0], np.zeros(len(heading))], axis=-1)
     nose = np.cross(square, up)
@@ -178,7 +181,7 @@ def attitude(push: Float[np.ndarray, "n 3"], heading: Float[np.ndarray, "n 2"]) 
 
 
 def place(apartment: Apartment, name: str, clearance: float = CLEARANCE) -> Placement:
-    """The largest placement of a curve, up to REACH, of which an upright cylinder of radius ``clearance`` is free.
+    """Return the largest placement of a curve, up to REACH, that keeps ``clearance`` m around the body free.
 
     Placements are tried on a fixed grid; of those of the largest size the one farthest from everything is taken. Raises
     :class:`InputError` where the curve fits nowhere, or where the ceiling is too low.

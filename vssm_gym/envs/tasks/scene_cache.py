@@ -46,12 +46,12 @@ class SceneCache:
 
     @cached_property
     def sampler(self) -> TaskSampler:
-        """The task sampler, which holds the free space."""
+        """Return the task sampler, which holds the free space."""
         return TaskSampler(self.renderer.apartment, self.robot)
 
     @cached_property
     def observable(self) -> Observable:
-        """The surfaces that the robot's camera can see from anywhere in the free space."""
+        """Return the cells of the plan that the robot's camera can see from anywhere in the free space."""
         return Observable(self.sampler.space, self.renderer.tracer, self.robot.camera_height)
 
     @cached_property

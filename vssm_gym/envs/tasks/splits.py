@@ -1,4 +1,4 @@
-"""Which scenes agents may be trained in and which they are tested in: frozen, hashed, and never both.
+"""Freeze which scenes agents may be trained in and which they are tested in, with hashes, never both.
 
 ``envs/assets/splits/scenes.json`` names the split of every built-in scene and of the procedural seeds, with the content
 hash of each scene, so that a changed scene is noticed before results are compared with older ones. Tasks within a scene
@@ -25,7 +25,7 @@ _PROCEDURAL = re.compile(r"procedural:(\d{1,18})(?::[a-z]+)?")
 
 
 class Seeds(StrictModel):
-    """Procedural seeds from ``first`` to ``last``, both included; without end where ``last`` is None."""
+    """Hold the procedural seeds from ``first`` to ``last``, both included; unbounded where ``last`` is None."""
 
     first: Annotated[int, Field(ge=0)]
     last: int | None
@@ -35,10 +35,10 @@ class Seeds(StrictModel):
 
 
 class SceneSplits(StrictModel):
-    """The frozen file. A hash is None for a scene that this version of the package cannot make.
+    """Hold the content of the frozen file. A hash is None for a scene that this version of the package cannot make.
 
     ``train`` and ``test`` map built-in scenes to their hashes; ``seeds`` are the procedural ones of each split, in all
-    sizes; ``probes`` hash a few of them, which tell whether the generator still makes what it made. ``hash`` is
+    sizes; ``probes`` hash a few of them, which tell whether the generator still makes the same scenes. ``hash`` is
     :meth:`content_hash`, verified on loading.
     """
 
@@ -61,11 +61,11 @@ class SceneSplits(StrictModel):
         return self
 
     def content_hash(self) -> str:
-        """First 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
+        """Return the first 16 hex digits of the SHA-256 of the canonical JSON without ``hash``."""
         return content_hash(self, without="hash")
 
     def changed(self) -> list[str]:
-        """One line for each scene that is not what was frozen: made otherwise, gone, or not frozen yet."""
+        """Return one line for each scene that differs from the frozen one, is gone, or is not frozen yet."""
         lines = []
         for scene, frozen in (self.train | self.test | self.probes).items():
             found = _hash_of(scene)
@@ -76,7 +76,7 @@ class SceneSplits(StrictModel):
 
 @cache
 def frozen_splits(path: Path = FROZEN) -> SceneSplits:
-    """The splits in a file.
+    """Return the splits in a file.
 
     Raises:
         InputError: no such file, no JSON, a scene or seed in both splits, or content that does not match its hash.
@@ -95,7 +95,7 @@ def frozen_splits(path: Path = FROZEN) -> SceneSplits:
 
 
 def scenes(split: Split, procedural: int = 0) -> tuple[str, ...]:
-    """The built-in scenes of a split, sorted, and its first ``procedural`` seeds as ``procedural:SEED``.
+    """Return the built-in scenes of a split, sorted, and its first ``procedural`` seeds as ``procedural:SEED``.
 
     Raises :class:`InputError` for an unknown split, or more seeds than it has.
     """
@@ -110,7 +110,7 @@ def scenes(split: Split, procedural: int = 0) -> tuple[str, ...]:
 
 
 def split_of(scene: str) -> Split | None:
-    """The split of a built-in or procedural scene, of whatever size; None for any other (a file of one's own)."""
+    """Return the split of a built-in or procedural scene, of whatever size; None for any other (a user's file)."""
     frozen = frozen_splits()
     if match := _PROCEDURAL.fullmatch(scene):
         return next((split for split in SPLITS if int(match[1]) in frozen.seeds[split]), None)
@@ -130,7 +130,7 @@ def freeze(path: Path = FROZEN) -> None:
 
 
 def _hash_of(scene: str) -> str | None:
-    """The content hash of a scene; None where there is none of this name."""
+    """Return the content hash of a scene; None where there is none of this name."""
     if scene not in built_in_scenes() and not _PROCEDURAL.fullmatch(scene):
         return None
     try:

@@ -1,11 +1,10 @@
-"""A short route that shows a camera all of an apartment: viewpoints that cover its free space, joined into a tour.
+"""Plan a short route that shows a camera all of an apartment: viewpoints that cover its free space, joined into a tour.
 
 Viewpoints are a greedy set cover: every free position (on a 0.2 m grid) has one within ``reach`` and in line of sight
-(past obstacles at the robot's height; the camera looks over the low ones).
-They and the ways between them keep the largest clearance with which all rooms stay connected; only what cannot be seen
-from there is visited more closely, as closely as a passage that the robot just fits through asks for. The tour is
-nearest neighbour plus 2-opt over geodesic distances. It knows the true floor plan: it drives the recording of a map
-(``vssm-gym record``), never an agent.
+(past obstacles at the robot's height; the camera looks over the low ones). They and the paths between them keep the
+largest clearance with which all rooms stay connected; only what cannot be seen from there is visited more closely, with
+the clearance that the narrowest passage allows. The tour is nearest neighbour plus 2-opt over geodesic distances. It
+knows the true floor plan: it drives the recording of a map (``vssm-gym record``), never an agent.
 """
 
 import itertools
@@ -31,7 +30,7 @@ STRAIGHTEN = 2.0 / 3.0  # of the clearance: by how much a leg may cut the chords
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A position to drive to in a straight line from the one before, world frame, metres."""
+    """Hold a position to drive to in a straight line from the one before, world frame, metres."""
 
     x: float
     y: float
@@ -39,10 +38,10 @@ class Waypoint:
 
 
 def survey_route(apartment: Apartment, robot: Robot, seed: int = 0, reach: float = 1.2) -> list[Waypoint]:
-    """Waypoints of a survey of all that the robot can reach; the recording starts at the first one.
+    """Return the waypoints of a survey of all that the robot can reach; the recording starts at the first one.
 
     Args:
-        apartment: the scene; rooms that are cut off are left out (``FreeSpace.check_connected`` names them).
+        apartment: the scene; rooms that are cut off are left out (``FreeSpace.cut_off_rooms`` names them).
         robot: its footprint decides where it can go.
         seed: shifts the grid of viewpoints, so that recordings of different seeds differ.
         reach: metres within which each free position has a viewpoint that sees it.
@@ -71,7 +70,10 @@ def survey_route(apartment: Apartment, robot: Robot, seed: int = 0, reach: float
 
 
 def _clear(space: FreeSpace, close: FreeSpace) -> FreeSpace:
-    """The free space of the largest clearance with which no more rooms are cut off; ``close`` where there is none."""
+    """Return the free space of the largest clearance with which no more rooms are cut off.
+
+    ``close`` where there is none.
+    """
     for margin in CLEARANCES:
         wide = _within(space, margin)
         if wide is not space and set(wide.cut_off_rooms()) <= set(space.cut_off_rooms()):
@@ -80,9 +82,10 @@ def _clear(space: FreeSpace, close: FreeSpace) -> FreeSpace:
 
 
 def _close(space: FreeSpace) -> tuple[float, FreeSpace]:
-    """The largest clearance of CLOSE, m, with which ``space.largest`` stays connected, but for scraps, and its space.
+    """Return the largest clearance of CLOSE, m, with which ``space.largest`` stays connected, and its space.
 
-    A passage that leaves less room beside the robot falls shut with more: what is beyond would never be seen.
+    Scraps do not count. A passage that leaves less room beside the robot would be closed: what is beyond would never be
+    seen.
     """
     for margin in CLOSE:
         near = _within(space, margin)
@@ -93,7 +96,7 @@ def _close(space: FreeSpace) -> tuple[float, FreeSpace]:
 
 
 def _within(space: FreeSpace, margin: float) -> FreeSpace:
-    """``space`` with that much more clearance, or itself where nothing would be left in its largest part."""
+    """Return ``space`` with that much more clearance, or itself where nothing would be left in its largest part."""
     try:
         wide = space.widened(margin)
     except InputError:
@@ -102,7 +105,7 @@ def _within(space: FreeSpace, margin: float) -> FreeSpace:
 
 
 def _grid(area: shapely.Polygon, offset: Float[np.ndarray, "2"]) -> Float[np.ndarray, "n 2"]:
-    """Grid points in ``area``, and a point of it where the grid has none."""
+    """Return grid points in ``area``, or one point of it where the grid has none."""
     low, high = np.split(np.array(area.bounds), 2)
     x, y = (np.arange(a + o, b, GRID) for a, o, b in zip(low, offset, high, strict=True))
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -116,7 +119,7 @@ def _sees(
     targets: Float[np.ndarray, "n 2"],
     reach: float,
 ) -> Bool[np.ndarray, "k n"]:
-    """Whether a target is within ``reach`` of a viewpoint, with nothing standing between them."""
+    """Return True where a target is within ``reach`` of a viewpoint, with nothing standing between them."""
     near = cKDTree(viewpoints).sparse_distance_matrix(cKDTree(targets), reach, output_type="coo_matrix")
     lines = shapely.linestrings(np.stack([viewpoints[near.row], targets[near.col]], axis=1))
     sees = np.zeros((len(viewpoints), len(targets)), dtype=bool)
@@ -127,7 +130,7 @@ def _sees(
 def _cover(
     sees: Bool[np.ndarray, "k n"], allowed: Bool[np.ndarray, "k"], seen: Bool[np.ndarray, "n"]
 ) -> tuple[list[int], Bool[np.ndarray, "n"]]:
-    """Greedy set cover: the allowed viewpoint that shows most of what is unseen, until none shows anything new."""
+    """Cover the targets greedily: add the viewpoint that shows most unseen ones, until none shows anything new."""
     chosen: list[int] = []
     seen = seen.copy()
     while True:
@@ -140,7 +143,7 @@ def _cover(
 
 
 def _without_needless(sees: Bool[np.ndarray, "k n"], chosen: list[int]) -> list[int]:
-    """``chosen`` without the viewpoints that later choices made needless, the tight and late ones first."""
+    """Return ``chosen`` without the viewpoints that later choices made needless, the tight and late ones first."""
     shown = sees[chosen].sum(axis=0)
     kept = []
     for viewpoint in reversed(chosen):
@@ -154,7 +157,7 @@ def _without_needless(sees: Bool[np.ndarray, "k n"], chosen: list[int]) -> list[
 def _route(
     points: Float[np.ndarray, "n 2"], roomy: Bool[np.ndarray, "n"], wide: Geodesics, close: Geodesics, cut: float
 ) -> list[Waypoint]:
-    """The tour through all viewpoints: ways between roomy ones in the wide space, all others in the close one.
+    """Build the tour through all viewpoints: paths between roomy ones in the wide space, all others in the close one.
 
     Legs may cut corners by ``cut`` m, less than both spaces keep from obstacles.
     """
@@ -176,7 +179,7 @@ def _waypoint(xy: Float[np.ndarray, "2"], turn_around: bool) -> Waypoint:
 
 
 def short_tour(lengths: Float[np.ndarray, "n n"]) -> Int[np.ndarray, "n"]:
-    """An order of visiting all of n places once, from a free start to a free end: nearest neighbour, then 2-opt.
+    """Order n places to be visited once, from a free start to a free end: nearest neighbour, then 2-opt.
 
     Args:
         lengths: symmetric distances; all finite.

@@ -1,1 +1,1 @@
-"""Procedural textures: their registry, band-limited noise, and motifs with their own colours."""
+"""Define procedural textures: their registry, band-limited noise, and motifs with colours of their own."""

@@ -1,4 +1,6 @@
-"""Textures with their own colours and an up: paintings, book spines, a window's view, leaves, a screen, an oven.
+"""Draw textures with their own colours and an up direction.
+
+Paintings, books, a window's view, leaves, a screen, an oven.
 
 Unlike surfaces they do not repeat seamlessly; use them with ``Material.scale`` = the size of the box's face.
 """
@@ -11,7 +13,7 @@ from vssm_gym.envs.textures.noise import SIZE, grid, lerp, noise, smooth_step
 
 
 def _framed(image: np.ndarray, frame: tuple[float, float, float]) -> np.ndarray:
-    """The image inside a wooden frame and a pale mount."""
+    """Put the image inside a wooden frame and a pale mount."""
     v, u = grid()
     border = np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v))[..., None]
     image = np.where(border < 0.09, [0.93, 0.91, 0.86], image)
@@ -32,7 +34,7 @@ def _mountains(rng: np.random.Generator) -> np.ndarray:
 
 
 def _blocks(rng: np.random.Generator) -> np.ndarray:
-    """Black bars around rectangles of primary colours."""
+    """Draw black bars around rectangles of primary colours."""
     v, u = grid()
     cuts_u, cuts_v = np.sort(rng.uniform(0.12, 0.9, (2, 4)), axis=1)
     column, row = np.searchsorted(cuts_u, u), np.searchsorted(cuts_v, v)
@@ -45,7 +47,7 @@ def _blocks(rng: np.random.Generator) -> np.ndarray:
 
 
 def _circles(rng: np.random.Generator) -> np.ndarray:
-    """A dozen concentric circles of random colours on a dark ground."""
+    """Draw a dozen concentric circles of random colours on a dark ground."""
     v, u = grid()
     image = np.broadcast_to([0.14, 0.17, 0.28], (SIZE, SIZE, 3))
     for _ in range(13):
@@ -56,7 +58,7 @@ def _circles(rng: np.random.Generator) -> np.ndarray:
 
 
 def _harbour(rng: np.random.Generator) -> np.ndarray:
-    """Sails over water that mirrors the sky."""
+    """Draw sails over water that mirrors the sky."""
     v, u = grid()
     image = lerp(np.array([0.55, 0.72, 0.90]), np.array([0.90, 0.88, 0.80]), v[..., None])
     ripple = 0.5 + 0.5 * np.sin(70 * v + 3 * noise(rng, slope=1.2, high=12))
@@ -90,7 +92,7 @@ def _flowers(rng: np.random.Generator) -> np.ndarray:
 
 
 def _map(rng: np.random.Generator) -> np.ndarray:
-    """An old chart: continents in a sea with a graticule."""
+    """Draw an old chart: continents in a sea with a graticule."""
     v, u = grid()
     height = noise(rng, slope=1.8, high=20)
     land = lerp(np.array([0.55, 0.66, 0.38]), np.array([0.80, 0.62, 0.38]), smooth_step(height, 0.3, 1.8)[..., None])
@@ -101,7 +103,7 @@ def _map(rng: np.random.Generator) -> np.ndarray:
 
 
 def _books(rng: np.random.Generator) -> np.ndarray:
-    """Two shelves of book spines of uneven width, height and colour."""
+    """Draw two shelves of book spines of uneven width, height and colour."""
     image = np.full((SIZE, SIZE, 3), 0.12)
     for bottom in (SIZE // 2, SIZE):
         x = 0
@@ -118,7 +120,7 @@ def _books(rng: np.random.Generator) -> np.ndarray:
 
 
 def _window(rng: np.random.Generator) -> np.ndarray:
-    """Four panes with a view of sky, roofs and trees between white bars."""
+    """Draw four panes with a view of sky, roofs and trees between white bars."""
     v, u = grid()
     image = lerp(np.array([0.50, 0.70, 0.95]), np.array([0.88, 0.93, 0.98]), np.clip(v * 1.6, 0, 1)[..., None])
     clouds = smooth_step(noise(rng, slope=1.8, high=10, stretch=(2, 1)), 0.3, 1.4)
@@ -133,7 +135,7 @@ def _window(rng: np.random.Generator) -> np.ndarray:
 
 
 def _leaves(rng: np.random.Generator) -> np.ndarray:
-    """Overlapping green leaves with pale midribs; repeats seamlessly."""
+    """Draw overlapping green leaves with pale midribs; they repeat seamlessly."""
     v, u = grid()
     image = np.broadcast_to([0.06, 0.14, 0.05], (SIZE, SIZE, 3))
     for _ in range(90):
@@ -148,7 +150,7 @@ def _leaves(rng: np.random.Generator) -> np.ndarray:
 
 
 def _screen(rng: np.random.Generator) -> np.ndarray:
-    """A display in a black bezel: a window, lines of text and a picture."""
+    """Draw a display in a black bezel: a window, lines of text and a picture."""
     v, u = grid()
     glow = lerp(np.array([0.10, 0.20, 0.42]), np.array([0.45, 0.25, 0.55]), u[..., None])
     image = glow * (1 + 0.15 * noise(rng, slope=1.5, high=8))[..., None]
@@ -166,7 +168,7 @@ def _screen(rng: np.random.Generator) -> np.ndarray:
 
 
 def _oven(rng: np.random.Generator) -> np.ndarray:
-    """Knobs above a dark glass door with a bar handle."""
+    """Draw knobs above a dark glass door with a bar handle."""
     v, u = grid()
     image = np.repeat((0.80 + 0.03 * noise(rng, slope=0.8, stretch=(1, 10)))[..., None], 3, axis=2)
     for x in np.linspace(0.15, 0.85, 5):

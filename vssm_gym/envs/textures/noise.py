@@ -1,4 +1,7 @@
-"""Seamless building blocks of the procedural textures: band-limited noise, cells with joints, colour helpers."""
+"""Provide seamless building blocks of the procedural textures.
+
+Band-limited noise, cells with joints, colour helpers.
+"""
 
 import numpy as np
 
@@ -7,7 +10,7 @@ SIZE = 128
 
 
 def grid() -> tuple[np.ndarray, np.ndarray]:
-    """(v, u) of the pixel centres, each (SIZE, SIZE) in (0, 1); v runs down, u to the right."""
+    """Return (v, u) of the pixel centres, each (SIZE, SIZE) in (0, 1); v runs down, u to the right."""
     at = (np.arange(SIZE) + 0.5) / SIZE
     v, u = np.meshgrid(at, at, indexing="ij")
     return v, u
@@ -20,7 +23,7 @@ def noise(
     high: float = 40.0,
     stretch: tuple[float, float] = (1.0, 1.0),
 ) -> np.ndarray:
-    """Periodic Gaussian noise (SIZE, SIZE), mean 0 and std 1, amplitude f^-slope for f in [low, high] cycles a tile.
+    """Draw periodic Gaussian noise (SIZE, SIZE), mean 0, std 1, amplitude f^-slope for f in [low, high] cycles a tile.
 
     ``stretch`` multiplies the frequencies along (v, u): (1, 8) draws features eight times longer along u.
     """
@@ -32,9 +35,9 @@ def noise(
 
 
 def cells(rows: int, columns: int, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Courses of bricks: (index of the cell at each pixel, distance to the nearest joint in tiles).
+    """Lay courses of bricks: return the cell index at each pixel, and the distance to the nearest joint in tiles.
 
-    Row r is pushed by ``shift[r]`` cells to the left.
+    Row r is shifted by ``shift[r]`` cells to the left.
     """
     v, u = grid()
     row = np.floor(v * rows).astype(int)
@@ -46,16 +49,16 @@ def cells(rows: int, columns: int, shift: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def lerp(a: np.ndarray | float, b: np.ndarray | float, t: np.ndarray) -> np.ndarray:
-    """(1 - t) a + t b."""
+    """Return (1 - t) a + t b."""
     return a + (b - a) * t
 
 
 def smooth_step(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below low, 1 above high, a cubic between."""
+    """Return 0 below low, 1 above high, and a cubic between."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3 - 2 * t)
 
 
 def rgb(value: np.ndarray, warmth: np.ndarray | float = 0.0) -> np.ndarray:
-    """Grey ``value`` as RGB in [0, 1]; ``warmth`` adds to red and takes from blue."""
+    """Return grey ``value`` as RGB in [0, 1]; ``warmth`` adds to red and subtracts from blue."""
     return np.clip(np.stack([value + warmth, value, value - warmth], axis=-1), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Procedural textures: `TEXTURES` maps a name to a function of a random generator, `texture_atlas` renders them.
+"""Define procedural textures: `TEXTURES` maps a name to a function of a random generator, `texture_atlas` renders them.
 
 A texture is a float array (SIZE, SIZE, 3) in [0, 1], row 0 at the top, that repeats seamlessly (pictures excepted).
 Surfaces are near white at their brightest, so that `Material.color` tints them; pictures carry their own colours.
@@ -24,13 +24,13 @@ def _plain(rng: np.random.Generator) -> np.ndarray:
 
 
 def _plaster(rng: np.random.Generator) -> np.ndarray:
-    """Rolled paint: soft cloudy mottling with a faint grain."""
+    """Draw rolled paint: soft cloudy mottling with a faint grain."""
     value = 0.90 + 0.035 * noise(rng, slope=1.3, low=1, high=12) + 0.012 * noise(rng, slope=0.5, low=12, high=48)
     return rgb(value, warmth=0.02 * noise(rng, slope=1.5, high=6))
 
 
 def _stucco(rng: np.random.Generator) -> np.ndarray:
-    """Rough trowelled plaster: ridges at a tenth of a tile."""
+    """Draw rough trowelled plaster: ridges at a tenth of a tile."""
     ridges = np.abs(noise(rng, slope=1.0, low=3, high=30))
     return rgb(0.93 - 0.11 * ridges + 0.03 * noise(rng, slope=1.0, high=8))
 
@@ -42,7 +42,7 @@ def _concrete(rng: np.random.Generator) -> np.ndarray:
 
 
 def _marble(rng: np.random.Generator) -> np.ndarray:
-    """Bright stone crossed by thin dark veins: the zero lines of two smooth fields."""
+    """Draw bright stone crossed by thin dark veins: the zero lines of two smooth fields."""
     veins = np.exp(-np.abs(noise(rng, slope=1.7, high=24)) * 9) + 0.6 * np.exp(-np.abs(noise(rng, slope=1.7)) * 14)
     return rgb(0.93 - 0.42 * veins + 0.03 * noise(rng, slope=1.3, high=10), warmth=0.04 * veins)
 
@@ -54,7 +54,7 @@ def _granite(rng: np.random.Generator) -> np.ndarray:
 
 
 def _grain(rng: np.random.Generator, across: float = 9.0) -> np.ndarray:
-    """Wood grain along x, zero mean: streaks, and rings that bend around slow knots."""
+    """Draw wood grain along x, zero mean: streaks, and rings that bend around slow knots."""
     streaks = noise(rng, slope=0.9, low=1, high=50, stretch=(1.0, across))
     rings = np.sin(2 * np.pi * 2.2 * noise(rng, slope=1.9, high=16, stretch=(1.0, 5.0)))
     return 0.75 * streaks + 0.45 * rings
@@ -86,7 +86,7 @@ def _laminate(rng: np.random.Generator) -> np.ndarray:
 
 
 def _parquet(rng: np.random.Generator) -> np.ndarray:
-    """Basket weave: squares of four strips that alternate in direction."""
+    """Draw a basket weave: squares of four strips that alternate in direction."""
     squares, strips = 6, 4
     v, u = grid()
     flip = (np.floor(u * squares) + np.floor(v * squares)) % 2 > 0
@@ -128,7 +128,7 @@ def _brick(rng: np.random.Generator) -> np.ndarray:
 
 
 def _checker(rng: np.random.Generator) -> np.ndarray:
-    """Dark and light tiles in turn, no two of the same shade."""
+    """Draw dark and light tiles in turn, no two of the same shade."""
     tile, edge = cells(6, 6, np.zeros(6))
     dark = (tile // 6 + tile % 6) % 2 > 0
     shade = np.where(dark, rng.uniform(0.15, 0.50, 36)[tile], rng.uniform(0.65, 1.0, 36)[tile])
@@ -146,13 +146,13 @@ def _hexagons(rng: np.random.Generator) -> np.ndarray:
 
 
 def _carpet(rng: np.random.Generator) -> np.ndarray:
-    """Pile: speckles of a twentieth of a tile on slow trodden patches."""
+    """Draw pile: speckles of a twentieth of a tile on slow trodden patches."""
     pile = 0.09 * noise(rng, slope=0.3, low=8, high=34) + 0.08 * noise(rng, slope=1.4, high=7)
     return rgb(0.78 + pile, warmth=0.03 * noise(rng, slope=1.0, high=12))
 
 
 def _rug(rng: np.random.Generator) -> np.ndarray:
-    """An oriental rug: borders around a field of diamonds, with its own colours."""
+    """Draw an oriental rug: borders around a field of diamonds, with its own colours."""
     v, u = grid()
     border = np.minimum(np.minimum(u, 1 - u), np.minimum(v, 1 - v))
     diamonds = np.floor((np.abs(u - 0.5) + np.abs(v - 0.5)) * 11).astype(int)
@@ -168,7 +168,7 @@ def _rug(rng: np.random.Generator) -> np.ndarray:
 
 
 def _fabric(rng: np.random.Generator) -> np.ndarray:
-    """Upholstery: a coarse weave with slubs along both threads."""
+    """Draw upholstery: a coarse weave with slubs along both threads."""
     slubs = noise(rng, slope=0.5, low=3, high=40, stretch=(1, 6)) + noise(
         rng, slope=0.5, low=3, high=40, stretch=(6, 1)
     )
@@ -196,7 +196,7 @@ def _wicker(rng: np.random.Generator) -> np.ndarray:
 
 
 def _wallpaper(rng: np.random.Generator) -> np.ndarray:
-    """Blossoms on stems in a half-drop repeat; each blossom has its own size and shade."""
+    """Draw blossoms on stems in a half-drop repeat; each blossom has its own size and shade."""
     v, u = grid()
     value = 0.93 + 0.015 * noise(rng, slope=1.0, high=12)
     color = np.repeat(value[..., None], 3, axis=2)
@@ -216,7 +216,7 @@ def _wallpaper(rng: np.random.Generator) -> np.ndarray:
 
 
 def _stripes(rng: np.random.Generator) -> np.ndarray:
-    """Vertical wallpaper stripes of uneven width and shade."""
+    """Draw vertical wallpaper stripes of uneven width and shade."""
     widths = rng.uniform(0.5, 2.0, 14)
     stripe = np.searchsorted(np.cumsum(widths) / widths.sum(), (np.arange(SIZE) + 0.5) / SIZE)
     shade = np.where(np.arange(14) % 2 > 0, rng.uniform(0.62, 0.80, 14), rng.uniform(0.88, 1.0, 14))
@@ -224,7 +224,7 @@ def _stripes(rng: np.random.Generator) -> np.ndarray:
 
 
 def _wainscot(rng: np.random.Generator) -> np.ndarray:
-    """Panelled lower third, a dado rail, mottled paint above; meant for ``scale`` = the wall's height."""
+    """Draw a panelled lower third, a dado rail and mottled paint above; meant for ``scale`` = the wall's height."""
     v, u = grid()
     up = 1 - v
     panel = np.minimum(np.abs((u * 5) % 1 - 0.5) * 2, np.abs(up / 0.36 - 0.5) * 2)
@@ -240,7 +240,7 @@ def _metal(rng: np.random.Generator) -> np.ndarray:
 
 
 def _cabinet(rng: np.random.Generator) -> np.ndarray:
-    """Two panelled cabinet doors side by side with handles towards the middle."""
+    """Draw two panelled cabinet doors side by side with handles towards the middle."""
     v, u = grid()
     frame = np.maximum(np.abs((u * 2) % 1 - 0.5) * 2, np.abs(v - 0.5) * 2)
     value = 0.88 + 0.05 * _grain(rng).T - 0.30 * (frame > 0.965) - 0.16 * ((frame > 0.70) & (frame < 0.75))
@@ -249,7 +249,7 @@ def _cabinet(rng: np.random.Generator) -> np.ndarray:
 
 
 def _drawers(rng: np.random.Generator) -> np.ndarray:
-    """Four drawers, each with a long handle."""
+    """Draw four drawers, each with a long handle."""
     v, u = grid()
     row = v * 4 % 1
     value = 0.86 + 0.06 * _grain(rng) + rng.uniform(-0.06, 0.06, 4)[(v * 4).astype(int)]
@@ -298,5 +298,5 @@ def _render(name: str) -> np.ndarray:
 
 
 def texture_atlas(names: Sequence[str]) -> np.ndarray:
-    """The named textures as uint8 (n, SIZE, SIZE, 3), row 0 at the top; the same bytes for a name every time."""
+    """Render the named textures as uint8 (n, SIZE, SIZE, 3), row 0 at the top; a name always gives the same bytes."""
     return np.stack([_render(name) for name in names])

@@ -1,4 +1,4 @@
-"""Apartments from code: the seeded generator, the catalogue of furniture and the plans of the built-in scenes."""
+"""Generate apartments from code: by seed, from a catalogue of furniture, and from the plans of the built-in scenes."""
 
 from vssm_gym.envs.scenes.generator.procedural import PREFIX, SIZES, Size, generate, parse_spec
 

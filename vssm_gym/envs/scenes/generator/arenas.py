@@ -1,9 +1,9 @@
-"""Four more arenas for cars, 5 x 4 m each, drawn by hand: what a car meets where people work.
+"""Build four arenas for cars, 5 x 4 m each, drawn by hand after places where people work.
 
 depot: rows of racks with aisles between them. garage: bays at right angles to a wall, gaps for parallel parking and
 pillars. dock: dead ends, which a car backs out of. paddock: slanted barriers, and gates of two posts.
 No gap is between 0.12 and 0.38 m wide, so that no centimetre decides whether a car fits that is 0.19 m wide; bays are
-0.42 m wide. It turns on 0.45 m.
+0.42 m wide. The car's turning radius is 0.45 m.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Material
 from vssm_gym.envs.scenes.generator.venues import one_room, pictures
 
 Color = tuple[float, float, float]
-Rectangle = tuple[float, float, float, float]  # x, y, width along x, depth along y; m, about its middle
+Rectangle = tuple[float, float, float, float]  # x, y, width along x, breadth along y; m, about its middle
 
 CORNERS = ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2))
 ENTRANCE = (2.6, 0.0)
@@ -27,7 +27,7 @@ RED, AMBER, GREEN, BLUE, CREAM = (
 
 
 def depot() -> Apartment:
-    """Three rows of two racks, the middle row shifted; pallets narrow the aisles."""
+    """Build three rows of two racks, the middle row shifted; pallets narrow the aisles."""
     looks = [_look("cabinet", BLUE, 0.7), _look("drawers", AMBER, 0.6), _look("planks", CREAM, 0.7)]
     racks = [(1.6, 1.0, 1.4, 0.3), (3.6, 1.0, 1.4, 0.3), (1.25, 2.1, 1.3, 0.3), (3.1, 2.1, 1.3, 0.3)]
     racks += [(1.6, 3.2, 1.4, 0.3), (3.6, 3.2, 1.4, 0.3)]
@@ -47,7 +47,7 @@ def depot() -> Apartment:
 
 
 def garage() -> Apartment:
-    """Bays along the north wall, cars parked along the south wall with gaps between them, three pillars."""
+    """Build bays along the north wall, cars parked along the south wall with gaps between them, three pillars."""
     kerb = _look("stripes", AMBER, 0.3)
     paints = [_look("metal", color, 0.4) for color in (RED, BLUE, GREEN, CREAM)]
     # Seven kerbs make six bays, 0.42 m wide and 0.6 m deep; cars stand in two of them.
@@ -76,7 +76,7 @@ def garage() -> Apartment:
 
 
 def dock() -> Apartment:
-    """Three alleys to the west and two to the east, dead ends all; crates in the yard between them."""
+    """Build three alleys to the west and two to the east, dead ends all, with crates in the yard between them."""
     plank, metal = _look("planks", GREEN, 0.5), _look("metal", BLUE, 0.6)
     # Walls of alleys begin at the room's own: 0.58 m apart in the west, 0.46 m in the east.
     west = [(0.65, y, 1.1, 0.1) for y in (0.78, 1.46, 2.14, 2.82)]
@@ -100,7 +100,7 @@ def dock() -> Apartment:
 
 
 def paddock() -> Apartment:
-    """Slanted barriers that make a chicane of the arena, gates of two posts 0.42 m apart, stacks of tyres."""
+    """Build slanted barriers that make a chicane, gates of two posts 0.42 m apart, stacks of tyres."""
     stripes, tyre = (
         [_look("stripes", color, 0.5) for color in (RED, AMBER, GREEN, BLUE)],
         _look("leather", (0.3, 0.3, 0.32), 0.3),
@@ -134,9 +134,9 @@ def _arena(name: str, floor: Material, walls: Sequence[Material], pieces: Sequen
 
 
 def _piece(category: str, rectangle: Rectangle, height: float, look: Material, yaw: float = 0.0) -> Furniture:
-    x, y, width, depth = rectangle
+    x, y, width, breadth = rectangle
     center = (round(x, 3), round(y, 3), round(0.5 * height, 4))
-    box = Box(center=center, size=(width, depth, height), yaw=round(yaw, 3), material=look)
+    box = Box(center=center, size=(width, breadth, height), yaw=round(yaw, 3), material=look)
     return Furniture(name=category, category=category, boxes=(box,))
 
 

@@ -1,4 +1,4 @@
-"""Ways to place a piece in a room, as people do: at the middle of a wall, in a corner, beside a bed, around a table."""
+"""Place a piece in a room as people do: at the middle of a wall, in a corner, beside a bed, around a table."""
 
 import itertools
 import math
@@ -12,38 +12,38 @@ from vssm_gym.envs.scenes.generator.placement import Score, Site
 
 
 class Fitting:
-    """A room's site, its stream of chance and its style, with the ways to place a piece."""
+    """Furnish a room: hold its site, its random stream and its style, and place pieces by rules."""
 
     def __init__(self, site: Site, rng: np.random.Generator) -> None:
         self.site, self.rng, self.style = site, rng, Style.draw(rng)
         self._paintings: list[str] = []
 
     def chance(self, p: float) -> bool:
-        """True with probability p."""
+        """Return True with probability p."""
         return bool(self.rng.uniform() < p)
 
     # ---- ways to place: each returns (x, y, turn) or None
 
     def middle(self, piece: Piece) -> np.ndarray | None:
-        """At the middle of a wall, long walls first, away from the doors."""
+        """Place the piece at the middle of a wall, long walls first, away from the doors."""
         return self._along(piece, lambda o, t: 0.6 * self._centred(o, t) + 0.25 * self._from_doors(o))
 
     def corner(self, piece: Piece) -> np.ndarray | None:
-        """At the end of a wall, or beside what stands there."""
+        """Place the piece at the end of a wall, or beside what stands there."""
         return self._along(piece, lambda o, t: -self._to_side(piece, o, t) + 0.05 * self._from_doors(o))
 
     def far_corner(self, piece: Piece) -> np.ndarray | None:
-        """As `corner`, but away from the doors above all."""
+        """Place the piece as `corner`, but away from the doors above all."""
         return self._along(piece, lambda o, t: -self._to_side(piece, o, t) + 0.5 * self._from_doors(o))
 
     def beside(self, piece: Piece, at: np.ndarray | None) -> np.ndarray | None:
-        """Along a wall, near a place."""
+        """Place the piece along a wall, near a place."""
         if at is None:
             return self.corner(piece)
         return self._along(piece, lambda o, t: -np.linalg.norm(o - at[:2], axis=1))
 
     def facing(self, piece: Piece, at: np.ndarray | None) -> np.ndarray | None:
-        """At a wall opposite to a placed piece, in its middle line."""
+        """Place the piece at a wall opposite to a placed piece, in its middle line."""
         if at is None:
             return self.middle(piece)
         ahead = np.array([-math.sin(at[2] * math.pi / 2), math.cos(at[2] * math.pi / 2)]).round()
@@ -57,17 +57,17 @@ class Fitting:
         return self._along(piece, score)
 
     def centre(self, piece: Piece) -> np.ndarray | None:
-        """Free in the room, where most floor is around it."""
+        """Place the piece free in the room, where most floor is around it."""
         places = self.site.all_over()
         return self.site.place(piece, places, self._jittered(lambda o, t: self._clearance(o)))
 
     def hang(self, piece: Piece) -> np.ndarray | None:
-        """At any wall that is not bare."""
+        """Hang the piece at any wall that is not bare."""
         edges = [i for i, edge in enumerate(self.site.edges) if edge.side not in self.site.bare]
         return self._along(piece, lambda o, t: 0.5 * self._centred(o, t), edges, spread=3.0)
 
     def lay(self, piece: Piece) -> np.ndarray | None:
-        """A rug on the free floor."""
+        """Lay a rug on the free floor."""
         return self.site.place(piece, self.site.all_over(), self._jittered(lambda o, t: self._clearance(o)))
 
     def _along(
@@ -77,12 +77,12 @@ class Fitting:
         return self.site.place(piece, places, self._jittered(score, spread))
 
     def _jittered(self, score: Score, spread: float = 0.2) -> Score:
-        """A little chance, the same for one wall as a whole, so that not every room looks alike."""
+        """Add a little noise to a score, the same for one wall as a whole, so that rooms differ."""
         bonus = self.rng.uniform(0.0, spread, 4)
         return lambda o, t: score(o, t) + bonus[t]
 
     def _centred(self, o: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """How near the middle of its wall, plus the wall's length, m."""
+        """Return how near the middle of its wall a place is, plus the wall's length, m."""
         best = np.full(len(o), -math.inf)
         for edge in self.site.edges:
             off = o - edge.start
@@ -98,7 +98,7 @@ class Fitting:
         return np.min([np.linalg.norm(o - entry, axis=1) for entry in self.site.entries], axis=0)
 
     def _to_side(self, piece: Piece, o: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Metres from the piece's nearer end to the next thing along the wall."""
+        """Return the distance from the piece's nearer end to the next thing along the wall, m."""
         x0, _, x1, _ = piece.bounds
         result = np.full(len(o), 9.0)
         rows = self.site.obstacles
@@ -117,7 +117,7 @@ class Fitting:
         return result
 
     def _clearance(self, o: np.ndarray) -> np.ndarray:
-        """Distance to the nearest obstacle, m, at most 1.5."""
+        """Return the distance to the nearest obstacle, m, at most 1.5."""
         r = self.site.obstacles
         dx = np.maximum(0.0, np.maximum(r[:, 0] - o[:, :1], o[:, :1] - r[:, 2]))
         dy = np.maximum(0.0, np.maximum(r[:, 1] - o[:, 1:], o[:, 1:] - r[:, 3]))
@@ -135,14 +135,14 @@ class Fitting:
     # ---- things that any room may have
 
     def pictures(self, most: int) -> None:
-        """Up to ``most`` pictures on walls that are not bare, all different until they run out."""
+        """Hang up to ``most`` pictures on walls that are not bare, all different until they run out."""
         for _ in range(most):
             if not self._paintings:
                 self._paintings = [str(name) for name in self.rng.permutation(decor.PAINTINGS)]
             self.hang(decor.picture(self._paintings.pop(), cm(self.rng, 0.5, 0.9)))
 
     def extras(self) -> None:
-        """A plant, a lamp, pictures and a pendant lamp."""
+        """Place a plant, a lamp, pictures and a pendant lamp."""
         if self.chance(0.7):
             self.corner(decor.plant(self.rng, self.style))
         if self.chance(0.5):
@@ -151,12 +151,12 @@ class Fitting:
         self.light()
 
     def light(self) -> None:
-        """A lamp from the ceiling at the middle of the room's bounds, or near it."""
+        """Hang a lamp from the ceiling at the middle of the room's bounds, or near it."""
         middle = 0.5 * (self.site.low + self.site.high)
         lamp = decor.pendant(self.rng, self.style, self.site.ceiling)
         self.site.place(lamp, self.site.all_over(), lambda o, t: -np.linalg.norm(o - middle, axis=1))
 
     @property
     def area(self) -> float:
-        """Of the room's bounds, m^2."""
+        """Return the area of the room's bounds, m^2."""
         return float(np.prod(self.site.high - self.site.low))

@@ -1,4 +1,4 @@
-"""A floor plan in a few words, and the bare apartment it stands for: `build` finds the walls between the rooms.
+"""Describe a floor plan in a few words and build the bare apartment: `build` finds the walls between the rooms.
 
 Rooms are rectilinear polygons along the walls' centre lines; doors and windows are points on walls. World frame,
 metres. Whoever draws a plan, by hand (`plans`) or by seed (`layout`), never lists a wall.
@@ -20,7 +20,10 @@ _ON = 1e-6  # m within which a point lies on a line
 
 @dataclass(frozen=True)
 class RoomPlan:
-    """A room: ``polygon`` counter-clockwise, axis-parallel; ``walls[i]`` is the look of edge i -> i + 1 from inside."""
+    """Describe a room: ``polygon`` counter-clockwise, axis-parallel.
+
+    ``walls[i]`` is the look of edge i -> i + 1 from inside.
+    """
 
     name: str
     kind: str
@@ -30,13 +33,13 @@ class RoomPlan:
 
     @property
     def edges(self) -> list[tuple[XY, XY]]:
-        """Start and end of every edge; the room lies to its left."""
+        """Return start and end of every edge; the room lies to its left."""
         return list(zip(self.polygon, (*self.polygon[1:], self.polygon[0]), strict=True))
 
 
 @dataclass(frozen=True)
 class DoorPlan:
-    """A door centred at ``at`` on a wall, between ``rooms`` (the second None: outside, closed).
+    """Describe a door centred at ``at`` on a wall, between ``rooms`` (the second None: outside, closed).
 
     It swings into the room named ``into``, hinged at the end nearer to the wall's end; without one it is a doorway.
     """
@@ -49,7 +52,7 @@ class DoorPlan:
 
 @dataclass(frozen=True)
 class WindowPlan:
-    """A window centred at ``at`` on an outer wall."""
+    """Describe a window centred at ``at`` on an outer wall."""
 
     at: XY
     width: float
@@ -59,7 +62,7 @@ class WindowPlan:
 
 @dataclass(frozen=True)
 class BuildingPlan:
-    """A whole floor plan; thicknesses are those of the walls between rooms and towards the outside."""
+    """Describe a whole floor plan; thicknesses are those of the walls between rooms and towards the outside."""
 
     name: str
     rooms: tuple[RoomPlan, ...]
@@ -74,7 +77,7 @@ class BuildingPlan:
 
 
 def build(plan: BuildingPlan) -> Apartment:
-    """The unfurnished apartment of a plan.
+    """Return the unfurnished apartment of a plan.
 
     A wall runs along every edge of a room, one for each stretch with the same two rooms on its sides.
 
@@ -107,7 +110,7 @@ Side = tuple[RoomPlan, int]  # a room and which of its edges
 
 
 def _stretches(rooms: tuple[RoomPlan, ...]) -> list[tuple[tuple[XY, XY], Side, Side | None]]:
-    """Every stretch of wall, the side to its left and the side to its right (None: outside), in the rooms' order."""
+    """Return every stretch of wall, the side to its left and to its right (None: outside), in the rooms' order."""
     found = []
     for i, room in enumerate(rooms):
         for edge, (a, b) in enumerate(room.edges):
@@ -157,7 +160,7 @@ def _on_wall(
     sides: list[tuple[str, str | None]],
     rooms: set[str | None],
 ) -> tuple[int, float]:
-    """The wall under a hole and the hole's offset from the wall's start."""
+    """Return the index of the wall under a hole, and the hole's offset from the wall's start."""
     for i, wall in enumerate(walls):
         c, s = math.cos(wall.yaw), math.sin(wall.yaw)
         dx, dy = at[0] - wall.start[0], at[1] - wall.start[1]

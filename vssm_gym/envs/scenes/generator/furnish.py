@@ -1,4 +1,4 @@
-"""What stands in a room of each kind, and where people put it: beds at the middle of walls, wardrobes in corners.
+"""Furnish rooms of each kind as people do: beds at the middle of walls, wardrobes in corners.
 
 `furnish` goes through a list of wishes; a wish that finds no place by the rules of `placement` is left out.
 """
@@ -18,7 +18,7 @@ Bare = dict[str, frozenset[int]]
 
 
 def furnish(apartment: Apartment, seeds: dict[str, int], bare: Bare) -> Apartment:
-    """The apartment with furniture; ``seeds`` gives each room by name the seed of its own stream."""
+    """Return the apartment with furniture; ``seeds`` maps each room's name to the seed of its own stream."""
     furniture: list[Furniture] = []
     boxes = apartment.boxes()
     for room in apartment.rooms:
@@ -65,7 +65,7 @@ def _kitchen(room: Fitting) -> None:
 
 
 def _kitchen_run(room: Fitting, most: int) -> None:
-    """The longest run of modules that fits, with what hangs above it where no window is in the way."""
+    """Place the longest run of modules that fits, with what hangs above it where no window is in the way."""
     first = bool(room.rng.integers(2))
     for modules, hung, other in itertools.product(range(most, 2, -1), (True, False), (False, True)):
         if room.corner(kitchen.kitchen_run(room.rng, room.style, modules, hung, first ^ other)) is not None:

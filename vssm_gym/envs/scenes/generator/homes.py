@@ -1,6 +1,6 @@
-"""What a home drawn by hand is: rooms with seeds, doors and windows; made into an apartment and furnished.
+"""Define homes drawn by hand: rooms with seeds, doors and windows; built into an apartment and furnished.
 
-A room's number is the seed of its looks and furniture, chosen by eye. Change one and the scene, its hash and its
+A room's number is the seed of its looks and furniture, chosen by hand. Change one and the scene, its hash and its
 frozen tasks change: write them anew with `built_in.write_built_in`.
 """
 
@@ -16,13 +16,13 @@ from vssm_gym.envs.scenes.generator.furnish import furnish
 
 
 def rect(x0: float, y0: float, x1: float, y1: float) -> tuple[XY, ...]:
-    """A rectangle, counter-clockwise."""
+    """Return a rectangle, counter-clockwise."""
     return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
 
 
 @dataclass(frozen=True)
 class RoomSketch:
-    """A room of a hand-drawn plan: its kind is its name without a number."""
+    """Describe a room of a hand-drawn plan: its kind is its name without a number."""
 
     name: str
     seed: int
@@ -30,13 +30,13 @@ class RoomSketch:
 
     @property
     def kind(self) -> str:
-        """ "bedroom" for "bedroom 2"."""
+        """Return the kind, "bedroom" for "bedroom 2"."""
         return self.name.rstrip(" 0123456789")
 
 
 @dataclass(frozen=True)
 class Home:
-    """A hand-drawn plan; doors and windows as in `floorplan`."""
+    """Describe a hand-drawn plan; doors and windows as in `floorplan`."""
 
     name: str
     seed: int  # of the facade and the doors
@@ -46,7 +46,7 @@ class Home:
     height: float = 2.6
 
     def apartment(self) -> Apartment:
-        """Walls, looks and furniture."""
+        """Build walls, looks and furniture."""
         rng = np.random.default_rng(self.seed)
         rooms, bare = [], {}
         for room in self.rooms:

@@ -1,6 +1,6 @@
-"""Floor plans by seed: rooms in two strips along a corridor, around a living room, or a few rooms in a block.
+"""Draw floor plans by seed: rooms in two strips along a corridor, around a living room, or a few rooms in a block.
 
-All lengths are whole decimetres; a plan is drawn with the corridor along x and then mirrored and turned by chance.
+All lengths are whole decimetres; a plan is drawn with the corridor along x and then mirrored and turned at random.
 `layout` raises `NoPlan` where the doors of a draw do not fit; the caller draws again.
 """
 
@@ -43,7 +43,7 @@ _STRIPS = {
 
 
 def layout(name: str, rng: np.random.Generator, size: str) -> tuple[BuildingPlan, dict[str, frozenset[int]]]:
-    """A plan of 1 to 3 (small), 4 to 6 (medium) or 7 to 9 rooms (large), and which edges of its rooms are bare.
+    """Draw a plan of 1 to 3 (small), 4 to 6 (medium) or 7 to 9 rooms (large), and which edges of its rooms are bare.
 
     Raises:
         NoPlan: this draw has rooms that no door can join; draw again.
@@ -79,9 +79,9 @@ def _cuts(widths: list[float]) -> list[float]:
 
 
 def _along_corridor(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]:
-    """Two strips of rooms on both sides of a corridor; in the smallest the living room swallows the corridor.
+    """Draw two strips of rooms on both sides of a corridor; in the smallest the living room swallows the corridor.
 
-    The shorter strip ends early where the difference is worth it, which makes the whole plan an L.
+    The shorter strip ends early where the difference is large enough, which makes the whole plan an L.
     """
     merged = count == 4 or (count < 7 and rng.uniform() < 0.3)  # the living room and the corridor are one room
     strips: list[tuple[list[str], list[float]]] = []
@@ -124,7 +124,7 @@ def _along_corridor(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]
 
 
 def _widen(kinds: list[str], widths: list[float], more: float) -> None:
-    """Share out ``more`` m among the rooms that profit from it."""
+    """Distribute ``more`` m among the rooms that profit from it."""
     roomy = [i for i, kind in enumerate(kinds) if kind not in ("bathroom", "storage")]
     per = math.floor(more / len(roomy) * 10.0 + 1e-6) / 10.0
     for i in roomy:
@@ -133,12 +133,12 @@ def _widen(kinds: list[str], widths: list[float], more: float) -> None:
 
 
 def _around_living(rng: np.random.Generator, count: int) -> tuple[Rooms, Links]:
-    """A living room from front to back with a column of rooms on either side; no corridor."""
+    """Draw a living room from front to back with a column of rooms on either side; no corridor."""
     left = ["kitchen", "bathroom"] + (["study"] if count == 7 else [])
     right = ["bedroom", "kids room"] + (["storage"] if count > 5 else [])
     columns = [[str(kind) for kind in rng.permutation(kinds)] for kinds in (left, right)]
-    depths = {"kitchen": (3.0, 3.6), "bathroom": (2.2, 2.6), "storage": (1.8, 2.0), "study": (2.8, 3.2)}
-    heights = [[cm(rng, *depths.get(kind, (3.3, 4.0)), 0.1) for kind in kinds] for kinds in columns]
+    breadths = {"kitchen": (3.0, 3.6), "bathroom": (2.2, 2.6), "storage": (1.8, 2.0), "study": (2.8, 3.2)}
+    heights = [[cm(rng, *breadths.get(kind, (3.3, 4.0)), 0.1) for kind in kinds] for kinds in columns]
     total = round(max(sum(h) for h in heights), 1)
     for kinds, h in zip(columns, heights, strict=True):
         grow = next(i for i, kind in enumerate(kinds) if kind not in ("bathroom", "storage"))
@@ -161,7 +161,7 @@ def _studio(rng: np.random.Generator) -> tuple[Rooms, Links]:
 
 
 def _studio_with_bath(rng: np.random.Generator) -> tuple[Rooms, Links]:
-    """A studio around its bathroom."""
+    """Draw a studio around its bathroom."""
     w, d, a, b = cm(rng, 6.0, 7.2, 0.1), cm(rng, 4.6, 5.4, 0.1), cm(rng, 2.0, 2.4, 0.1), cm(rng, 2.2, 2.6, 0.1)
     studio = ((a, 0.0), (w, 0.0), (w, d), (0.0, d), (0.0, b), (a, b))
     rooms = [("studio", "studio", studio), ("bathroom", "bathroom", _rect(0.0, 0.0, a, b))]
@@ -169,7 +169,7 @@ def _studio_with_bath(rng: np.random.Generator) -> tuple[Rooms, Links]:
 
 
 def _two_rooms(rng: np.random.Generator) -> tuple[Rooms, Links]:
-    """A living kitchen, a bedroom beside it and a bathroom between them."""
+    """Draw a living kitchen, a bedroom beside it and a bathroom between them."""
     a, b, d = cm(rng, 4.6, 5.6, 0.1), cm(rng, 3.2, 3.8, 0.1), cm(rng, 3.3, 4.0, 0.1)
     e, x = cm(rng, 2.1, 2.5, 0.1), round(a + b, 1)
     top = round(d + e, 1)
@@ -186,13 +186,13 @@ _SMALL: tuple[Callable[[np.random.Generator], tuple[Rooms, Links]], ...] = (_stu
 
 
 def _turned(rng: np.random.Generator, rooms: Rooms) -> Rooms:
-    """Mirrored along x, along y and exchanged by chance; outlines counter-clockwise from the same origin."""
+    """Mirror the rooms along x and along y and exchange the axes at random; outlines stay counter-clockwise."""
     flip_x, flip_y, swap = (bool(rng.integers(2)) for _ in range(3))
     width = max(x for _, _, p in rooms for x, _ in p)
-    depth = max(y for _, _, p in rooms for _, y in p)
+    breadth = max(y for _, _, p in rooms for _, y in p)
     turned: Rooms = []
     for name, kind, polygon in rooms:
-        points = [(round(width - x, 1) if flip_x else x, round(depth - y, 1) if flip_y else y) for x, y in polygon]
+        points = [(round(width - x, 1) if flip_x else x, round(breadth - y, 1) if flip_y else y) for x, y in polygon]
         if swap:
             points = [(y, x) for x, y in points]
         if (flip_x + flip_y + swap) % 2:

@@ -1,4 +1,4 @@
-"""How floors and walls look by kind of room: textures that a tracker can hold on to, and some walls left bare."""
+"""Choose floors and walls by kind of room: textures that a tracker can track, with some walls left bare."""
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def _material(rng: np.random.Generator, choice: Choice) -> Material:
 def room_plan(
     rng: np.random.Generator, name: str, kind: str, polygon: tuple[XY, ...]
 ) -> tuple[RoomPlan, frozenset[int]]:
-    """The room with a floor, one paint, one wall of another look, and the edges that are bare.
+    """Return the room with a floor, one paint, one wall of another look, and the edges that are bare.
 
     About every third room has one wall of plain paint without pictures.
     """
@@ -77,17 +77,17 @@ def room_plan(
 
 
 def facade(rng: np.random.Generator) -> Material:
-    """The house from outside."""
+    """Draw the material of the house's outside."""
     return _material(rng, pick(rng, [("brick", (0.75, 0.45, 0.36), 1.2), ("stucco", (0.85, 0.80, 0.70), 1.5)]))
 
 
 def leaf(rng: np.random.Generator) -> Material:
-    """Doors between rooms."""
+    """Draw the material of the doors between rooms."""
     color = pick(rng, [(0.90, 0.88, 0.82), (0.78, 0.60, 0.42), (0.62, 0.46, 0.32)])
     return Material(color=tinted(rng, color, 0.03), texture="cabinet", scale=1.8)
 
 
 def entrance(rng: np.random.Generator) -> Material:
-    """The door to the outside."""
+    """Draw the material of the door to the outside."""
     color = pick(rng, [(0.45, 0.30, 0.22), (0.35, 0.42, 0.38), (0.50, 0.28, 0.25)])
     return Material(color=tinted(rng, color, 0.03), texture="cabinet", scale=1.8)

@@ -1,4 +1,4 @@
-"""Doors and windows of a plan by seed: doors near corners and clear of each other, windows where wall is left."""
+"""Place doors and windows by seed: doors near corners and clear of each other, windows where wall is left."""
 
 import itertools
 import math
@@ -16,13 +16,13 @@ _SIZES = {"bathroom": (0.6, 0.6, 1.5), "storage": (0.5, 0.5, 1.6), "kitchen": (1
 
 
 class NoPlan(Exception):
-    """A drawn plan has no place for one of its doors."""
+    """Signal that a drawn plan has no place for one of its doors."""
 
 
 def place_doors(
     rng: np.random.Generator, rooms: tuple[RoomPlan, ...], links: list[tuple[str, str | None, str]], thickness: float
 ) -> tuple[DoorPlan, ...]:
-    """A door for every link, none in the swing of another.
+    """Place a door for every link, none in the swing of another.
 
     Raises:
         NoPlan: one finds no place.
@@ -65,14 +65,17 @@ def place_doors(
 
 
 def _zone(at: XY, u: XY, width: float, swings: bool, thickness: float) -> shapely.Polygon:
-    """The floor that a door needs on both sides of the wall: its swing, or a step."""
+    """Return the floor that a door needs on both sides of the wall: its swing, or a step."""
     across = 0.5 * thickness + (width if swings else 0.5)
     dx, dy = abs(u[0]) * 0.5 * width + abs(u[1]) * across, abs(u[1]) * 0.5 * width + abs(u[0]) * across
     return shapely.box(at[0] - dx, at[1] - dy, at[0] + dx, at[1] + dy)
 
 
 def _shared(a: RoomPlan, b: RoomPlan | None, rooms: tuple[RoomPlan, ...]) -> list[tuple[XY, XY]]:
-    """Straight stretches of wall between two rooms, or between a room and the outside; ends in increasing order."""
+    """Return straight stretches of wall between two rooms, or between a room and the outside.
+
+    Ends in increasing order.
+    """
     outline = shapely.Polygon(a.polygon).exterior
     if b is not None:
         line = outline.intersection(shapely.Polygon(b.polygon).exterior)
@@ -96,7 +99,10 @@ def _shared(a: RoomPlan, b: RoomPlan | None, rooms: tuple[RoomPlan, ...]) -> lis
 def place_windows(
     rng: np.random.Generator, rooms: tuple[RoomPlan, ...], doors: tuple[DoorPlan, ...]
 ) -> tuple[WindowPlan, ...]:
-    """One window for every 3 m or so of outer wall, clear of the doors; halls, baths and stores have one at most."""
+    """Place one window for every 3 m or so of outer wall, clear of the doors.
+
+    Halls, baths and stores have one at most.
+    """
     windows = []
     for room in rooms:
         width, height, sill = _SIZES.get(room.kind, (0.0, 1.3, 0.9))

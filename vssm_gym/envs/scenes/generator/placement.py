@@ -1,4 +1,4 @@
-"""Where a piece may stand in a room: `Site` knows what is there already and the rules of docs/scenes.md.
+"""Find where a piece may stand in a room: `Site` holds what has been placed, and the rules of docs/scenes.md.
 
 A place is refused where a block would meet another one, a wall, a door's swing or a window; where a gap would be left
 that is neither closed (<= CLOSED) nor a passage (>= PASSAGE); or where the room's doors would no longer be joined by
@@ -27,15 +27,15 @@ WIDE = 0.21  # m, radius of the disc that reaches every door of a room
 GAP = 0.01  # m between a piece's back and the wall
 APPROACH = 0.6  # m before and behind a door that stay free
 _WINDOW = 0.15  # m before a window that stay free
-_CELL = 0.02  # m, grid on which ways are followed
+_CELL = 0.02  # m, grid on which passages are traced
 _POCKET = 0.15  # m^2 of floor that a piece may cut off
-_TRIES = 12  # places that would block the way before a piece is given up
+_TRIES = 12  # places that would block a passage, after which a piece is given up
 
 _TURNS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the piece's x axis after q quarter turns
 
 
 class Edge:
-    """A wall of one thickness as seen from a room: from ``start``, on its face, along ``u`` for ``length`` m.
+    """Hold a wall of one thickness as seen from a room: from ``start``, on its face, along ``u`` for ``length`` m.
 
     The room lies to its left; ``turn`` are the quarter turns of u, ``side`` is the edge of the room's outline.
     """
@@ -54,7 +54,7 @@ Score = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Site:
-    """One room of an unfurnished apartment while it is being furnished.
+    """Hold one room of an unfurnished apartment while it is being furnished.
 
     Args:
         apartment: walls, doors and windows.
@@ -93,7 +93,7 @@ class Site:
 
     @staticmethod
     def _edges(apartment: Apartment, side: int, a: np.ndarray, b: np.ndarray) -> list[Edge]:
-        """The walls along edge a -> b, joined where they are equally thick."""
+        """Return the walls along edge a -> b, joined where they are equally thick."""
         axis = int(abs(b[1] - a[1]) > abs(b[0] - a[0]))
         low, high = sorted((a[axis], b[axis]))
         runs: list[tuple[float, float, float]] = []  # from, to, thickness
@@ -114,7 +114,7 @@ class Site:
         return edges
 
     def _holes(self, apartment: Apartment) -> None:
-        """The floor that doors need in this room and the air before its windows."""
+        """Reserve the floor that doors need in this room and the air before its windows."""
         zones = []
         holes: list[Door | Window] = [*apartment.doors, *apartment.windows]
         for hole in holes:
@@ -122,13 +122,13 @@ class Site:
             c, s = math.cos(wall.yaw), math.sin(wall.yaw)
             u, n = np.array([c, s]).round(), np.array([-s, c]).round()
             middle = np.array(wall.start) + u * (hole.offset + 0.5 * hole.width)
-            depth = _WINDOW
+            reach = _WINDOW
             if isinstance(hole, Door):
-                depth = max(hole.width, APPROACH) if hole.leaves else APPROACH
+                reach = max(hole.width, APPROACH) if hole.leaves else APPROACH
             for inward in (n, -n):
                 if not self._inside((middle + 0.3 * inward)[None])[0]:
                     continue
-                far = middle + 0.5 * hole.width * u + (0.5 * wall.thickness + depth) * inward
+                far = middle + 0.5 * hole.width * u + (0.5 * wall.thickness + reach) * inward
                 ends = np.stack([middle - 0.5 * hole.width * u, far])
                 z0 = wall.base + hole.sill
                 zones.append((*ends.min(axis=0), z0, *ends.max(axis=0), z0 + hole.height))
@@ -139,7 +139,7 @@ class Site:
     # ---- places
 
     def along_walls(self, piece: Piece, edges: list[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Places with the piece's back to a wall, every 5 cm and flush with both ends."""
+        """Return places with the piece's back to a wall, every 5 cm and flush with both ends."""
         x0, _, x1, _ = piece.bounds
         origins, turns = [], []
         for i, edge in enumerate(self.edges):
@@ -157,7 +157,7 @@ class Site:
         return np.round(np.concatenate(origins), 4), np.concatenate(turns)
 
     def all_over(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places on a grid of 0.1 m, along x and along y."""
+        """Return places on a grid of 0.1 m, along x and along y."""
         xs, ys = (np.arange(a + 0.3, b - 0.3, 0.1) for a, b in zip(self.low, self.high, strict=True))
         grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
         return np.round(np.concatenate([grid, grid]), 4), np.repeat([0, 1], len(grid))
@@ -180,13 +180,13 @@ class Site:
         blocks = np.array([[*b.low, *b.high] for part in piece.parts for b in part.blocks])
         refused: list[int] = []
         for i in np.argsort(-worth, kind="stable").tolist():
-            # Places lie side by side: where one would block the way, so would its neighbours.
+            # Places lie side by side: where one would block a passage, so would its neighbours.
             if any(np.abs(origins[i] - origins[j]).sum() < 0.12 and turns[i] == turns[j] for j in refused):
                 continue
             shift = np.array([*origins[i], 0.0, *origins[i], 0.0])
             if overlap3(turned3(blocks, turns[i]) + shift, occupied).any():
                 continue
-            if self._keeps_ways(piece, origins[i], int(turns[i])):
+            if self._keeps_passages(piece, origins[i], int(turns[i])):
                 self._add(piece, origins[i], int(turns[i]))
                 return np.array([*origins[i], turns[i]])
             refused.append(i)
@@ -195,11 +195,11 @@ class Site:
         return None
 
     def state(self) -> dict[str, Any]:
-        """What has been placed so far, for `restore`."""
+        """Return what has been placed so far, for `restore`."""
         return self.__dict__ | {"furniture": list(self.furniture), "_names": dict(self._names)}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take away what was placed after `state`."""
+        """Remove what was placed after `state`."""
         self.__dict__.update(state | {"furniture": list(state["furniture"]), "_names": dict(state["_names"])})
 
     # ---- rules
@@ -230,8 +230,8 @@ class Site:
             good[where] = ok
         return good
 
-    def _keeps_ways(self, piece: Piece, origin: np.ndarray, turn: int) -> bool:
-        """Whether a disc of radius WIDE still reaches all doors, and little floor is cut off from them."""
+    def _keeps_passages(self, piece: Piece, origin: np.ndarray, turn: int) -> bool:
+        """Return True if a disc of radius WIDE still reaches all doors, and little floor is cut off from them."""
         rects = piece.on_floor
         if not len(rects):
             return True

@@ -1,4 +1,4 @@
-"""The large built-in homes: floor plans drawn by hand, one table each (`homes` says how to read them)."""
+"""Define the large built-in homes: floor plans drawn by hand, one table each (`homes` defines the format)."""
 
 from vssm_gym.envs.scenes.generator.floorplan import DoorPlan, WindowPlan
 from vssm_gym.envs.scenes.generator.homes import Home, RoomSketch, rect

@@ -1,4 +1,4 @@
-"""Apartments by seed: `generate(7)` is the same home for everyone, to the byte, within a version of this library."""
+"""Generate apartments by seed: `generate(7)` is the same home for everyone, to the byte, within a version."""
 
 import operator
 from typing import Literal, get_args
@@ -26,7 +26,7 @@ _DRAWS = 50  # plans drawn before giving up; nine in ten seeds take the first or
 
 
 def generate(seed: int, size: Size = "medium") -> Apartment:
-    """A furnished apartment, a pure function of (seed, size): the same content hash on every machine.
+    """Return a furnished apartment, a pure function of (seed, size): the same content hash on every machine.
 
     The default robot (0.1 m radius, 0.5 m tall) reaches every room, through passages at least 0.47 m wide; what is
     narrower is at most 0.11 m. See docs/scenes.md for the rules.
@@ -58,7 +58,7 @@ def generate(seed: int, size: Size = "medium") -> Apartment:
 
 
 def parse_spec(spec: str) -> tuple[int, Size]:
-    """Seed and size of "procedural:SEED" or "procedural:SEED:SIZE"; InputError where it is neither."""
+    """Return seed and size of "procedural:SEED" or "procedural:SEED:SIZE"; raise InputError where it is neither."""
     seed, _, size = spec.removeprefix(PREFIX).partition(":")
     if not (seed.isascii() and seed.isdigit() and len(seed) <= 19):
         raise InputError(spec, "scene", f"{PREFIX}SEED or {PREFIX}SEED:SIZE with a seed of digits, below 2^63")

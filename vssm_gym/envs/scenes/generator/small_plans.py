@@ -1,4 +1,4 @@
-"""The four small built-in homes, one table each (`homes` says how to read them)."""
+"""Define the four small built-in homes, one table each (`homes` defines the format)."""
 
 from vssm_gym.envs.scenes.generator.floorplan import DoorPlan, WindowPlan
 from vssm_gym.envs.scenes.generator.homes import Home, RoomSketch, rect

@@ -1,4 +1,4 @@
-"""Two built-in scenes that are no homes: `arena` for cars and `hall` for flight.
+"""Build two scenes that are no homes: `arena` for cars and `hall` for flight.
 
 arena: 5 x 4 m, obstacles 0.25 to 0.6 m high at random places, longest first, so that gaps between them
 and to the walls are 0.38 m or more. hall: 25 x 25 x 6 m with columns of turned boxes, textured coarsely
@@ -22,7 +22,7 @@ _DRAWS = 4000
 
 
 def arena() -> Apartment:
-    """The car arena; all numbers come from one fixed stream."""
+    """Build the car arena; all numbers come from one fixed stream."""
     rng = np.random.default_rng(20)
     walls = (
         Material(color=(0.90, 0.82, 0.70), texture="brick", scale=1.0),
@@ -61,7 +61,7 @@ def arena() -> Apartment:
 
 
 def hall() -> Apartment:
-    """The flight hall: columns on a jittered lattice, each of two boxes turned against each other."""
+    """Build the flight hall: columns on a jittered lattice, each of two boxes turned against each other."""
     rng = np.random.default_rng(25)
     side, height = 25.2, 6.0
     walls = (
@@ -106,7 +106,7 @@ def one_room(
     walls: tuple[Material, ...],
     entrance: tuple[float, float],
 ) -> Apartment:
-    """An empty room with walls 0.2 m thick, one material a side, and a closed door in its first one; m."""
+    """Build an empty room with walls 0.2 m thick, one material a side, and a closed door in its first one; m."""
     plan = BuildingPlan(
         name,
         (RoomPlan(name, name, polygon, floor, walls),),
@@ -124,7 +124,7 @@ def one_room(
 
 
 def pictures(apartment: Apartment, size: float, middle: float, apart: float) -> list[Furniture]:
-    """Paintings in a row on every wall, ``size`` m square, clear of the entrance."""
+    """Hang paintings in a row on every wall, ``size`` m square, clear of the entrance."""
     found: list[Furniture] = []
     low, high = np.min(apartment.rooms[0].polygon, axis=0), np.max(apartment.rooms[0].polygon, axis=0)
     for side in range(4):

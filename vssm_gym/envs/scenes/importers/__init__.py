@@ -1,1 +1,1 @@
-"""Importers: foreign scene formats to `Apartment`."""
+"""Import foreign scene formats as `Apartment`."""

@@ -1,8 +1,8 @@
-"""HouseExpo floor plans (Li et al., 2019) to `Apartment`: the outline of the free space, cut into rooms at its doors.
+"""Import HouseExpo floor plans (Li et al., 2019): the outline of the free space is cut into rooms at its doors.
 
 A plan is one polygon around all free space, inner walls included. Everything inside is floor and everything outside is
 wall, so that the simulator's free space is the polygon (chamfers of 1 cm at its corners are squared). The file has no
-doors: where the polygon narrows between two wider parts stands a doorway with a lintel
+doors: a doorway with a lintel is put where the polygon narrows between two wider parts
 (`vssm_gym.envs.scenes.importers.plan_rooms`). The boxes of ``room_category`` overlap and are no walls: they name the
 rooms.
 """
@@ -35,7 +35,7 @@ _Box = tuple[Annotated[float, Field(ge=-FAR_BOX, le=FAR_BOX)], ...]
 
 
 class HouseExpoPlan(BaseModel):
-    """What is read of a HouseExpo file."""
+    """Hold the fields that are read of a HouseExpo file."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -44,12 +44,12 @@ class HouseExpoPlan(BaseModel):
 
 
 def is_houseexpo(data: Any) -> bool:
-    """Whether JSON data looks like a HouseExpo plan, whole or damaged."""
+    """Return True if JSON data looks like a HouseExpo plan, whole or damaged."""
     return isinstance(data, dict) and "rooms" not in data and bool({"verts", "room_category"} & data.keys())
 
 
 def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
-    """The `Apartment` of a parsed HouseExpo plan; InputError naming ``source`` and the field that is wrong."""
+    """Return the `Apartment` of a parsed HouseExpo plan; raise InputError naming ``source`` and the wrong field."""
     plan = validated(HouseExpoPlan, data, source)
     notes: list[str] = []
     outline = _outline(plan, source, notes)
@@ -103,7 +103,7 @@ def _outline(plan: HouseExpoPlan, source: object, notes: list[str]) -> Polygon:
 
 
 def _kind(part: Polygon, plan: HouseExpoPlan) -> str:
-    """The category whose box overlaps the room most; "room" where none does."""
+    """Return the category whose box overlaps the room most; "room" where none does."""
     best, most = "room", NAMED
     for category, boxes in plan.room_category.items():
         for x0, y0, x1, y1 in boxes:
@@ -115,7 +115,7 @@ def _kind(part: Polygon, plan: HouseExpoPlan) -> str:
 
 
 def _stray_categories(plan: HouseExpoPlan, outline: Polygon) -> list[str]:
-    """A sentence for each category whose boxes all lie outside the plan or have no area: it can name no room."""
+    """Return a sentence for each category whose boxes all lie outside the plan or have no area: it can name no room."""
     stray = []
     for category, boxes in plan.room_category.items():
         shapes = [shapely.box(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)) for x0, y0, x1, y1 in boxes]
@@ -125,7 +125,7 @@ def _stray_categories(plan: HouseExpoPlan, outline: Polygon) -> list[str]:
 
 
 def _numbered(words: list[str]) -> list[str]:
-    """The words, each unique: the second "Bedroom" is "Bedroom 2"."""
+    """Return the words, each unique: the second "Bedroom" is "Bedroom 2"."""
     used: dict[str, int] = defaultdict(int)
     names: list[str] = []
     for word in words:
@@ -135,13 +135,13 @@ def _numbered(words: list[str]) -> list[str]:
 
 
 def _wall(face: Face, material: Material) -> Wall:
-    middle = -0.5 * face.depth * face.inward
+    middle = -0.5 * face.thickness * face.inward
     (x0, y0), (x1, y1) = (face.start + middle).tolist(), (face.end + middle).tolist()
-    return Wall(start=(x0, y0), end=(x1, y1), thickness=face.depth, height=CEILING, front=material, back=material)
+    return Wall(start=(x0, y0), end=(x1, y1), thickness=face.thickness, height=CEILING, front=material, back=material)
 
 
 def _picture(face: Face, room: Polygon, number: int) -> list[Furniture]:
-    """A picture in the middle of a long wall; one long wall in five stays bare."""
+    """Return a picture in the middle of a long wall; one long wall in five stays bare."""
     length = float(np.linalg.norm(face.end - face.start))
     width = min(PICTURE[0], 0.4 * length)
     if length < LONG or number % 5 == 4:
@@ -152,7 +152,10 @@ def _picture(face: Face, room: Polygon, number: int) -> list[Furniture]:
 
 
 def _doorway(opening: Opening, parts: list[Polygon], names: list[str], walls: list[Wall]) -> Door:
-    """An open doorway in a wall of its own, as long as the opening is wide; the wall is appended to ``walls``."""
+    """Return an open doorway in a wall of its own, as long as the opening is wide.
+
+    The wall is appended to ``walls``.
+    """
     middle = np.mean([opening.start, opening.end], axis=0)
     material = wall_material("", "lintel")
     thickness = max(opening.thickness, 0.04)

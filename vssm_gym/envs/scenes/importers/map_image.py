@@ -1,4 +1,4 @@
-"""Grey images of ROS maps: PGM (P2, P5) read here, PNG by Pillow; sizes are checked before anything is unpacked."""
+"""Read grey images of ROS maps: PGM (P2, P5) here, PNG by Pillow; sizes are checked before anything is unpacked."""
 
 import io
 import re
@@ -18,7 +18,7 @@ _HEADER = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,6})" + rb"\s")
 
 
 def read_grey(path: Path) -> tuple[Float[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-    """The image's grey values, 0 black to 255 white (the mean of colour channels), and its opacity in [0, 1].
+    """Return the image's grey values, 0 black to 255 white (the mean of colour channels), and its opacity in [0, 1].
 
     Values of 16 bits are scaled to 255, those of a PGM with a small maximum are not: a raw map may count to 100. Raises
     InputError for other formats, sizes beyond the bounds and truncated files.

@@ -1,4 +1,4 @@
-"""MJCF with a floor to `Apartment`: its geoms at their initial pose as upright boxes.
+"""Import MJCF with a floor: its geoms at their initial pose become upright boxes.
 
 Boxes that stand upright are exact; spheres, capsules, cylinders, ellipsoids, tilted boxes and meshes become small
 upright boxes (`vssm_gym.envs.scenes.importers.voxels`), so that rays, physics and free space keep one geometry. The
@@ -18,7 +18,7 @@ from shapely import Polygon
 from vssm_gym.envs.physics import StaticGeom, static_geoms
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import FAR, Box, Furniture, Material, Room, Wall
-from vssm_gym.envs.scenes.faults import misplaced, told
+from vssm_gym.envs.scenes.faults import misplaced, with_notes
 from vssm_gym.envs.scenes.importers.mjcf_xml import StillModel
 from vssm_gym.envs.scenes.importers.voxels import CELL, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
 from vssm_gym.envs.scenes.solids import footprint
@@ -39,7 +39,7 @@ UPRIGHT = 1e-6  # of a unit vector's z: below 0.1 degrees
 
 
 def import_mjcf(path: Path) -> Apartment:
-    """The `Apartment` of an MJCF file; InputError naming the file and what is wrong or missing."""
+    """Return the `Apartment` of an MJCF file; raise InputError naming the file and what is wrong or missing."""
     model = StillModel(path)
     geoms = static_geoms(model.xml, model.assets, path)
     notes = model.notes
@@ -67,11 +67,14 @@ def import_mjcf(path: Path) -> Apartment:
         "ceiling_height": ceiling,
         "notes": notes,
     }
-    return told(validated(Apartment, content, path), misplaced)
+    return with_notes(validated(Apartment, content, path), misplaced)
 
 
 def _floor(geoms: list[StaticGeom], path: Path) -> StaticGeom:
-    """The floor: of the planes and flat boxes that face up at the lowest level the largest; planes come first."""
+    """Return the floor: of the planes and flat boxes that face up at the lowest level the largest.
+
+    Planes come first.
+    """
     found = [
         geom
         for geom in geoms
@@ -87,7 +90,10 @@ def _floor(geoms: list[StaticGeom], path: Path) -> StaticGeom:
 
 
 def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[str]) -> list[Furniture]:
-    """One piece a geom, its z measured from the floor; what was cut into small boxes or left out goes to ``notes``."""
+    """Return one piece a geom, its z measured from the floor.
+
+    Approximations and omissions are appended to ``notes``.
+    """
     pieces: list[Furniture] = []
     used: dict[str, int] = defaultdict(int)
     total = cut = under = 0
@@ -122,7 +128,7 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[st
 
 
 def _boxes(geom: StaticGeom, path: Path) -> tuple[list[tuple[np.ndarray, np.ndarray, float]], bool]:
-    """Upright boxes (centre, size, yaw) of a geom, and whether they are exactly it."""
+    """Return upright boxes (centre, size, yaw) of a geom, and True if they are exact."""
     shape, size, center = geom.shape, geom.size, geom.center
     if shape == "plane":  # one more than the floor: a slab under its surface
         if not (size[:2] > 0.0).all():
@@ -155,7 +161,7 @@ def _boxes(geom: StaticGeom, path: Path) -> tuple[list[tuple[np.ndarray, np.ndar
 
 
 def _material(geom: StaticGeom, number: int) -> Material:
-    """The geom's colour, not quite black, on a texture that a hash of its name chooses."""
+    """Return the geom's colour, not quite black, on a texture that a hash of its name chooses."""
     color = np.clip(geom.rgba[:3], 0.08, 1.0).tolist()
     large = geom.shape in ("box", "plane", "mesh") and geom.size.max() > 1.0
     textures = ("plaster", "stucco", "wallpaper") if large else ("wood", "fabric", "stucco")
@@ -166,7 +172,7 @@ def _material(geom: StaticGeom, number: int) -> Material:
 def _rooms(
     floor: StaticGeom, furniture: list[Furniture], height: float, path: Path, notes: list[str]
 ) -> tuple[list[Room], list[Wall]]:
-    """The rooms, and walls around all of them; how the floor was found goes to ``notes``."""
+    """Return the rooms, and walls around all of them; how the floor was found is appended to ``notes``."""
     ground = _ground(floor, furniture, path)
     color = np.clip(0.4 + 0.6 * floor.rgba[:3], 0.0, 1.0).tolist()
     material = Material(color=color, texture="tiles", scale=1.5)
@@ -201,7 +207,7 @@ def _corners(outline: Polygon) -> tuple[tuple[float, float], ...]:
 
 
 def _ground(floor: StaticGeom, furniture: list[Furniture], path: Path) -> Polygon:
-    """The floor's rectangle; an endless plane's goes MARGIN beyond what stands on it."""
+    """Return the floor's rectangle; that of an endless plane goes MARGIN beyond what stands on it."""
     half = floor.size[:2].copy()
     if (half > 0.0).all():
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
@@ -214,7 +220,7 @@ def _ground(floor: StaticGeom, furniture: list[Furniture], path: Path) -> Polygo
 
 
 def _edge(ground: Polygon, height: float) -> list[Wall]:
-    """Walls outside the floor's edges, so that no robot and no ray leaves the scene."""
+    """Return walls outside the floor's edges, so that no robot and no ray leaves the scene."""
     material = Material(color=(0.75, 0.72, 0.68), texture="concrete", scale=1.0)
     corners = shapely.get_coordinates(ground.buffer(EDGE / 2, join_style="mitre").exterior)
     corners = corners[np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1) > 1e-6]

@@ -1,4 +1,4 @@
-"""MJCF text reduced to what stands still: bodies, geoms, their defaults, materials and meshes; the rest stays outside.
+"""Reduce MJCF text to its static content: bodies, geoms, their defaults, materials and meshes.
 
 The file is untrusted: elements come from a list of known ones, includes and meshes lie in the file's folder and are
 read here within bounds, so that MuJoCo gets a text and some bytes and opens no file itself. Joints are dropped: every
@@ -13,7 +13,7 @@ from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.errors import InputError
 
 XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20
-DEPTH, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000
+LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000
 
 _IN_BODY = {"body", "geom", "frame", "replicate"}
 _KEPT = {
@@ -29,28 +29,28 @@ _SECTIONS = {"worldbody", "default", "asset"}
 
 
 class _Builder(ET.TreeBuilder):
-    """Elements without document types (entities can grow without bound), of bounded number and depth."""
+    """Build elements without document types (entities can grow without bound), of bounded number and nesting."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._depth = self._count = 0
+        self._level = self._count = 0
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
         raise ValueError("a document type declaration is not allowed")
 
     def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
-        self._depth, self._count = self._depth + 1, self._count + 1
-        if self._depth > DEPTH or self._count > ELEMENTS:
-            raise ValueError(f"more than {ELEMENTS:,} elements or {DEPTH} levels")
+        self._level, self._count = self._level + 1, self._count + 1
+        if self._level > LEVELS or self._count > ELEMENTS:
+            raise ValueError(f"more than {ELEMENTS:,} elements or {LEVELS} levels")
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ET.Element:
-        self._depth -= 1
+        self._level -= 1
         return super().end(tag)
 
 
 class StillModel:
-    """What `vssm_gym.envs.physics.static_geoms` needs of the file at ``path``: ``xml``, ``assets``, and ``notes``."""
+    """Read the file at ``path`` for `vssm_gym.envs.physics.static_geoms`: ``xml``, ``assets``, and ``notes``."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._folder = path, path.parent.resolve()
@@ -78,7 +78,7 @@ class StillModel:
 
     @property
     def notes(self) -> list[str]:
-        """What of the model is not in the scene."""
+        """Return sentences on the parts of the model that are not in the scene."""
         moving = sum(self._left_out[tag] for tag in _MOVING)
         notes = [f"{moving} joint{'s' * (moving > 1)} frozen: bodies stay at their initial pose"] if moving else []
         others = [f"{tag} ({n})" for tag, n in sorted(self._left_out.items()) if tag not in _MOVING | _UNSEEN]
@@ -103,7 +103,7 @@ class StillModel:
             raise self._refuse("file", f"at most {ALL_BYTES:,} bytes with all includes and meshes")
 
     def _inside(self, name: str, folder: Path, field: str) -> Path:
-        """The file ``name`` in ``folder``, which must be the model's or below it."""
+        """Return the file ``name`` in ``folder``, which must be the model's or below it."""
         try:
             path = (folder / name).resolve()
             found = not Path(name).is_absolute() and path.is_relative_to(self._folder) and path.is_file()
@@ -113,25 +113,25 @@ class StillModel:
             raise self._refuse(field, f"an existing file inside the model's folder; found {name[:80]!r}")
         return path
 
-    def _expanded(self, parent: ET.Element, path: Path, depth: int) -> list[ET.Element]:
-        """The children of an element, each include replaced by what the file holds."""
+    def _expanded(self, parent: ET.Element, path: Path, level: int) -> list[ET.Element]:
+        """Return the children of an element, each include replaced by the content of its file."""
         children: list[ET.Element] = []
         for child in parent:
             if child.tag != "include":
-                child[:] = self._expanded(child, path, depth)
+                child[:] = self._expanded(child, path, level)
                 children.append(child)
                 continue
             self._includes += 1
-            if depth >= 8 or self._includes > INCLUDES:
+            if level >= 8 or self._includes > INCLUDES:
                 raise self._refuse("include", f"at most {INCLUDES} includes, 8 deep")
             name = child.get("file", "")
             near = (path.parent / name).is_file() if "\0" not in name else False
             included = self._inside(name, path.parent if near else self._folder, "include.file")
-            children += self._expanded(self._parse(included), included, depth + 1)
+            children += self._expanded(self._parse(included), included, level + 1)
         return children
 
     def _kept(self, element: ET.Element, copies: int) -> ET.Element:
-        """A copy of a section or body with its known children; ``copies`` is how often replicates repeat it."""
+        """Copy a section or body with its known children; ``copies`` is how often replicates repeat it."""
         result = ET.Element(element.tag, element.attrib)
         result.attrib.pop("mocap", None)
         if element.tag == "replicate":
@@ -169,7 +169,7 @@ class StillModel:
         return ET.Element(element.tag, attributes)
 
     def _mesh(self, attributes: dict[str, str]) -> dict[str, str]:
-        """The mesh's file among the assets, under a name of ours."""
+        """Add the mesh's file to the assets, under a name of ours; return its attributes."""
         name = attributes["file"]
         name = name.replace("\\", "/").rpartition("/")[2] if self._strip else name
         path = self._inside(name, self._folder / self._meshes, "asset.mesh.file")

@@ -1,4 +1,7 @@
-"""Looks of rooms that a floor plan gives no more than a kind of: floors and walls by kind, pictures on the walls."""
+"""Choose the looks of rooms of which a floor plan gives only the kind.
+
+Floors and walls by kind, pictures on the walls.
+"""
 
 import zlib
 
@@ -41,7 +44,7 @@ def _hash(name: str) -> int:
 
 
 def floor_material(kind: str, name: str) -> Material:
-    """The floor of a room: by the words in its ``kind``, else one chosen by a hash of its ``name``."""
+    """Return the floor of a room: by the words in its ``kind``, else one chosen by a hash of its ``name``."""
     texture, scale, color = (
         next((look[1] for look in _LOOKS if any(word in kind for word in look[0])), None)
         or (_FLOORS[_hash(name) % len(_FLOORS)])
@@ -50,7 +53,7 @@ def floor_material(kind: str, name: str) -> Material:
 
 
 def wall_material(kind: str, name: str) -> Material:
-    """The walls of a room, chosen like its floor."""
+    """Return the walls of a room, chosen like its floor."""
     texture, scale, color = (
         next((look[2] for look in _LOOKS if any(word in kind for word in look[0])), None)
         or (_WALLS[_hash(name) % len(_WALLS)])
@@ -59,7 +62,7 @@ def wall_material(kind: str, name: str) -> Material:
 
 
 def picture(name: str, x: float, y: float, yaw: float, width: float) -> Furniture:
-    """A picture ``width`` m wide; ``(x, y)`` m is its centre, ``yaw`` rad the direction of its width."""
+    """Return a picture ``width`` m wide; ``(x, y)`` m is its centre, ``yaw`` rad the direction of its width."""
     number = _hash(name)
     texture = f"painting_{_PICTURES[number % len(_PICTURES)]}"
     size = (width, PICTURE[2], min(PICTURE[1], 0.75 * width))

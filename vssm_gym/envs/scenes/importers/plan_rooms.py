@@ -1,4 +1,4 @@
-"""Free space to rooms: a plan is cut where it is narrow and wider on both sides, which is where doors are.
+"""Cut free space into rooms: at its doors a plan is narrow, and wider on both sides.
 
     cut at a segment of length d across the plan  <=>  both parts hold a disc wider than d, and MIN_AREA
 
@@ -25,7 +25,7 @@ BARE = 0.1  # m, thickness of a lintel where the plan shows none
 
 @dataclass(frozen=True)
 class Opening:
-    """A cut ``start`` -> ``end`` (x, y) m between two rooms, and the ``thickness`` m of the wall it goes through."""
+    """Hold a cut ``start`` -> ``end`` (x, y) m between two rooms, and the ``thickness`` m of its wall."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -33,12 +33,12 @@ class Opening:
 
     @property
     def width(self) -> float:
-        """Distance from start to end, m."""
+        """Return the distance from start to end, m."""
         return math.dist(self.start, self.end)
 
 
 def split_rooms(outline: Polygon) -> tuple[list[Polygon], list[Opening]]:
-    """The parts of ``outline`` between its narrow openings, and the openings; the parts tile the outline."""
+    """Return the parts of ``outline`` between its narrow openings, and the openings; the parts tile the outline."""
     rooms, openings = [outline], []
     # Of equal ones the first: in the middle of a wall's end rather than along its faces.
     for opening in sorted(_candidates(outline), key=lambda opening: round(opening.width, 2)):
@@ -60,7 +60,10 @@ def _is_room(part: Polygon, width: float) -> bool:
 
 
 def corners(outline: Polygon) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """The outline's corners, counter-clockwise, and the sine of each one's turn: negative where it juts inwards."""
+    """Return the outline's corners, counter-clockwise, and the sine of each one's turn.
+
+    Negative where it juts inwards.
+    """
     points = shapely.get_coordinates(shapely.orient_polygons(outline).exterior)[:-1]
     before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
     turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -75,7 +78,7 @@ def _candidates(outline: Polygon) -> list[Opening]:
     found: list[Opening] = []
 
     def look(origin: np.ndarray, direction: np.ndarray, thickness: float, widest: float) -> None:
-        """An opening from ``origin`` straight ahead to the next wall, if it is as wide as a door."""
+        """Add an opening from ``origin`` straight ahead to the next wall, if it is as wide as a door."""
         ahead = shapely.LineString([origin + 1e-4 * direction, origin + (widest + 0.1) * direction])
         hits = shapely.get_coordinates(ahead.intersection(border))
         width = min((float(np.dot(hit - origin, direction)) for hit in hits), default=math.inf)

@@ -1,4 +1,4 @@
-"""Walls around a plan: behind every edge of the free polygon a wall whose face is that edge, on the far side of it.
+"""Build walls around a plan: behind every edge of the free polygon a wall whose face is that edge.
 
 Where two parts of the plan are closer than two walls' thickness, each side's wall takes half of what is between them.
 So what the walls leave free is the polygon itself. Metres throughout.
@@ -22,30 +22,30 @@ SHORT = 0.025  # m; shorter edges are chamfers of a corner
 
 @dataclass(frozen=True)
 class Face:
-    """The visible face of a wall, ``start`` -> ``end`` (2,) m with the room on its left, and the wall's ``depth`` m."""
+    """Hold the visible face of a wall, ``start`` -> ``end`` (2,) m with the room on its left, and its ``thickness``."""
 
     start: Float[np.ndarray, "2"]
     end: Float[np.ndarray, "2"]
-    depth: float
+    thickness: float
 
     @property
     def along(self) -> Float[np.ndarray, "2"]:
-        """Unit vector start -> end."""
+        """Return the unit vector start -> end."""
         return (self.end - self.start) / np.linalg.norm(self.end - self.start)
 
     @property
     def inward(self) -> Float[np.ndarray, "2"]:
-        """Unit vector into the room."""
+        """Return the unit vector into the room."""
         return np.array([-self.along[1], self.along[0]])
 
     def body(self) -> Polygon:
-        """The wall's ground plan."""
-        back = self.depth * self.inward
+        """Return the wall's ground plan."""
+        back = self.thickness * self.inward
         return Polygon([self.start, self.end, self.end - back, self.start - back])
 
 
 def wall_faces(room: Polygon, free: Polygon) -> list[Face]:
-    """Walls along those edges of ``room`` that are edges of ``free``; the others are openings to other rooms."""
+    """Return walls along those edges of ``room`` that are edges of ``free``; the others are openings to other rooms."""
     shapely.prepare(free)
     points = shapely.get_coordinates(shapely.orient_polygons(room).exterior)
     solid: list[Face] = []
@@ -63,7 +63,7 @@ def wall_faces(room: Polygon, free: Polygon) -> list[Face]:
 
 
 def _behind(a: np.ndarray, b: np.ndarray, free: Polygon) -> Iterator[Face]:
-    """The wall behind the edge ``a`` -> ``b``, in pieces where a sharp corner leaves it little depth."""
+    """Yield the wall behind the edge ``a`` -> ``b``, in pieces where a sharp corner leaves it thin."""
     length = float(np.linalg.norm(b - a))
     along = (b - a) / length
     out = np.array([along[1], -along[0]])
@@ -80,17 +80,20 @@ def _behind(a: np.ndarray, b: np.ndarray, free: Polygon) -> Iterator[Face]:
 
 
 def _closed_corners(face: Face, free: Polygon) -> Face:
-    """The face up to a thickness longer at ends where that stays behind other walls: no ray slips out at a corner."""
+    """Return the face up to a thickness longer at ends where that stays behind other walls, to close corners."""
     allowed = free.intersection(face.body()).area + 1e-7
     reach = min(THICKNESS, float(np.linalg.norm(face.end - face.start))) * face.along
     start, end = face.start - reach, face.end + reach
-    at_start = free.intersection(Face(start, face.end, face.depth).body()).area < allowed
-    at_end = free.intersection(Face(face.start, end, face.depth).body()).area < allowed
-    return Face(start if at_start else face.start, end if at_end else face.end, face.depth)
+    at_start = free.intersection(Face(start, face.end, face.thickness).body()).area < allowed
+    at_end = free.intersection(Face(face.start, end, face.thickness).body()).area < allowed
+    return Face(start if at_start else face.start, end if at_end else face.end, face.thickness)
 
 
 def square_corners(outline: Polygon) -> Polygon:
-    """The outline without chamfers shorter than SHORT: its neighbours meet instead. Unchanged where that fails."""
+    """Return the outline without chamfers shorter than SHORT: its neighbours meet instead.
+
+    Unchanged where that fails.
+    """
     points = list(shapely.get_coordinates(outline.exterior)[:-1])
     i = 0
     while i < len(points) and len(points) > 4:

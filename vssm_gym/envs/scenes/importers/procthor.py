@@ -1,11 +1,11 @@
-"""ProcTHOR houses (Deitke et al., 2022) to `Apartment`: walls, doors by openness, objects as boxes of their assets.
+"""Import ProcTHOR houses (Deitke et al., 2022): walls, doors by openness, objects as boxes of their assets.
 
 Unity's frame is left-handed, so p_world = (x, z, y) and yaw = -rotation.y. The source's walls are planes without
 thickness, one face a room: the faces of one wall become one `Wall`, THICKNESS thick around their plane, each side with
 its own material.
 
-A hole's x runs from the first lower corner of ``wall0``. Evidence: of the 105 doors and windows of the houses in
-``shared/data/procthor`` (three of 3-4 rooms, forty of one room) 99 are off the wall's centre; measured from the first
+A hole's x runs from the first lower corner of ``wall0``. Evidence: of the 105 doors and windows of forty-three
+houses (three of 3-4 rooms, forty of one room) 99 are off the wall's centre; measured from the first
 corner, the clearance in front of the hole is free of objects for 98 of them, measured from the second for 45, and in no
 case for the second but not for the first (`tests/envs/scenes/test_procthor.py` counts again). ``assetPosition.x`` lies
 inside the hole in that frame in all 105, and ``wall1`` always lists the corners of ``wall0`` in reverse.
@@ -22,7 +22,7 @@ import shapely
 
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import XY, Door, Furniture, Material, Room, Wall, Window
-from vssm_gym.envs.scenes.faults import misplaced, open_edges, told
+from vssm_gym.envs.scenes.faults import misplaced, open_edges, with_notes
 from vssm_gym.envs.scenes.importers.procthor_format import Asset, Hole, House, HouseWall, SurfaceMaterial, Vector
 from vssm_gym.envs.scenes.importers.procthor_looks import RGB, surface_material
 from vssm_gym.envs.scenes.importers.procthor_objects import furniture_of
@@ -37,7 +37,7 @@ _KINDS = {"LivingRoom": "living room"}
 
 
 def is_procthor(data: Any) -> bool:
-    """Whether JSON data looks like a ProcTHOR house, whole or damaged."""
+    """Return True if JSON data looks like a ProcTHOR house, whole or damaged."""
     if not isinstance(data, dict):
         return False
     rooms = data.get("rooms")
@@ -46,7 +46,7 @@ def is_procthor(data: Any) -> bool:
 
 
 def asset_database_of(path: Path) -> Path:
-    """``asset-database.json`` beside the house or one folder up; InputError where neither exists."""
+    """Return ``asset-database.json`` beside the house or one folder up; raise InputError where neither exists."""
     for folder in (path.parent, path.parent.parent):
         if (folder / "asset-database.json").is_file():
             return folder / "asset-database.json"
@@ -56,7 +56,7 @@ def asset_database_of(path: Path) -> Path:
 
 
 def read_assets(data: Any, source: object) -> dict[str, Asset]:
-    """Assets by id from the parsed database, a mapping from type to a list of assets."""
+    """Return assets by id from the parsed database, a mapping from type to a list of assets."""
     if not isinstance(data, dict) or not all(isinstance(entries, list) for entries in data.values()):
         raise InputError(source, "content", "a JSON object that maps an object type to a list of assets")
     assets = [validated(Asset, entry, source) for entries in data.values() for entry in entries]
@@ -64,7 +64,7 @@ def read_assets(data: Any, source: object) -> dict[str, Asset]:
 
 
 def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: object) -> Apartment:
-    """The `Apartment` of a parsed ProcTHOR house.
+    """Return the `Apartment` of a parsed ProcTHOR house.
 
     Args:
         data: the parsed JSON of the house.
@@ -112,7 +112,7 @@ def import_procthor(data: Any, assets: Mapping[str, Asset], name: str, source: o
         "ceiling": _surface(house.proceduralParameters.ceilingMaterial, "ceiling"),
         "notes": notes,
     }
-    return told(validated(Apartment, content, source), open_edges, misplaced)
+    return with_notes(validated(Apartment, content, source), open_edges, misplaced)
 
 
 def _xy(p: Vector) -> XY:
@@ -132,7 +132,7 @@ def _surface(surface: SurfaceMaterial, where: Literal["wall", "floor", "ceiling"
 
 
 def _lower_corners(wall: HouseWall) -> tuple[XY, XY]:
-    """The wall's lower corners in the file's order (the exterior's faces list their upper pair first)."""
+    """Return the wall's lower corners in the file's order (the exterior's faces list their upper pair first)."""
     low = sorted(wall.polygon, key=lambda p: p.y)[:2]
     first, second = (p for p in wall.polygon if any(p is q for q in low))
     return _xy(first), _xy(second)
@@ -141,7 +141,7 @@ def _lower_corners(wall: HouseWall) -> tuple[XY, XY]:
 def _walls(
     house: House, outlines: Mapping[str, shapely.Polygon], source: object
 ) -> tuple[list[Wall], dict[str, tuple[int, bool]]]:
-    """Walls merged from the faces that share both corners, and (index, same direction) of each face's wall by id."""
+    """Merge the faces that share both corners into walls; return each face's (wall index, same direction) by id too."""
     groups: dict[frozenset[tuple[int, int]], list[int]] = defaultdict(list)
     for i, face in enumerate(house.walls):
         groups[frozenset((round(x * 1000), round(y * 1000)) for x, y in _lower_corners(face))].append(i)
@@ -186,7 +186,7 @@ def _room_on_left(start: XY, end: XY, outline: shapely.Polygon) -> bool:
 def _hole(
     field: str, hole: Hole, walls: list[Wall], faces: Mapping[str, tuple[int, bool]], source: object
 ) -> dict[str, Any]:
-    """Wall, offset, width, height and sill of a hole; its x runs from the first lower corner of ``wall0``."""
+    """Return wall, offset, width, height and sill of a hole; its x runs from the first lower corner of ``wall0``."""
     if hole.wall0 not in faces:
         raise InputError(source, f"{field}.wall0", f"a wall's id; found {hole.wall0!r}")
     index, forward = faces[hole.wall0]
@@ -212,7 +212,7 @@ def _door(
     furniture: list[Furniture],
     source: object,
 ) -> Door:
-    """A doorway where the file gives no openness, else one leaf, or two in a wide hole, at that openness."""
+    """Return a doorway where the file gives no openness, else one leaf, or two in a wide hole, at that openness."""
     place = _hole(field, hole, walls, faces, source)
     place["height"] += place.pop("sill")  # the hole starts at the floor
     for key in ("room0", "room1"):
@@ -226,7 +226,7 @@ def _door(
 
 
 def _swung_clear(door: Door, walls: list[Wall], furniture: list[Furniture]) -> Door:
-    """The door hinged and swung so that its leaves cover the least furniture and wall; the file does not say how."""
+    """Hinge and swing the door so that its leaves cover the least furniture and wall; the file does not say how."""
     solid = [
         footprint(box) for piece in furniture for box in piece.boxes if box.center[2] - box.size[2] / 2 < door.height
     ]

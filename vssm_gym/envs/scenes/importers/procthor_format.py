@@ -1,4 +1,4 @@
-"""The parts of a ProcTHOR house (schema 1.0.0) and of its asset database that the importer reads, as typed data.
+"""Define the parts of a ProcTHOR house (schema 1.0.0) and of its asset database that the importer reads, as typed data.
 
 Unity's frame: left-handed, y up, metres, degrees. Fields that the importer does not read are ignored.
 """
@@ -22,7 +22,7 @@ class _Read(BaseModel):
 
 
 class Vector(_Read):
-    """x, y, z: a point in m."""
+    """Hold a point x, y, z, m."""
 
     x: Coordinate
     y: Coordinate
@@ -30,7 +30,7 @@ class Vector(_Read):
 
 
 class Angles(_Read):
-    """Turns about x, y, z in degrees."""
+    """Hold rotations about x, y, z, degrees."""
 
     x: Angle
     y: Angle
@@ -38,7 +38,7 @@ class Angles(_Read):
 
 
 class Extents(_Read):
-    """Full size along x, y, z in m."""
+    """Hold the full size along x, y, z, m."""
 
     x: Extent
     y: Extent
@@ -46,7 +46,7 @@ class Extents(_Read):
 
 
 class Color(_Read):
-    """Red, green, blue."""
+    """Hold red, green, blue."""
 
     r: float
     g: float
@@ -54,14 +54,14 @@ class Color(_Read):
 
 
 class SurfaceMaterial(_Read):
-    """A Unity material by name, with a colour of its own or not."""
+    """Hold a Unity material by name, with a colour of its own or not."""
 
     name: Name
     color: Color | None = None
 
 
 class HouseRoom(_Read):
-    """A room and the outline of its floor."""
+    """Hold a room and the outline of its floor."""
 
     id: Name
     roomType: Name
@@ -70,7 +70,7 @@ class HouseRoom(_Read):
 
 
 class HouseWall(_Read):
-    """One face of a wall: four corners, a lower and an upper pair; the exterior's faces list the upper first."""
+    """Hold one face of a wall: four corners, a lower and an upper pair; the exterior's faces list the upper first."""
 
     id: Name
     roomId: Name
@@ -79,7 +79,7 @@ class HouseWall(_Read):
 
 
 class Hole(_Read):
-    """A door or window: two corners in the frame of ``wall0`` (x along it, y up) and the faces on either side."""
+    """Hold a door or window: two corners in the frame of ``wall0`` (x along it, y up) and the faces on either side."""
 
     id: Name
     wall0: Name
@@ -91,7 +91,7 @@ class Hole(_Read):
 
 
 class HouseObject(_Read):
-    """An object: the centre of its asset's box, rotation in degrees, and what stands on or in it."""
+    """Hold an object: the centre of its asset's box, rotation in degrees, and the objects on or in it."""
 
     id: Name
     assetId: Name
@@ -101,19 +101,19 @@ class HouseObject(_Read):
 
 
 class Parameters(_Read):
-    """The ceiling's material; lights and the sky are not used."""
+    """Hold the ceiling's material; lights and the sky are not used."""
 
     ceilingMaterial: SurfaceMaterial = SurfaceMaterial(name="PureWhite")
 
 
 class Metadata(_Read):
-    """``warnings`` maps a warning's name to its sentence."""
+    """Hold ``warnings``, which maps a warning's name to its sentence."""
 
     warnings: dict[str, Any] | None = None
 
 
 class House(_Read):
-    """A ProcTHOR house."""
+    """Hold a ProcTHOR house."""
 
     rooms: tuple[HouseRoom, ...] = Field(min_length=1, max_length=ROOMS)
     walls: tuple[HouseWall, ...] = Field(min_length=1, max_length=WALLS)
@@ -125,7 +125,7 @@ class House(_Read):
 
 
 class Asset(_Read):
-    """A mesh's name, type and full extents (Unity axes, m)."""
+    """Hold a mesh's name, type and full extents (Unity axes, m)."""
 
     assetId: Name
     objectType: Name

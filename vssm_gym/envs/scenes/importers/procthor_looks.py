@@ -1,4 +1,4 @@
-"""What ProcTHOR's material and asset names look like here: names to textures and colours, the same every time.
+"""Map ProcTHOR's material and asset names to textures and colours, the same every time.
 
 ProcTHOR files name Unity materials and meshes that are not part of them. A material's texture and colour are read from
 the words in its name; an object's from its type, shaded by a hash of its asset, so that two chairs differ.
@@ -71,8 +71,10 @@ def _hash(name: str) -> int:
 
 
 def surface_material(name: str, color: RGB | None, where: Literal["wall", "floor", "ceiling"]) -> Material:
-    """The look of a wall, floor or ceiling; the file's own ``color`` wins over the name's. Unknown names are paint on
-    walls and ceilings and wooden boards on floors."""
+    """Return the look of a wall, floor or ceiling; the file's own ``color`` wins over the name's.
+
+    Unknown names are paint on walls and ceilings and wooden boards on floors.
+    """
     words = name.lower().replace(" ", "")
     boards = ("planks", 1.6) if _hash(name) % 2 else ("laminate", 1.6)
     texture, scale = boards if where == "floor" else ("plaster", 2.0)
@@ -156,7 +158,9 @@ _DYES: tuple[RGB, ...] = (
 
 
 def object_material(asset: str, category: str, size: tuple[float, float, float]) -> Material:
-    """The look of an object's box: ``category`` chooses textures, a hash of ``asset`` one of them and its colour.
+    """Return the look of an object's box.
+
+    ``category`` chooses textures, a hash of ``asset`` one of them and its colour.
 
     Pictures and furniture fronts repeat once across the widest side of the box (``size`` m).
     """

@@ -1,4 +1,4 @@
-"""ProcTHOR objects as upright boxes of their assets' sizes, in the world frame."""
+"""Convert ProcTHOR objects to upright boxes of their assets' sizes, in the world frame."""
 
 import math
 from collections import defaultdict
@@ -18,7 +18,7 @@ TILT = math.radians(1.0)  # tilt of an object that is worth a note
 def furniture_of(
     house: House, assets: Mapping[str, Asset], walls: list[Wall], source: object, notes: list[str]
 ) -> list[Furniture]:
-    """One piece of furniture an object, children included, with unique names.
+    """Return one piece of furniture an object, children included, with unique names.
 
     Sentences about approximations are appended to ``notes``. Raises InputError naming ``source`` for an asset that the
     database does not have: leaving the object out would have robots drive through it.
@@ -55,7 +55,7 @@ def furniture_of(
 
 
 def _box(item: HouseObject, asset: Asset) -> tuple[Box, float]:
-    """The object's upright box and its tilt (rad, 0 where the asset stands on one of its faces).
+    """Return the object's upright box and its tilt (rad, 0 where the asset stands on one of its faces).
 
     Unity turns about z, then x, then y. Whatever is not yaw is applied to the asset's extents and bounded by an
     upright box: exact for quarter turns, an outer bound for any other tilt.
@@ -68,8 +68,8 @@ def _box(item: HouseObject, asset: Asset) -> tuple[Box, float]:
     bound = np.abs(turn_x @ turn_z) @ extents
     if max(abs(math.remainder(angle, 2 * math.pi)) for angle in (x, z)) < TILT:
         bound = extents  # physics at rest leaves hundredths of a degree
-    width, height, depth = (max(float(extent), 1e-3) for extent in bound)  # sheets of paper have no thickness
-    size = (width, depth, height)
+    width, height, breadth = (max(float(extent), 1e-3) for extent in bound)  # sheets of paper have no thickness
+    size = (width, breadth, height)
     yaw = math.remainder(-math.radians(item.rotation.y), 2 * math.pi)
     material = object_material(asset.assetId, asset.objectType, size)
     center = (item.position.x, item.position.z, item.position.y)
@@ -77,7 +77,7 @@ def _box(item: HouseObject, asset: Asset) -> tuple[Box, float]:
 
 
 def _out_of_wall(box: Box, walls: list[Wall]) -> np.ndarray:
-    """Shift (2,) m that keeps a hanging object on the wall's surface now that the wall has thickness.
+    """Return the shift (2,) m that keeps a hanging object on the wall's surface now that the wall has thickness.
 
     Pictures and televisions hang 5 mm off the wall's plane in the file; without the shift the wall would swallow them.
     What stands on the floor stays where it is: its back runs 25 mm into the wall.

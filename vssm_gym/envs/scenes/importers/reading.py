@@ -1,4 +1,4 @@
-"""Files that people bring, read within bounds of size, nesting and unpacking; what is wrong is one `InputError`."""
+"""Read users' files within bounds of size, nesting and unpacking; the first error becomes one `InputError`."""
 
 import gzip
 import json
@@ -13,7 +13,7 @@ LINES_BYTES = 512 << 20  # unpacked, up to the line that is asked for; all 10,00
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The file's content; InputError where it cannot be read or has more than ``limit`` bytes."""
+    """Return the file's content; raise InputError where it cannot be read or has more than ``limit`` bytes."""
     try:
         with path.open("rb") as file:
             content = file.read(limit + 1)
@@ -25,12 +25,12 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 
 def read_json(path: Path) -> Any:
-    """The parsed JSON of a file."""
+    """Return the parsed JSON of a file."""
     return parse_json(read_bytes(path, JSON_BYTES), path)
 
 
 def read_json_line(path: Path, line: int) -> Any:
-    """The parsed JSON on line ``line``, counted from 0, of a JSONL file, packed where its name ends in ``.gz``."""
+    """Return the parsed JSON on line ``line``, counted from 0, of a JSONL file (packed if named ``.gz``)."""
     source = f"{path}#{line}"
     unpacked = 0
     try:
@@ -48,7 +48,7 @@ def read_json_line(path: Path, line: int) -> Any:
 
 
 def parse_json(content: bytes, source: object) -> Any:
-    """Plain data of JSON text in UTF-8 without NaN and infinities."""
+    """Return plain data of JSON text in UTF-8 without NaN and infinities."""
 
     def refuse(constant: str) -> None:
         raise InputError(source, "scene", f"finite numbers; found {constant}")

@@ -1,4 +1,4 @@
-"""Cells to few rectangles: what maps and voxels become walls and boxes with."""
+"""Cover cells by few rectangles, which become the walls and boxes of maps and voxels."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -9,11 +9,11 @@ Rectangle = tuple[int, int, int, int]  # i0, i1, j0, j1 of cells, half open
 def cover(
     needed: Bool[np.ndarray, "n m"], allowed: Bool[np.ndarray, "n m"], most: int | None = None
 ) -> list[Rectangle]:
-    """Disjoint rectangles that contain every ``needed`` cell and no cell that is not ``allowed``.
+    """Return disjoint rectangles that contain every ``needed`` cell and no cell that is not ``allowed``.
 
     Greedy: the first needed cell left grows into the longest run either way, then into the widest block of such runs;
     of the two blocks the one that covers more wins. ``needed`` implies ``allowed``. Where more than ``most`` rectangles
-    would be needed, the first ``most + 1`` are returned: who asks for no more has no use for the rest.
+    would be needed, the first ``most + 1`` are returned, which the caller refuses.
     """
     left, allowed = needed.copy(), allowed.copy()
     rectangles: list[Rectangle] = []
@@ -33,19 +33,19 @@ def cover(
 
 
 def _grow(allowed: np.ndarray, i: int, j: int) -> Rectangle:
-    """The longest allowed run of row ``i`` through column ``j``, with the neighbouring rows that allow all of it."""
+    """Return the longest allowed run of row ``i`` through column ``j``, with the neighbours that allow all of it."""
     j0, j1 = j - _run(allowed[i, :j][::-1]), j + _run(allowed[i, j:])
     block = allowed[:, j0:j1]
     return i - _rows(block[:i][::-1]), i + _rows(block[i:]), j0, j1
 
 
 def _run(cells: np.ndarray) -> int:
-    """How many cells from the first on are set."""
+    """Return how many cells from the first on are set."""
     return len(cells) if cells.all() else int(np.argmin(cells))
 
 
 def _rows(block: np.ndarray) -> int:
-    """How many rows from the first on are set all along, looked at in portions that double."""
+    """Return how many rows from the first on are set all along, examined in portions that double."""
     found, portion = 0, 4
     while found < len(block):
         full = np.asarray(block[found : found + portion].all(axis=1))

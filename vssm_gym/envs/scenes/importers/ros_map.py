@@ -1,10 +1,10 @@
-"""ROS occupancy maps (``map_server``: a YAML and its image) to `Apartment`: every cell that is not free becomes wall.
+"""Import ROS occupancy maps (``map_server``: a YAML and its image): every cell that is not free becomes wall.
 
     p = (255 - grey) / 255 (negate: grey / 255);  occupied: p > occupied_thresh;  free: p < free_thresh
 
 and unknown between. The floor is the free cells, in world coordinates ``origin + R(yaw) resolution (column, row)`` with
-rows counted from the image's bottom. Only cells beside the floor and those that the floor surrounds become walls:
-what nobody can reach is not needed. Source of the format: http://wiki.ros.org/map_server.
+rows counted from the image's bottom. Only cells beside the floor and those that the floor surrounds become walls, since
+others are out of reach. Source of the format: http://wiki.ros.org/map_server.
 """
 
 import math
@@ -38,7 +38,7 @@ Threshold = Annotated[float, Field(ge=0, le=1)]
 
 
 class MapFile(BaseModel):
-    """The YAML's fields; ``origin`` is the pose (x, y m, yaw rad) of the image's lower left corner."""
+    """Hold the YAML's fields; ``origin`` is the pose (x, y m, yaw rad) of the image's lower left corner."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -52,7 +52,7 @@ class MapFile(BaseModel):
 
 
 class _PlainLoader(yaml.BaseLoader):
-    """YAML of strings, lists and mappings only: no aliases, which can make gigabytes of a few lines."""
+    """Load YAML of strings, lists and mappings only: no aliases, which can make gigabytes of a few lines."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -61,7 +61,7 @@ class _PlainLoader(yaml.BaseLoader):
 
 
 def import_ros_map(path: Path) -> Apartment:
-    """The `Apartment` of a map's YAML; InputError naming the file and the field that is wrong."""
+    """Return the `Apartment` of a map's YAML; raise InputError naming the file and the field that is wrong."""
     settings = _settings(path)
     free, unknown = _cells(settings, _image_path(path, settings.image))
     labels, count = ndimage.label(free)  # joined through sides, not corners: a robot does not pass a corner
@@ -103,7 +103,7 @@ def _settings(path: Path) -> MapFile:
 
 
 def _image_path(path: Path, image: str) -> Path:
-    """The image, which lies in the YAML's folder or below it."""
+    """Return the path of the image, which lies in the YAML's folder or below it."""
     folder = path.parent.resolve()
     inside = not Path(image).is_absolute() and "\0" not in image and (folder / image).resolve().is_relative_to(folder)
     if not inside:
@@ -114,7 +114,7 @@ def _image_path(path: Path, image: str) -> Path:
 
 
 def _cells(settings: MapFile, image: Path) -> tuple[Bool[np.ndarray, "nx ny"], Bool[np.ndarray, "nx ny"]]:
-    """Free and unknown cells, indexed by column and by row from the bottom, within a rim of cells that are neither."""
+    """Return free and unknown cells, indexed by column and by row from the bottom, within a rim that is neither."""
     grey, opacity = read_grey(image)
     if settings.mode == "raw":
         occupancy = np.where(grey <= 100.0, grey / 100.0, np.nan)  # percent; 255 is unknown
@@ -144,7 +144,7 @@ def _walls(floor: np.ndarray, settings: MapFile, path: Path, unknown: np.ndarray
 
 
 def _world(cells: Any, settings: MapFile) -> np.ndarray:
-    """World coordinates ``(..., 2)`` m of corners of cells."""
+    """Return world coordinates ``(..., 2)`` m of corners of cells."""
     x, y, yaw = settings.origin
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     return (np.asarray(cells, dtype=np.float64) - BAND) * settings.resolution @ turn + (x, y)
@@ -163,7 +163,10 @@ def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
 
 
 def _room(rectangles: Int[np.ndarray, "n 4"], number: int, settings: MapFile) -> dict[str, Any]:
-    """A piece of floor with what it surrounds; its outline runs half a cell inside the walls, in straight lines."""
+    """Return a piece of floor with what it surrounds.
+
+    Its outline runs half a cell inside the walls, in straight lines.
+    """
     i0, i1, j0, j1 = rectangles.T
     outline = shapely.union_all(shapely.box(i0, j0, i1, j1)).buffer(0.6, join_style="mitre").simplify(0.5)
     corners = _world(shapely.get_coordinates(outline.exterior)[:-1], settings).tolist()
@@ -172,9 +175,9 @@ def _room(rectangles: Int[np.ndarray, "n 4"], number: int, settings: MapFile) ->
 
 
 def _pieces(labels: Int[np.ndarray, "nx ny"]) -> dict[int, Int[np.ndarray, "n 4"]]:
-    """Rectangles (i0, i1, j0, j1) of each label above 0: its runs along j, those equal side by side joined.
+    """Return rectangles (i0, i1, j0, j1) of each label above 0: its runs along j, those equal side by side joined.
 
-    One pass for all labels, so that many rooms within each other cost no more than one.
+    One pass serves all labels, so that many rooms within each other cost no more than one.
     """
     edges = np.flatnonzero(np.diff(labels.ravel(), prepend=0, append=0))  # the rim is 0: no run goes round its end
     label = labels.ravel()[edges[:-1]]
@@ -190,13 +193,13 @@ def _pieces(labels: Int[np.ndarray, "nx ny"]) -> dict[int, Int[np.ndarray, "n 4"
 
 
 def _grown(cells: Bool[np.ndarray, "nx ny"], by: int) -> Bool[np.ndarray, "nx ny"]:
-    """The cells and all within ``by`` of them, diagonally too."""
+    """Return the cells and all within ``by`` of them, diagonally too."""
     wide = ndimage.maximum_filter1d(cells.view(np.uint8), 2 * by + 1, axis=0, mode="constant")
     return ndimage.maximum_filter1d(wide, 2 * by + 1, axis=1, mode="constant").view(bool)
 
 
 def _check_extent(floor: Bool[np.ndarray, "nx ny"], settings: MapFile, path: Path) -> None:
-    """Refuse what no apartment may be, before any work on it."""
+    """Raise InputError for what no apartment may be, before any work on it."""
     for axis in range(2):
         found = np.flatnonzero(floor.any(axis=1 - axis))
         if (across := (found[-1] + 1 - found[0]) * settings.resolution) > EXTENT:

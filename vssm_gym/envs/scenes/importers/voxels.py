@@ -1,4 +1,4 @@
-"""Shapes as upright boxes: what no upright box is exactly is cut into cells, and equal cells join to larger boxes.
+"""Approximate shapes by upright boxes: a shape is cut into cells, and equal cells join to larger boxes.
 
 Cells fill the shape's bounding box evenly, at most CELL wide; a cell is solid where its centre lies in the shape, or,
 for meshes, where the surface passes through it. So a box is off by half a cell at most.
@@ -20,7 +20,7 @@ Extent = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]  # lowest and hig
 
 
 def voxelised(low: np.ndarray, high: np.ndarray, inside: Callable[[np.ndarray], np.ndarray]) -> list[Extent]:
-    """Boxes that fill the shape between ``low`` and ``high`` (3,) m; ``inside`` tells which points (n, 3) are in it."""
+    """Return boxes that fill the shape between ``low`` and ``high`` (3,) m; ``inside`` tests points (n, 3)."""
     shape, size = _grid(low, high)
     centers = [low[k] + (np.arange(shape[k]) + 0.5) * size[k] for k in range(3)]
     layers = np.empty(shape, dtype=bool)
@@ -32,7 +32,7 @@ def voxelised(low: np.ndarray, high: np.ndarray, inside: Callable[[np.ndarray], 
 
 
 def voxelised_surface(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> list[Extent]:
-    """Boxes around the surface of triangles, m."""
+    """Return boxes around the surface of triangles, m."""
     if not len(faces):
         return []
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -58,7 +58,7 @@ def voxelised_surface(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray,
 
 
 def _grid(low: np.ndarray, high: np.ndarray, cell: float = CELL) -> tuple[tuple[int, int, int], np.ndarray]:
-    """Number and size of the cells."""
+    """Return number and size of the cells."""
     extent = np.maximum(high - low, 1e-3)
     while np.prod(np.ceil(extent / cell - 1e-9)) > CELLS:
         cell *= 1.26
@@ -67,7 +67,7 @@ def _grid(low: np.ndarray, high: np.ndarray, cell: float = CELL) -> tuple[tuple[
 
 
 def _boxes(solid: Bool[np.ndarray, "nx ny nz"], low: np.ndarray, size: np.ndarray) -> list[Extent]:
-    """Greedy rectangles of each run of equal layers."""
+    """Return greedy rectangles of each run of equal layers."""
     boxes: list[Extent] = []
     first = 0
     for k in range(1, solid.shape[2] + 1):
@@ -81,7 +81,7 @@ def _boxes(solid: Bool[np.ndarray, "nx ny nz"], low: np.ndarray, size: np.ndarra
 
 
 def inside_of(shape: str, size: Float[np.ndarray, "3"]) -> Callable[[np.ndarray], np.ndarray]:
-    """Which points (n, 3) of a shape's own frame are in it; ``size`` as MuJoCo gives it (radii, half lengths), m."""
+    """Return the test of points (n, 3) in a shape's own frame; ``size`` as in MuJoCo (radii, half lengths), m."""
     half = np.maximum(size, 0.5 * CELL)  # what is thinner than a cell would fall between two centres
     if shape == "box":
         return lambda p: (np.abs(p) <= half).all(axis=-1)
@@ -96,7 +96,7 @@ def inside_of(shape: str, size: Float[np.ndarray, "3"]) -> Callable[[np.ndarray]
 
 
 def bounds_of(shape: str, size: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 3"]:
-    """Corners of a shape's bounding box in its own frame, m."""
+    """Return the corners of a shape's bounding box in its own frame, m."""
     half = {
         "box": size,
         "ellipsoid": size,
@@ -109,7 +109,10 @@ def bounds_of(shape: str, size: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 
 
 
 def yaw_of(rotation: Float[np.ndarray, "3 3"], half: Float[np.ndarray, "3"]) -> float:
-    """Direction in the plane, rad, of the axis that reaches farthest there: cells along it make the fewest boxes."""
+    """Return the direction in the plane, rad, of the axis that reaches farthest there.
+
+    Cells along it make fewest boxes.
+    """
     reach = np.linalg.norm(rotation[:2], axis=0) * half
     x, y = rotation[:2, int(np.argmax(reach))]
     return math.atan2(y, x)

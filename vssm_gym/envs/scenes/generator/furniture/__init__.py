@@ -1,1 +1,1 @@
-"""The catalogue of furniture: one file a kind of room, each function one piece in its own frame."""
+"""Draw furniture: one file a kind of room, each function one piece in its own frame."""

@@ -1,4 +1,4 @@
-"""Bathrooms. Every function draws one piece in its own frame."""
+"""Draw the furniture of bathrooms, each piece in its own frame."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ GLASS = Material(color=(0.80, 0.88, 0.90), texture="marble", scale=1.5)
 
 
 def bathtub(rng: np.random.Generator, style: Style) -> Piece:
-    """A tub of 1.5 to 1.7 m with a tiled front."""
+    """Draw a tub of 1.5 to 1.7 m with a tiled front."""
     w, d = cm(rng, 1.5, 1.7, 0.1), 0.72
     tiles = Material(color=tinted(rng, (0.55, 0.75, 0.8), 0.1), texture="mosaic", scale=0.6)
     return one(
@@ -39,7 +39,7 @@ def bathtub(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def shower(rng: np.random.Generator, style: Style) -> Piece:
-    """A tray of 0.9 m with a screen at one side; its rim stops robots."""
+    """Draw a tray of 0.9 m with a screen at one side; its rim stops robots."""
     side = pick(rng, (-1, 1))
     return one(
         "shower",
@@ -54,7 +54,7 @@ def shower(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def toilet(rng: np.random.Generator, style: Style) -> Piece:
-    """Bowl, seat and cistern."""
+    """Draw bowl, seat and cistern."""
     return one(
         "toilet",
         [
@@ -67,7 +67,7 @@ def toilet(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def vanity(rng: np.random.Generator, style: Style, w: float) -> Piece:
-    """A basin in a cabinet of width w under a mirror."""
+    """Draw a basin in a cabinet of width w under a mirror."""
     body = Material(color=tinted(rng, (0.55, 0.65, 0.7), 0.12), texture="cabinet", scale=w)
     return one(
         "vanity",
@@ -86,7 +86,7 @@ def vanity(rng: np.random.Generator, style: Style, w: float) -> Piece:
 
 
 def washing_machine(rng: np.random.Generator, style: Style) -> Piece:
-    """With a packet and folded linen on it."""
+    """Draw a washing machine with a packet and folded linen on it."""
     return one(
         "washing machine",
         [
@@ -99,13 +99,13 @@ def washing_machine(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def hamper(rng: np.random.Generator, style: Style) -> Piece:
-    """A laundry basket."""
+    """Draw a laundry basket."""
     look = Material(color=tinted(rng, (0.85, 0.68, 0.48), 0.05), texture="wicker", scale=0.5)
     return one("hamper", [block(0.0, 0.22, 0.0, 0.42, 0.42, 0.6, look)])
 
 
 def towels(rng: np.random.Generator, style: Style) -> Piece:
-    """Towels at a rail on the wall."""
+    """Draw towels at a rail on the wall."""
     return one(
         "towel",
         [block(0.0, 0.03, 0.9, 0.6, 0.06, 0.6, Material(color=(0.9, 0.55, 0.45), texture="stripes", scale=0.6))],

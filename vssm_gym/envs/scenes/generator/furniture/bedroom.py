@@ -1,4 +1,4 @@
-"""Bedrooms and children's rooms. Every function draws one piece in its own frame."""
+"""Draw the furniture of bedrooms and children's rooms, each piece in its own frame."""
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def _nightstand(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def double_bed(rng: np.random.Generator, style: Style) -> Piece:
-    """A bed of 1.4 to 1.8 m between two nightstands, with a way on both sides."""
+    """Draw a bed of 1.4 to 1.8 m between two nightstands, with room to pass on both sides."""
     width = cm(rng, 1.4, 1.8, 0.2)
     side = 0.5 * width + 0.05 + 0.23
     stands = [_nightstand(rng, style).moved(s * side, 0.0) for s in (-1, 1)]
@@ -63,14 +63,14 @@ def double_bed(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def single_bed(rng: np.random.Generator, style: Style) -> Piece:
-    """A bed of 0.9 to 1 m with one nightstand at its right."""
+    """Draw a bed of 0.9 to 1 m with one nightstand at its right."""
     width = cm(rng, 0.9, 1.0)
     stand = _nightstand(rng, style).moved(0.5 * width + 0.05 + 0.23, 0.0)
     return joined(_bed(rng, style, width, 2.0), stand, front=0.4)
 
 
 def wardrobe(rng: np.random.Generator, style: Style) -> Piece:
-    """Doors to above the head, a basket on top."""
+    """Draw a wardrobe taller than a person, with a basket on top."""
     width = cm(rng, 1.2, 2.0, 0.2)
     return one(
         "wardrobe",
@@ -84,7 +84,7 @@ def wardrobe(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def dresser(rng: np.random.Generator, style: Style) -> Piece:
-    """A chest of drawers with a photograph and a plant."""
+    """Draw a chest of drawers with a photograph and a plant."""
     width = cm(rng, 0.9, 1.2)
     return one(
         "dresser",
@@ -99,7 +99,7 @@ def dresser(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def toy_chest(rng: np.random.Generator, style: Style) -> Piece:
-    """A bright box with two blocks on it."""
+    """Draw a bright box with two blocks on it."""
     look = Material(color=tinted(rng, (0.9, 0.7, 0.4), 0.1), texture="stripes", scale=0.6)
     return one(
         "toy chest",

@@ -1,4 +1,4 @@
-"""What rooms share: rugs, plants, pictures, pendant lamps. Every function draws one piece in its own frame."""
+"""Draw what all rooms share: rugs, plants, pictures, pendant lamps, each piece in its own frame."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ PAINTINGS = tuple(sorted(name for name in PICTURES if name.startswith("painting"
 
 
 def plant(rng: np.random.Generator, style: Style) -> Piece:
-    """Pot, stem and two tiers of leaves."""
+    """Draw pot, stem and two tiers of leaves."""
     pot, crown = cm(rng, 0.3, 0.4), cm(rng, 0.4, 0.65)
     soil = Material(color=tinted(rng, (0.72, 0.42, 0.3), 0.12), texture="stucco", scale=0.5)
     return one(
@@ -34,22 +34,22 @@ def plant(rng: np.random.Generator, style: Style) -> Piece:
     )
 
 
-def rug(rng: np.random.Generator, style: Style, width: float, depth: float) -> Piece:
-    """Thinner than the step that stops a robot; its frame's origin is its middle."""
+def rug(rng: np.random.Generator, style: Style, width: float, breadth: float) -> Piece:
+    """Draw a rug thinner than the step that stops a robot; its frame's origin is its middle."""
     look = Material(
         color=tinted(rng, (0.88, 0.86, 0.82), 0.1), texture=pick(rng, ["rug", "rug", "plaid", "carpet"]), scale=width
     )
-    return one("rug", [block(0.0, 0.0, 0.0, width, depth, 0.008, look)])
+    return one("rug", [block(0.0, 0.0, 0.0, width, breadth, 0.008, look)])
 
 
 def picture(painting: str, size: float) -> Piece:
-    """A square painting, one of `PAINTINGS`, its middle 1.5 m above the floor."""
+    """Draw a square painting, one of `PAINTINGS`, its middle 1.5 m above the floor."""
     look = Material(color=WHITE, texture=painting, scale=size)
     return one("picture", [block(0.0, 0.015, round(1.5 - 0.5 * size, 3), size, 0.03, size, look)])
 
 
 def wall_shelf(rng: np.random.Generator, style: Style) -> Piece:
-    """A board with books and a pot on the wall."""
+    """Draw a board with books and a pot on the wall."""
     width = cm(rng, 0.6, 1.0)
     return one(
         "wall shelf",
@@ -66,7 +66,7 @@ def wall_shelf(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def pendant(rng: np.random.Generator, style: Style, ceiling: float) -> Piece:
-    """A lamp that hangs from the ceiling, above all heads; its frame's origin is its middle."""
+    """Draw a lamp that hangs from the ceiling, above all heads; its frame's origin is its middle."""
     shade = Material(color=tinted(rng, (0.97, 0.88, 0.70), 0.05), texture=pick(rng, ["fabric", "wicker"]), scale=0.4)
     low = round(ceiling - 0.45, 3)
     return one(

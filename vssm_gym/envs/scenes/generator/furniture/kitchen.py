@@ -1,4 +1,4 @@
-"""Kitchens: a run of modules along a wall, what hangs above it, islands. Pieces in their own frames."""
+"""Draw the furniture of kitchens: a run of modules along a wall, what hangs above it, islands."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ MODULE = 0.6  # m
 
 
 def kitchen_run(rng: np.random.Generator, style: Style, modules: int, hung: bool, reverse: bool) -> Piece:
-    """``modules`` (3 or more) of 0.6 m along the wall: counters, a sink, a stove, and from four on a fridge at one end.
+    """Draw ``modules`` (3 or more) of 0.6 m: counters, a sink, a stove, and from four on a fridge at one end.
 
     ``hung``: with wall cabinets and a hood above them; ``reverse``: the fridge at the left end.
     """
@@ -113,7 +113,7 @@ def _fridge(rng: np.random.Generator, x: float) -> PiecePart:
 
 
 def island(rng: np.random.Generator, style: Style, length: float) -> Piece:
-    """A free-standing block to work at, with a board and a bowl; its frame's origin is its middle."""
+    """Draw a free-standing block to work at, with a board and a bowl; its frame's origin is its middle."""
     return one(
         "island",
         [
@@ -126,6 +126,6 @@ def island(rng: np.random.Generator, style: Style, length: float) -> Piece:
 
 
 def bin_(rng: np.random.Generator, style: Style) -> Piece:
-    """A waste bin with a lid."""
+    """Draw a waste bin with a lid."""
     look = Material(color=tinted(rng, (0.55, 0.6, 0.62), 0.08), texture="metal", scale=0.5)
     return one("bin", [block(0.0, 0.16, 0.0, 0.3, 0.3, 0.6, look), block(0.0, 0.16, 0.6, 0.32, 0.32, 0.04, BLACK)])

@@ -1,4 +1,4 @@
-"""What furniture is made of: blocks in a piece's own frame, parts (one `Furniture` each), pieces placed as one.
+"""Define furniture: blocks in a piece's own frame, parts (one `Furniture` each), pieces placed as one.
 
 The frame of a piece: origin on the floor at the middle of its back, x to the right along the wall as seen from the
 wall, y away from the wall into the room, z up; metres. Sizes are whole centimetres, so that places compare exactly.
@@ -25,7 +25,7 @@ STEP = 0.01  # m
 
 @dataclass(frozen=True)
 class Block:
-    """An upright box in the piece's frame: from ``low`` to ``high`` (x, y, z)."""
+    """Define an upright box in the piece's frame: from ``low`` to ``high`` (x, y, z)."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -34,14 +34,14 @@ class Block:
 
 @dataclass(frozen=True)
 class PiecePart:
-    """One article of furniture: a ``category`` and its blocks."""
+    """Define one article of furniture: a ``category`` and its blocks."""
 
     category: str
     blocks: tuple[Block, ...]
 
     @property
     def on_floor(self) -> tuple[float, float, float, float] | None:
-        """(x0, y0, x1, y1) of what stops a ground robot; None for rugs and what hangs."""
+        """Return (x0, y0, x1, y1) of what stops a ground robot; None for rugs and what hangs."""
         low = [b for b in self.blocks if b.low[2] < LOW and b.high[2] > STEP]
         if not low:
             return None
@@ -55,7 +55,7 @@ class PiecePart:
 
 @dataclass(frozen=True)
 class Piece:
-    """Parts that are placed together.
+    """Define parts that are placed together.
 
     ``front``: metres before the whole piece that stay free, to open or to use it. ``airy``: robots pass under it
     or into its nooks, so everything else keeps the width of a passage from it.
@@ -67,7 +67,7 @@ class Piece:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """(x0, y0, x1, y1) of all blocks."""
+        """Return (x0, y0, x1, y1) of all blocks."""
         blocks = [b for part in self.parts for b in part.blocks]
         return (
             min(b.low[0] for b in blocks),
@@ -78,7 +78,10 @@ class Piece:
 
     @property
     def on_floor(self) -> np.ndarray:
-        """(n, 4) what stops a ground robot; parts that overlap, as a chair and its table, count as one rectangle."""
+        """Return what stops a ground robot, (n, 4).
+
+        Parts that overlap, as a chair and its table, count as one rectangle.
+        """
         merged: list[tuple[float, ...]] = []
         for part in self.parts:
             rect: tuple[float, ...] | None = part.on_floor
@@ -91,7 +94,7 @@ class Piece:
         return np.array(merged).reshape(-1, 4)
 
     def moved(self, x: float, y: float, turned: bool = False) -> "Piece":
-        """The piece shifted by (x, y); first turned by half a turn about its origin if asked."""
+        """Return the piece shifted by (x, y); first turned by half a turn about its origin if asked."""
         return Piece(tuple(_moved(part, x, y, turned) for part in self.parts), self.front, self.airy)
 
 
@@ -108,39 +111,39 @@ def _moved(part: PiecePart, x: float, y: float, turned: bool) -> PiecePart:
 
 
 def block(x: float, y: float, z: float, w: float, d: float, h: float, material: Material) -> Block:
-    """A block of w x d x h centred at (x, y) with its underside at z."""
+    """Return a block of w x d x h centred at (x, y) with its underside at z."""
     low, high = (x - 0.5 * w, y - 0.5 * d, z), (x + 0.5 * w, y + 0.5 * d, z + h)
     return Block(tuple(round(v, 4) for v in low), tuple(round(v, 4) for v in high), material)  # type: ignore[arg-type]
 
 
 def legs(x: float, y: float, w: float, d: float, top: float, thick: float, material: Material) -> list[Block]:
-    """Four legs at the corners of a w x d rectangle centred at (x, y)."""
+    """Return four legs at the corners of a w x d rectangle centred at (x, y)."""
     dx, dy = 0.5 * (w - thick), 0.5 * (d - thick)
     return [block(x + i * dx, y + j * dy, 0.0, thick, thick, top, material) for i in (-1, 1) for j in (-1, 1)]
 
 
 def one(category: str, blocks: Sequence[Block], front: float = 0.0, airy: bool = False) -> Piece:
-    """A piece of a single part."""
+    """Return a piece of a single part."""
     return Piece((PiecePart(category, tuple(blocks)),), front, airy)
 
 
 def joined(*pieces: Piece, front: float = 0.0, airy: bool = False) -> Piece:
-    """Pieces that keep their places relative to each other."""
+    """Join pieces that keep their places relative to each other."""
     return Piece(tuple(part for piece in pieces for part in piece.parts), front, airy)
 
 
 def cm(rng: np.random.Generator, low: float, high: float, step: float = 0.05) -> float:
-    """A length in [low, high] on a grid of ``step`` m from ``low``."""
+    """Draw a length in [low, high] on a grid of ``step`` m from ``low``."""
     return round(low + step * int(rng.integers(0, round((high - low) / step) + 1)), 3)
 
 
 def pick(rng: np.random.Generator, options: Sequence[T]) -> T:
-    """One of the options."""
+    """Draw one of the options."""
     return options[int(rng.integers(len(options)))]
 
 
 def tinted(rng: np.random.Generator, color: Color, spread: float = 0.06) -> Color:
-    """The colour a little lighter or darker and off in hue; two digits."""
+    """Vary a colour: a little lighter or darker and off in hue; two digits."""
     r, g, b = (float(np.clip(c + d, 0.05, 1.0)) for c, d in zip(color, rng.uniform(-spread, spread, 3), strict=True))
     return (round(r, 2), round(g, 2), round(b, 2))
 
@@ -160,7 +163,7 @@ FABRICS: tuple[Color, ...] = (
 
 @dataclass(frozen=True)
 class Style:
-    """What a room's furniture has in common: two woods and a colour of upholstery."""
+    """Define what a room's furniture has in common: two woods and a colour of upholstery."""
 
     wood: Color
     dark: Color
@@ -168,20 +171,20 @@ class Style:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Style":
-        """A style at random."""
+        """Draw a style at random."""
         return cls(tinted(rng, pick(rng, WOODS), 0.03), tinted(rng, pick(rng, WOODS[1::2]), 0.03), pick(rng, FABRICS))
 
     def timber(self, texture: str = "wood", scale: float = 0.8, dark: bool = False) -> Material:
-        """Wood of this room with a texture such as cabinet or drawers."""
+        """Return the wood of this room with a texture such as cabinet or drawers."""
         return Material(color=self.dark if dark else self.wood, texture=texture, scale=scale)
 
     def cloth(self, rng: np.random.Generator, texture: str = "fabric", scale: float = 0.6) -> Material:
-        """Upholstery near this room's colour."""
+        """Draw upholstery near this room's colour."""
         return Material(color=tinted(rng, self.fabric), texture=texture, scale=scale)
 
 
 def cushion(rng: np.random.Generator, scale: float = 0.4) -> Material:
-    """A patterned cover in any colour."""
+    """Draw a patterned cover in any colour."""
     return Material(
         color=tinted(rng, pick(rng, [(0.9, 0.8, 0.65), (0.8, 0.85, 0.95), (0.95, 0.7, 0.5), (0.7, 0.85, 0.7)])),
         texture=pick(rng, ["plaid", "stripes", "wallpaper", "mosaic"]),

@@ -1,4 +1,4 @@
-"""Desks, shelves and cabinets: studies, halls, stores. Every function draws one piece in its own frame."""
+"""Draw the furniture of studies, halls and stores: desks, shelves and cabinets, each in its own frame."""
 
 import numpy as np
 
@@ -20,16 +20,16 @@ from vssm_gym.envs.scenes.generator.furniture.pieces import (
 
 
 def desk(rng: np.random.Generator, style: Style) -> Piece:
-    """A desk of 1.2 m between a drawer block and a side panel that the chair fills: no way under it."""
-    wood, width, depth = style.timber(scale=0.9), 1.2, 0.65
+    """Draw a desk of 1.2 m between a drawer block and a side panel that the chair fills: no passage under it."""
+    wood, width, breadth = style.timber(scale=0.9), 1.2, 0.65
     screen = Material(color=WHITE, texture="screen", scale=0.6)
     table = one(
         "desk",
         [
-            block(0.0, 0.5 * depth, 0.70, width, depth, 0.04, wood),
-            block(0.38, 0.5 * depth, 0.0, 0.42, depth - 0.04, 0.70, style.timber("drawers", 0.7)),
+            block(0.0, 0.5 * breadth, 0.70, width, breadth, 0.04, wood),
+            block(0.38, 0.5 * breadth, 0.0, 0.42, breadth - 0.04, 0.70, style.timber("drawers", 0.7)),
             block(-0.195, 0.075, 0.0, 0.73, 0.15, 0.70, wood),  # a back panel with cables behind it
-            block(-0.58, 0.5 * depth, 0.0, 0.04, depth - 0.04, 0.70, wood),
+            block(-0.58, 0.5 * breadth, 0.0, 0.04, breadth - 0.04, 0.70, wood),
             block(-0.2, 0.14, 0.74, 0.2, 0.16, 0.02, BLACK),
             block(-0.2, 0.12, 0.76, 0.06, 0.04, 0.2, BLACK),
             block(-0.2, 0.15, 0.86, 0.6, 0.03, 0.36, screen),
@@ -55,7 +55,7 @@ def desk(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def bookshelf(rng: np.random.Generator, style: Style) -> Piece:
-    """An open shelf, its boards filled with books from one side or the other."""
+    """Draw an open shelf, its boards filled with books from one side or the other."""
     width, boards = cm(rng, 0.8, 1.6, 0.2), int(rng.integers(4, 7))
     wood, height = style.timber(dark=bool(rng.integers(2))), 0.06 + 0.36 * boards
     blocks = [
@@ -73,7 +73,7 @@ def bookshelf(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def cabinet(rng: np.random.Generator, style: Style) -> Piece:
-    """A filing cabinet or a chest, with a box and a picture on it."""
+    """Draw a filing cabinet or a chest, with a box and a picture on it."""
     width, height = cm(rng, 0.8, 1.0), cm(rng, 0.9, 1.1)
     look = pick(
         rng,
@@ -94,7 +94,7 @@ def cabinet(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def shoe_cabinet(rng: np.random.Generator, style: Style) -> Piece:
-    """Shallow, for halls."""
+    """Draw a shallow cabinet for halls."""
     width = cm(rng, 0.8, 1.2)
     return one(
         "shoe cabinet",
@@ -117,7 +117,7 @@ def shoe_cabinet(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def coat_rack(rng: np.random.Generator, style: Style) -> Piece:
-    """A board with two coats at its hooks."""
+    """Draw a board with two coats at its hooks."""
     coats = [
         Material(color=tinted(rng, c, 0.1), texture=t, scale=0.4)
         for c, t in (((0.35, 0.4, 0.55), "fabric"), ((0.8, 0.5, 0.4), "plaid"))
@@ -133,7 +133,7 @@ def coat_rack(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def bench(rng: np.random.Generator, style: Style) -> Piece:
-    """A low chest with a cushion to sit on."""
+    """Draw a low chest with a cushion to sit on."""
     width = cm(rng, 0.9, 1.3)
     return one(
         "bench",
@@ -146,7 +146,7 @@ def bench(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def storage_shelf(rng: np.random.Generator, style: Style) -> Piece:
-    """A metal shelf with boxes."""
+    """Draw a metal shelf with boxes."""
     width = cm(rng, 0.8, 1.2, 0.2)
     blocks = [block(s * 0.5 * (width - 0.04), 0.2, 0.0, 0.04, 0.4, 1.8, STEEL) for s in (-1, 1)]
     for k in range(4):
@@ -164,6 +164,6 @@ def storage_shelf(rng: np.random.Generator, style: Style) -> Piece:
 
 
 def boxes(rng: np.random.Generator, style: Style) -> Piece:
-    """Two cardboard boxes on each other."""
+    """Draw two cardboard boxes on each other."""
     look = Material(color=(0.75, 0.6, 0.42), texture="stucco", scale=0.5)
     return one("boxes", [block(0.0, 0.25, 0.0, 0.5, 0.5, 0.4, look), block(0.03, 0.23, 0.4, 0.4, 0.4, 0.3, look)])
