@@ -1,10 +1,10 @@
-"""Imagined against real: the same starts and the same commands, without noise, in WorldModelNav and in PointNav.
+"""Compare imagined with real rollouts: the same starts and commands, without noise, in WorldModelNav and PointNav.
 
     position error of a rollout = |xy_imagined(T) - xy_real(T)|,   scan error = |scan_imagined - scan_real|  per ray
     return error = |sum of rewards imagined - sum of rewards real|
 
-Commands wander: a turn that remembers, steps from slow to full speed, so that robots run into things as learners do.
-Rollouts that touched something in either world are counted, and their errors given apart.
+Commands are random: correlated turns and steps from slow to full speed, so that robots collide as learners do.
+Rollouts with a collision in either world are counted, and their errors are also given apart.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ SECONDS = 5.0  # of a rollout
 
 
 def commands(rng: np.random.Generator, steps: int) -> np.ndarray:
-    """``(steps, 4)`` float32 of (turn, o, s, stop = 0)."""
+    """Draw commands ``(steps, 4)`` float32 of (turn, o, s, stop = 0)."""
     robot = HolonomicRobot()
     turn, out = 0.0, np.zeros((steps, 4), np.float32)
     for i in range(steps):
@@ -35,12 +35,12 @@ def commands(rng: np.random.Generator, steps: int) -> np.ndarray:
 def replay(
     scene: Any, belief: Path | VoxelMap, *, rollouts: int = 100, seconds: float = SECONDS, seed: int = 0
 ) -> dict[str, Any]:
-    """Errors of imagination in a map of ``scene``.
+    """Measure the errors of imagination in a map of ``scene``.
 
     Returns:
         Medians and 90th percentiles of the position error at the end (m), of the scans (m, rays and steps of all
-        rollouts, where both worlds have a reading) and of the return; the same for rollouts without contact and for
-        those with; how many had one.
+        rollouts, where both worlds have a reading) and of the return, over ``all`` rollouts, those ``free`` of
+        collisions, and the ``collided`` ones; ``collisions``, the number of the latter.
     """
     real = gym.make(
         "vssm_gym/PointNav-v0",
@@ -54,7 +54,7 @@ def replay(
     steps = round(seconds / HolonomicRobot().dt)
     rng = np.random.default_rng(seed)
     acts = np.stack([commands(rng, steps) for _ in range(rollouts)], axis=1)  # (steps, rollouts, 4)
-    tasks, at, seen, touched = (
+    tasks, at, seen, collided = (
         [],
         np.zeros((steps, rollouts, 2)),
         np.zeros((steps, rollouts, 64)),
@@ -68,7 +68,7 @@ def replay(
             observation, reward, _, _, info = real.step(acts[t, i])
             gained[i] -= reward
             at[t, i], seen[t, i] = observation["pose"][:2], observation["scan"]
-            touched[i] |= info["collision"]
+            collided[i] |= info["collision"]
     real.close()
     imagined = gym.make_vec(
         "vssm_gym/WorldModelNav-v0",
@@ -87,10 +87,10 @@ def replay(
         off[t] = np.hypot(*(observation["pose"][:, :2] - at[t]).T)
         both = (observation["scan"] > 0.0) & (seen[t] > 0.0)
         scans[t] = np.where(both, np.abs(observation["scan"] - seen[t]), np.nan)
-        touched |= infos["collision"]
+        collided |= infos["collision"]
     imagined.close()
-    result: dict[str, Any] = {"rollouts": rollouts, "seconds": seconds, "touched": int(touched.sum())}
-    for name, chosen in (("all", np.ones(rollouts, bool)), ("free", ~touched), ("touching", touched)):
+    result: dict[str, Any] = {"rollouts": rollouts, "seconds": seconds, "collisions": int(collided.sum())}
+    for name, chosen in (("all", np.ones(rollouts, bool)), ("free", ~collided), ("collided", collided)):
         if chosen.any():
             result[name] = {
                 "position_m": _quantiles(off[-1, chosen]),

@@ -207,8 +207,10 @@ def _show_rl(table: Any, result: dict[str, Any], console: Any) -> None:
     console.print(f"memory over {result['steps']:,} steps: {early:.0f} MB after the first tenth, {late:.0f} at the end")
     console.print(f"recompilations: {result['recompilations']}")
     replayed = result["replay"]
-    console.print(f"{replayed['rollouts']} rollouts of {replayed['seconds']:g} s, {replayed['touched']} with contact:")
-    for name in ("all", "free", "touching"):
+    console.print(
+        f"{replayed['rollouts']} rollouts of {replayed['seconds']:g} s, {replayed['collisions']} with a collision:"
+    )
+    for name in ("all", "free", "collided"):
         if name in replayed:
             position, scan = (replayed[name][key] for key in ("position_m", "scan_m"))
             off = ", ".join(f"{100 * e['p50']:.1f} cm ({100 * e['p90']:.1f})" for e in (position, scan))

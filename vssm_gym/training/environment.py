@@ -25,7 +25,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import SUCCESS
 from vssm_gym.envs.vector_wrappers import RelativeGoal
 from vssm_gym.envs.world_model.config import Imagination, checked_stds
-from vssm_gym.envs.world_model.motion import believed
+from vssm_gym.envs.world_model.motion import estimated_pose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH
 from vssm_gym.slam.map_building import map_hash
@@ -160,7 +160,7 @@ class EstimatedPose(VectorWrapper):
     def _told(self, observations: dict[str, Any], infos: dict[str, Any]) -> dict[str, Any]:
         begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
         self._error[begun] = self._variance[begun] = 0.0
-        pose = np.asarray(believed(jnp.asarray(observations["pose"]), jnp.asarray(self._error)))
+        pose = np.asarray(estimated_pose(jnp.asarray(observations["pose"]), jnp.asarray(self._error)))
         return observations | {"pose": pose, "pose_std": np.sqrt(self._variance)}
 
 

@@ -23,4 +23,4 @@ def test_positions_scans_and_rewards_of_imagined_robots_are_the_real_ones(learne
     assert found["free"]["position_m"]["p90"] < 0.001  # without contact the motion is the same law
     assert found["all"]["rays_compared"] > 0.9
     assert found["free"]["return"]["p50"] < 0.1  # of some m driven: two grids of distances
-    assert found["touched"] > 0
+    assert found["collisions"] > 0

@@ -11,11 +11,11 @@ from vssm_gym.envs.robots.car_noise import CarActuators, CarNoise
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.envs.tasks.navigation import APART, SHORTEST, SUCCESS
-from vssm_gym.envs.world_model.collision_map import Ground
+from vssm_gym.envs.world_model.collision_map import CollisionMap
 from vssm_gym.envs.world_model.config import Imagination
 from vssm_gym.envs.world_model.goal_distance import Lattice
-from vssm_gym.envs.world_model.motion import _follow, believed
-from vssm_gym.envs.world_model.tasks import Fit, draw_tasks
+from vssm_gym.envs.world_model.motion import _follow, estimated_pose
+from vssm_gym.envs.world_model.tasks import TaskLimits, draw_tasks
 from vssm_gym.model.transition import PLANAR, MotionNoise, Planar
 
 RADIUS = HolonomicRobot().radius
@@ -33,7 +33,7 @@ class Listed:
 
 @pytest.mark.parametrize("level", NOISE_LEVELS)
 def test_a_noisy_step_is_the_simulators(level):
-    """Same normals, same pose: turns both ways, none at all, steps shorter than the noise, no step."""
+    """Same normals, same pose: turns to both sides, none at all, steps shorter than the noise, no step."""
     rng = np.random.default_rng(0)
     n = 200
     limits = HolonomicRobot().limits
@@ -72,27 +72,27 @@ def test_the_estimate_errs_in_the_body_frame():
     planar, error = rng.uniform(-2.0, 2.0, (50, 3)), 0.02 * rng.standard_normal((50, 3))
     planar, error = (jnp.asarray(a, jnp.float32) for a in (planar, error))
     np.testing.assert_allclose(
-        np.asarray(believed(planar, error)), np.asarray(PLANAR.perturb(planar, error)), atol=2e-3
+        np.asarray(estimated_pose(planar, error)), np.asarray(PLANAR.perturb(planar, error)), atol=2e-3
     )
 
 
 @pytest.fixture(scope="module")
 def lattice() -> Lattice:
-    return Lattice(Ground.of([room()], HolonomicRobot().height, "blocked"), RADIUS)
+    return Lattice(CollisionMap.of([room()], HolonomicRobot().height, "blocked"), RADIUS)
 
 
-def test_ways_are_geodesics_of_the_true_room(lattice):
+def test_goal_distances_are_geodesics_of_the_true_room(lattice):
     """Within 3 % and two cells of the exact visibility graph, from everywhere, around the cupboard and the table."""
     named = [("cupboard", CUPBOARD), ("table", TABLE)]
     exact = Geodesics(FreeSpace("room", FLOOR, named, RADIUS, {"room": FLOOR}))
     goals = np.array([[1.0, 2.5], [4.2, 2.4], [4.7, 0.3]])
-    ways = lattice.ways(goals)
+    distances = lattice.goal_distances(goals)
     rng = np.random.default_rng(2)
     xy = rng.uniform([0.2, 0.2], [4.8, 2.8], (200, 2))
     solid = shapely.union_all([CUPBOARD, TABLE])
     xy = xy[shapely.distance(solid, shapely.points(xy)) > 0.15]
     for number, goal in enumerate(goals):
-        found = ways.at(jnp.full(len(xy), number), *(jnp.asarray(xy[:, a], jnp.float32) for a in (0, 1)))
+        found = distances.at(jnp.full(len(xy), number), *(jnp.asarray(xy[:, a], jnp.float32) for a in (0, 1)))
         expected = np.array([exact.length(p, goal) for p in xy])
         off = np.asarray(found) - expected
         assert (off > -0.05).all() and (off < 0.03 * expected + 0.2).all()
@@ -100,13 +100,13 @@ def test_ways_are_geodesics_of_the_true_room(lattice):
 
 def test_drawn_tasks_keep_the_rules(lattice):
     robot = HolonomicRobot()
-    fit = Fit(RADIUS, RADIUS, APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
-    pool, ways = draw_tasks(lattice, fit, Imagination(pool=100, goals=8))
+    limits = TaskLimits(RADIUS, RADIUS, APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
+    pool, distances = draw_tasks(lattice, limits, Imagination(pool=100, goals=8))
     assert int(pool.count) == 100 and len(pool.goal) == 128
-    start, goal = np.asarray(pool.start)[:100], np.asarray(ways.goals)[np.asarray(pool.goal)[:100]]
+    start, goal = np.asarray(pool.start)[:100], np.asarray(distances.goals)[np.asarray(pool.goal)[:100]]
     assert (np.linalg.norm(start[:, :2] - goal, axis=1) > 0.6).all()
     assert (np.asarray(pool.geodesic)[:100] >= 1.4).all()
     for xy in (start[:, :2], goal):
         assert (lattice.clearance(xy) >= 0.12 - 1e-5).all() and lattice.known(xy).all()
-    again, _ = draw_tasks(lattice, fit, Imagination(pool=100, goals=8))
+    again, _ = draw_tasks(lattice, limits, Imagination(pool=100, goals=8))
     np.testing.assert_array_equal(np.asarray(again.start), np.asarray(pool.start))

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from tests.helpers.imagined_room import half_seen, make, make_vec, random_actions, task
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.scan_wrapper import ScanObservation
-from vssm_gym.envs.world_model import batch_slices as crew
+from vssm_gym.envs.world_model import batch_slices
 from vssm_gym.envs.wrappers import DepthOnly, RelativeGoal
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
@@ -64,7 +64,7 @@ def test_streams_without_a_seed_differ_also_beside_seeded_ones():
     for _ in range(2):
         env = make_vec(3)
         env.reset(seed=[5, None, None])
-        keys.append(np.asarray(env._crew.state.key))
+        keys.append(np.asarray(env._batch.state.key))
         env.close()
     np.testing.assert_array_equal(keys[0][0], keys[1][0])
     assert len(np.unique(np.concatenate(keys), axis=0)) == 5
@@ -84,10 +84,12 @@ def test_an_episode_by_hand():
         assert terminated == (i == 10) and not truncated and not info["collision"]
         total += reward
     assert info["success"]
-    assert total == pytest.approx(1.6 - 10 * STEP_COST + SUCCESS_REWARD, abs=0.05)  # 3 % of a grid's ways
+    assert total == pytest.approx(
+        1.6 - 10 * STEP_COST + SUCCESS_REWARD, abs=0.05
+    )  # a grid's paths are up to 3 % longer
 
 
-def test_a_stop_is_judged_where_the_robot_stands():
+def test_a_stop_is_evaluated_where_the_robot_stands():
     env = make(**EXACT, tasks=[task((1.0, 1.2, 0.0), (3.0, 1.2))])
     env.reset(seed=0)
     observation, reward, terminated, _, info = env.step(np.array([0.1, 0.0, 0.16, 1.0], np.float32))
@@ -197,10 +199,10 @@ def test_slices_of_robots_are_stepped_as_one(monkeypatch):
     """On two cores as on one: the same observations, rewards and tasks, restarts by mask included."""
     seen = []
     for fewest in (1, 1000):
-        monkeypatch.setattr(crew, "FEWEST", fewest)
-        monkeypatch.setattr(crew.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+        monkeypatch.setattr(batch_slices, "MIN_SLICE", fewest)
+        monkeypatch.setattr(batch_slices.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
         env = make_vec(6, observation="depth", max_episode_steps=3)
-        assert len(env._crew._states) == (2 if fewest == 1 else 1)
+        assert len(env._batch._states) == (2 if fewest == 1 else 1)
         rows = [env.reset(seed=3)[0]]
         for batch in random_actions(env, 3, 5):
             observation, reward, terminated, truncated, infos = env.step(batch)
@@ -218,20 +220,20 @@ def test_nothing_recompiles():
     env.reset(seed=0)
     actions = random_actions(env, 3, 12)
     env.step(actions[0])
-    compiled = [program._cache_size() for program in env._crew.programs]
+    compiled = [program._cache_size() for program in env._batch.programs]
     for batch in actions:
         env.step(batch)
         env.reset(options={"reset_mask": np.arange(24) == 3})
-    assert [program._cache_size() for program in env._crew.programs] == compiled
+    assert [program._cache_size() for program in env._batch.programs] == compiled
 
 
 def test_maps_and_noise_are_drawn_for_each_episode():
     env = make_vec(16, noise=("none", "high"), map_samples=3)
     env.reset(seed=0)
-    assert set(np.asarray(env._crew.state.which).tolist()) == {0, 1, 2}
-    noise = np.asarray(env._crew.state.noise)[:, 1]
+    assert set(np.asarray(env._batch.state.which).tolist()) == {0, 1, 2}
+    noise = np.asarray(env._batch.state.noise)[:, 1]
     assert len(set(noise.tolist())) == 16 and noise.min() >= 0.0 and noise.max() <= 0.06
-    ratio = np.asarray(env._crew.state.noise)[:, 0] / noise  # all of a robot's noise by one share
+    ratio = np.asarray(env._batch.state.noise)[:, 0] / noise  # all of a robot's noise by one share
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-4)
 
 

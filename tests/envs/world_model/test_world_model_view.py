@@ -10,10 +10,10 @@ import shapely
 from tests.helpers.imagined_room import CUPBOARD, FLOOR, TABLE, half_seen, room
 from tests.helpers.random_maps import KINDS, random_map
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.world_model.collision_map import Ground, slide
+from vssm_gym.envs.world_model.collision_map import CollisionMap, slide
 from vssm_gym.envs.world_model.rays import RayField, rays_of, surface
-from vssm_gym.envs.world_model.scan_table import Lines, scan_depths
-from vssm_gym.envs.world_model.view import View
+from vssm_gym.envs.world_model.scan_table import ScanTable, scan_depths
+from vssm_gym.envs.world_model.view import ImaginedCamera
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.scan import scan_of
 from vssm_gym.geometry.transforms import planar_to_matrix
@@ -31,7 +31,7 @@ def emitted(m: VoxelMap, pose: np.ndarray, camera: Camera) -> emission.RGBD:
 
 def test_a_scan_is_the_horizontal_row_of_the_emission():
     camera = Camera.from_hfov(64, 1, np.pi / 2)
-    view = View.scan([room()], camera, T_BODY_CAM, 8.0)
+    view = ImaginedCamera.scan([room()], camera, T_BODY_CAM, 8.0)
     seen = np.asarray(view(jnp.zeros(len(POSES), jnp.int32), jnp.asarray(POSES, jnp.float32))["scan"])
     for pose, scan in zip(POSES, seen, strict=True):
         off = np.abs(scan - np.asarray(emitted(room(), pose, camera).depth)[0])
@@ -41,7 +41,7 @@ def test_a_scan_is_the_horizontal_row_of_the_emission():
 
 def test_an_image_is_the_emissions_in_depth_and_colour():
     camera = Camera.from_hfov(32, 24, np.pi / 2)
-    view = View.images([room()], camera, T_BODY_CAM, 8.0, colour=True)
+    view = ImaginedCamera.images([room()], camera, T_BODY_CAM, 8.0, colour=True)
     seen = view(jnp.zeros(len(POSES), jnp.int32), jnp.asarray(POSES, jnp.float32))
     for pose, depth, rgb in zip(POSES, np.asarray(seen["depth"]), np.asarray(seen["rgb"]), strict=True):
         expected = emitted(room(), pose, camera)
@@ -104,7 +104,7 @@ def test_no_surface_is_jumped_in_any_map(kind):
         flat = np.zeros((n, 1), np.float32)
         whole = (np.hstack([centre, flat + height]), np.hstack([direction, flat]))
         depth, k = marched(m, *(jnp.asarray(a, jnp.float32) for a in whole))
-        # A sample that meets the threshold to the last bit may be judged either way.
+        # A sample that meets the threshold to the last bit may count as above or below.
         assert (np.abs(found - np.asarray(depth)) < 5e-3).mean() > 0.995, seed
         later += int((np.asarray(k) > 4).sum())
     assert later > 0.03 * 4 * n or kind not in SURFACES
@@ -119,7 +119,7 @@ def test_no_surface_is_jumped_in_any_image(kind):
     seen_from_afar = 0
     for seed in range(3):
         m = random_map(kind, seed)
-        view = View.images([m], camera, T_body_cam, 4.0, colour=False)
+        view = ImaginedCamera.images([m], camera, T_body_cam, 4.0, colour=False)
         seen = view(jnp.zeros(len(poses), jnp.int32), jnp.asarray(poses, jnp.float32))["depth"]
         for pose, depth in zip(poses, np.asarray(seen), strict=True):
             T_world_cam = jnp.asarray(planar_to_matrix(pose) @ T_body_cam, jnp.float32)
@@ -129,21 +129,21 @@ def test_no_surface_is_jumped_in_any_image(kind):
     assert seen_from_afar > 50 or kind not in SURFACES
 
 
-def test_columns_pass_no_surface_and_nearly_all_of_the_way():
+def test_column_bounds_pass_no_surface_and_reach_nearly_all_of_them():
     """Two maps at once; where a ray hits, what its column certifies ends before, mostly within a cell of it."""
     camera, one = Camera.from_hfov(64, 48, np.pi / 2), room()
     thinner = eqx.tree_at(lambda m: m.occupancy, one, one.occupancy - 0.01)
-    view = View.images([one, thinner], camera, T_BODY_CAM, 8.0, colour=False)
+    view = ImaginedCamera.images([one, thinner], camera, T_BODY_CAM, 8.0, colour=False)
     which = jnp.repeat(jnp.arange(2), len(POSES))
     cameras = view._cameras(jnp.asarray(np.tile(POSES, (2, 1)), jnp.float32))
     n, columns = len(which), camera.width
-    ways = view._rays(
+    lines = view._rays(
         jnp.repeat(which, columns),
         [jnp.repeat(a, columns) for a in cameras],
         jnp.tile(view.across, n),
         jnp.zeros(n * columns),
     )
-    free = np.asarray(view.columns.starts(view.field, *ways, view.down)).reshape(-1)
+    free = np.asarray(view.column_bounds.first_samples(view.field, *lines, view.down)).reshape(-1)
     met = np.asarray(surface(view.field, *view._rays(view._each(which), *view._pixels(cameras))))
     hit = met > 0.0
     assert hit.mean() > 0.5 and np.asarray(view._each(which))[hit].max() == 1
@@ -152,15 +152,15 @@ def test_columns_pass_no_surface_and_nearly_all_of_the_way():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lines_say_what_rays_meet(kind):
+def test_the_scan_table_gives_the_depths_of_traced_rays(kind):
     """Nearly all depths to half a cell; fewer in noise, where surfaces are a cell large. Twice the shares seen."""
     n = 4096
     for seed in range(2):
         m, field, _ = plane_of(kind, seed)
         centre, direction, angle = (jnp.asarray(a) for a in rays_from_everywhere(m, n))
-        ways = tuple(centre.T), tuple(direction.T)
-        told = scan_depths(field, Lines.of(field), jnp.zeros(n, jnp.int32), *ways, angle, 4.0)
-        off = np.abs(np.asarray(told) - np.asarray(traced(field, *ways, 4.0)))
+        rays = tuple(centre.T), tuple(direction.T)
+        looked_up = scan_depths(field, ScanTable.of(field), jnp.zeros(n, jnp.int32), *rays, angle, 4.0)
+        off = np.abs(np.asarray(looked_up) - np.asarray(traced(field, *rays, 4.0)))
         assert (off > 0.5 * float(m.voxel_size)).mean() < (0.035 if kind == "noise" else 0.012), seed
         assert np.median(off) < 1e-3, seed
 
@@ -172,37 +172,37 @@ def test_a_ray_beside_the_field_and_along_it_ends():
     along = (jnp.array([1.0]), jnp.array([0.0]))
     which = jnp.zeros(1, jnp.int32)
     assert float(traced(field, outside, along, 100.0)[0]) == 0.0
-    assert float(scan_depths(field, Lines.of(field), which, outside, along, jnp.zeros(1), 100.0)[0]) == 0.0
+    assert float(scan_depths(field, ScanTable.of(field), which, outside, along, jnp.zeros(1), 100.0)[0]) == 0.0
 
 
 def test_clearance_is_the_distance_to_what_stands_in_the_robots_height():
-    ground = Ground.of([room()], 0.5, "blocked")
+    collision_map = CollisionMap.of([room()], 0.5, "blocked")
     solid = shapely.union_all([CUPBOARD, TABLE, FLOOR.buffer(1.0) - FLOOR])
     xy = np.random.default_rng(1).uniform([0.2, 0.2], [4.8, 2.8], (200, 2))
     away = shapely.distance(solid, shapely.points(xy))
     xy, away = xy[away > 0.02], away[away > 0.02]
     x, y = (jnp.asarray(xy[:, a], jnp.float32) for a in (0, 1))
-    found, _, _ = ground.at(jnp.zeros(len(xy), jnp.int32), x, y)
+    found, _, _ = collision_map.at(jnp.zeros(len(xy), jnp.int32), x, y)
     np.testing.assert_allclose(np.asarray(found), away, atol=0.02)
 
 
 def test_a_disc_slides_along_a_wall_without_friction():
     """Pushed at 45 degrees into the wall y = 3: the part along it is driven, the rest is not."""
-    ground = Ground.of([room()], 0.5, "blocked")
+    collision_map = CollisionMap.of([room()], 0.5, "blocked")
     x, y = jnp.array([1.0, 1.0]), jnp.array([2.88, 1.0])
     push = 0.1 * jnp.ones(2)
-    x1, y1, touched = slide(ground, jnp.zeros(2, jnp.int32), x, y, push, push, 0.1)
-    assert touched.tolist() == [True, False]
+    x1, y1, collided = slide(collision_map, jnp.zeros(2, jnp.int32), x, y, push, push, 0.1)
+    assert collided.tolist() == [True, False]
     np.testing.assert_allclose(np.asarray(x1), [1.1, 1.1], atol=3e-3)
     np.testing.assert_allclose(np.asarray(y1), [2.9, 1.1], atol=1e-2)
 
 
 @pytest.mark.parametrize("unknown", ["blocked", "free"])
 def test_unknown_space_blocks_or_lets_pass(unknown):
-    ground = Ground.of([half_seen()], 0.5, unknown)
+    collision_map = CollisionMap.of([half_seen()], 0.5, unknown)
     x, y = jnp.array([3.7]), jnp.array([1.6])  # nothing was observed here
-    clearance, _, _ = ground.at(jnp.zeros(1, jnp.int32), x, y)
-    assert not bool(ground.known_at(x, y)[0])
+    clearance, _, _ = collision_map.at(jnp.zeros(1, jnp.int32), x, y)
+    assert not bool(collision_map.known_at(x, y)[0])
     assert (float(clearance[0]) > 0.1) == (unknown == "free")
 
 

@@ -1,6 +1,7 @@
-"""``vssm_gym/WorldModelNav-v0``: navigation inside a learned map. Docs: ``docs/envs/world_model_nav.md``.
+"""Imagine navigation inside a learned map: ``vssm_gym/WorldModelNav-v0``. Docs: ``docs/envs/world_model_nav.md``.
 
-From the parts to the whole: ``config`` (what may be chosen), ``rays`` and ``view`` (what is seen), ``ground`` (what is
-collided with), ``ways`` and ``tasks`` (starts, goals, and how far they are), ``motion`` (how robots move), ``world``
-(all of that, built once), ``step`` (one compiled step for many robots), ``vector`` and ``single`` (Gymnasium).
+Modules, from the parts to the whole: ``config`` (keywords), ``rays``, ``scan_table``, ``column_bounds`` and ``view``
+(rendering), ``collision_map`` (collisions), ``goal_distance`` and ``tasks`` (starts, goals, shortest paths), ``motion``
+(dynamics), ``world`` (all arrays of one imagined world, built once), ``step`` (one compiled step for many robots),
+``batch_slices`` (many robots on several cores), ``vector`` and ``single`` (Gymnasium), ``picture`` (drawing).
 """

@@ -1,8 +1,8 @@
-"""Many imagined robots on every core: equal slices of them, each with a thread and a state of its own.
+"""Split a batch of imagined robots into equal slices, each stepped by a thread of its own.
 
-XLA hardly shares the loops of one program among the cores of a CPU, and robots do not meet. So where they see images
-each slice is stepped by a program for one core. Scans are so fast that two calls cost more than sharing gains, and an
-accelerator gets all robots at once.
+XLA hardly shares the loops of one program among the cores of a CPU, and robots do not interact. So where robots see
+images each slice is stepped by a program for one core. Scans are so fast that two calls cost more than sharing gains,
+and an accelerator steps all robots at once.
 """
 
 import os
@@ -16,45 +16,48 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vssm_gym.envs.world_model.step import Programs, State, empty_state, observe, programs
-from vssm_gym.envs.world_model.world import Robot, World
+from vssm_gym.envs.world_model.step import BatchState, Programs, empty_state, observe, programs
+from vssm_gym.envs.world_model.world import ImaginedWorld, Robot
 
-FEWEST = 8  # robots a slice
-FEW = 8  # an eighth of a slice, and at least as many robots, are restarted by a small call, more by one for all
+MIN_SLICE = 8  # robots: smaller slices cost more in calls than another core gains
+MIN_RESTART = 8  # robots: up to so many, or an eighth of a slice, are restarted by a small call, more by one for all
 
 
-class Crew:
-    """``n`` robots; arrays that come back are NumPy's, read-only."""
+class BatchSlices:
+    """Step and restart ``n`` robots; returned arrays are NumPy's, read-only."""
 
-    def __init__(self, robot: Robot, world: World, n: int) -> None:
+    def __init__(self, robot: Robot, world: ImaginedWorld, n: int) -> None:
         self._robot, self._world = robot, world
-        hands = _hands(n) if world.view.lines is None else 1
-        self._states = [empty_state(world, n // hands) for _ in range(hands)]
+        slices = _slice_count(n) if world.view.scan_table is None else 1
+        self._states = [empty_state(world, n // slices) for _ in range(slices)]
         self._shown: list[dict[str, Any]] = []
         self._compiled = False
 
     @property
-    def state(self) -> State:
-        """Of all robots."""
+    def state(self) -> BatchState:
+        """The state of all robots."""
         return _joined(self._states)
 
     def seed(self, keys: np.ndarray, mask: np.ndarray) -> None:
-        """New streams, ``(n, 2)`` uint32, for the robots of ``mask``; each begins with its first draw."""
-        hands = len(self._states)
-        for i, (key, some) in enumerate(zip(np.split(keys, hands), np.split(mask, hands), strict=True)):
+        """Give the robots of ``mask`` new random streams, ``keys (n, 2)`` uint32, from their first draw on."""
+        slices = len(self._states)
+        for i, (key, some) in enumerate(zip(np.split(keys, slices), np.split(mask, slices), strict=True)):
             state = self._states[i]
             streams = jnp.where(some[:, None], jnp.asarray(key, jnp.uint32), state.key)
             draws = jnp.where(some, 0, state.draws)
             self._states[i] = eqx.tree_at(lambda s: (s.key, s.draws), state, (streams, draws))
 
     def restart(self, mask: np.ndarray, task: np.ndarray) -> dict[str, np.ndarray]:
-        """Begin an episode where ``mask`` says so, with ``task``, drawn where that is -1; the observations of all."""
-        restart, n, hands = self.programs.restart, len(self._states[0].steps), len(self._states)
-        few = min(n, max(FEW, n // 8))
+        """Begin an episode of the robots of ``mask`` and return the observations of all robots.
+
+        ``task`` ``(n,)`` holds numbers of tasks; -1 draws one.
+        """
+        restart, n, slices = self.programs.restart, len(self._states[0].steps), len(self._states)
+        few = min(n, max(MIN_RESTART, n // 8))
         if not self._shown:
             like = jax.eval_shape(observe, self._world, self._states[0])
             shown = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), like)
-            self._shown = [shown] * hands
+            self._shown = [shown] * slices
             if few < n:  # compiled now, not in the middle of an episode
                 nobody = jnp.full(few, n, jnp.int32)
                 restart(self._robot, self._world, self._states[0], shown, nobody, jnp.zeros_like(nobody))
@@ -72,11 +75,11 @@ class Crew:
                 )
             )
 
-        self._everywhere(one, np.split(mask, hands), np.split(task, hands))
+        self._everywhere(one, np.split(mask, slices), np.split(task, slices))
         return _joined(self._shown)
 
     def step(self, action: np.ndarray) -> Any:
-        """The :class:`~vssm_gym.envs.world_model.step.Outcome` of ``action (n, command)``."""
+        """Carry out ``action (n, command)`` and return the :class:`~vssm_gym.envs.world_model.step.Outcome`."""
         outcomes: list[Any] = [None] * len(self._states)
 
         def one(i: int, action: np.ndarray) -> None:
@@ -91,7 +94,7 @@ class Crew:
 
     @property
     def programs(self) -> Programs:
-        """What steps and restarts the robots."""
+        """The compiled programs that step and restart the robots."""
         return programs(one_core=len(self._states) > 1)
 
     def _everywhere(self, one: Callable[..., None], *parts: list[np.ndarray]) -> None:
@@ -104,16 +107,16 @@ class Crew:
 
 
 @cache
-def _threads(hands: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(hands)
+def _threads(slices: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(slices)
 
 
-def _hands(n: int) -> int:
-    """Slices of n robots: as many as cores, as far as they are equal and not too small."""
+def _slice_count(n: int) -> int:
+    """Return the number of slices of n robots: one a core, as far as slices are equal and hold at least MIN_SLICE."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if jax.default_backend() != "cpu":
         return 1
-    return max((hands for hands in range(1, cores + 1) if n % hands == 0 and n // hands >= FEWEST), default=1)
+    return max((slices for slices in range(1, cores + 1) if n % slices == 0 and n // slices >= MIN_SLICE), default=1)
 
 
 def _joined(parts: list[Any]) -> Any:

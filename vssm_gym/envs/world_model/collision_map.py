@@ -1,10 +1,10 @@
-"""What an imagined robot collides with: the belief's columns in the robot's height band, as signed clearance.
+"""Map the obstacles of imagined robots: the belief's columns in the robot's height band, as signed clearance.
 
     c(x, y) = signed distance (m) to the nearest column that is occupied, and with ``unknown="blocked"`` to the nearest
               that was hardly observed, too; bilinear between nodes 2.5 cm apart
 
-Columns and distances are those planners use (:mod:`vssm_gym.maps.columns`). The grid covers the observed free columns;
-its rim is blocked, so that nothing leaves what is known.
+Planners use the same columns and distances (:mod:`vssm_gym.maps.columns`). The grid covers the observed free columns;
+its rim is blocked, so that no robot leaves what is known.
 """
 
 import equinox as eqx
@@ -20,12 +20,12 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 RESOLUTION = 0.025  # m
 Z_MIN = 0.08  # m: above the floor's noise
-PIECES = 4  # of one step's way: shorter each than the footprint's radius, so that no wall is jumped
-PUSHES = 2  # out of an obstacle, after each piece: in a corner the first one may lead into the other wall
+PIECES = 4  # of one step's path: each shorter than the footprint's radius, so that no wall is jumped
+PUSHES = 2  # out of an obstacle, after each piece: in a corner the first push may end in the other wall
 
 
-class Ground(eqx.Module):
-    """Clearance of one or several maps on one grid; see the module."""
+class CollisionMap(eqx.Module):
+    """Hold the clearance of one or several maps on one grid; see the module."""
 
     clearance: Float[Array, "nodes"]  # (maps, nx, ny) in C order, m
     known: Bool[Array, "columns"]  # (nx, ny) in C order
@@ -34,8 +34,8 @@ class Ground(eqx.Module):
     resolution: float = eqx.field(static=True)  # m
 
     @classmethod
-    def of(cls, maps: list[VoxelMap], height: float, unknown: str) -> "Ground":
-        """Of one belief and samples of it, for a body that is ``height`` m tall.
+    def of(cls, maps: list[VoxelMap], height: float, unknown: str) -> "CollisionMap":
+        """Build the map of one belief and samples of it, for a body that is ``height`` m tall.
 
         Raises :class:`InputError` for a map that shows no free floor.
         """
@@ -61,12 +61,15 @@ class Ground(eqx.Module):
         return cls(flat, known_, jnp.asarray(origin, jnp.float32), (nx, ny), RESOLUTION)
 
     def mean(self) -> Float[np.ndarray, "nx ny"]:
-        """Clearance in the first map, m."""
+        """Return the clearance ``(nx, ny)`` in the first map, m."""
         nx, ny = self.shape
         return np.asarray(self.clearance).reshape(-1, nx, ny)[0]
 
     def at(self, which: Int[Array, "*batch"], x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Clearance (m) and its slope along x and y at world points, in map ``which``; the rim's beyond the grid."""
+        """Return the clearance (m) and its slope along x and y at world points in map ``which``.
+
+        Points beyond the grid take the values of its rim.
+        """
         nx, ny = self.shape
         u = jnp.clip((x - self.origin[0]) / self.resolution, 0.0, nx - 1.0)
         v = jnp.clip((y - self.origin[1]) / self.resolution, 0.0, ny - 1.0)
@@ -81,7 +84,7 @@ class Ground(eqx.Module):
         return left + a * (right - left), (right - left) / self.resolution, slope_y / self.resolution
 
     def known_at(self, x: Array, y: Array) -> Bool[Array, "*batch"]:
-        """Whether the column nearest to a world point was observed."""
+        """Return whether the column nearest to each world point was observed."""
         nx, ny = self.shape
         i = jnp.clip(((x - self.origin[0]) / self.resolution + 0.5).astype(jnp.int32), 0, nx - 1)
         j = jnp.clip(((y - self.origin[1]) / self.resolution + 0.5).astype(jnp.int32), 0, ny - 1)
@@ -89,31 +92,33 @@ class Ground(eqx.Module):
 
 
 def slide(
-    ground: Ground, which: Int[Array, "n"], x: Array, y: Array, dx: Array, dy: Array, radius: float
+    collision_map: CollisionMap, which: Int[Array, "n"], x: Array, y: Array, dx: Array, dy: Array, radius: float
 ) -> tuple[Array, Array, Bool[Array, "n"]]:
-    """A disc is pushed by ``(dx, dy)`` m: where it ends, and whether it touched something.
+    """Move discs by ``(dx, dy)`` m along obstacles; return where each ends and whether it collided.
 
-    After each piece of the way the disc is pushed out of what it overlaps along the clearance's slope, which leaves
-    the part of the push along the wall: contacts are without friction, as in the simulator.
+    After each piece of the path a disc is pushed out of what it overlaps along the clearance's slope, which keeps the
+    motion along the wall: contacts are frictionless, as in the simulator.
     """
 
     def push(i, carry):
-        x, y, touched = carry
+        x, y, collided = carry
         further = (i % PUSHES == 0) / PIECES
         x, y = x + further * dx, y + further * dy
-        clearance, slope_x, slope_y = ground.at(which, x, y)
+        clearance, slope_x, slope_y = collision_map.at(which, x, y)
         lacking = jnp.maximum(radius - clearance, 0.0)
         steep = jnp.maximum(slope_x**2 + slope_y**2, 0.25)  # flat on ridges: never more than twice what lacks
-        return x + lacking * slope_x / steep, y + lacking * slope_y / steep, touched | (lacking > 0.0)
+        return x + lacking * slope_x / steep, y + lacking * slope_y / steep, collided | (lacking > 0.0)
 
     # A loop: written out, the compiler works out again for each of the three all that leads to them, 3^8 times.
     return jax.lax.fori_loop(0, PIECES * PUSHES, push, (x, y, jnp.zeros(x.shape, bool)))
 
 
-def fits(ground: Ground, which: Int[Array, "n"], x: Array, y: Array, radius: float) -> Float[Array, "n"]:
-    """How much room discs ``(discs, n)`` of one body have to spare, m; negative where one overlaps an obstacle."""
-    clearance, _, _ = ground.at(jnp.broadcast_to(which, x.shape), x, y)
+def disc_clearance(
+    collision_map: CollisionMap, which: Int[Array, "n"], x: Array, y: Array, radius: float
+) -> Float[Array, "n"]:
+    """Return the least clearance beyond ``radius`` among discs ``(discs, n)`` of a body, m; negative: one overlaps."""
+    clearance, _, _ = collision_map.at(jnp.broadcast_to(which, x.shape), x, y)
     return jnp.min(clearance, axis=0) - radius
 
 
-mean_clearance = jax.jit(lambda ground, x, y: ground.at(jnp.zeros(x.shape, jnp.int32), x, y)[0])
+mean_clearance = jax.jit(lambda collision_map, x, y: collision_map.at(jnp.zeros(x.shape, jnp.int32), x, y)[0])

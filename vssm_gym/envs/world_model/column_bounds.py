@@ -1,15 +1,19 @@
-"""How far the columns of an image are free: found before its rays are searched one by one.
+"""Bound how far the rays of a pixel column are free, before rays are searched one by one.
 
-An upright camera's rays of one pixel column, ``c + d (t_x, t_y, r)``, differ in their rise r alone. Over each piece of
-the plan the space around a height is free from ``low`` to ``high`` (from the camera's). One way through the plan thus
-says of all its rays how far they are free: to where the way leaves piece j, those of rise
+The rays of one pixel column of an upright camera, ``c + d (t_x, t_y, r)``, differ in their rise r alone: all lie above
+the same horizontal line of the floor plan. Over each piece of the plan the space around a height is free from ``low``
+to ``high`` (relative to that height). One walk along the line thus bounds all rays of the column: to where the line
+leaves piece j, the rays are free whose rise is
 
-    max_{i <= j} low_i / d_i <= r <= min_{i <= j} high_i / d_i,    d_i where it enters or leaves, whichever is stricter
+    max_{i <= j} low_i / d_i <= r <= min_{i <= j} high_i / d_i
+
+with ``d_i`` the z-depth where the line enters or leaves piece i, whichever is stricter.
 
 Occupancy is linear in height between two layers of cells and largest at a piece's corners: low and high are the heights
-where the first of its four edges meets the threshold. They are those of the largest square of pieces around it over
-which they are nearly the same, and a way leaps from square to square. The space around the camera's height and that
-halfway to the ceiling, above furniture, hold nearly all rays; what is left is the search's of single rays.
+where the first of its four edges meets the threshold. Each piece stores the bounds of the largest square of pieces
+around it over which they are nearly the same, and the walk leaps from square to square. The space around the camera's
+height and the space halfway to the ceiling, above furniture, hold nearly all rays; the others are left to the search of
+single rays (:mod:`vssm_gym.envs.world_model.rays`).
 """
 
 from typing import Any
@@ -21,20 +25,20 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.ndimage import minimum_filter
 
-from vssm_gym.envs.world_model.rays import FIRST, HIT, SLACK, RayField, Rays, at_nodes
+from vssm_gym.envs.world_model.rays import FIRST_SAMPLE, HIT_OFFSET, SLACK, RayField, Rays, at_nodes
 from vssm_gym.model.emission import STEP, TAU
 
 FINE = 4  # pieces of the plan a cell along each axis
-SQUARES = (1, 2, 4, 8, 16, 32)  # pieces from a square's middle one to its border
-NEARLY = 0.1  # cells, and
-NEARLY_OF_HEIGHT = 0.01  # of low and high
-STEPS = 32  # squares that a way is followed through
+SQUARES = (1, 2, 4, 8, 16, 32)  # pieces from the middle of a square to its border
+# Bounds count as nearly the same if they differ by no more than NEARLY (cells) + NEARLY_OF_HEIGHT of the bound.
+NEARLY, NEARLY_OF_HEIGHT = 0.1, 0.01
+STEPS = 32  # squares that a line is followed through; rays that go on are searched one by one
 
 
-class Columns(eqx.Module):
-    """Free spaces over the plan of a :class:`RayField`; see the module.
+class ColumnBounds(eqx.Module):
+    """Hold the free heights over the floor plan of a :class:`RayField`; see the module.
 
-    Of each piece of the plan, flat: (2, maps, *pieces) in C order, of the spaces around two heights.
+    Arrays are flat: (2, maps, *pieces) in C order, for the spaces around two heights.
     """
 
     low: Float[Array, "pieces"]  # cells from the camera's height; above high where the space is not free
@@ -42,8 +46,8 @@ class Columns(eqx.Module):
     reach: Float[Array, "pieces"]  # cells from the piece to the border of its square
 
     @classmethod
-    def of(cls, field: RayField, camera: float) -> "Columns":
-        """Around a camera at ``camera`` m, and halfway from there to the ceiling, above most furniture."""
+    def of(cls, field: RayField, camera: float) -> "ColumnBounds":
+        """Compute the bounds around a camera at ``camera`` m, and halfway from there to the ceiling."""
         maps = np.asarray(field.occupancy).reshape(-1, *field.shape)
         level = (camera - float(field.origin[2])) / float(field.voxel_size)
         near = _space(maps, level)
@@ -53,22 +57,22 @@ class Columns(eqx.Module):
         far = np.stack([low + above, high + above, reach])
         return cls(*(jnp.asarray(np.stack(both).reshape(-1), jnp.float32) for both in zip(near, far, strict=True)))
 
-    def starts(
-        self, field: RayField, ways: Rays, first: Float[Array, "ways"], down: Float[Array, "rows"]
-    ) -> Float[Array, "rows ways"]:
-        """Samples before which the rays of all rows are free.
+    def first_samples(
+        self, field: RayField, lines: Rays, first: Float[Array, "columns"], down: Float[Array, "rows"]
+    ) -> Float[Array, "rows columns"]:
+        """Return for each row and pixel column the sample before which its ray is free.
 
         Args:
-            field: what these columns are of.
-            ways: horizontal rays at the camera's height.
-            first: the first sample of each that may hit.
-            down: of the rows: m downward a metre of z-depth.
+            field: the field of these bounds.
+            lines: horizontal rays at the camera's height, one a pixel column.
+            first: the first sample of each line that may hit.
+            down: slopes of the rows: metres downward a metre of z-depth.
         """
         nx, ny = ((n - 1) * FINE for n in field.shape[:2])
-        n = 2 * len(first)  # each way in both spaces
-        last = jnp.where(first <= FIRST, ways.last, -1.0)  # a way that begins outside the plan is not followed
-        last, start, stride = jax.tree.map(lambda a: jnp.concatenate([a, a]), (last, ways.start[:2], ways.stride[:2]))
-        which = jnp.concatenate([ways.which, ways.which + len(self.low) // (2 * nx * ny)])
+        n = 2 * len(first)  # each line in both spaces
+        last = jnp.where(first <= FIRST_SAMPLE, lines.last, -1.0)  # a line that begins outside the plan is not followed
+        last, start, stride = jax.tree.map(lambda a: jnp.concatenate([a, a]), (last, lines.start[:2], lines.stride[:2]))
+        which = jnp.concatenate([lines.which, lines.which + len(self.low) // (2 * nx * ny)])
 
         def follow(carry: Any) -> Any:
             j, k, bounds, all_k, all_bounds = carry
@@ -77,7 +81,7 @@ class Columns(eqx.Module):
                 at.append(jnp.clip(jnp.floor((s + t * k) * FINE), 0.0, count - 1.0))
                 number += at[-1].astype(jnp.int32) * step
             low, high, reach = (a.at[number].get(mode="promise_in_bounds") for a in (self.low, self.high, self.reach))
-            exits = jnp.full(n, HIT)
+            exits = jnp.full(n, HIT_OFFSET)
             for s, t, piece in zip(start, stride, at, strict=True):
                 inverse = 1.0 / jnp.where(jnp.abs(t) > 1e-9, t, 1e-9)
                 border = jnp.where(inverse > 0, (piece + 1.0) / FINE + reach, piece / FINE - reach)
@@ -86,15 +90,21 @@ class Columns(eqx.Module):
             within = jnp.stack([-low, high]) - SLACK
             over = (low > high) | (k > last)
             bounds = jnp.minimum(bounds, jnp.where(over, -1.0, within / jnp.where(within > 0.0, end, k)))
-            k = jnp.where(over, HIT, end + 1.0)
+            k = jnp.where(over, HIT_OFFSET, end + 1.0)
             all_k = jax.lax.dynamic_update_slice(all_k, k[None], (j + 1, 0))
             return j + 1, k, bounds, all_k, jax.lax.dynamic_update_slice(all_bounds, bounds[None], (j, 0, 0))
 
-        k = jnp.full(n, FIRST)
+        k = jnp.full(n, FIRST_SAMPLE)
         *_, all_k, all_bounds = jax.lax.while_loop(
             lambda carry: (carry[0] < STEPS) & jnp.any(carry[1] <= last),
             follow,
-            (0, k, jnp.full((2, n), HIT), jnp.full((STEPS + 1, n), FIRST), jnp.full((STEPS + 1, 2, n), -1.0)),
+            (
+                0,
+                k,
+                jnp.full((2, n), HIT_OFFSET),
+                jnp.full((STEPS + 1, n), FIRST_SAMPLE),
+                jnp.full((STEPS + 1, 2, n), -1.0),
+            ),
         )
         free = _free(all_k, all_bounds, -STEP * down[:, None])
         return jnp.maximum(free[:, : n // 2], free[:, n // 2 :])
@@ -103,30 +113,30 @@ class Columns(eqx.Module):
 def _free(
     all_k: Float[Array, "squares n"], all_bounds: Float[Array, "squares 2 n"], rise: Float[Array, "rows 1"]
 ) -> Float[Array, "rows n"]:
-    """Of ways followed, the samples before which each row's rays are free."""
+    """Return the sample before which each row's ray is free, from the bounds of the squares that its line passed."""
     n = all_k.shape[1]
     # Comparing with all squares is cheaper than bisection, which gathers. In a loop, because what is unrolled is
     # computed anew for each of its uses.
     passes = lambda j: (rise >= -all_bounds[j, 0]) & (rise <= all_bounds[j, 1])
     passed = jnp.zeros((len(rise), n), jnp.int32)
     passed = jax.lax.fori_loop(0, STEPS, lambda j, passed: passed + passes(j).astype(jnp.int32), passed)
-    # Of the next one a part: if the ray leaves there, the bound is that of this square alone.
-    steep, upward, way = jnp.abs(rise), (rise > 0.0).astype(jnp.int32), jnp.arange(n)
-    bound = lambda side: all_bounds.reshape(-1).at[(2 * passed + side) * n + way].get(mode="promise_in_bounds")
-    k_of = lambda j: all_k.reshape(-1).at[j * n + way].get(mode="promise_in_bounds")
+    # The ray may cross a part of the next square: where it leaves there, that square alone bounds it.
+    steep, upward, line = jnp.abs(rise), (rise > 0.0).astype(jnp.int32), jnp.arange(n)
+    bound = lambda side: all_bounds.reshape(-1).at[(2 * passed + side) * n + line].get(mode="promise_in_bounds")
+    k_of = lambda j: all_k.reshape(-1).at[j * n + line].get(mode="promise_in_bounds")
     k, after = k_of(passed), k_of(jnp.minimum(passed + 1, STEPS))
     leaves = jnp.floor(bound(upward) * (after - 1.0) / jnp.maximum(steep, 1e-9)) + 1.0
     return jnp.where(bound(1 - upward) >= -steep, jnp.clip(leaves, k, jnp.maximum(k, after)), k)
 
 
 def _space(maps: Float[np.ndarray, "maps nx ny nz"], level: float) -> Float[np.ndarray, "3 maps pieces_x pieces_y"]:
-    """Low and high from ``level`` (cells), and reach."""
+    """Return low and high relative to ``level`` (cells), and reach, of every map."""
     top = maps.shape[3] - 1
     return np.stack([_squares(_free_height(m[:, :, ::-1], top - level), _free_height(m, level)) for m in maps], axis=1)
 
 
 def _free_height(occupancy: Float[np.ndarray, "nx ny nz"], level: float) -> Float[np.ndarray, "pieces_x pieces_y"]:
-    """Cells upward from ``level`` that are free over each piece of the plan, up to the field's end."""
+    """Return how many cells upward from ``level`` are free over each piece of the plan, up to the field's end."""
     nz = occupancy.shape[2]
     if not 0.0 <= level <= nz - 1:
         return np.zeros([(n - 1) * FINE for n in occupancy.shape[:2]])
@@ -146,14 +156,14 @@ def _free_height(occupancy: Float[np.ndarray, "nx ny nz"], level: float) -> Floa
 
 
 def _squares(below: np.ndarray, above: np.ndarray) -> Float[np.ndarray, "3 pieces_x pieces_y"]:
-    """Low, high and reach of the largest square around each piece over which the free heights are nearly its own."""
+    """Return low, high and reach of the largest square around each piece with nearly the same free heights."""
     free = (below > 0.0) & (above > 0.0)
     least = [np.where(free, one, 0.0) for one in (below, above)]
-    wanted = [one - NEARLY - NEARLY_OF_HEIGHT * one for one in least]
+    required = [one - NEARLY - NEARLY_OF_HEIGHT * one for one in least]
     reach, going = np.zeros(below.shape), free
     for border in SQUARES:
         around = [minimum_filter(np.where(free, one, 0.0), 2 * border + 1, mode="nearest") for one in (below, above)]
-        going = going & np.all([(a >= w) & (a > 0.0) for a, w in zip(around, wanted, strict=True)], axis=0)
+        going = going & np.all([(a >= w) & (a > 0.0) for a, w in zip(around, required, strict=True)], axis=0)
         least = [np.where(going, a, one) for a, one in zip(around, least, strict=True)]
         reach[going] = border / FINE
     return np.stack([np.where(free, -least[0], 1.0), np.where(free, least[1], -1.0), reach])

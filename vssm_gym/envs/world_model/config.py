@@ -1,4 +1,4 @@
-"""What may be chosen of an imagined environment, checked."""
+"""Check the keywords of an imagined environment."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from vssm_gym.errors import InputError
 
 SOURCE = "WorldModelNav"
 BEAMS = 64  # of a scan
-# Keywords of the constructors beside those of Imagination
+# Keywords of the constructors that are not fields of Imagination
 OWN = ("map", "render_mode")
 CHOICES: dict[str, tuple[str, ...]] = {
     "robot": ("holonomic", "car"),
@@ -26,26 +26,28 @@ CHOICES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Imagination:
-    """Keywords of the environment; see ``docs/envs/world_model_nav.md``.
+    """Hold the keywords of the environment; see ``docs/envs/world_model_nav.md``.
 
     Args:
         robot: ``holonomic`` stands for PointNav, ``car`` for CarNav with ``targets="points"``.
         observation: ``scan``, ``depth`` or ``rgbd``.
-        noise: a level of the real environment's, its noise dataclass, or a pair of them: each episode draws its own
-            between the two.
-        camera: of the images; a scan takes its angle.
-        max_depth: m; what is farther gives no reading.
-        end_on: as PointNav's; a car always ends on arrival.
+        noise: a noise level of the real environment, its noise dataclass, or a pair of them, between which each
+            episode draws its own.
+        camera: intrinsics of images; a scan takes its field of view.
+        max_depth: range of the sensor, m; farther surfaces give no reading.
+        end_on: as PointNav's keyword; a car always ends on arrival.
         reward: ``dense`` or ``sparse``.
-        unknown: whether space that nothing observed stops a robot, lets it pass, or lets it pass at a price.
-        map_samples: maps drawn from the posterior, of which each episode takes one; 0: the posterior's mean.
-        start_std: of the start about the task's, where the robot believes to be: forward (m), left (m), turn (rad).
-        pose_std: of the estimated pose's error once it has settled, likewise.
-        pose_memory: share of that error that is left after a step.
+        unknown: whether unobserved space blocks a robot, is free, or is free at a cost.
+        map_samples: number of maps drawn from the posterior, of which each episode takes one; 0: the posterior's mean.
+        start_std: standard deviations of the true start about the task's start, which is the initial pose estimate:
+            forward (m), left (m), turn (rad).
+        pose_std: stationary standard deviations of the pose estimate's error, likewise.
+        pose_memory: autocorrelation of that error from one step to the next.
         show_uncertainty: whether the observation holds ``pose_std``.
-        tasks: a ``TaskSet`` or sequence of tasks with ``start`` and ``goal``; None: they are drawn in free space.
-        pool, goals: how many tasks are drawn, and to how many goals.
-        pool_seed: of that draw and of the maps'.
+        tasks: a ``TaskSet`` or sequence of tasks with ``start`` and ``goal``; None: drawn in free space.
+        pool: number of tasks that are drawn.
+        goals: number of goals among them.
+        pool_seed: seed of the tasks and of the sampled maps.
     """
 
     robot: Literal["holonomic", "car"] = "holonomic"
@@ -91,7 +93,7 @@ class Imagination:
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> "Imagination":
-        """From the keywords of ``gym.make``; an unknown one raises :class:`InputError` that names those there are."""
+        """Check the keywords of ``gym.make``; raise :class:`InputError` that lists the keywords for an unknown one."""
         names = [one.name for one in fields(cls)]
         for name in keywords:
             if name not in names:
@@ -100,7 +102,7 @@ class Imagination:
         return cls(**keywords)
 
     def noise_range(self) -> tuple[Any, Any]:
-        """The two ends of the noise: of :class:`ExecutionNoise` or of :class:`CarNoise`."""
+        """Return the two ends of the noise range, :class:`ExecutionNoise` or :class:`CarNoise`."""
         parse: Any = execution_noise if self.robot == "holonomic" else car_noise
         pair = isinstance(self.noise, Sequence) and not isinstance(self.noise, str)
         if pair and len(self.noise) != 2:
@@ -110,7 +112,7 @@ class Imagination:
 
 
 def noise_parameters(noise: ExecutionNoise | CarNoise) -> tuple[float, ...]:
-    """What an imagined robot knows of a level: (turn, step), or the car's lags, spreads and jitters."""
+    """Return the parameters of a noise level: (turn, step), or the car's lags, spreads and jitters."""
     if isinstance(noise, ExecutionNoise):
         return noise.turn, noise.step
     names = ("speed_lag", "steering_lag", "calibration", "trim", "speed_jitter", "steering_jitter")

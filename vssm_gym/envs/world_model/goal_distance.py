@@ -1,4 +1,4 @@
-"""How far goals are through the belief's free space: one distance field a goal, made once, looked up in every step.
+"""Compute shortest-path distances to goals through the belief's free space: one field a goal, looked up every step.
 
 ``d(n)`` is the shortest path from node n to the goal over edges to 16 neighbours on a grid of free positions, as the
 real environment's dense reward has it (:mod:`vssm_gym.envs.tasks.goal_progress`): at most 3 % longer than the true
@@ -14,16 +14,16 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from vssm_gym.envs.tasks.goal_progress import SPACING
-from vssm_gym.envs.world_model.collision_map import Ground, mean_clearance
+from vssm_gym.envs.world_model.collision_map import CollisionMap, mean_clearance
 from vssm_gym.geometry.grid_graph import edges, graph
 
-NOWHERE = 1e6  # m, from where no way leads to the goal
-BEYOND = 1e3  # m: what is looked up as more is near such a node
-_RINGS = 3  # of blocked nodes beside free ones get a distance, so that a robot at a wall has one
+UNREACHABLE = 1e6  # m: the distance of nodes from which no path leads to the goal
+MAX_DISTANCE = 1e3  # m: an interpolated distance above this is next to an unreachable node, and unknown
+_RINGS = 3  # rings of blocked nodes next to free ones get a distance, so that a robot at a wall has one
 
 
-class Ways(eqx.Module):
-    """Distance fields of goals; see the module."""
+class GoalDistances(eqx.Module):
+    """Hold the distance fields of goals; see the module."""
 
     distance: Float[Array, "nodes"]  # (goals, nx, ny) in C order, m
     goals: Float[Array, "goals 2"]  # world, m
@@ -31,7 +31,7 @@ class Ways(eqx.Module):
     shape: tuple[int, int] = eqx.field(static=True)
 
     def at(self, goal: Int[Array, "*batch"], x: Array, y: Array) -> Float[Array, "*batch"]:
-        """Metres from world points to goal number ``goal``; more than BEYOND where that is not known."""
+        """Return the path length (m) from world points to goal number ``goal``; above MAX_DISTANCE where unknown."""
         nx, ny = self.shape
         straight = jnp.hypot(x - self.goals[goal, 0], y - self.goals[goal, 1])
         u = jnp.clip((x - self.origin[0]) / SPACING, 0.0, nx - 1.0)
@@ -47,44 +47,44 @@ class Ways(eqx.Module):
 
 
 class Lattice:
-    """Free nodes of a belief for a disc of ``radius`` m, and the ways between them (NumPy, at construction)."""
+    """Connect the free nodes of a belief for a disc of ``radius`` m in a graph (NumPy, at construction)."""
 
-    def __init__(self, ground: Ground, radius: float) -> None:
-        self.origin = np.asarray(ground.origin, np.float64)
-        extent = (np.array(ground.shape) - 1) * ground.resolution
+    def __init__(self, collision_map: CollisionMap, radius: float) -> None:
+        self.origin = np.asarray(collision_map.origin, np.float64)
+        extent = (np.array(collision_map.shape) - 1) * collision_map.resolution
         self.shape = tuple(int(n) for n in np.floor(extent / SPACING).astype(int) + 1)
         axes = [o + SPACING * np.arange(n) for o, n in zip(self.origin, self.shape, strict=True)]
         self.nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        self._ground, self._radius = ground, radius
+        self._collision_map, self._radius = collision_map, radius
         self.free = self.clearance(self.nodes) >= radius
         self._graph = self._edges()
         _, self.part = connected_components(self._graph, directed=False)
 
     def clearance(self, xy: np.ndarray) -> np.ndarray:
-        """Of world points ``(..., 2)`` in the mean map, m."""
+        """Return the clearance of world points ``(..., 2)`` in the mean map, m."""
         x, y = (jnp.asarray(xy[..., axis], jnp.float32) for axis in (0, 1))
-        return np.asarray(mean_clearance(self._ground, x, y))
+        return np.asarray(mean_clearance(self._collision_map, x, y))
 
     def known(self, xy: np.ndarray) -> np.ndarray:
-        """Whether the columns under world points ``(..., 2)`` were observed."""
-        return np.asarray(self._ground.known_at(jnp.asarray(xy[..., 0]), jnp.asarray(xy[..., 1])))
+        """Return whether the columns at world points ``(..., 2)`` were observed."""
+        return np.asarray(self._collision_map.known_at(jnp.asarray(xy[..., 0]), jnp.asarray(xy[..., 1])))
 
     def nearest(self, xy: np.ndarray) -> np.ndarray:
-        """Number of the free node nearest to each of ``xy (n, 2)``."""
+        """Return the number of the free node nearest to each of ``xy (n, 2)``."""
         free = np.flatnonzero(self.free)
         away = np.linalg.norm(self.nodes[free][None] - xy[:, None], axis=-1)
         return free[np.argmin(away, axis=1)]
 
-    def ways(self, goals: np.ndarray) -> Ways:
-        """The fields of ``goals (n, 2)``, m."""
+    def goal_distances(self, goals: np.ndarray) -> GoalDistances:
+        """Compute the distance fields of ``goals (n, 2)``, m."""
         at = self.nearest(goals)
         away = np.linalg.norm(self.nodes[at] - goals, axis=-1)
         distance = dijkstra(self._graph, directed=False, indices=at) + away[:, None]
         distance[:, ~self.free] = np.inf
         filled = _filled(distance.reshape(-1, *self.shape))
-        flat = np.where(np.isfinite(filled), filled, NOWHERE).reshape(-1)
+        flat = np.where(np.isfinite(filled), filled, UNREACHABLE).reshape(-1)
         field, at_goals, origin = (jnp.asarray(a, jnp.float32) for a in (flat, goals, self.origin))
-        return Ways(field, at_goals, origin, (self.shape[0], self.shape[1]))
+        return GoalDistances(field, at_goals, origin, (self.shape[0], self.shape[1]))
 
     def _edges(self) -> csr_array:
         begin, end, length = edges(self.free.reshape(self.shape))
@@ -95,7 +95,7 @@ class Lattice:
 
 
 def _filled(distance: np.ndarray) -> np.ndarray:
-    """``(goals, nx, ny)`` with blocked nodes beside free ones at ``min over neighbours m of |n - m| + d(m)``."""
+    """Extend ``distance (goals, nx, ny)`` into blocked nodes: ``d(n) = min over neighbours m of |n - m| + d(m)``."""
     for _ in range(_RINGS):
         padded = np.pad(distance, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
         nx, ny = distance.shape[1:]

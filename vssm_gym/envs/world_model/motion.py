@@ -1,12 +1,11 @@
-"""How imagined robots move: the model's transitions under the real environments' noise, many robots at once.
+"""Move imagined robots by the model's transitions under the real environments' noise, many robots at once.
 
-Holonomic: the mean of :class:`~vssm_gym.model.transition.planar.Planar` for the control that its noise makes of the
-command.
+Holonomic: the mean of :class:`~vssm_gym.model.transition.planar.Planar` for the noisy execution of the command.
 
-Car: the mean of :class:`~vssm_gym.model.transition.bicycle.Bicycle` for what servos make of the command. A servo lags,
-``v' = a + (v - a) exp(-dt / lag)``, after ``a = gain u (1 + jitter e)``; the arc is that of the mean over the step.
-Gain and trim are the car's own, drawn with the episode (:mod:`vssm_gym.envs.robots.car_noise`). Left out, and so part
-of what imagination misses: backlash, droop, the servo's fastest rate, and tyres that slip.
+Car: the mean of :class:`~vssm_gym.model.transition.bicycle.Bicycle` for the servos' response to the command. A servo is
+a first-order lag, ``v' = a + (v - a) exp(-dt / lag)``, with the set point ``a = gain u (1 + jitter e)``; the arc is
+that of the mean speed and steering over the step. Gain and trim belong to the car and are drawn with the episode
+(:mod:`vssm_gym.envs.robots.car_noise`). Not modelled: backlash, voltage droop, the servo's rate limit, and tyre slip.
 """
 
 from typing import NamedTuple
@@ -14,18 +13,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.envs.world_model.collision_map import Ground, fits, slide
+from vssm_gym.envs.world_model.collision_map import CollisionMap, disc_clearance, slide
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.transition.bicycle import Bicycle
 from vssm_gym.model.transition.planar import Planar
 
-# The car's footprint as discs along its middle, each over a third of its length
-DISCS = 3
+DISCS = 3  # along the car's middle that cover its footprint
 
 
-class Moved(NamedTuple):
-    """After one step of n robots."""
+class Motion(NamedTuple):
+    """Hold the result of one step of n robots."""
 
     planar: Float[Array, "n 3"]  # x, y (m), heading (rad)
     servos: Float[Array, "n 4"]  # of a car: speed (m/s), steering (rad), gain, trim (rad)
@@ -33,23 +31,23 @@ class Moved(NamedTuple):
 
 
 def drive_holonomic(
-    ground: Ground,
+    collision_map: CollisionMap,
     which: Int[Array, "n"],
     planar: Float[Array, "n 3"],
     command: Float[Array, "n 3"],
     transition: Planar,
     normal: Float[Array, "n 2"],
     radius: float,
-) -> Moved:
-    """One step of discs of ``radius`` m that slide along what they meet."""
+) -> Motion:
+    """Move discs of ``radius`` m by one step; they slide along obstacles."""
     aim = transition.executed(planar, command, normal)
     x, y = planar[:, 0], planar[:, 1]
-    x, y, touched = slide(ground, which, x, y, aim[:, 0] - x, aim[:, 1] - y, radius)
-    return Moved(jnp.stack([x, y, aim[:, 2]], axis=-1), jnp.zeros((*x.shape, 4)), touched)
+    x, y, collided = slide(collision_map, which, x, y, aim[:, 0] - x, aim[:, 1] - y, radius)
+    return Motion(jnp.stack([x, y, aim[:, 2]], axis=-1), jnp.zeros((*x.shape, 4)), collided)
 
 
 def drive_car(
-    ground: Ground,
+    collision_map: CollisionMap,
     which: Int[Array, "n"],
     planar: Float[Array, "n 3"],
     command: Float[Array, "n 2"],
@@ -58,45 +56,47 @@ def drive_car(
     normal: Float[Array, "n 2"],
     transition: Bicycle,
     car: Car,
-) -> Moved:
-    """One step of cars; one that would come to overlap an obstacle stays where it is, and its speed is gone."""
+) -> Motion:
+    """Move cars by one step; a car that would come to overlap an obstacle stays in place and loses its speed."""
     speed, steering, gain, trim = (servos[:, i] for i in range(4))
     aim_speed = gain * command[:, 0] * (1.0 + noise[:, 4] * normal[:, 0])
     aim_steering = command[:, 1] + trim + noise[:, 5] * normal[:, 1]
     speed, mean_speed = _follow(speed, aim_speed, noise[:, 0], car.dt)
     steering, mean_steering = _follow(steering, aim_steering, noise[:, 1], car.dt)
     aim = transition.mean(planar, jnp.stack([mean_speed, mean_steering], axis=-1), car.dt)
-    before, after = room(ground, which, planar, car), room(ground, which, aim, car)
-    # One that overlaps already (a start in another sample of the map) may leave.
+    before, after = car_clearance(collision_map, which, planar, car), car_clearance(collision_map, which, aim, car)
+    # A car that overlaps already (its start was drawn in another sample of the map) may leave.
     blocked = (after < 0.0) & (after < before)
     planar = jnp.where(blocked[:, None], planar, aim)
     servos = jnp.stack([jnp.where(blocked, 0.0, speed), steering, gain, trim], axis=-1)
-    return Moved(planar, servos, blocked)
+    return Motion(planar, servos, blocked)
 
 
 def disc_radius(car: Car) -> float:
-    """Of each of the discs that cover the footprint, m."""
+    """Return the radius of the discs that cover the footprint, m."""
     return float(((0.5 * car.length / DISCS) ** 2 + (0.5 * car.width) ** 2) ** 0.5)
 
 
-def room(ground: Ground, which: Int[Array, "n"], planar: Float[Array, "n 3"], car: Car) -> Float[Array, "n"]:
-    """Clearance of the car's discs beyond their radius, m."""
+def car_clearance(
+    collision_map: CollisionMap, which: Int[Array, "n"], planar: Float[Array, "n 3"], car: Car
+) -> Float[Array, "n"]:
+    """Return the least clearance of the car's discs beyond their radius, m."""
     offsets = [car.center_forward + car.length * ((i + 0.5) / DISCS - 0.5) for i in range(DISCS)]
     along = jnp.asarray(offsets)[:, None]
     x = planar[:, 0] + along * jnp.cos(planar[:, 2])
     y = planar[:, 1] + along * jnp.sin(planar[:, 2])
-    return fits(ground, which, x, y, disc_radius(car))
+    return disc_clearance(collision_map, which, x, y, disc_radius(car))
 
 
 def _follow(now: Array, aim: Array, lag: Array, dt: float) -> tuple[Array, Array]:
-    """A first-order servo after ``dt`` s, and its mean until then."""
+    """Return a first-order servo's value after ``dt`` s, and its mean over that time."""
     safe = jnp.maximum(lag, 1e-6)
     left = jnp.exp(-dt / safe)
     return aim + (now - aim) * left, aim + (now - aim) * (1.0 - left) * safe / dt
 
 
-def believed(planar: Float[Array, "n 3"], error: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """The estimated pose: the true one moved by ``error`` = (forward m, left m, turn rad)."""
+def estimated_pose(planar: Float[Array, "n 3"], error: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Return the pose estimate: the true pose moved by ``error`` = (forward m, left m, turn rad)."""
     c, s = jnp.cos(planar[:, 2]), jnp.sin(planar[:, 2])
     x = planar[:, 0] + c * error[:, 0] - s * error[:, 1]
     y = planar[:, 1] + s * error[:, 0] + c * error[:, 1]

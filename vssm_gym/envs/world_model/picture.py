@@ -1,43 +1,43 @@
-"""Where imagined robots are on the belief's floor plan: free white, blocked dark, unobserved grey."""
+"""Draw imagined robots on the belief's floor plan: free white, blocked dark, unobserved grey."""
 
 import numpy as np
 
 from vssm_gym.envs.rendering.topdown import PICTURE
-from vssm_gym.envs.world_model.collision_map import Ground
+from vssm_gym.envs.world_model.collision_map import CollisionMap
 
 FREE, BLOCKED, UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)
 PATH, ROBOT, GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)
-REMEMBERED = 1000  # positions of a path
+REMEMBERED = 1000  # positions of a path that are drawn
 
 
 class PlanPicture:
-    """Draws the first map; paths are what was drawn since the episode began."""
+    """Draw robots on the plan of the first map; a path holds the positions drawn since its episode began."""
 
-    def __init__(self, ground: Ground, robots: int) -> None:
-        nx, ny = ground.shape
-        clearance, known = ground.mean(), np.asarray(ground.known).reshape(nx, ny)
+    def __init__(self, collision_map: CollisionMap, robots: int) -> None:
+        nx, ny = collision_map.shape
+        clearance, known = collision_map.mean(), np.asarray(collision_map.known).reshape(nx, ny)
         plan = np.empty((nx, ny, 3), np.uint8)
         plan[:] = FREE
         plan[clearance <= 0.0] = BLOCKED
         plan[~known] = UNKNOWN
-        self._metres = ny * ground.resolution / PICTURE  # a pixel
+        self._metres = ny * collision_map.resolution / PICTURE  # a pixel
         rows = ((np.arange(PICTURE) + 0.5) / PICTURE * ny).astype(int)
         width = max(1, round(nx * PICTURE / ny))
         columns = ((np.arange(width) + 0.5) / width * nx).astype(int)
         self._plan = np.ascontiguousarray(plan[columns][:, rows].transpose(1, 0, 2)[::-1])  # y up
-        self._origin = np.asarray(ground.origin, np.float64) - 0.5 * ground.resolution
+        self._origin = np.asarray(collision_map.origin, np.float64) - 0.5 * collision_map.resolution
         v, u = np.mgrid[0:PICTURE, 0:width]
         self._x = self._origin[0] + (u + 0.5) * self._metres
         self._y = self._origin[1] + (PICTURE - v - 0.5) * self._metres
         self._paths: list[list[np.ndarray]] = [[] for _ in range(robots)]
 
     def forget(self, which: np.ndarray) -> None:
-        """New episodes: their paths begin anew."""
+        """Clear the paths of the robots ``which``."""
         for i in which:
             self._paths[i] = []
 
     def draw(self, planar: np.ndarray, goals: np.ndarray, reach: float, radius: float) -> tuple[np.ndarray, ...]:
-        """One picture a robot, uint8 ``(360, width, 3)``."""
+        """Draw one picture a robot, uint8 ``(360, width, 3)``."""
         pictures = []
         for path, pose, goal in zip(self._paths, planar, goals, strict=True):
             path.append(pose[:2])

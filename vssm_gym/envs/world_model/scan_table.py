@@ -1,4 +1,4 @@
-"""What scans meet, looked up: the line along the surface that each cell of a planar field sees in each direction.
+"""Tabulate planar scans: the surface line that each cell of a planar field sees in each direction.
 
 With q the centre of a cell, a line that does not pass through it is ``{x : m . (x - q) = 1}``, and a ray ``p + k t``
 from anywhere in the cell meets it at
@@ -10,7 +10,7 @@ and from its centre along the middle. Their hits give the line (total least squa
 within ``TOLERANCE``, rays of that cell and bin are taken to meet it: in a learned map of ``oak`` 86 % of all rays, and
 all rays together are off by 0.2 mm (median) and 1.1 cm (99 %). Elsewhere, mostly at the edges of things, rays are
 traced (:mod:`vssm_gym.envs.world_model.rays`) from one cell before the shortest of the nine. What is thinner than the
-gaps between the nine, half a cell or so, may be missed.
+gaps between the nine, about half a cell, may be missed.
 """
 
 from typing import Any
@@ -21,35 +21,35 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, few, rays_of, surface
+from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, rays_of, subset_size, surface
 from vssm_gym.maps.compaction import first_set
 from vssm_gym.model.emission import STEP
 
 BINS = 128  # of directions
-TOLERANCE, ALONG = 0.4, 1.0  # cells: across the line, and along the ray
-UNSURE = 5  # one ray in so many is traced at once: somewhat more than have no line
-ANYWHERE = 1e3  # m: traced to the end of the box
-SURE = -1.0
+TOLERANCE, ALONG = 0.4, 1.0  # cells: largest error of the nine hits across the line, and along the ray
+UNSURE = 5  # one ray in UNSURE is traced in one pass: somewhat more than the rays without a line
+ANYWHERE = 1e3  # m: beyond every box, so that rays are traced to its end
+SURE = -1.0  # marks entries whose line holds
 
 
-class Lines(eqx.Module):
-    """The table of one or several maps; see the module. In units of the field: cells and samples."""
+class ScanTable(eqx.Module):
+    """Hold the table of one or several maps in the field's units, cells and samples; see the module."""
 
     m_x: Float[Array, "entries"]  # (maps, nx, ny, BINS) in C order, 1 / cells
     m_y: Float[Array, "entries"]
     start: Float[Array, "entries"]  # samples of a ray of unit length that are free; SURE where the line holds
 
     @classmethod
-    def of(cls, field: RayField) -> "Lines":
-        """Of a planar field; some seconds a map."""
+    def of(cls, field: RayField) -> "ScanTable":
+        """Tabulate a planar field; this takes some seconds a map."""
         nx, ny = field.shape
-        each = [_lines(field, jnp.asarray(i, jnp.int32)) for i in range(field.occupancy.shape[0] // (nx * ny))]
+        each = [_table_of_map(field, jnp.asarray(i, jnp.int32)) for i in range(field.occupancy.shape[0] // (nx * ny))]
         return cls(*(jnp.concatenate(parts) for parts in zip(*each, strict=True)))
 
     def look_up(
         self, field: RayField, rays: Rays, angle: Float[Array, "rays"]
     ) -> tuple[Float[Array, "rays"], Float[Array, "rays"], Bool[Array, "rays"]]:
-        """Where rays meet their line (samples), up to where they are free, and whether the line holds."""
+        """Return where rays meet their line (samples), up to which sample they are free, and whether the line holds."""
         entry, away, inside = rays.which, [], jnp.ones(rays.which.shape, bool)
         for s, n in zip(rays.start, field.shape, strict=True):
             cell = jnp.clip(jnp.floor(s + 0.5), 0.0, n - 1.0)
@@ -68,22 +68,24 @@ class Lines(eqx.Module):
 @jax.jit
 def scan_depths(
     field: RayField,
-    lines: Lines,
+    scan_table: ScanTable,
     which: Int[Array, "rays"],
     centre: Coordinates,
     direction: Coordinates,
     angle: Float[Array, "rays"],
     max_depth: float | Array,
 ) -> Float[Array, "rays"]:
-    """z-depth (m) of the first surface along each ray, 0 where there is none up to ``max_depth``; by the table where it
-    holds. Arguments as of :func:`vssm_gym.envs.world_model.rays.rays_of`, of a planar field; ``angle`` is that of the
-    directions, rad, in the world.
+    """Return the z-depth (m) of the first surface along each ray, 0 without one up to ``max_depth``.
+
+    The table answers where it holds; the other rays are traced. Arguments are those of
+    :func:`vssm_gym.envs.world_model.rays.rays_of` for a planar field; ``angle`` is the bearing of each ray in the world
+    (rad).
     """
     rays, k = rays_of(field, which, centre, direction, max_depth)
-    met, free, sure = lines.look_up(field, rays, angle)
+    met, free, sure = scan_table.look_up(field, rays, angle)
     k = jnp.maximum(k, jnp.minimum(jnp.floor(free), rays.last + 1.0))
     n = which.shape[0]
-    chunk = few(n, UNSURE)
+    chunk = subset_size(n, UNSURE)
 
     def trace(carry):
         met, left = carry
@@ -99,8 +101,8 @@ def scan_depths(
 
 
 @jax.jit
-def _lines(field: RayField, which: Int[Array, ""]) -> tuple[Array, Array, Array]:
-    """The table of one map, flat."""
+def _table_of_map(field: RayField, which: Int[Array, ""]) -> tuple[Array, Array, Array]:
+    """Compute the table of one map, flat."""
     nx, ny = field.shape
     width = 2.0 * np.pi / BINS
     # Corner (i, j) is between the cells i - 1 and i. Where the box ends it is on the box's face.
@@ -115,7 +117,7 @@ def _lines(field: RayField, which: Int[Array, ""]) -> tuple[Array, Array, Array]
     )
 
     def hits(number):
-        """Samples from all corners along the bin's first edge, and from all cells along its middle; 0: nothing met."""
+        """Trace from corners along the bin's first edge and from cells along its middle: samples to the hit, or 0."""
         edge, middle = number * width, (number + 0.5) * width
         angle = jnp.concatenate([spread(edge, corner_x), spread(middle, cell_x)])
         rays, k = rays_of(field, spread(which, angle), centre, (jnp.cos(angle), jnp.sin(angle)), ANYWHERE)
@@ -140,7 +142,7 @@ def _lines(field: RayField, which: Int[Array, ""]) -> tuple[Array, Array, Array]
 
 
 def _entries(traced: list[tuple[Array, Any, Array, Array]]) -> tuple[Array, Array, Array]:
-    """Of one bin, from its traced rays: samples to the hit (0: none), angle, and where it starts beside the centre."""
+    """Compute one bin's entries from its traced rays: (samples to the hit or 0, angle, offset x, y of the start)."""
     met = jnp.stack([one[0] for one in traced])
     cos, sin = (jnp.stack([f(jnp.asarray(one[1])) for one in traced])[:, None, None] for f in (jnp.cos, jnp.sin))
     x, y = (jnp.stack([one[i] for one in traced]) for i in (2, 3))
@@ -153,8 +155,8 @@ def _entries(traced: list[tuple[Array, Any, Array, Array]]) -> tuple[Array, Arra
     height = jnp.where(jnp.abs(height) < 1e-3, 1e-3, height)
     m_x, m_y = n_x / height, n_y / height
     steep = m_x * cos + m_y * sin
-    told = (1.0 - m_x * x - m_y * y) / jnp.where(steep > 1e-6, steep, 1e-6) / STEP
-    error = STEP * jnp.abs(told - met)
+    predicted = (1.0 - m_x * x - m_y * y) / jnp.where(steep > 1e-6, steep, 1e-6) / STEP
+    error = STEP * jnp.abs(predicted - met)
     across = error * jnp.abs(n_x * cos + n_y * sin)
     holds = jnp.all((met > 0.0) & (across < TOLERANCE) & (error < ALONG), axis=0)
     nothing = jnp.all(met == 0.0, axis=0)

@@ -1,4 +1,4 @@
-"""``gym.make("vssm_gym/WorldModelNav-v0", map="oak.npz")``: one imagined robot, a vector environment of one."""
+"""Implement ``gym.make("vssm_gym/WorldModelNav-v0", map="oak.npz")``: a vector environment of one imagined robot."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from vssm_gym.errors import InputError
 
 
 class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
-    """See :class:`~vssm_gym.envs.world_model.vector.WorldModelVectorEnv`, which takes the same keywords."""
+    """Imagine one robot; keywords are those of :class:`~vssm_gym.envs.world_model.vector.WorldModelVectorEnv`."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
@@ -24,20 +24,20 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
 
     @property
     def planar(self) -> np.ndarray:
-        """The imagined truth, x, y, heading; not for agents."""
+        """The true pose of the imagined robot: x, y (m), heading (rad); not for agents."""
         return self.vector.planar[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode: ``options["task"]``, the number of a task of the pool, or one of the seeded stream."""
+        """Begin an episode with ``options["task"]``, the number of a task of the pool, or with one that is drawn."""
         super().reset(seed=seed)
         observation, infos = self.vector.reset(seed=seed, options=options)
         self._running = True
         return _first(observation), _info(infos) | _still(self.vector)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Carry out ``action``; raises ``ResetNeeded`` where no episode is under way."""
+        """Carry out ``action``; raise ``ResetNeeded`` where no episode is under way."""
         if not self._running:
             raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
         try:
@@ -51,13 +51,13 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
         return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _info(infos)
 
     def render(self) -> np.ndarray | None:
-        """The robot on the belief's floor plan; None if not asked for."""
+        """Draw the robot on the belief's floor plan; return None without ``render_mode``."""
         pictures = self.vector.render()
         return None if pictures is None else pictures[0]
 
 
 def _first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The caller's own copies."""
+    """Return copies of the first robot's observations."""
     return {key: np.array(value[0]) for key, value in observation.items()}
 
 
@@ -70,5 +70,5 @@ def _plain(value: Any) -> Any:
 
 
 def _still(vector: WorldModelVectorEnv) -> dict[str, Any]:
-    """What an info always holds, before the first step."""
+    """Return the fields that every info holds, for a robot that has not moved."""
     return {"collision": False, "control": np.zeros(len(vector.world.low), np.float32)}

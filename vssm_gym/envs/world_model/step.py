@@ -1,12 +1,12 @@
-"""One compiled step of many imagined robots: move, judge, begin anew where an episode has ended, look.
+"""Step many imagined robots in one compiled program: move, evaluate, restart ended episodes, observe.
 
-    e' = rho e + sqrt(1 - rho^2) n,  n ~ N(0, pose_std^2)          error of the estimated pose, (forward, left, turn)
+    e' = rho e + sqrt(1 - rho^2) n,  n ~ N(0, pose_std^2)          error of the pose estimate, (forward, left, turn)
 
-The robot believes to be at ``T exp(e)`` while it is at T: at first ``e ~ N(0, start_std^2)``, the belief about its
-start, in the end ``N(0, pose_std^2)``, what a tracker leaves. Goals are shown from where it believes to be.
+A robot at T has the pose estimate ``T exp(e)``. The error begins at ``e ~ N(0, start_std^2)``, the belief about the
+start, and tends to ``N(0, pose_std^2)``, the error of a tracker. Goals are observed relative to the estimate.
 
-Every robot has a stream of its own: draw number i is ``threefry(key, i)``, one a step and one a beginning, whatever was
-commanded and however many robots there are.
+Every robot has a random stream of its own: draw number i is ``threefry(key, i)``, one a step and one a restart,
+whatever the commands and the number of robots.
 """
 
 from functools import cache, partial
@@ -17,17 +17,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.envs.world_model.goal_distance import BEYOND
-from vssm_gym.envs.world_model.motion import Moved, believed, drive_car, drive_holonomic
-from vssm_gym.envs.world_model.world import Robot, World
+from vssm_gym.envs.world_model.goal_distance import MAX_DISTANCE
+from vssm_gym.envs.world_model.motion import Motion, drive_car, drive_holonomic, estimated_pose
+from vssm_gym.envs.world_model.world import ImaginedWorld, Robot
 from vssm_gym.geometry.car import Car
 from vssm_gym.model.transition import Bicycle, MotionNoise, Planar
 
-_NORMALS = 5  # a step: two of the motion, three of the estimate
+_NORMALS = 5  # a step: two for the motion, three for the pose estimate
 
 
-class State(eqx.Module):
-    """n robots."""
+class BatchState(eqx.Module):
+    """Hold the state of n robots."""
 
     key: Array  # (n, 2) uint32
     draws: Int[Array, "n"]  # taken from the stream
@@ -38,13 +38,13 @@ class State(eqx.Module):
     noise: Float[Array, "n parameters"]  # of this episode
     which: Int[Array, "n"]  # map of this episode
     task: Int[Array, "n"]  # of the pool
-    potential: Float[Array, "n"]  # m to the goal; more than BEYOND where that is not known
+    potential: Float[Array, "n"]  # m to the goal; more than MAX_DISTANCE where that is not known
     steps: Int[Array, "n"]  # of this episode
     ended: Bool[Array, "n"]
 
 
 class Outcome(eqx.Module):
-    """What a step gives beside the new state."""
+    """Hold what a step returns in addition to the new state."""
 
     observation: dict[str, Array]
     reward: Float[Array, "n"]
@@ -53,33 +53,35 @@ class Outcome(eqx.Module):
     success: Bool[Array, "n"]
     collision: Bool[Array, "n"]
     command: Float[Array, "n command"]  # as clipped
-    begun: Bool[Array, "n"]  # whether this step began an episode and its action counted for nothing
+    begun: Bool[Array, "n"]  # whether this step began an episode and ignored its action
 
 
-def empty_state(world: World, n: int) -> State:
-    """n robots before their first episode."""
+def empty_state(world: ImaginedWorld, n: int) -> BatchState:
+    """Return the state of n robots before their first episode."""
     zeros = lambda *shape: jnp.zeros((n, *shape), jnp.float32)
-    count = lambda: jnp.zeros(n, jnp.int32)  # one array each: the step takes over the memory of all
-    return State(
+    count = lambda: jnp.zeros(n, jnp.int32)  # one array each: the step donates the memory of all
+    return BatchState(
         jnp.zeros((n, 2), jnp.uint32), count(), zeros(3), zeros(3), zeros(3), zeros(4), zeros(world.noise.shape[1]),
         count(), count(), zeros(), count(), jnp.ones(n, bool),
     )  # fmt: skip
 
 
-def step(robot: Robot, world: World, state: State, action: Float[Array, "n action"]) -> tuple[State, Outcome]:
-    """Carry out ``action``; robots whose episode had ended begin their next one instead, with reward 0."""
+def step(
+    robot: Robot, world: ImaginedWorld, state: BatchState, action: Float[Array, "n action"]
+) -> tuple[BatchState, Outcome]:
+    """Carry out ``action``; robots whose episode has ended begin their next one instead, with reward 0."""
     begun, rules = state.ended, world.rules
     keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
     normal = jax.vmap(lambda key: jax.random.normal(key, (_NORMALS,)))(keys)
     moved, stopped, command = _act(robot, world, state, action, normal)
     rho, spread = world.pose_memory, 1.0 - world.pose_memory**2
-    after = State(
+    after = BatchState(
         state.key, state.draws + 1, moved.planar,
         rho * state.error + jnp.sqrt(spread) * world.pose_std * normal[:, 2:],
         rho**2 * state.variance + spread * world.pose_std**2,
         moved.servos, state.noise, state.which, state.task, state.potential, state.steps + 1, state.ended,
     )  # fmt: skip
-    goal = world.ways.goals[world.pool.goal[state.task]]
+    goal = world.goal_distances.goals[world.pool.goal[state.task]]
     arrived = jnp.hypot(*(moved.planar[:, :2] - goal).T) <= rules.success_radius
     terminated = jnp.where(rules.stops, stopped, arrived) & ~begun
     truncated = (world.max_steps > 0) & (after.steps >= world.max_steps) & ~begun
@@ -102,8 +104,8 @@ def step(robot: Robot, world: World, state: State, action: Float[Array, "n actio
     )
 
 
-def begin(robot: Robot, world: World, state: State, task: Int[Array, "n"] | None) -> State:
-    """New episodes of all robots: task, map, noise and start drawn from their streams; ``task`` >= 0 sets the first."""
+def begin(robot: Robot, world: ImaginedWorld, state: BatchState, task: Int[Array, "n"] | None) -> BatchState:
+    """Begin episodes of all robots; map, noise, start and each ``task`` that is not given (>= 0) are drawn."""
     keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
     share, normal = jax.vmap(lambda key: (jax.random.uniform(key, (3,)), jax.random.normal(key, (8,))[3:]))(keys)
     drawn = jnp.minimum((share[:, 0] * world.pool.count).astype(jnp.int32), world.pool.count - 1)
@@ -111,19 +113,19 @@ def begin(robot: Robot, world: World, state: State, task: Int[Array, "n"] | None
     which = jnp.minimum((share[:, 1] * world.maps).astype(jnp.int32), world.maps - 1)
     noise = world.noise[0] + share[:, 2:] * (world.noise[1] - world.noise[0])
     start = world.pool.start[task]
-    # The robot is off its start by -e: then it believes to be exactly there.
+    # The true start is off the task's start by -e: the pose estimate then is the task's start exactly.
     error = normal[:, :3] * world.start_std
     heading = start[:, 2] - error[:, 2]
     c, s = jnp.cos(heading), jnp.sin(heading)
     x, y = start[:, 0] - c * error[:, 0] + s * error[:, 1], start[:, 1] - s * error[:, 0] - c * error[:, 1]
-    planar = believed(jnp.stack([x, y, heading], axis=-1), jnp.zeros_like(error))
+    planar = estimated_pose(jnp.stack([x, y, heading], axis=-1), jnp.zeros_like(error))
     servos = jnp.zeros((*which.shape, 4))
     if isinstance(robot, Car):
         trim = noise[:, 3] * normal[:, 4]
         servos = jnp.stack([jnp.zeros_like(trim), trim, 1.0 + noise[:, 2] * normal[:, 3], trim], axis=-1)
     zero, variance = jnp.zeros_like(which), jnp.broadcast_to(world.start_std**2, error.shape)
-    potential = world.ways.at(world.pool.goal[task], x, y)
-    return State(
+    potential = world.goal_distances.at(world.pool.goal[task], x, y)
+    return BatchState(
         state.key, state.draws + 1, planar, error, variance, servos, noise, which, task, potential, zero,
         jnp.zeros_like(state.ended),
     )  # fmt: skip
@@ -131,13 +133,13 @@ def begin(robot: Robot, world: World, state: State, task: Int[Array, "n"] | None
 
 def restart(
     robot: Robot,
-    world: World,
-    state: State,
+    world: ImaginedWorld,
+    state: BatchState,
     shown: dict[str, Array],
     index: Int[Array, "w"],
     task: Int[Array, "w"],
-) -> tuple[State, dict[str, Array]]:
-    """New episodes of the robots ``index``; the others stay as they are, numbers beyond the last do nothing."""
+) -> tuple[BatchState, dict[str, Array]]:
+    """Begin episodes of the robots ``index``; the others are unchanged, and numbers beyond the last do nothing."""
     some = jax.tree.map(lambda a: a.at[index].get(mode="clip"), state)
     some = begin(robot, world, some, task)
     put = lambda a, b: a.at[index].set(b, mode="drop")
@@ -145,7 +147,7 @@ def restart(
 
 
 class Programs(NamedTuple):
-    """Compiled."""
+    """Hold the compiled programs."""
 
     step: Any
     restart: Any
@@ -153,18 +155,18 @@ class Programs(NamedTuple):
 
 @cache
 def programs(one_core: bool) -> Programs:
-    """:func:`step`, which takes over the memory of the state, and :func:`restart`; perhaps for one core of a CPU."""
+    """Compile :func:`step`, which donates the memory of the state, and :func:`restart`."""
     # Wider vectors are a quarter faster, but for one robot XLA of jaxlib 0.10 then computes wrong scans.
     options = {"xla_cpu_multi_thread_eigen": False} if one_core else None
     compiled = partial(jax.jit, static_argnums=0, compiler_options=options)
     return Programs(compiled(step, donate_argnums=2), compiled(restart))
 
 
-def observe(world: World, state: State) -> dict[str, Array]:
-    """Image or scan at the true pose; ``goal``, ``pose`` and ``pose_std`` of the estimated one."""
+def observe(world: ImaginedWorld, state: BatchState) -> dict[str, Array]:
+    """Observe images or scans from the true poses, and ``goal``, ``pose`` and ``pose_std`` of the pose estimates."""
     shown = world.view(state.which, state.planar)
-    pose = believed(state.planar, state.error)
-    away = world.ways.goals[world.pool.goal[state.task]] - pose[:, :2]
+    pose = estimated_pose(state.planar, state.error)
+    away = world.goal_distances.goals[world.pool.goal[state.task]] - pose[:, :2]
     bearing = jnp.arctan2(away[:, 1], away[:, 0]) - pose[:, 2]
     shown["goal"] = jnp.stack([jnp.hypot(away[:, 0], away[:, 1]), jnp.cos(bearing), jnp.sin(bearing)], axis=-1)
     shown["pose"] = pose
@@ -173,38 +175,40 @@ def observe(world: World, state: State) -> dict[str, Array]:
 
 
 def _act(
-    robot: Robot, world: World, state: State, action: Array, normal: Array
-) -> tuple[Moved, Bool[Array, "n"], Float[Array, "n command"]]:
-    """The motion, which robots stopped, and the commands as clipped."""
+    robot: Robot, world: ImaginedWorld, state: BatchState, action: Array, normal: Array
+) -> tuple[Motion, Bool[Array, "n"], Float[Array, "n command"]]:
+    """Carry out the commands; return the motion, which robots stopped, and the clipped commands."""
     command = jnp.clip(action[:, : len(world.low)], world.low, world.high)
     if isinstance(robot, Car):
         bicycle = Bicycle(wheelbase=robot.wheelbase)
-        bodies = (world.ground, state.which, state.planar, command)
+        bodies = (world.collision_map, state.which, state.planar, command)
         moved = drive_car(*bodies, state.servos, state.noise, normal[:, :2], bicycle, robot)
         return moved, jnp.zeros_like(moved.collision), command
     stopped = (action[:, 3] > 0.5) & world.rules.stops
     command = jnp.where(stopped[:, None], 0.0, command)  # a stop carries out nothing else
     planar = Planar(MotionNoise(state.noise[:, 0], state.noise[:, 1]))
-    moved = drive_holonomic(world.ground, state.which, state.planar, command, planar, normal[:, :2], robot.radius)
+    moved = drive_holonomic(
+        world.collision_map, state.which, state.planar, command, planar, normal[:, :2], robot.radius
+    )
     return moved, stopped, command
 
 
 def _reward(
-    world: World, state: State, success: Array, collision: Array
+    world: ImaginedWorld, state: BatchState, success: Array, collision: Array
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """Of the step that led to ``state``, and the new potential."""
+    """Return the reward of the step that led to ``state``, and the new potential."""
     rules = world.rules
     prize = rules.success_reward * success
-    lost = rules.unknown_cost * ~world.ground.known_at(state.planar[:, 0], state.planar[:, 1])
-    now = world.ways.at(world.pool.goal[state.task], state.planar[:, 0], state.planar[:, 1])
+    lost = rules.unknown_cost * ~world.collision_map.known_at(state.planar[:, 0], state.planar[:, 1])
+    now = world.goal_distances.at(world.pool.goal[state.task], state.planar[:, 0], state.planar[:, 1])
     # Squeezed between obstacles a robot may be off the grid of free positions: it gains nothing until it is back.
-    held = (now > BEYOND) | (state.potential > BEYOND)
+    held = (now > MAX_DISTANCE) | (state.potential > MAX_DISTANCE)
     gained = jnp.where(held, 0.0, state.potential - now)
-    potential = jnp.where(now > BEYOND, state.potential, now)
-    dense = gained - rules.step_cost - rules.touch_cost * collision
+    potential = jnp.where(now > MAX_DISTANCE, state.potential, now)
+    dense = gained - rules.step_cost - rules.collision_cost * collision
     return jnp.where(rules.dense, dense, 0.0) + prize - lost, potential
 
 
-def _where(mask: Bool[Array, "n"], a: State, b: State) -> State:
+def _where(mask: Bool[Array, "n"], a: BatchState, b: BatchState) -> BatchState:
     pick = lambda x, y: jnp.where(mask.reshape(-1, *[1] * (x.ndim - 1)), x, y)
     return jax.tree.map(pick, a, b)

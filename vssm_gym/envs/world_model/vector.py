@@ -1,9 +1,9 @@
-"""``gym.make_vec("vssm_gym/WorldModelNav-v0", map="oak.npz", num_envs=256)``: many robots in one compiled step.
+"""Implement ``gym.make_vec("vssm_gym/WorldModelNav-v0", map="oak.npz", num_envs=256)``: many robots a compiled step.
 
 Episodes restart as Gymnasium's ``AutoresetMode.NEXT_STEP`` says: the step after the last one of an episode ignores its
 action and returns the next episode's first observation with reward 0. ``reset(options={"reset_mask": mask})`` restarts
-some at once, as :class:`vssm_gym.training.sb3.SB3VecEnv` does. Observations are read-only views of what was computed,
-without copies, and stay as they are.
+some at once, as :class:`vssm_gym.training.sb3.SB3VecEnv` does. Observations are read-only views of the computed arrays,
+without copies; later steps do not change them.
 """
 
 import math
@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 
 from vssm_gym.envs.sensors.base import EXTENT
 from vssm_gym.envs.validation import choose
-from vssm_gym.envs.world_model.batch_slices import Crew
+from vssm_gym.envs.world_model.batch_slices import BatchSlices
 from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.world import build_world, robot_of
@@ -27,11 +27,11 @@ from vssm_gym.geometry.car import Car
 
 
 class WorldModelVectorEnv(VectorEnv):
-    """``num_envs`` robots in the belief of one map; see the module, and ``docs/envs/world_model_nav.md`` for keywords.
+    """Imagine ``num_envs`` robots in the belief of one map; ``docs/envs/world_model_nav.md`` explains the keywords.
 
     Args:
         map: a map file's path, or a :class:`~vssm_gym.maps.voxel_map.VoxelMap`.
-        num_envs: how many.
+        num_envs: number of robots.
         max_episode_steps: steps after which an episode is truncated; -1 for none.
         render_mode: ``rgb_array`` or None.
         keywords: of :class:`~vssm_gym.envs.world_model.config.Imagination`.
@@ -52,30 +52,30 @@ class WorldModelVectorEnv(VectorEnv):
         **keywords: Any,
     ) -> None:
         choose(SOURCE, "render_mode", render_mode, (None, "rgb_array"))
-        wanted = Imagination.of(keywords)
+        config = Imagination.of(keywords)
         for name, value, least in (("num_envs", num_envs, 1), ("max_episode_steps", max_episode_steps, -1)):
             if isinstance(value, bool) or not (isinstance(value, int) and value >= least and value != 0):
                 raise InputError("make_vec", name, f"a whole number, at least 1; found {value!r:.80}")
-        self.imagination, self.robot = wanted, robot_of(wanted)
-        self.world = build_world(map, wanted, self.robot, max_episode_steps)
+        self.imagination, self.robot = config, robot_of(config)
+        self.world = build_world(map, config, self.robot, max_episode_steps)
         self.num_envs, self.render_mode, self.max_episode_steps = num_envs, render_mode, max_episode_steps
         self.success_radius = round(float(self.world.rules.success_radius), 6)
-        self.single_action_space, self.single_observation_space = _action_space(self.robot), _observation_space(wanted)
+        self.single_action_space, self.single_observation_space = _action_space(self.robot), _observation_space(config)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._crew = Crew(self.robot, self.world, num_envs)
+        self._batch = BatchSlices(self.robot, self.world, num_envs)
         self._begun = False
         self._picture: PlanPicture | None = None
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode everywhere, or where ``options["reset_mask"]`` says so.
+        """Begin an episode of all robots, or of those of ``options["reset_mask"]``.
 
         Args:
-            seed: of each robot's stream: one a robot, or the first of consecutive ones; None: the streams go on.
+            seed: of the robots' streams: one a robot, or the first of consecutive ones; None: the streams go on.
             options: ``reset_mask`` ``(num_envs,)`` bool; ``task``: numbers of the pool's tasks, one a robot or one for
-                all.
+                all robots.
         """
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
@@ -87,7 +87,7 @@ class WorldModelVectorEnv(VectorEnv):
         if not (self._begun or mask.all()):
             raise gym.error.ResetNeeded("the first reset is one of all environments: reset_mask comes later")
         self._seed(seed, mask)
-        shown = self._crew.restart(mask, tasks)
+        shown = self._batch.restart(mask, tasks)
         self._begun = True
         if self._picture is not None:
             self._picture.forget(np.flatnonzero(mask))
@@ -96,9 +96,9 @@ class WorldModelVectorEnv(VectorEnv):
     def step(
         self, actions: np.ndarray
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Carry out one action a robot; those whose episode has ended start their next one instead.
+        """Carry out one action a robot; robots whose episode has ended begin their next one instead.
 
-        Actions that are not ``num_envs`` finite ones of the action space's shape change nothing anywhere.
+        Actions that are not finite or not of the action space's shape raise :class:`InputError` and change nothing.
         """
         if not self._begun:
             raise gym.error.ResetNeeded("call reset before step")
@@ -106,7 +106,7 @@ class WorldModelVectorEnv(VectorEnv):
         if batch.shape != self.action_space.shape or batch.dtype.kind not in "fiu" or not np.isfinite(batch).all():
             found = f"found {batch.dtype} {batch.shape}, {actions!r:.80}"
             raise InputError("step", "actions", f"finite numbers of shape {self.action_space.shape}; {found}")
-        outcome = self._crew.step(batch)
+        outcome = self._batch.step(batch)
         terminated, begun = outcome.terminated, outcome.begun
         everywhere = np.ones(self.num_envs, bool)
         infos: dict[str, Any] = {
@@ -126,33 +126,33 @@ class WorldModelVectorEnv(VectorEnv):
 
     @property
     def planar(self) -> np.ndarray:
-        """The imagined truth, ``(num_envs, 3)`` x, y, heading; not for agents."""
-        return np.array(self._crew.state.planar)
+        """True poses of the imagined robots, ``(num_envs, 3)`` x, y (m), heading (rad); not for agents."""
+        return np.array(self._batch.state.planar)
 
     @property
     def goals(self) -> np.ndarray:
-        """The goals of the present episodes, ``(num_envs, 2)``, m."""
-        return np.asarray(self.world.ways.goals)[np.asarray(self.world.pool.goal)[self._crew.state.task]]
+        """Goals of the present episodes, ``(num_envs, 2)``, m."""
+        return np.asarray(self.world.goal_distances.goals)[np.asarray(self.world.pool.goal)[self._batch.state.task]]
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Each robot on the belief's floor plan: uint8 ``(360, width, 3)``; None if not asked for."""
+        """Draw each robot on the belief's floor plan, uint8 ``(360, width, 3)``; None without ``render_mode``."""
         if self.render_mode is None or not self._begun:
             return None
         if self._picture is None:
-            self._picture = PlanPicture(self.world.ground, self.num_envs)
+            self._picture = PlanPicture(self.world.collision_map, self.num_envs)
         return self._picture.draw(self.planar, self.goals, self.success_radius, _radius(self.robot))
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """The attribute ``name``, the same for every robot."""
+        """Return the attribute ``name``, which is the same for every robot, once a robot."""
         return self.call(name)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """The attribute ``name``, called with the arguments where it is a method, once for every robot."""
+        """Return the attribute ``name``, called with the arguments where it is a method, once a robot."""
         value = getattr(self, name)
         return tuple(value(*args, **kwargs) if callable(value) else value for _ in range(self.num_envs))
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Refused: the robots of one world have nothing of their own to set."""
+        """Raise :class:`InputError`: the robots of one world share all attributes."""
         raise InputError("set_attr", name, "keywords at construction: the robots share one world")
 
     def _observation(self, shown: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -160,17 +160,17 @@ class WorldModelVectorEnv(VectorEnv):
         return {key: shown[key] for key in space}
 
     def _start_infos(self, mask: np.ndarray) -> dict[str, Any]:
-        task = self._crew.state.task
+        task = self._batch.state.task
         start = np.asarray(self.world.pool.start)[task]
         return {"task": task, "_task": mask, "start_pose": start, "_start_pose": mask}
 
     def _tasks(self, given: Any) -> np.ndarray:
-        """Numbers of tasks, one a robot; -1: drawn."""
+        """Return the numbers of tasks, one a robot; -1 draws one."""
         if given is None:
             return np.full(self.num_envs, -1, np.int32)
         numbers, count = np.asarray(given), int(self.world.pool.count)
-        fits = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
-        if not fits or (numbers < 0).any() or (numbers >= count).any():
+        valid = numbers.shape in ((), (self.num_envs,)) and numbers.dtype.kind in "iu"
+        if not valid or (numbers < 0).any() or (numbers >= count).any():
             expected = f"a number from 0 to {count - 1}, or {self.num_envs} of them; found {given!r:.80}"
             raise InputError("reset", "options['task']", expected)
         return np.broadcast_to(numbers, (self.num_envs,)).astype(np.int32)
@@ -186,14 +186,14 @@ class WorldModelVectorEnv(VectorEnv):
             seeds = [int(seed) + i for i in range(self.num_envs)] if single else list(seed)
             if len(seeds) != self.num_envs:
                 raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
-            keys = np.array(self._crew.state.key)
+            keys = np.array(self._batch.state.key)
             if not self._begun:  # those without a seed of their own
                 keys = np.random.SeedSequence().generate_state(keys.size, np.uint32).reshape(keys.shape)
             for i, one in enumerate(seeds):
                 if one is not None:
                     keys[i] = (int(one) >> 32) & 0xFFFFFFFF, int(one) & 0xFFFFFFFF
             mask = mask & (np.array([one is not None for one in seeds]) | (not self._begun))
-        self._crew.seed(keys, mask)
+        self._batch.seed(keys, mask)
 
 
 def _radius(robot: Any) -> float:
@@ -201,7 +201,7 @@ def _radius(robot: Any) -> float:
 
 
 def _action_space(robot: Any) -> gym.spaces.Box:
-    """That of the environment which the imagined one stands for."""
+    """Return the action space of the environment that is imagined."""
     if isinstance(robot, Car):
         high = robot.limits.astype(np.float32)
         return gym.spaces.Box(-high, high)
@@ -210,18 +210,18 @@ def _action_space(robot: Any) -> gym.spaces.Box:
     return gym.spaces.Box(np.array(low, np.float32), np.array(most, np.float32))
 
 
-def _observation_space(wanted: Imagination) -> gym.spaces.Dict:
-    camera: Any = wanted.camera
+def _observation_space(config: Imagination) -> gym.spaces.Dict:
+    camera: Any = config.camera
     size = (camera.height, camera.width)
     far = np.array([EXTENT, EXTENT, math.pi], np.float32)
     low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([FAR, 1.0, 1.0], np.float32)
     spaces: dict[str, gym.Space[Any]] = {"goal": gym.spaces.Box(low, high), "pose": gym.spaces.Box(-far, far)}
-    if wanted.observation == "scan":
-        spaces["scan"] = gym.spaces.Box(0.0, wanted.max_depth, (BEAMS,), np.float32)
+    if config.observation == "scan":
+        spaces["scan"] = gym.spaces.Box(0.0, config.max_depth, (BEAMS,), np.float32)
     else:
         spaces["depth"] = gym.spaces.Box(0.0, EXTENT, size, np.float32)
-    if wanted.observation == "rgbd":
+    if config.observation == "rgbd":
         spaces["rgb"] = gym.spaces.Box(0, 255, (*size, 3), np.uint8)
-    if wanted.show_uncertainty:
+    if config.show_uncertainty:
         spaces["pose_std"] = gym.spaces.Box(0.0, EXTENT, (3,), np.float32)
     return gym.spaces.Dict(spaces)

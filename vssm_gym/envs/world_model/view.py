@@ -1,11 +1,10 @@
-"""What imagined robots see: scans, depth images and RGB-D images of the belief, by the emission's law.
+"""Render scans, depth images and RGB-D images of the belief for imagined robots, by the emission model.
 
     scan_k = depth at column ``u_k = (k + 1/2) W / 64 - 1/2`` of the camera's horizontal plane, k = 0 (left) ... 63
 
-Depths are z-depths, m; 0 = no reading. The camera stands upright, so a ray of the horizontal plane stays at its height:
-the trilinear field there is bilinear in x and y, and a scan in that slice is what the emission renders, as far as its
-table of lines tells (:mod:`vssm_gym.envs.world_model.scan_table`). Images are traced in the box of the map that was
-observed at all, exactly.
+Depths are z-depths, m; 0 = no reading. The camera is upright, so a ray of the horizontal plane stays at its height: the
+trilinear field there is bilinear in x and y, and a scan in that slice is what the emission renders, up to the error of
+its scan table (:mod:`vssm_gym.envs.world_model.scan_table`). Images are traced exactly, in the observed box of the map.
 """
 
 import equinox as eqx
@@ -14,24 +13,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vssm_gym.envs.world_model.column_bounds import Columns
+from vssm_gym.envs.world_model.column_bounds import ColumnBounds
 from vssm_gym.envs.world_model.config import BEAMS
 from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, crossing, narrowed, rays_of, surface
-from vssm_gym.envs.world_model.scan_table import Lines, scan_depths
+from vssm_gym.envs.world_model.scan_table import ScanTable, scan_depths
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import STEP
 
 SLICE_FINE, BOX_FINE = 4, 1  # pieces a cell
-AT_ONCE = 4  # robots whose images are traced together on a CPU: their rays fit its cache
+AT_ONCE = 4  # robots whose images are traced together on a CPU: their rays fit in its cache
 
 
-class View(eqx.Module):
-    """A camera on robots in one or several maps; see the module."""
+class ImaginedCamera(eqx.Module):
+    """Hold a camera and the fields of one or several maps that it renders; see the module."""
 
     field: RayField
-    lines: Lines | None  # of a scan
-    columns: Columns | None  # of images
+    scan_table: ScanTable | None  # of a scan
+    column_bounds: ColumnBounds | None  # of images
     colour: Float[Array, "cells 3"] | None  # of the box's cells, (maps, *shape) in C order
     across: Float[Array, "width"]  # of pixel columns: camera x a metre of z-depth, to the right
     down: Float[Array, "height"]  # of rows; of a scan one zero
@@ -40,20 +39,22 @@ class View(eqx.Module):
     max_depth: float = eqx.field(static=True)  # m
 
     @classmethod
-    def scan(cls, maps: list[VoxelMap], camera: Camera, T_body_cam: np.ndarray, max_depth: float) -> "View":
-        """64 rays."""
+    def scan(cls, maps: list[VoxelMap], camera: Camera, T_body_cam: np.ndarray, max_depth: float) -> "ImaginedCamera":
+        """Build a camera that renders scans of 64 rays."""
         height = float(T_body_cam[2, 3])
         low, high = _observed_box(maps[0])
         field = _cut(maps, low, high, height)
         columns = (np.arange(BEAMS) + 0.5) * camera.width / BEAMS - 0.5
         across = jnp.asarray((columns - camera.cx) / camera.fx, jnp.float32)
-        return cls(field, Lines.of(field), None, None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth)
+        return cls(
+            field, ScanTable.of(field), None, None, across, jnp.zeros(1), float(T_body_cam[0, 3]), height, max_depth
+        )
 
     @classmethod
     def images(
         cls, maps: list[VoxelMap], camera: Camera, T_body_cam: np.ndarray, max_depth: float, colour: bool
-    ) -> "View":
-        """Depth images, with colour or without."""
+    ) -> "ImaginedCamera":
+        """Build a camera that renders depth images, with colour or without."""
         low, high = _observed_box(maps[0])
         field = _cut(maps, low, high, None)
         colours = None
@@ -63,26 +64,26 @@ class View(eqx.Module):
         across = jnp.asarray((np.arange(camera.width) - camera.cx) / camera.fx, jnp.float32)
         down = jnp.asarray((np.arange(camera.height) - camera.cy) / camera.fy, jnp.float32)
         forward, height = float(T_body_cam[0, 3]), float(T_body_cam[2, 3])
-        return cls(field, None, Columns.of(field, height), colours, across, down, forward, height, max_depth)
+        return cls(field, None, ColumnBounds.of(field, height), colours, across, down, forward, height, max_depth)
 
     def __call__(self, which: Int[Array, "n"], planar: Float[Array, "n 3"]) -> dict[str, Array]:
-        """``scan (n, 64)``, or ``depth (n, height, width)`` and perhaps ``rgb`` uint8 of robots at ``planar``."""
-        if self.lines is None:
+        """Render ``scan (n, 64)``, or ``depth (n, height, width)`` perhaps with ``rgb`` uint8, of robots."""
+        if self.scan_table is None:
             return self._images(which, planar)
         (*cameras, heading), right, down = self._pixels([*self._cameras(planar), planar[:, 2]])
         centre, direction = self._cast(cameras, right, down)
         angle, each = heading - jnp.arctan(right), self._each(which)
-        scan = scan_depths(self.field, self.lines, each, centre[:2], direction[:2], angle, self.max_depth)
+        scan = scan_depths(self.field, self.scan_table, each, centre[:2], direction[:2], angle, self.max_depth)
         return {"scan": scan.reshape(-1, BEAMS)}
 
     def _images(self, which: Array, planar: Array) -> dict[str, Array]:
         n, rows, columns = len(which), len(self.down), len(self.across)
         at_once = min(n, AT_ONCE) if jax.default_backend() == "cpu" else n
         fill = lambda a: jnp.pad(a, (0, -n % at_once))
-        cameras = self._cameras(planar)  # of few numbers, and here: where rays are made, each would have its own cosine
+        cameras = self._cameras(planar)  # here, because rays would each compute the cosine
         parts = jax.tree.map(lambda a: fill(a).reshape(-1, at_once), (which, cameras))
         depth, index, free = jax.lax.map(lambda part: self._begin(*part), parts)
-        # The last rays of all parts are searched together: a turn costs about the same for ten as for a thousand.
+        # The last rays of all parts are searched together: a pass costs about the same for ten as for a thousand.
         count = depth.shape[1]
         number = jnp.where(index < count, index + count * jnp.arange(len(index))[:, None], depth.size).reshape(-1)
         size = (len(index), rows, at_once, columns)
@@ -104,39 +105,39 @@ class View(eqx.Module):
         return images
 
     def _begin(self, which: Array, cameras: list[Array]) -> tuple[Array, Array, Array]:
-        """Surfaces (samples) of all pixels' rays but a few; the numbers of these, and before what they are free."""
-        assert self.columns is not None
+        """Find the surfaces (samples) of all but a few rays; return also the others' numbers and free samples."""
+        assert self.column_bounds is not None
         columns, right = len(self.across), jnp.tile(self.across, len(which))
-        ways = self._rays(jnp.repeat(which, columns), [jnp.repeat(a, columns) for a in cameras], right, 0.0 * right)
-        free = self.columns.starts(self.field, *ways, self.down).reshape(-1)
+        lines = self._rays(jnp.repeat(which, columns), [jnp.repeat(a, columns) for a in cameras], right, 0.0 * right)
+        free = self.column_bounds.first_samples(self.field, *lines, self.down).reshape(-1)
         rays, first = self._rays(self._each(which), *self._pixels(cameras))
         found, index, _, rest = narrowed(self.field, rays, jnp.maximum(first, free), 0)
         return crossing(self.field, rays, found), index, rest
 
     def _colours(self, which: Array, cameras: list[Array], depth: Array) -> Float[Array, "rays 3"]:
-        """Where the pixels' rays end."""
+        """Return the colours of the surfaces at z-depth ``depth``."""
         centre, direction = self._cast(*self._pixels(cameras))
         at = [c + d * depth for c, d in zip(centre, direction, strict=True)]
         return jnp.where((depth > 0.0)[:, None], self._colour_at(self._each(which), at), 0.0)
 
     def _cameras(self, planar: Array) -> list[Array]:
-        """x, y (m), cosine and sine of the heading, ``(n,)`` each."""
+        """Return x, y (m), cosine and sine of the heading of each camera, ``(n,)`` each."""
         c, s = jnp.cos(planar[:, 2]), jnp.sin(planar[:, 2])
         return [planar[:, 0] + self.forward * c, planar[:, 1] + self.forward * s, c, s]
 
     def _pixels(self, cameras: list[Array]) -> tuple[list[Array], Array, Array]:
-        """Cameras, columns and rows of all pixels, ``(rays,)`` each: of rows, cameras and columns in C order."""
+        """Return cameras, columns and rows of all pixels, ``(rays,)`` each: (rows, cameras, columns) in C order."""
         size = (len(self.down), len(cameras[0]), len(self.across))
         spread = lambda a: jnp.broadcast_to(a, size).reshape(-1)
         return [self._each(a) for a in cameras], spread(self.across), spread(self.down[:, None, None])
 
     def _each(self, of_cameras: Array) -> Array:
-        """For all pixels what is said of cameras, in that order."""
+        """Repeat values of cameras for all pixels, in that order."""
         size = (len(self.down), len(of_cameras), len(self.across))
         return jnp.broadcast_to(of_cameras[:, None], size).reshape(-1)
 
     def _cast(self, cameras: list[Array], across: Array, down: Array) -> tuple[Coordinates, Coordinates]:
-        """Where rays start, m, and one metre of z-depth along them."""
+        """Return the starts of rays, m, and their vectors for one metre of z-depth."""
         x, y, c, s = cameras
         return (x, y, jnp.full_like(x, self.height)), (c + s * across, s - c * across, -down)
 
@@ -144,7 +145,7 @@ class View(eqx.Module):
         return rays_of(self.field, which, *self._cast(cameras, across, down), self.max_depth)
 
     def _colour_at(self, which: Array, p_world: list[Array]) -> Float[Array, "rays 3"]:
-        """Trilinear colour, as the map's own."""
+        """Interpolate the map's colour trilinearly."""
         assert self.colour is not None
         *strides, per_map = self.field.strides()
         low, weights, offsets = which * per_map, [jnp.ones_like(p_world[0])], [0]
@@ -159,7 +160,7 @@ class View(eqx.Module):
 
 
 def _observed_box(m: VoxelMap) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and one past the highest cell of the map that was observed, and one around them; ``(3,)`` each."""
+    """Return the lowest and one past the highest observed cell, with a margin of one cell; ``(3,)`` each."""
     seen = np.asarray(m.dense(m.occupancy_precision)).reshape(m.shape) > OBSERVED_PRECISION
     low, high = [], []
     for axis in range(3):
@@ -171,7 +172,7 @@ def _observed_box(m: VoxelMap) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _centres(m: VoxelMap, low: np.ndarray, high: np.ndarray, height: float | None = None) -> Float[Array, "*cells 3"]:
-    """World positions of the box's cell centres, or of those of its columns at ``height`` m."""
+    """Return the world positions of the box's cell centres, or of its columns at ``height`` m."""
     axes = [float(m.origin[a]) + float(m.voxel_size) * np.arange(low[a], high[a]) for a in range(3)]
     if height is not None:
         axes[2] = np.array([height])
@@ -179,7 +180,7 @@ def _centres(m: VoxelMap, low: np.ndarray, high: np.ndarray, height: float | Non
 
 
 def _cut(maps: list[VoxelMap], low: np.ndarray, high: np.ndarray, height: float | None) -> RayField:
-    """The observed box of the maps, or the slice of it at ``height`` m."""
+    """Cut the observed box out of the maps, or its slice at ``height`` m."""
     m, dims = maps[0], 2 if height is not None else 3
     p_world = _centres(m, low, high, height)
     occupancy = np.stack([np.asarray(_occupancy(one, p_world)) for one in maps])
@@ -188,7 +189,7 @@ def _cut(maps: list[VoxelMap], low: np.ndarray, high: np.ndarray, height: float 
     return RayField.cut(occupancy, origin, float(m.voxel_size), SLICE_FINE if dims == 2 else BOX_FINE)
 
 
-# A point on the grid's last cell centre counts as outside where rounding puts it there: nudged in by 1e-4 cells.
+# Rounding may put the last cell centre outside the grid; points are moved in by 1e-4 cells.
 @jax.jit
 def _occupancy(m: VoxelMap, p_world: Array) -> Array:
     low, high = m.origin, m.origin + m.voxel_size * (jnp.array(m.shape) - 1.0)

@@ -1,4 +1,4 @@
-"""An imagined world: everything a step reads and nothing it changes, built once from a map and keywords."""
+"""Build an imagined world from a map and keywords: all arrays that a step reads and none that it changes."""
 
 from pathlib import Path
 from typing import Any
@@ -17,44 +17,43 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.tasks.car import APART as CAR_APART
 from vssm_gym.envs.tasks.car import GOAL_MARGIN, REACHED
 from vssm_gym.envs.tasks.navigation import APART, SHORTEST, SUCCESS
-from vssm_gym.envs.world_model.collision_map import Ground
+from vssm_gym.envs.world_model.collision_map import CollisionMap
 from vssm_gym.envs.world_model.config import SOURCE, Imagination, noise_parameters
-from vssm_gym.envs.world_model.goal_distance import Lattice, Ways
+from vssm_gym.envs.world_model.goal_distance import GoalDistances, Lattice
 from vssm_gym.envs.world_model.motion import disc_radius
-from vssm_gym.envs.world_model.tasks import Fit, Pool, draw_tasks
-from vssm_gym.envs.world_model.view import View
+from vssm_gym.envs.world_model.tasks import TaskLimits, TaskPool, draw_tasks
+from vssm_gym.envs.world_model.view import ImaginedCamera
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission_uncertainty import sample_map
 
-UNKNOWN_COST = 0.05  # of a step in space that nothing observed, with unknown="penalised"
+UNKNOWN_COST = 0.05  # reward lost in a step in unobserved space, with unknown="penalised"
 
 
 class Rules(eqx.Module):
-    """Rewards and ends of the environment that the imagined one stands for: numbers, so that one compiled step serves
-    all of them."""
+    """Hold the rewards and ends of the imagined environment as numbers, so that one compiled step serves all."""
 
     success_radius: float  # m
     dense: bool
     stops: bool  # whether an episode ends by the stop, or on arrival
     step_cost: float
-    touch_cost: float
+    collision_cost: float
     success_reward: float
     unknown_cost: float
 
 
-class World(eqx.Module):
-    """Arrays of one imagined world."""
+class ImaginedWorld(eqx.Module):
+    """Hold the arrays of one imagined world."""
 
     rules: Rules
-    ground: Ground
-    ways: Ways
-    pool: Pool
-    view: View
-    maps: int = eqx.field(static=True)  # of which an episode takes one
-    noise: Float[Array, "2 parameters"]  # between which an episode draws its own
-    low: Float[Array, "action"]  # of what a command may be
+    collision_map: CollisionMap
+    goal_distances: GoalDistances
+    pool: TaskPool
+    view: ImaginedCamera
+    maps: int = eqx.field(static=True)  # number of maps, of which an episode takes one
+    noise: Float[Array, "2 parameters"]  # ends of the range that episodes draw from
+    low: Float[Array, "action"]  # least and largest command
     high: Float[Array, "action"]
     start_std: Float[Array, "3"]  # m, m, rad
     pose_std: Float[Array, "3"]
@@ -65,68 +64,68 @@ class World(eqx.Module):
 Robot = HolonomicRobot | Car
 
 
-def robot_of(wanted: Imagination) -> Robot:
-    """The robot that is imagined."""
-    return Car() if wanted.robot == "car" else HolonomicRobot()
+def robot_of(config: Imagination) -> Robot:
+    """Return the robot that is imagined."""
+    return Car() if config.robot == "car" else HolonomicRobot()
 
 
-def _rules(wanted: Imagination, robot: Robot) -> Rules:
-    dense, price = wanted.reward == "dense", UNKNOWN_COST if wanted.unknown == "penalised" else 0.0
+def _rules(config: Imagination, robot: Robot) -> Rules:
+    dense, unknown_cost = config.reward == "dense", UNKNOWN_COST if config.unknown == "penalised" else 0.0
     if isinstance(robot, Car):
-        return Rules(REACHED, dense, False, CAR_STEP_COST, COLLISION_COST, CAR_SUCCESS_REWARD, price)
-    radius, stops = SUCCESS * robot.body_length, wanted.end_on == "stop"
-    return Rules(radius, dense, stops, STEP_COST, 0.0, SUCCESS_REWARD, price)
+        return Rules(REACHED, dense, False, CAR_STEP_COST, COLLISION_COST, CAR_SUCCESS_REWARD, unknown_cost)
+    radius, stops = SUCCESS * robot.body_length, config.end_on == "stop"
+    return Rules(radius, dense, stops, STEP_COST, 0.0, SUCCESS_REWARD, unknown_cost)
 
 
-def build_world(source: Any, wanted: Imagination, robot: Robot, max_steps: int) -> World:
-    """The world of a map: a file's path, or a :class:`VoxelMap`.
+def build_world(source: Any, config: Imagination, robot: Robot, max_steps: int) -> ImaginedWorld:
+    """Build the world of ``source``, a map file's path or a :class:`VoxelMap`.
 
-    Raises :class:`InputError` for what is no map, or one in which the robot finds no tasks.
+    Raises :class:`InputError` for what is not a map, or a map in which the robot has no tasks.
     """
     m = _map(source)
     maps = [m]
-    if wanted.map_samples:
-        keys = jax.random.split(jax.random.key(wanted.pool_seed), wanted.map_samples)
+    if config.map_samples:
+        keys = jax.random.split(jax.random.key(config.pool_seed), config.map_samples)
         maps = [sample_map(key, m) for key in keys]
-    camera = wanted.camera.intrinsics()  # type: ignore[union-attr]
-    ground = Ground.of([m, *maps] if wanted.map_samples else maps, robot.height, wanted.unknown)
-    lattice = Lattice(ground, _fit(robot).radius)
-    pool, ways = draw_tasks(lattice, _fit(robot), wanted)
-    if wanted.map_samples:  # tasks are those of the mean map; robots drive in the samples
-        samples = ground.clearance.reshape(len(maps) + 1, -1)[1:]
-        ground = eqx.tree_at(lambda g: g.clearance, ground, samples.reshape(-1))
-    if wanted.observation == "scan":
-        view = View.scan(maps, camera, robot.T_body_cam, wanted.max_depth)
+    camera = config.camera.intrinsics()  # type: ignore[union-attr]
+    collision_map = CollisionMap.of([m, *maps] if config.map_samples else maps, robot.height, config.unknown)
+    lattice = Lattice(collision_map, _task_limits(robot).radius)
+    pool, goal_distances = draw_tasks(lattice, _task_limits(robot), config)
+    if config.map_samples:  # tasks are those of the mean map; robots drive in the samples
+        samples = collision_map.clearance.reshape(len(maps) + 1, -1)[1:]
+        collision_map = eqx.tree_at(lambda g: g.clearance, collision_map, samples.reshape(-1))
+    if config.observation == "scan":
+        view = ImaginedCamera.scan(maps, camera, robot.T_body_cam, config.max_depth)
     else:
-        view = View.images(maps, camera, robot.T_body_cam, wanted.max_depth, wanted.observation == "rgbd")
+        view = ImaginedCamera.images(maps, camera, robot.T_body_cam, config.max_depth, config.observation == "rgbd")
     low = -robot.limits if isinstance(robot, Car) else np.array([-robot.max_turn, -robot.max_offset, 0.0])
-    noise = [noise_parameters(one) for one in wanted.noise_range()]
+    noise = [noise_parameters(one) for one in config.noise_range()]
     device = lambda values: jnp.asarray(values, jnp.float32)
-    return World(
-        rules=jax.tree.map(jnp.asarray, _rules(wanted, robot)),
-        ground=ground,
-        ways=ways,
+    return ImaginedWorld(
+        rules=jax.tree.map(jnp.asarray, _rules(config, robot)),
+        collision_map=collision_map,
+        goal_distances=goal_distances,
         pool=pool,
         view=view,
         maps=len(maps),
         noise=device(noise),
         low=device(low),
         high=device(robot.limits),
-        start_std=device(wanted.start_std),
-        pose_std=device(wanted.pose_std),
-        pose_memory=device(wanted.pose_memory),
+        start_std=device(config.start_std),
+        pose_std=device(config.pose_std),
+        pose_memory=device(config.pose_memory),
         max_steps=jnp.asarray(max(0, max_steps), jnp.int32),
     )
 
 
-def _fit(robot: Robot) -> Fit:
+def _task_limits(robot: Robot) -> TaskLimits:
     if isinstance(robot, Car):
-        # The rear axle's way is that of the largest disc around it inside the footprint; where a start or goal lies,
-        # the car fits at every heading.
+        # Paths of the rear axle are those of the largest disc around it inside the footprint; at a start or goal the
+        # car is free at every heading.
         inside = min(robot.rear_overhang, 0.5 * robot.width)
         reach = robot.center_forward + 0.5 * robot.length * (1.0 - 1.0 / 3.0) + disc_radius(robot)
-        return Fit(inside, reach + GOAL_MARGIN, CAR_APART, REACHED, 0.0)
-    return Fit(robot.radius, robot.radius, APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
+        return TaskLimits(inside, reach + GOAL_MARGIN, CAR_APART, REACHED, 0.0)
+    return TaskLimits(robot.radius, robot.radius, APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
 
 
 def _map(source: Any) -> VoxelMap:
