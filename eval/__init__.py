@@ -1,1 +1,15 @@
-"""Evaluation: metrics, sweeps, aggregation, reports and benchmarks."""
+"""Evaluate agents: run them in sweeps of episodes, compute metrics with intervals, write reports, and benchmark.
+
+Sub-packages, each of which may import the ones before it:
+
+- ``episodes``: identity, row, log and manifest: the data that a sweep keeps.
+- ``metrics``: metrics of episodes and maps, means and paired differences with intervals.
+- ``protocols``: one module an environment that sets its tasks and runs its episodes.
+- ``sweep``: configurations, worker processes, shards.
+- ``report``: the HTML page of a sweep, its tables and figures.
+- ``video``: pictures and videos of single runs.
+- ``bench`` and ``studies``: measurements on one machine, and the comparisons of the papers; no other sub-package
+  imports them.
+
+``configs`` and ``baselines`` hold the committed configurations and the rows of the published sweeps.
+"""

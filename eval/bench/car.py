@@ -1,7 +1,7 @@
-"""``bench car``: what the robot car's planners, controllers and simulators cost here (SPEC 7).
+"""Measure the robot car's planners, controllers and simulators: ``bench car``.
 
 Value iteration and hybrid A* plan on the scene's own floor plan, so that no learned map enters the figures. Controllers
-are timed in closed loop on a kinematic bicycle that errs a little, from target to target of the scene's frozen chain.
+are timed in closed loop on a kinematic bicycle with small errors, from target to target of the scene's frozen chain.
 """
 
 import importlib.util
@@ -44,32 +44,32 @@ from vssm_gym.progress import OnProgress
 
 SCENE = "arena"
 CELL = 0.035  # m
-AROUND = (0.2, 0.14)  # m beyond the floor: the car's arenas, 5.2 x 4.2 m, make 160 x 128 cells
-SEALED, THICK = 1.0, 0.05  # m: the corner that is shut off, and its fences
+AROUND = (0.2, 0.14)  # m beyond the floor along x, y: the car's arenas, 5.2 x 4.2 m, make 160 x 128 cells
+SEALED, THICK = 1.0, 0.05  # m: edge of the corner that is sealed off, and thickness of its fences
 GOALS = 5  # of value iteration
 ASIDE = 0.05  # m that a goal moves before a warm start
-TARGETS = 40  # that controllers and hybrid A* are given
-PATIENCE = 600  # steps a target: a minute
-SPEED_ERROR, STEERING_ERROR = 0.03, np.radians(0.5)  # std of a step: relative, rad
-AIM_VALUE, AIM_CONTROL = 2.0, 100.0  # s and ms
+TARGETS = 40  # of controllers and hybrid A*
+PATIENCE = 600  # steps a target, one minute
+SPEED_ERROR, STEERING_ERROR = 0.03, np.radians(0.5)  # standard deviations of a step: relative, rad
+AIM_VALUE, AIM_CONTROL = 2.0, 100.0  # the project's own aims: s, and ms (one control period)
 SOLVERS: tuple[type[MpcSolver], ...] = (RandomSearch, Ipopt, Mppi)
 
 Row = dict[str, Any]
 
 
 def measure(*, scene: str = SCENE, steps: int, seed: int, on_progress: OnProgress | None = None) -> dict[str, Any]:
-    """Times of everything that the car's agents are made of.
+    """Measure the times of all parts of the car's agents.
 
     Args:
         scene: an arena.
         steps: of closed loop for each controller.
         seed: of the bicycle's errors and of the environments.
-        on_progress: called with ("measuring", parts, of how many).
+        on_progress: called with ("measuring", parts done, total).
 
     Returns:
         ``rows`` with ``what, p50, p95`` (None for rates), ``unit, aim`` (of p95; of p50 where there is no p95), and
-        ``facts`` by name (CPU time of all threads is what a machine takes that does nothing else); the machine and its
-        load before; ``missing``: why a simulator was not measured, or None.
+        ``facts`` by name (CPU time counts all threads, so it does not depend on other load); the machine and its load
+        before; ``missing``: why a simulator was not measured, or None.
 
     Raises:
         InputError: an unknown scene, or one without room for a car.
@@ -97,7 +97,7 @@ def measure(*, scene: str = SCENE, steps: int, seed: int, on_progress: OnProgres
 
 
 def floor_plan(apartment: Apartment, car: Car) -> tuple[shapely.Geometry, np.ndarray, np.ndarray]:
-    """What a body of the car's height meets, and the floor's lowest and highest corner, m."""
+    """Return the obstacles of a body of the car's height, and the floor's lowest and highest corner, m."""
     boxes = apartment.boxes()
     solid = shapely.union_all([footprint(boxes[i]) for i in obstacles(boxes, car.height)])
     corners = np.concatenate([np.array(room.polygon) for room in apartment.rooms])
@@ -105,14 +105,14 @@ def floor_plan(apartment: Apartment, car: Car) -> tuple[shapely.Geometry, np.nda
 
 
 def sealed_off(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Arena:
-    """The arena with a fence around its last corner."""
+    """Return the arena with a fence around its last corner."""
     x, y = high - SEALED
     fences = shapely.box(x, y, high[0], y + THICK), shapely.box(x, y, x + THICK, high[1])
     return rasterised(shapely.union_all([solid, *fences]), low, high)
 
 
 def rasterised(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Arena:
-    """The cells that ``solid`` overlaps."""
+    """Rasterise ``solid``: cells that it overlaps are occupied."""
     shapely.prepare(solid)
     nx, ny = np.round((high - low + 2.0 * np.array(AROUND)) / CELL).astype(int)
     origin = low - AROUND + 0.5 * CELL
@@ -123,7 +123,7 @@ def rasterised(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Ar
 
 
 def value_rows(arena: Arena, sealed: np.ndarray, tasks: Sequence[CarTask], car: Car) -> list[Row]:
-    """Everything from the floor plan to the cost-to-go, and warm starts after the goal has moved."""
+    """Time value iteration from the floor plan to the cost-to-go, and warm starts after the goal has moved."""
     goals = [np.array(task.goal) for task in tasks if np.any(np.array(task.goal[:2]) < sealed - 0.1)][:GOALS]
     solve(PoseGrid.of(arena, car), goals[0])  # compiles
     cold, cpu, warm, results, again = [], [], [], [], []
@@ -135,7 +135,7 @@ def value_rows(arena: Arena, sealed: np.ndarray, tasks: Sequence[CarTask], car: 
         cpu.append(time.process_time() - worked)
         results.append(result)
         moved = solve(grid, goal + np.array([ASIDE, 0.0, 0.0]), warm=result.cost_to_go)
-        if moved.cost_to_go is not None:  # the place beside a goal may be taken
+        if moved.cost_to_go is not None:  # the moved goal may be occupied
             warm.append(moved.seconds)
             again.append(moved)
     size = "x".join(str(n) for n in grid.blocked.shape)
@@ -162,17 +162,17 @@ def control_row(
     steps: int,
     seed: int,
 ) -> Row:
-    """Latency of plan and safe command, as the agents call them, over ``steps`` of a bicycle with small errors."""
+    """Time plan and safe command, as the agents call them, over ``steps`` of a bicycle with small errors."""
     car, rng, critic = PROBLEM.car, np.random.default_rng(seed), Critic(arena, PROBLEM.car)
     planar, waiting = np.array(tasks[0].start), itertools.cycle(tasks)
     task, value = _next(waiting, critic, planar)
-    # Once, uncounted: what compiles, with a plan and without one.
+    # Once, uncounted, because it compiles: with a plan and without one.
     result = solver.plan(planar, value, arena.clearance)
     safety.step(PROBLEM, safety.init(np.zeros(2)), result.judged(0.0), planar, arena.clearance)
     memory, counter = safety.init(np.zeros(2)), CompileCounter()
     seconds: list[float] = []
     cpu: list[float] = []
-    reached, touched, hit, spent = 0, 0, False, 0
+    reached, collisions, collided, spent = 0, 0, False, 0
     while len(seconds) < steps:
         began, worked = time.perf_counter(), time.process_time()
         result = solver.plan(planar, value, arena.clearance, memory.resume, memory.control)
@@ -180,11 +180,11 @@ def control_row(
         seconds.append(time.perf_counter() - began)
         cpu.append(time.process_time() - worked)
         planar, spent = _driven(planar, action.control, rng, car), spent + 1
-        hit = hit or bool(shapely.Polygon(car.corners(planar)).intersects(solid))
+        collided = collided or bool(shapely.Polygon(car.corners(planar)).intersects(solid))
         if task.reached(planar) or spent == PATIENCE:
-            reached, touched = reached + task.reached(planar), touched + hit
+            reached, collisions = reached + task.reached(planar), collisions + collided
             task, value = _next(waiting, critic, planar)
-            memory, hit, spent = safety.init(np.zeros(2)), False, 0
+            memory, collided, spent = safety.init(np.zeros(2)), False, 0
     milliseconds = [1e3 * s for s in seconds]
     facts = {
         "CPU ms": 1e3 * float(np.median(cpu)),
@@ -192,14 +192,14 @@ def control_row(
         "over 100 ms": f"{np.mean(np.array(milliseconds) > AIM_CONTROL):.1%}",
         "recompilations": counter.count,
         "targets": reached,
-        "touched": touched + hit,
+        "collided": collisions + collided,
     }
     name = type(solver).__name__
     return _row(f"MPC {name}, horizon {PROBLEM.config.horizon}", milliseconds, "ms", AIM_CONTROL, facts)
 
 
 def search_row(arena: Arena, tasks: Sequence[CarTask], car: Car) -> Row:
-    """Plans of hybrid A* along the chain."""
+    """Time plans of hybrid A* along the chain."""
     levels = FootprintLevels.from_occupied(arena.occupied, arena.origin, arena.resolution, car)
     ends = [(np.array(task.start), np.array(task.goal)) for task in tasks]
     plan(*ends[0], levels, car)  # compiles
@@ -209,7 +209,7 @@ def search_row(arena: Arena, tasks: Sequence[CarTask], car: Car) -> Row:
 
 
 def rate_rows(scene: str, physics: str, seed: int) -> list[Row]:
-    """Steps a second of the environment, with and without images, under random commands."""
+    """Measure steps a second of the environment, with and without images, under random commands."""
     rows = []
     for images in (False, True):
         env = gym.make("vssm_gym/CarNav-v0", scene=scene, physics=physics, images=images)
@@ -232,7 +232,7 @@ def rate_rows(scene: str, physics: str, seed: int) -> list[Row]:
 
 
 def _next(waiting: Iterator[CarTask], critic: Critic, planar: np.ndarray) -> tuple[CarTask, CostToGo]:
-    """The next target that there is a way to, and its cost-to-go."""
+    """Return the next target that can be reached, and its cost-to-go."""
     for task in itertools.islice(waiting, TARGETS):
         value = critic.aim(planar, np.array(task.goal)).cost_to_go
         if value is not None:
@@ -243,7 +243,7 @@ def _next(waiting: Iterator[CarTask], critic: Critic, planar: np.ndarray) -> tup
 
 
 def _driven(planar: np.ndarray, control: np.ndarray, rng: np.random.Generator, car: Car) -> np.ndarray:
-    """The arc of a command that is carried out with small errors."""
+    """Execute a command with small errors; return the pose at the end of its arc."""
     errors = rng.normal(size=2) * (SPEED_ERROR * abs(control[0]), STEERING_ERROR)
     speed, steering = control + errors
     x, y, heading = planar

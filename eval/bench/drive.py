@@ -1,6 +1,6 @@
-"""Drives through chains of random goals, with localizers riding along: how tracking is judged apart from navigation.
+"""Drive through chains of random goals with localizers riding along, to evaluate tracking apart from navigation.
 
-A driver agent steers; every localizer that rides along gets the same images and commands and is told nothing else, so
+A driver agent steers; every localizer that rides along receives the same images and commands and nothing else, so that
 their errors on one drive can be compared pairwise.
 """
 
@@ -17,17 +17,17 @@ from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.eval.protocols.agent_context import context_in
 from vssm_gym.maps.voxel_map import VoxelMap
 
-MAX_GIVEN_UP = 50  # goals in a row for which the driver did not move
-GOAL_MARGIN = 0.02  # m between a goal and what the robot could touch there
+MAX_GIVEN_UP = 50  # goals in a row for which the driver does not move before the drive is an error
+GOAL_MARGIN = 0.02  # m of clearance around the robot at a goal
 
 
 @dataclass(frozen=True)
-class Drive:
-    """What happened, one row a step, the start first."""
+class DriveRecord:
+    """Hold a drive, one row a step, the start first."""
 
     true: Float[np.ndarray, "time 3"]  # x, y, heading
     estimates: dict[str, Float[np.ndarray, "time 3"]]  # of each localizer
-    lost: dict[str, Float[np.ndarray, "time"]]  # 1 where the localizer said that it lost track
+    lost: dict[str, Float[np.ndarray, "time"]]  # 1 where the localizer reported that it lost track
     goals: int  # at which the driver stopped within the success radius, by the true pose
 
     @property
@@ -37,7 +37,7 @@ class Drive:
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     def location_error(self, name: str) -> Float[np.ndarray, "time"]:
-        """Distance (m) between an estimate's position and the truth."""
+        """Return the distance (m) between an estimate's position and the truth."""
         return np.linalg.norm(self.estimates[name][:, :2] - self.true[:, :2], axis=1)
 
 
@@ -51,8 +51,8 @@ def drive(
     seed: int,
     steps: int | None = None,
     metres: float | None = None,
-) -> Drive:
-    """Chain random goals until ``steps`` or ``metres`` are done; the driver stopping draws the next goal.
+) -> DriveRecord:
+    """Chain random goals until ``steps`` or ``metres`` are done; a stop of the driver draws the next goal.
 
     Args:
         env: PointNav, made without a step limit; its observed pose is shown to a driver that needs it, to no other.
@@ -72,8 +72,8 @@ def drive(
     blind = _shown(observation, pose=False)
     poses = {name: [rider.reset(context, blind).planar] for name, rider in riders.items()}
     lost: dict[str, list[float]] = {name: [0.0] for name in riders}
-    true, goals, way, given_up = [np.array(info["start_pose"])], 0, 0.0, 0
-    while (steps is None or len(true) <= steps) and (metres is None or way < metres):
+    true, goals, driven, given_up = [np.array(info["start_pose"])], 0, 0.0, 0
+    while (steps is None or len(true) <= steps) and (metres is None or driven < metres):
         decision = driver.act(_shown(observation, driver.needs_pose))
         if decision.action[3] > 0.5:
             goals += int(np.linalg.norm(true[-1][:2] - observation["goal"]) <= env.success_radius)
@@ -87,13 +87,13 @@ def drive(
         observation, _, _, _, info = env.step(decision.action)
         observation = {**observation, "goal": goal}
         true.append(np.array(env.planar))
-        way += float(np.linalg.norm(true[-1][:2] - true[-2][:2]))
+        driven += float(np.linalg.norm(true[-1][:2] - true[-2][:2]))
         blind = _shown(observation, pose=False)
         for name, rider in riders.items():
             belief = rider.update(decision.action[:3], blind)
             poses[name].append(belief.planar)
             lost[name].append(float(not belief.status.accepted))
-    return Drive(
+    return DriveRecord(
         np.array(true),
         {name: np.array(rows) for name, rows in poses.items()},
         {name: np.array(rows) for name, rows in lost.items()},
@@ -102,5 +102,5 @@ def drive(
 
 
 def _shown(observation: Observation, pose: bool) -> Observation:
-    """The observation with or without the true pose."""
+    """Return the observation with or without the true pose."""
     return observation if pose else {name: value for name, value in observation.items() if name != "pose"}

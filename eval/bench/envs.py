@@ -1,8 +1,8 @@
-"""``bench envs``: steps a second of the environments, through ``gym.make`` and ``gym.make_vec`` as anyone would.
+"""Measure steps a second of the environments through ``gym.make`` and ``gym.make_vec``: ``bench envs``.
 
-A step is everything: physics, rays, shading, reward, observation, info. Rates are medians over windows of random
-actions that never stop; the same windows for every row. Two rows make depth images and nothing else, drawn as
-the camera does it and traced with Embree: what a ray tracer would cost.
+A step includes physics, rays, shading, reward, observation and info. Rates are medians over windows of random actions
+that never stop; the same windows for every row. Two rows render depth images only, as the camera does and by Embree,
+which shows the cost of a ray tracer.
 """
 
 import importlib.util
@@ -24,22 +24,22 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.progress import OnProgress
 
-WINDOWS, SECONDS = 5, 1.0  # windows a row, and their length at least
+WINDOWS, SECONDS = 5, 1.0  # windows a row, and their least length, s
 ROBOTS = 16  # of a vector environment
 SCENE = "oak"
 
 
 def measure(*, scene: str = SCENE, seed: int = 0, on_progress: OnProgress | None = None) -> dict[str, Any]:
-    """Rates of every kind of environment.
+    """Measure the rates of every kind of environment.
 
     Args:
         scene: of the apartments' environments.
         seed: of tasks, noise and actions.
-        on_progress: called with ("measuring", rows, of how many).
+        on_progress: called with ("measuring", rows done, total).
 
     Returns:
         ``rows``: ``(what, steps a second, cores, aim or None)``; ``shapes`` of the scene; the machine; ``peer``: why
-        there is no MiniWorld, or None.
+        MiniWorld was not measured, or None.
     """
     scan: dict[str, Any] = {"camera": {"width": 64, "height": 1}}
     two = min(2, os.cpu_count() or 1)
@@ -62,7 +62,7 @@ def measure(*, scene: str = SCENE, seed: int = 0, on_progress: OnProgress | None
     for i, (what, rate, cores, aim) in enumerate(plans):
         try:
             rows.append((what, rate(), cores, aim))
-        except Exception as error:  # a peer that does not run here says why; ours may not fail
+        except Exception as error:  # a peer may fail with a reason; our environments may not
             if not what.startswith("MiniWorld"):
                 raise
             peer = f"MiniWorld does not run here: {' '.join(str(error).split()):.200}"
@@ -113,7 +113,7 @@ def _many(kind: str, scene: str, seed: int, **keywords: Any) -> float:
 
 
 def _images(scene: str, seed: int, traced: bool) -> float:
-    """Depth images a second from places all over: as the camera draws them, or each pixel's ray traced by Embree."""
+    """Measure depth images a second from random poses, as the camera renders them or by Embree's rays."""
     boxes, camera = load_scene(scene).boxes(), CameraConfig().intrinsics()
     drawn, tracer = RaycastCamera(boxes, camera), EmbreeTracer(boxes)
     rays = np.asarray(camera.rays(), dtype=np.float64).reshape(-1, 3)
@@ -137,7 +137,7 @@ def _images(scene: str, seed: int, traced: bool) -> float:
 
 
 def steps_a_second(step: Callable[[], int]) -> float:
-    """Median of steps a second over the windows; what is compiled or built at first is not counted."""
+    """Return the median steps a second over the windows, after a warm-up that compiles and allocates."""
     warm = time.perf_counter() + 0.3
     while time.perf_counter() < warm:
         step()
@@ -151,7 +151,7 @@ def steps_a_second(step: Callable[[], int]) -> float:
 
 
 def _miniworld(seed: int) -> float:
-    """Four bare rooms, colour and depth at our size."""
+    """Measure MiniWorld's four bare rooms, colour and depth at our size."""
     import miniworld  # noqa: F401  (registers its environments)
 
     with warnings.catch_warnings():

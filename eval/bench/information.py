@@ -1,8 +1,8 @@
-"""``bench information``: what an imagined step costs, and how well its gain ranks candidates (SPEC 8).
+"""Measure the cost of an imagined step and how well its gain ranks candidates: ``bench information``.
 
-Maps of a scene are learned from the first looks of a survey, at true poses and without noise. Candidates are short
-ways through free space that starts where a map already knows it. Each estimate is compared with the gain by all pixels
-and cells, and with what the true images at the same poses then give.
+Maps of a scene are learned from the first images of a survey, at true poses and without noise. Candidates are short
+paths through free space that begin in known space. Each estimate is compared with the gain by all pixels and cells, and
+with the gain of the true images at the same poses (thesis, section 5.6).
 """
 
 import os
@@ -33,11 +33,11 @@ from vssm_gym.progress import OnProgress
 
 VOXEL = 0.07  # m
 MARGIN = 0.25  # m of the map beyond floor and ceiling
-VIEWPOINTS = (1, 4, 12)  # of the survey, that the maps have seen
-HEADINGS = 8  # looks at a viewpoint
+VIEWPOINTS = (1, 4, 12)  # of the survey, whose images the maps hold
+HEADINGS = 8  # images a viewpoint
 STEPS = 5  # of a candidate
 TURN, STEP = 0.5, 0.25  # rad and m a step, at most
-AIM_MS, AIM_RANK = 3.0, 0.95
+AIM_MS, AIM_RANK = 3.0, 0.95  # the project's own aims: ms a step, rank correlation
 ALL = InformationConfig(pixels=None, every=1)
 # Configuration, and surfaces expected in a metre of unknown space, 1/m.
 ESTIMATES = {
@@ -54,13 +54,13 @@ ESTIMATES = {
 
 
 def measure(*, scene: str, candidates: int, seed: int, on_progress: OnProgress | None = None) -> dict[str, Any]:
-    """Times and rank correlations of every estimate, on maps of growing extent.
+    """Measure times and rank correlations of every estimate, on maps of growing extent.
 
     Args:
         scene: built-in name or path.
         candidates: trajectories that are ranked on each map.
         seed: of the survey and of the candidates.
-        on_progress: called with ("measuring", estimates, of how many).
+        on_progress: called with ("measuring", estimates done, total).
 
     Returns:
         ``rows`` of ``map`` (images in it), ``entropy`` (nats), ``what``, ``ms`` (a step), ``rank`` (Spearman's, with
@@ -68,60 +68,60 @@ def measure(*, scene: str, candidates: int, seed: int, on_progress: OnProgress |
         ``recompilations`` in calls with other candidates; the machine and its load before.
 
     Raises:
-        InputError: a scene without known free space to start from.
+        InputError: a scene without known free space to start in.
     """
     apartment, robot = load_scene(scene), HolonomicRobot()
-    eye = make_camera(apartment.boxes(), CameraConfig())
+    scene_camera = make_camera(apartment.boxes(), CameraConfig())
     machine = {"cores": os.cpu_count(), "processor": platform.machine(), "load": round(os.getloadavg()[0], 1)}
     rng, rows, recompilations = np.random.default_rng(seed), [], 0
-    looks = survey_looks(apartment, robot, seed)
+    poses = survey_poses(apartment, robot, seed)
     for i, viewpoints in enumerate(VIEWPOINTS):
-        m = learned(apartment, eye, looks[: viewpoints * HEADINGS])
+        m = learned(apartment, scene_camera, poses[: viewpoints * HEADINGS])
         T = candidate_trajectories(m, apartment, robot, candidates, rng)
-        exact, truth = expected_gain(m, T, eye.camera, ALL).total, true_gain(m, T, eye)
+        exact, truth = expected_gain(m, T, scene_camera.camera, ALL).total, true_gain(m, T, scene_camera)
         for j, (what, (config, hazard)) in enumerate(ESTIMATES.items()):
-            gain, ms, compiled = timed(m, T, eye.camera, config, hazard)
+            gain, ms, compiled = timed(m, T, scene_camera.camera, config, hazard)
             rank, rank_true = (float(spearmanr(gain, other).statistic) for other in (exact, truth))
             ratio = float(np.median(gain / truth))
-            row = {"map": min(viewpoints * HEADINGS, len(looks)), "entropy": entropy(m), "what": what, "ms": ms}
+            row = {"map": min(viewpoints * HEADINGS, len(poses)), "entropy": entropy(m), "what": what, "ms": ms}
             rows.append(row | {"rank": rank, "rank_true": rank_true, "ratio": ratio})
             recompilations += compiled
             if on_progress:
                 on_progress("measuring", i * len(ESTIMATES) + j + 1, len(VIEWPOINTS) * len(ESTIMATES))
-    eye.close()
+    scene_camera.close()
     found = {"scene": scene, "candidates": candidates, "steps": STEPS, "cells": int(np.prod(m.shape)), "rows": rows}
     return found | {"aims": (AIM_MS, AIM_RANK), "recompilations": recompilations, "machine": machine}
 
 
-def survey_looks(apartment: Apartment, robot: HolonomicRobot, seed: int) -> np.ndarray:
-    """Camera poses ``(looks, 4, 4)``: around at every viewpoint of a survey, in its order."""
+def survey_poses(apartment: Apartment, robot: HolonomicRobot, seed: int) -> np.ndarray:
+    """Return camera poses ``(images, 4, 4)``: a full turn at every viewpoint of a survey, in its order."""
     places = [(w.x, w.y) for w in survey_route(apartment, robot, seed) if w.turn_around]
     turns = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
     return np.stack([planar_to_matrix(np.array([x, y, a])) @ robot.T_body_cam for x, y in places for a in turns])
 
 
-def learned(apartment: Apartment, eye: SceneCamera, looks: np.ndarray) -> VoxelMap:
-    """The map after these looks, over the whole apartment."""
+def learned(apartment: Apartment, scene_camera: SceneCamera, poses: np.ndarray) -> VoxelMap:
+    """Learn the map of the whole apartment from images at these poses."""
     corners = np.concatenate([np.array(room.polygon) for room in apartment.rooms])
     low = np.append(corners.min(axis=0), 0.0) - MARGIN
     high = np.append(corners.max(axis=0), apartment.ceiling_height) + MARGIN
     x, y, z = (int(n) for n in np.ceil((high - low) / VOXEL) + 1)
     m = VoxelMap.prior(low, VOXEL, (x, y, z))
-    for T in looks:
-        rgb, depth = eye.render(T)
+    for T in poses:
+        rgb, depth = scene_camera.render(T)
         colour = jnp.asarray(rgb, jnp.float32) / 255.0
-        m = update(m, jnp.asarray(depth), colour, jnp.asarray(T, jnp.float32), eye.camera, ALL.update)
+        m = update(m, jnp.asarray(depth), colour, jnp.asarray(T, jnp.float32), scene_camera.camera, ALL.update)
     return m
 
 
 def candidate_trajectories(
     m: VoxelMap, apartment: Apartment, robot: HolonomicRobot, n: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Camera poses ``(n, STEPS, 4, 4)``: from known free places, turning as they go and halting before obstacles."""
+    """Draw camera poses ``(n, STEPS, 4, 4)`` of paths from known free space that turn and stop before obstacles."""
     space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
     xy = space.sample(rng, 50 * n)
-    eyes = np.column_stack([xy, np.full(len(xy), robot.camera_height)])
-    xy = xy[np.asarray(m.precision(jnp.asarray(eyes, jnp.float32)))[:, 0] > OBSERVED_PRECISION][:n]
+    centres = np.column_stack([xy, np.full(len(xy), robot.camera_height)])
+    xy = xy[np.asarray(m.precision(jnp.asarray(centres, jnp.float32)))[:, 0] > OBSERVED_PRECISION][:n]
     if len(xy) < n:
         raise InputError(apartment.name, "floor", f"known free space around the survey's start for {n} candidates")
     heading = rng.uniform(-np.pi, np.pi, n)
@@ -134,11 +134,11 @@ def candidate_trajectories(
     return np.stack(poses, axis=1)
 
 
-def true_gain(m: VoxelMap, T_world_cam: np.ndarray, eye: SceneCamera) -> np.ndarray:
-    """What the true images of the trajectories give, nats: the same sum over the cells that they observe."""
+def true_gain(m: VoxelMap, T_world_cam: np.ndarray, scene_camera: SceneCamera) -> np.ndarray:
+    """Compute the gain of the true images of the trajectories, nats: the same sum over the cells that they observe."""
     views = T_world_cam.reshape(-1, 4, 4)
-    depth = np.stack([eye.render(T)[1] for T in views])
-    seen = observed(depth, views, eye.camera, Grid.of(m), ALL.update, ALL.every)
+    depth = np.stack([scene_camera.render(T)[1] for T in views])
+    seen = observed(depth, views, scene_camera.camera, Grid.of(m), ALL.update, ALL.every)
     paths = np.arange(len(views)).reshape(T_world_cam.shape[:2])
     return gains(m, seen, paths, ALL.update.std**-2, ALL.every, ALL.known)[:, -1]
 
@@ -146,7 +146,7 @@ def true_gain(m: VoxelMap, T_world_cam: np.ndarray, eye: SceneCamera) -> np.ndar
 def timed(
     m: VoxelMap, T: np.ndarray, camera: Camera, config: InformationConfig, hazard: float
 ) -> tuple[np.ndarray, float, int]:
-    """Gains of the trajectories, milliseconds a step, and what was compiled after a first call with fewer of them."""
+    """Return gains of the trajectories, ms a step, and the compilations after a first call with fewer of them."""
     expected_gain(m, T[:3], camera, config, hazard=hazard)
     counter, seconds = CompileCounter(), []
     for _ in range(3):

@@ -1,6 +1,6 @@
-"""Open3D's SLAM in a process of its own: frames go there, poses come back, and its death is a value.
+"""Run Open3D's SLAM in a process of its own and report its end as an error with a message.
 
-The program is :mod:`vssm_gym.eval.bench.open3d_slam`, which says what the two tell each other.
+The program is :mod:`vssm_gym.eval.bench.open3d_slam`, whose documentation defines the messages.
 """
 
 import contextlib
@@ -20,12 +20,12 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 
 COMMAND = (sys.executable, "-m", "vssm_gym.eval.bench.open3d_slam")
-LEAVE_SECONDS = 30.0  # that it has to end after its last frame
+LEAVE_SECONDS = 30.0  # s that the process has to end after its last frame
 
 
 @dataclass(frozen=True)
 class Open3dRun:
-    """What came back, a row a frame."""
+    """Hold the process's answers, a row a frame."""
 
     version: str
     poses: Float[np.ndarray, "n 4 4"]  # T_world_cam; world: the first camera's frame
@@ -39,21 +39,21 @@ def run_open3d(
     voxel: float,
     max_depth: float,
     *,
-    told: Callable[[str, int], None] | None = None,
+    on_progress: Callable[[str, int], None] | None = None,
     command: Sequence[str] = COMMAND,
 ) -> Open3dRun:
-    """Send every frame to a process of its own and collect its answers.
+    """Send every frame to a process of its own and collect the answers.
 
     Args:
         frames: RGB uint8 ``(height, width, 3)`` and depth float32 ``(height, width)``, m.
         camera: of all frames.
         voxel: of its map, m.
         max_depth: m; farther readings are left out.
-        told: its version and how many frames are done, after each.
+        on_progress: called with the version and the number of frames done, after each.
         command: the program.
 
     Raises:
-        InputError: Open3D is not installed there, the process died, or what it answered is no answer.
+        InputError: Open3D is not installed, the process died, or an answer could not be read.
     """
     setup = {"width": camera.width, "height": camera.height, "K": np.asarray(camera.K).tolist()}
     answers: list[dict[str, Any]] = []
@@ -68,8 +68,8 @@ def run_open3d(
                     np.ascontiguousarray(rgb, np.uint8).tobytes() + np.ascontiguousarray(depth, np.float32).tobytes()
                 )
                 answers.append(_ask(process, frame, "pose", "failed", "seconds"))
-                if told:
-                    told(str(begun.get("version", "")), len(answers))
+                if on_progress:
+                    on_progress(str(begun.get("version", "")), len(answers))
         except _NoAnswerError as error:
             raise InputError("bench slam", "open3d", _ending(process, errors, len(answers))) from error
     return Open3dRun(
@@ -81,11 +81,11 @@ def run_open3d(
 
 
 class _NoAnswerError(Exception):
-    """A broken pipe, an empty line, or another line than an answer."""
+    """Signal a broken pipe, an empty line, or a line that is not an answer."""
 
 
 def _ask(process: subprocess.Popen[bytes], message: bytes, *names: str) -> dict[str, Any]:
-    """Send a message; returns the answer, which holds ``names``."""
+    """Send a message and return the answer, which holds ``names``."""
     assert process.stdin is not None and process.stdout is not None
     try:
         process.stdin.write(message)
@@ -100,7 +100,7 @@ def _ask(process: subprocess.Popen[bytes], message: bytes, *names: str) -> dict[
 
 @contextlib.contextmanager
 def _started(command: Sequence[str], errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """The process; at the end of the block it is gone, whatever happened."""
+    """Start the process and end it with the block, whatever happens."""
     process: Any = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
     try:
         yield process
@@ -117,11 +117,11 @@ def _started(command: Sequence[str], errors: IO[bytes]) -> Iterator[subprocess.P
 
 
 def _ending(process: subprocess.Popen[bytes], errors: IO[bytes], done: int) -> str:
-    """How the process ended, and the last that it said on standard error."""
+    """Describe how the process ended, with its last line on standard error."""
     try:
         code = process.wait(1.0)
     except subprocess.TimeoutExpired:
-        how = "answered what is no answer"
+        how = "gave an answer that cannot be read"
     else:
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
     errors.seek(0)

@@ -1,14 +1,15 @@
-"""Open3D's dense RGB-D SLAM as a program of its own; the only module that imports Open3D.
+"""Run Open3D's dense RGB-D SLAM as a program of its own; the only module that imports Open3D.
 
     python -m vssm_gym.eval.bench.open3d_slam
 
 On standard input it takes one line of JSON (``width, height, K, voxel, max_depth``), then frames: colour as bytes
 ``(height, width, 3)`` and depth as float32 ``(height, width)``, m. It answers with one line of JSON for each: first its
 ``version`` or an ``error``, then ``pose`` (T_world_cam), ``failed`` and ``seconds`` of every frame. The other end is
-:mod:`vssm_gym.eval.bench.open3d_process`: in one process with JAX this library has ended both by a segmentation fault.
+:mod:`vssm_gym.eval.bench.open3d_process`; in one process with JAX the library has caused segmentation faults.
 
 Frame-to-model odometry against a ray-cast image of a truncated signed distance field in voxel blocks, in C++: the
-pipeline of Open3D's own ``dense_slam`` example with its defaults. It has no notion of being lost and no uncertainty.
+pipeline of Open3D's own ``dense_slam`` example with its defaults. It detects no loss of track and estimates no
+uncertainty.
 """
 
 import importlib
@@ -24,16 +25,16 @@ from jaxtyping import Float, UInt8
 
 HOW = "Open3D: pip install open3d, and on Debian apt install libusb-1.0-0 libgl1"
 TRUNCATION = 8.0  # voxels, Open3D's default
-BLOCKS = 20_000  # of 16^3 voxels; the grid grows where they do not suffice
+BLOCKS = 20_000  # initial number of blocks of 16^3 voxels; the grid grows
 MIN_DEPTH = 0.1  # m, Open3D's default
-JUMP = 0.07  # m between the depths of associated pixels at most, Open3D's default
-UNITS = 5000.0  # of depth a metre
+JUMP = 0.07  # m: largest difference of associated depths, Open3D's default
+UNITS = 5000.0  # units of depth images a metre
 STAGES = ("track", "integrate", "ray cast")
 
 
 @dataclass(frozen=True)
 class Open3dStep:
-    """One frame."""
+    """Hold the result of one frame."""
 
     T_world_cam: Float[np.ndarray, "4 4"]  # world: the first camera's frame
     failed: bool  # its odometry raised an error; the pose is the last one
@@ -41,7 +42,7 @@ class Open3dStep:
 
 
 class Open3dSlam:
-    """The filter's state between frames; importing Open3D raises ImportError or OSError where it is not installed.
+    """Hold the state between frames; raises ImportError or OSError where Open3D is not installed.
 
     Args:
         width: of all images, pixels.
@@ -88,9 +89,9 @@ class Open3dSlam:
 
 
 def main() -> None:
-    """Serve one recording; see the module. Ends with the input."""
+    """Answer the frames of one recording until the input ends; see the module."""
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what the library prints is no answer
+    os.dup2(2, 1)  # the library's own output must not mix with answers
     source = sys.stdin.buffer
     setup = json.loads(source.readline())
     width, height = setup["width"], setup["height"]

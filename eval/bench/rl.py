@@ -1,9 +1,8 @@
-"""``bench rl``: robot-steps a second inside a learned map, beside those of the simulator, and how far the two agree.
+"""Compare robot-steps a second inside a learned map with those of the simulator, and their agreement: ``bench rl``.
 
-A step is everything that ``make_vec(...).step`` does: motion, collision, scan or image, reward, restart, and the
-arrays in the caller's hands. Actions are random and never stop; episodes are cut off after 500 steps, so that restarts
-are part of it. Real rows are PointNav's: its RGB-D images as they are by default, and 64 rays, which is what an
-imagined scan is compared with like for like.
+A step includes all work of ``make_vec(...).step``: motion, collision, scan or image, reward, restart, and the returned
+arrays. Actions are random and never stop; episodes are truncated after 500 steps, so that restarts are included. Real
+rows are PointNav's: its default RGB-D images, and 64 rays, the real equivalent of an imagined scan.
 """
 
 import os
@@ -25,24 +24,24 @@ from vssm_gym.progress import OnProgress
 
 SCANS = (1, 16, 64, 256, 1024)  # robots of the imagined rows
 IMAGES = (16, 64, 256)
-MAIN = 256  # robots of what is promised
-SCAN_AIM, IMAGE_AIM, RATIO_AIM = 150_000.0, 5_000.0, 50.0
-BLOCK = 50  # batches of actions drawn beforehand: drawing them is the caller's time
+MAIN = 256  # robots of the rows with an aim
+SCAN_AIM, IMAGE_AIM, RATIO_AIM = 150_000.0, 5_000.0, 50.0  # the project's own aims: steps/s, steps/s, their ratio
+BLOCK = 50  # batches of actions drawn beforehand, because drawing them is not part of a step
 
-Plan = tuple[str, int, Callable[[], float], float | None]  # what, robots, its rate, what is promised
+Plan = tuple[str, int, Callable[[], float], float | None]  # what, robots, its rate, aim
 
 
 def measure(
     scene: str, map_file: Path, *, steps: int = 1_000_000, seed: int = 0, on_progress: OnProgress | None = None
 ) -> dict[str, Any]:
-    """Rates, memory, recompilations and agreement.
+    """Measure rates, memory, recompilations and agreement.
 
     Args:
         scene: of the real environment.
         map_file: learned from its images.
-        steps: robot-steps over which memory is watched.
+        steps: robot-steps over which memory is observed.
         seed: of tasks, noise and actions.
-        on_progress: called with ("measuring", rows, of how many).
+        on_progress: called with ("measuring", rows done, total).
 
     Returns:
         ``rows``: ``(what, robots, steps a second, aim or None)``; ``ratios`` of imagined to real rates; ``memory_mb``
@@ -106,7 +105,7 @@ def _real(scene: str, robots: int, seed: int, **keywords: Any) -> float:
 
 
 def _driver(env: Any, seed: int) -> Callable[[], int]:
-    """A call that makes one step of the vector environment."""
+    """Return a function that makes one step of the vector environment."""
     rng = np.random.default_rng(seed)
     actions = rng.uniform(env.action_space.low, env.action_space.high, (BLOCK, *env.action_space.shape))
     actions[..., -1] = 0.0
@@ -122,7 +121,7 @@ def _driver(env: Any, seed: int) -> Callable[[], int]:
 
 
 def _soak(map_file: Path, steps: int, seed: int) -> dict[str, Any]:
-    """Memory and compilations over many steps, restarts by mask included."""
+    """Measure memory and compilations over many steps, with restarts by mask."""
     env = gym.make_vec("vssm_gym/WorldModelNav-v0", num_envs=MAIN, map=map_file)
     env.reset(seed=seed)
     drive = _driver(env, seed)
@@ -150,7 +149,7 @@ def _compiled() -> int:
 
 
 def _memory_mb() -> float:
-    """Resident memory of this process now; its peak where the system does not say."""
+    """Return the resident memory of this process, or its peak where the system does not report it, MB."""
     status = Path("/proc/self/statm")
     if status.exists():
         return int(status.read_text().split()[1]) * resource.getpagesize() / 1e6

@@ -1,7 +1,7 @@
-"""``bench slam``: our whole step beside Open3D's dense SLAM, on the same frames of a recording.
+"""Compare our SLAM step with Open3D's dense SLAM on the same frames of a recording: ``bench slam``.
 
-Both see the undistorted, resized images of :class:`FrameReader` at the same rate. A step is all that a frame costs once
-its image is read: tracking, uncertainty, map update and the rendering for the next frame. Its stages stand below it.
+Both see the undistorted, resized images of :class:`FrameReader` at the same rate. A step is the time of a frame once
+its image is read: tracking, uncertainty, map update and the rendering for the next frame. Its stages are listed too.
 First steps, which compile or allocate, are not counted. Open3D runs in a process of its own, which takes the times. The
 two take turns, run by run, so that a machine that slows down slows both.
 """
@@ -25,22 +25,22 @@ from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
 OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}
 MAX_DEPTH = 8.0  # m, of Open3D's map and tracking
 RATE = 10.0  # frames a second
-OURS = ("track", "map", "anchor", "recover")  # stages of our step, those of :data:`open3d_slam.STAGES` beside them
-LARGE = 0.05  # m; a frame further off than this counts as astray
+OURS = ("track", "map", "anchor", "recover")  # stages of our step; Open3D's are in open3d_slam.STAGES
+LARGE = 0.05  # m: a frame with a larger error counts as astray
 
 
 def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_progress: OnProgress | None = None) -> dict:
     """Run both ``trials`` times at every size that the recording has.
 
     Args:
-        sequence: with ground truth, if there are to be errors.
+        sequence: a recording; errors need its ground truth.
         trials: runs of each at each size; times are of all runs, errors of the last.
         voxel: of our map, m.
         on_progress: called after every frame.
 
     Returns:
-        ``rows``: one dict a method and size, see :func:`_row`; ``missing``: why there is no Open3D, how its process
-        died, or None; ``notices``: what was wrong with the recording; the machine.
+        ``rows``: one dict a method and size, see :func:`_row`; ``missing``: why Open3D was not run, or None;
+        ``notices``: faults of the recording; the machine.
 
     Raises:
         InputError: a recording whose images are smaller than the smallest size.
@@ -55,8 +55,8 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_prog
         ours: list[dict[str, np.ndarray]] = []
         theirs: list[dict[str, np.ndarray]] = []
         for _ in range(trials):
-            told = None if on_progress is None else functools.partial(_told, on_progress)
-            run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), on_progress=told)
+            report = None if on_progress is None else functools.partial(_report, on_progress)
+            run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), on_progress=report)
             ours.append(_stages(run))
             if missing is None:
                 try:
@@ -75,25 +75,25 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_prog
 
 
 def _stages(run: SlamRun) -> dict[str, np.ndarray]:
-    """Seconds of every step but those that compile, whole and by stage; an anchor, say, is not rendered at each."""
+    """Return the seconds of every step that does not compile, whole and by stage, where the stage ran."""
     warm = [frame for frame in run.frames if frame.warm]
     ran = {name for frame in warm for name in frame.stages}
     seconds = {name: np.array([f.stages[name] for f in warm if name in f.stages]) for name in OURS if name in ran}
     return {"step": np.array([frame.step_s for frame in warm])} | seconds
 
 
-def _told(on_progress: OnProgress, _: str, done: int, total: int) -> None:
+def _report(on_progress: OnProgress, _: str, done: int, total: int) -> None:
     on_progress("vssm-gym", done, total)
 
 
 def _theirs(
     sequence: Sequence, size: tuple[int, int], on_progress: OnProgress | None
 ) -> tuple[tuple[np.ndarray, np.ndarray], int, dict[str, np.ndarray]]:
-    """Times and poses, failures of its odometry, and the seconds of every step after the first."""
+    """Run Open3D; return (times, poses), failures of its odometry, and the seconds of every step after the first."""
     reader, indices = FrameReader(sequence, size), thin(sequence.times, RATE)
     frames = ((rgb, depth) for rgb, depth, _ in prefetch(reader, indices))
-    told = None if on_progress is None else lambda version, done: on_progress(f"Open3D {version}", done, len(indices))
-    run = run_open3d(frames, reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH, told=told)
+    report = None if on_progress is None else lambda version, done: on_progress(f"Open3D {version}", done, len(indices))
+    run = run_open3d(frames, reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH, on_progress=report)
     seconds = run.seconds[1:]
     by_stage = {"step": seconds.sum(axis=1)} | {stage: seconds[:, i] for i, stage in enumerate(STAGES)}
     return (sequence.times[indices], run.poses), run.failed, by_stage
@@ -102,7 +102,7 @@ def _theirs(
 def _row(
     method: str, size: tuple[int, int], voxel: float, runs: list[dict[str, np.ndarray]], errors: dict[str, Any]
 ) -> dict[str, Any]:
-    """``stages_ms``: median (``p50``) and ``p95`` of each stage over all runs; what it was, and how far it was off."""
+    """Build a row: the method, ``stages_ms`` (median ``p50`` and ``p95`` over all runs), and the errors."""
     stages = {}
     for stage in dict.fromkeys(name for run in runs for name in run):
         p50, p95 = 1e3 * np.percentile(np.concatenate([run[stage] for run in runs if stage in run]), [50, 95])
@@ -111,8 +111,9 @@ def _row(
 
 
 def _errors(sequence: Sequence, times: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
-    """``ate_m`` (RMSE) and ``ate_max_m`` after SE(3) alignment and ``astray``, frames further off than LARGE; None
-    without ground truth.
+    """Return ``ate_m`` (RMSE) and ``ate_max_m`` after SE(3) alignment, and ``astray``, frames with errors above LARGE.
+
+    All are None without ground truth.
     """
     if sequence.truth is None:
         return {"ate_m": None, "ate_max_m": None, "astray": None}

@@ -1,7 +1,7 @@
-"""``bench soak``: a random policy drives through everything for a long time, and every step is checked.
+"""Drive a random policy through all environments for a long time and check every step: ``bench soak``.
 
-Checked are: observations inside their spaces (so no NaN), finite rewards, no body inside an obstacle by more than
-``TOLERANCE`` (judged by geometry, not by the simulator's contacts), and memory that does not grow.
+Observations must lie inside their spaces (so no NaN), rewards be finite, no body be inside an obstacle by more than
+``TOLERANCE`` (computed from geometry, not from the simulator's contacts), and memory must not grow.
 """
 
 import gc
@@ -19,37 +19,37 @@ from vssm_gym.progress import OnProgress
 
 APARTMENTS = ("vssm_gym/PointNav-v0", "vssm_gym/ImageNav-v0", "vssm_gym/Explore-v0")
 PROCEDURAL = 10
-GROWTH = 100.0  # MB by which memory may be larger at the end than after the first tenth: caches, not a leak
+GROWTH = 100.0  # MB: growth from the first tenth to the end that caches explain
 TOLERANCE = 0.006  # m: contacts are found no deeper than a substep, 5 mm (envs/physics/floor_world.py)
-# m that a robot may be off free space: contacts, and the recess behind a closed outer door (envs/tasks/navigation.py)
+# m outside free space that is allowed: contacts, and the recess behind a closed outer door (envs/tasks/navigation.py)
 FLOOR = 0.03
 SEEING = {"camera": {"width": 40, "height": 30}, "sensor_noise": "kinect"}
 CAR_SCENE = "arena"
 
 
 class SoakError(RuntimeError):
-    """A step that broke a promise: which environment, scene, seed and step."""
+    """Report a failed check: its environment, scene, seed and step."""
 
 
 def soak(*, steps: int = 100_000, seed: int = 0, on_progress: OnProgress | None = None) -> dict[str, Any]:
-    """``steps`` in all, over every id and ten procedural apartments.
+    """Drive ``steps`` in all, over every environment and ten procedural apartments.
 
     Returns:
         ``rows``: ``(environment, scene, steps, episodes, steps with a collision, deepest penetration in mm)``;
         ``memory_mb`` after the first tenth and at the end.
 
     Raises:
-        SoakError: with the step, at the first broken promise.
+        SoakError: with the step, at the first failed check.
     """
     sizes = ("small", "medium", "large")
     scenes = [f"procedural:{seed + i}:{sizes[i % 3]}" for i in range(PROCEDURAL)]
     plans = [(name, scene, SEEING) for scene in scenes for name in APARTMENTS]
     plans += [("vssm_gym/LidarMaze-v0", "rooms-v1", {}), ("vssm_gym/Flight-v0", "hall", SEEING)]
     plans += [("vssm_gym/PointNav-v0", "elm", SEEING), *(("vssm_gym/CarNav-v0", CAR_SCENE, car) for car in _cars())]
-    share, rows, memory = -(-steps // len(plans)), [], []
+    part, rows, memory = -(-steps // len(plans)), [], []
     for i, (name, scene, keywords) in enumerate(plans):
         world = f"{scene}, {keywords['physics']}" if "physics" in keywords else scene
-        rows.append((name.removeprefix("vssm_gym/"), world, *_drive(name, scene, share, seed, keywords)))
+        rows.append((name.removeprefix("vssm_gym/"), world, *_drive(name, scene, part, seed, keywords)))
         if i + 1 == max(1, len(plans) // 10) or i + 1 == len(plans):
             memory.append(_resident_mb())
         if on_progress:
@@ -57,11 +57,11 @@ def soak(*, steps: int = 100_000, seed: int = 0, on_progress: OnProgress | None 
     memory = [memory[0], memory[-1]]
     if memory[1] > memory[0] + GROWTH:
         raise SoakError(f"memory grew from {memory[0]:.0f} to {memory[1]:.0f} MB")
-    return {"scene": f"{len(plans)} worlds", "rows": rows, "memory_mb": memory, "steps": share * len(plans)}
+    return {"scene": f"{len(plans)} worlds", "rows": rows, "memory_mb": memory, "steps": part * len(plans)}
 
 
 def _cars() -> list[dict[str, Any]]:
-    """Keywords of CarNav for each simulator that is installed."""
+    """Return CarNav's keywords for each simulator that is installed."""
     simulators = ["mujoco", "bullet"] if find_spec("pybullet") else ["mujoco"]
     return [SEEING | {"physics": physics} for physics in simulators]
 
@@ -73,12 +73,12 @@ def _drive(name: str, scene: str, steps: int, seed: int, keywords: dict[str, Any
     rng = np.random.default_rng(seed)
     low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
     env.reset(seed=seed)
-    episodes, collisions, deepest, way = 1, 0, 0.0, np.zeros(low.shape)
+    episodes, collisions, deepest, drift = 1, 0, 0.0, np.zeros(low.shape)
     for k in range(steps):
-        if k % 10 == 0:  # the same way for a while: a drunk who is pressed against walls
-            way = rng.uniform(low, high)
-        action = np.clip(way + 0.2 * (high - low) * rng.standard_normal(low.shape), low, high)
-        if "Flight" in name:  # hovering, pushed about
+        if k % 10 == 0:  # a constant drift for 10 steps presses the robot against walls
+            drift = rng.uniform(low, high)
+        action = np.clip(drift + 0.2 * (high - low) * rng.standard_normal(low.shape), low, high)
+        if "Flight" in name:  # hovers under random forces
             action = 0.1 * action + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
         elif "Car" not in name:
             action[-1] = float(rng.random() < 0.002)
@@ -96,9 +96,9 @@ def _drive(name: str, scene: str, steps: int, seed: int, keywords: dict[str, Any
 
 
 def _penetration(world: Any) -> Callable[[], float]:
-    """How deep the body is in an obstacle now, m, by the plan's polygons or the maze's exact distances.
+    """Return a function that computes how deep the body is in an obstacle, m, from polygons or exact distances.
 
-    A robot on the floor that has left the part of free space where it started, through a wall, is infinitely deep.
+    The depth is infinite for a robot that has left its part of free space through a wall.
     """
     if hasattr(world, "simulation"):
         space, radius = world.simulation.scene_cache.sampler.space, world.simulation.robot.radius

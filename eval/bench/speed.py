@@ -1,6 +1,6 @@
-"""``bench speed``: medians of every stage from one run, on frames of a drive through a scene.
+"""Measure the median time of every stage on frames of a drive through a scene: ``bench speed``.
 
-The fast search is timed against the fixed march in turns, so that a machine that slows down slows both.
+The fast search and the fixed march are timed in turns, so that changes of the machine's speed affect both.
 """
 
 import os
@@ -18,12 +18,12 @@ from vssm_gym.progress import OnProgress
 
 EXTENT, VOXEL = 14.0, 0.07  # m: the published grid of 200^3 cells
 FRAMES = 160  # of the drive
-TIMED = 40  # frames of it that every stage is timed on
-AIMS = {"image": 10.0, "tracker": 10.0, "map update": 10.0, "control loop": 30.0}  # ms
+TIMED = 40  # frames on which every stage is timed
+AIMS = {"image": 10.0, "tracker": 10.0, "map update": 10.0, "control loop": 30.0}  # ms, the project's own aims
 
 
 class CompileCounter:
-    """Counts XLA compilations from its making on."""
+    """Count XLA compilations since its construction."""
 
     def __init__(self) -> None:
         import jax
@@ -37,7 +37,7 @@ class CompileCounter:
 
 
 def median_ms(function: Callable[[int], Any], times: int) -> float:
-    """Median wall-clock milliseconds of ``function(i)``, its JAX results waited for; the first call is not counted."""
+    """Return the median wall-clock ms of ``function(i)`` with its JAX results; the first call is not counted."""
     import jax
 
     seconds = []
@@ -58,7 +58,7 @@ def speed(scene: str, map_file: Path, *, seed: int, on_progress: OnProgress) -> 
         on_progress: called after every stage.
 
     Returns:
-        ``rows`` of (stage, value, unit, aim) and what machine it was.
+        ``rows`` of (stage, value, unit, aim), and the machine.
     """
     import jax
     import jax.numpy as jnp
@@ -89,7 +89,7 @@ def speed(scene: str, map_file: Path, *, seed: int, on_progress: OnProgress) -> 
     def images(observation: dict, info: dict) -> tuple[Any, Any]:
         return RGBD.from_camera(observation["rgb"], observation["depth"]), jnp.asarray(info["T_world_cam"], jnp.float32)
 
-    # A tour that turns and drives through the open, at random; timed as it goes: this is the environment's own speed.
+    # A random drive through free space; its time a step is the environment's own speed.
     rng = np.random.default_rng(seed)
     frames, controls, seconds = [images(observation, info)], [np.zeros(3, np.float32)], []
     while len(frames) < FRAMES:
@@ -199,11 +199,11 @@ def speed(scene: str, map_file: Path, *, seed: int, on_progress: OnProgress) -> 
 
 
 def _differing(a: Any, b: Any) -> float:
-    """Share of pixels whose hit differs, or whose depth does by more than a tenth of a millimetre."""
+    """Return the proportion of pixels whose hits differ, or whose depths differ by more than 0.1 mm."""
     return float(np.mean((np.asarray(a.hit) != np.asarray(b.hit)) | (np.abs(np.asarray(a.depth - b.depth)) > 1e-4)))
 
 
 def _planar(T_world_cam: Any) -> np.ndarray:
-    """The robot's planar pose under a level camera that looks along its x axis."""
+    """Return the robot's planar pose below a level camera that looks along its x axis."""
     T = np.asarray(T_world_cam, np.float64)
     return np.array([T[0, 3], T[1, 3], np.arctan2(T[1, 2], T[0, 2])])

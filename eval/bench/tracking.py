@@ -1,4 +1,4 @@
-"""``bench tracker`` and ``bench drift``: how far localisation is off the truth (SPEC 6, 12; TNP-SM, fig. 4)."""
+"""Measure the error of localisation over drives: ``bench tracker`` and ``bench drift`` (TNP-SM, fig. 4)."""
 
 import math
 import multiprocessing
@@ -15,9 +15,9 @@ from vssm_gym.eval.sweep import worker
 from vssm_gym.progress import OnProgress
 
 TRIAL_STEPS = 100
-PUBLISHED_TURN, PUBLISHED_STEP = math.radians(3.0), 0.05  # rad; share of the body length (TNP-SM, section 5)
+PUBLISHED_TURN, PUBLISHED_STEP = math.radians(3.0), 0.05  # rad; fraction of the body length (TNP-SM, section 5)
 GOOD_RMSE = 0.1  # m, half a body length
-# The filter of a rider that has not its name
+# Filters of riders whose names differ
 FILTER_OF = {"astar": "tracker", "no_map": "frames"}
 DRIFT_METRES = 100.0
 COMPARED = 6  # drives on which the slow trackers ride along
@@ -25,7 +25,7 @@ COMPARED = 6  # drives on which the slow trackers ride along
 
 @dataclass(frozen=True)
 class _Trial:
-    """One drive; ``steps`` or ``metres`` says which kind."""
+    """Hold one drive to run, over a number of ``steps`` or ``metres``."""
 
     scene: str
     map_file: Path
@@ -40,13 +40,13 @@ class _Trial:
 def tracker_trials(
     scene: str, map_file: Path, *, trials: int, workers: int, seed: int, on_progress: OnProgress
 ) -> dict:
-    """Location RMSE of the map tracker over drives of 100 steps that the true pose steers.
+    """Measure the location RMSE of the map tracker over drives of 100 steps that the oracle agent steers.
 
     On the first drives the published Adam tracker and the emission-based one ride along, on the same images.
 
     Returns:
-        ``rmse`` of every trial (m), the share of them below 0.1 m, quantiles, and ``methods``: RMSE, lost steps and
-        milliseconds a step of each tracker on the drives that it rode.
+        ``rmse`` of every trial (m), the proportion of them below 0.1 m, quantiles, and ``methods``: RMSE, lost steps
+        and milliseconds a step of each tracker on the drives that it rode.
     """
     from vssm_gym.envs.robots import HolonomicRobot
 
@@ -68,12 +68,12 @@ def tracker_trials(
 
 
 def _riders(trial: int) -> tuple[str, ...]:
-    """Who rides along: the trackers that are only compared cost ten times as much, and a few drives tell."""
+    """Return the localizers of a trial; the slow trackers ride along on the first drives only."""
     return ("astar", "adam", "emission") if trial < COMPARED else ("astar",)
 
 
 def _method(name: str, results: list[dict]) -> dict[str, Any]:
-    """One tracker over the drives that all of them rode."""
+    """Summarise one tracker over the drives on which all of them rode."""
     rmse = [math.sqrt(np.mean(np.square(r["errors"][name]))) for r in results]
     return {
         "drives": len(results),
@@ -85,10 +85,10 @@ def _method(name: str, results: list[dict]) -> dict[str, Any]:
 
 
 def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed: int, on_progress: OnProgress) -> dict:
-    """Location error over 100 m of chained goals that the ``astar`` agent drives; all methods see the same images.
+    """Measure the location error over 100 m of chained goals that ``astar`` drives; all methods see the same images.
 
     Returns:
-        Per method the error's RMSE (m) over the drive and its mean in each tenth of the way, averaged over drives.
+        Per method the error's RMSE (m) over the drive and its mean in each tenth of the path, averaged over drives.
     """
     from vssm_gym.envs.robots import NOISE_LEVELS
 
@@ -103,8 +103,8 @@ def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed:
     for name in riders:
         rows = []
         for result in results:
-            way, error = np.array(result["travelled"]), np.array(result["errors"][name])
-            place = np.clip(np.digitize(way, tenths) - 1, 0, 9)
+            driven, error = np.array(result["travelled"]), np.array(result["errors"][name])
+            place = np.clip(np.digitize(driven, tenths) - 1, 0, 9)
             rows.append([float(error[place == i].mean()) if (place == i).any() else math.nan for i in range(10)])
         rmse = [math.sqrt(np.mean(np.square(result["errors"][name]))) for result in results]
         summary["methods"][name] = {
@@ -120,7 +120,7 @@ def drift_trials(scene: str, map_file: Path, *, trials: int, workers: int, seed:
 
 
 def _run(jobs: list[_Trial], workers: int, stage: str, on_progress: OnProgress) -> list[dict]:
-    """All trials over spawned, single-threaded workers."""
+    """Run all trials over spawned, single-threaded workers."""
     results = []
     context = multiprocessing.get_context("spawn")
     with (
@@ -155,17 +155,17 @@ def _trial(job: _Trial) -> dict[str, Any]:
 
 
 class _Timed:
-    """A localizer and how long each of its updates took."""
+    """Wrap a localizer and record the time of each update, ms."""
 
     def __init__(self, localizer: Any) -> None:
         self.localizer, self.ms = localizer, list[float]()
 
     def reset(self, context: Any, observation: Any) -> Any:
-        """Not timed: it compiles."""
+        """Reset the localizer; this compiles and is not timed."""
         return self.localizer.reset(context, observation)
 
     def update(self, command: np.ndarray, observation: Any) -> Any:
-        """The localizer's, which waits for its result."""
+        """Update the localizer, which waits for its result."""
         began = time.perf_counter()
         belief = self.localizer.update(command, observation)
         self.ms.append(1e3 * (time.perf_counter() - began))
@@ -174,7 +174,7 @@ class _Timed:
 
 @lru_cache(maxsize=1)
 def _world(scene: str, noise: tuple[float, float], map_file: Path, driver: str) -> tuple[Any, ...]:
-    """What a worker keeps between trials, so that nothing is compiled twice."""
+    """Build what a worker keeps between trials, so that nothing is compiled twice."""
     from vssm_gym.agents.registry import AGENTS
     from vssm_gym.envs.pointnav import PointNavEnv
     from vssm_gym.envs.robots import ExecutionNoise

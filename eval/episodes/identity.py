@@ -1,4 +1,4 @@
-"""Episodes of a sweep: what identifies one, what it is called in rows and files, and which seed it has."""
+"""Identify the episodes of a sweep: their fields, their names in rows and files, and their seeds."""
 
 import hashlib
 import json
@@ -13,10 +13,10 @@ from vssm_gym.envs.scenes.generator import PREFIX
 
 
 class ExploreSettings(BaseModel):
-    """How explorers run.
+    """Hold the settings of explorers' runs.
 
-    ``steps`` (of 0.2 s) is the time limit of a run; ``navigation`` is how many PointNav tasks ``astar`` then drives on
-    the map that the run left.
+    ``steps`` (of 0.2 s) is the time limit of a run; ``navigation`` is the number of PointNav tasks that ``astar`` then
+    drives on the map of the run.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -27,7 +27,7 @@ class ExploreSettings(BaseModel):
 
 @dataclass(frozen=True)
 class Condition:
-    """What all episodes of one simulated world share."""
+    """Hold what all episodes of one simulated world share."""
 
     env: str
     scene: str  # as the configuration names it
@@ -40,7 +40,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Episode:
-    """One run of one agent at one task of one world."""
+    """Hold one run of one agent at one task of one world."""
 
     condition: Condition
     task: int
@@ -49,7 +49,7 @@ class Episode:
     explore: ExploreSettings | None = None  # of an explorer's run
 
     def identity(self, scene_hash: str) -> dict[str, Any]:
-        """The fields of a row that say which episode it is, scenes by their short name and content."""
+        """Return the fields of a row that identify the episode, scenes by their short name and content."""
         c = self.condition
         return {
             "env": c.env,
@@ -67,14 +67,14 @@ class Episode:
 
 
 def scene_name(scene: str) -> str:
-    """What rows and files call a scene: a built-in name as it is, a seed with dashes, a file by its stem."""
+    """Return a scene's name in rows and files: a built-in name, a seed with dashes, or a file's stem."""
     return scene.replace(":", "-") if scene.startswith(PREFIX) else Path(scene).stem
 
 
 def episode_seed(seed: int, scene_hash: str, task: int) -> int:
-    """The seed of the environment's streams, uint32: of (seed, scene, task) and *not* of the agent.
+    """Return the seed of the environment's streams, uint32: a hash of (seed, scene, task) and *not* of the agent.
 
-    Agents so meet the same noise stream on the same task, which is what makes their difference a paired one.
+    Agents so have the same noise stream on the same task, which makes their differences paired.
     """
     text = json.dumps([seed, scene_hash, task])
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")

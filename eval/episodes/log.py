@@ -1,5 +1,6 @@
-"""``episodes.jsonl``: one JSON object a line, one line an episode; the line is on disk before the next episode starts.
+"""Read and write an episode log, ``episodes.jsonl``: one JSON object a line, one line an episode.
 
+A line is on disk before the next episode starts.
 A process that is killed while it writes leaves at most one unfinished last line. Opening the log drops that line, and
 only that line; anything else that cannot be read is an error, never silently skipped. Each row is held to the schema of
 :mod:`vssm_gym.eval.episodes.row` when it is written and when it is read.
@@ -23,15 +24,15 @@ FILE = "episodes.jsonl"
 
 
 def episode_key(row: Mapping[str, Any]) -> tuple:
-    """The identity of an episode among all others of a sweep."""
+    """Return the identity of an episode among all others of a sweep."""
     return tuple(row[name] for name in KEY)
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Every finished episode of a log, in the order of writing; an unfinished last line is ignored.
+    """Read every finished episode of a log, in the order of writing; an unfinished last line is ignored.
 
-    Rows that leave out what all of the sweep's rows share are completed from the ``sweep.json`` beside the log. Agents
-    that were renamed since have their present names; the file keeps what was written.
+    Rows that leave out what all rows of the sweep share are completed from the ``sweep.json`` in the same folder.
+    Agents that were renamed since have their present names; the file keeps what was written.
 
     Raises:
         InputError: the file is missing, a line is not an episode, or an episode appears twice.
@@ -42,7 +43,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def _whole_lines(data: bytes) -> bytes:
-    """The log up to the last line that ended; a crash of the machine may also leave a last line of zeros."""
+    """Return the log up to the last line that ended; a crash of the machine may also leave a last line of zeros."""
     whole = data[: data.rfind(b"\n") + 1]
     last = whole[:-1].rpartition(b"\n")[2]
     return whole[: len(whole) - len(last) - 1] if b"\0" in last else whole
@@ -82,12 +83,12 @@ def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
 
 
 def line_of(row: dict[str, Any]) -> bytes:
-    """The line of a log that holds a row."""
+    """Return the line of a log that holds a row."""
     return json.dumps(row, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
 class EpisodeLog:
-    """The one writer of a log. ``rows`` are the episodes that it holds, those of an earlier process included.
+    """Write a log. ``rows`` are its episodes, those of earlier processes included.
 
     An exclusive lock keeps a second sweep from writing the same episodes again; the system releases it with the
     process, however the process ends.
@@ -111,7 +112,7 @@ class EpisodeLog:
     def append(self, row: dict[str, Any]) -> None:
         """Add one finished episode; it survives a power cut once this returns.
 
-        Raises ValueError for what is no row of the schema; nothing is written then.
+        Raises ValueError for a row that does not fit the schema; nothing is written then.
         """
         row = written(row)
         self._file.write(line_of(row))

@@ -1,4 +1,4 @@
-"""``sweep.json``: what a sweep says of itself, and what of its rows it says for all of them."""
+"""Read a sweep's manifest, ``sweep.json``, and complete rows with the fields that it states for all of them."""
 
 import json
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ LISTS |= {"scene": "scenes", "agent": "agents", "task": "tasks", "seed": "seeds"
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """What a sweep wrote about itself: ``config``, ``config_hash``, ``version``, ``seed``, ``episodes``.
+    """Read a manifest: ``config``, ``config_hash``, ``version``, ``seed``, ``episodes``.
 
     Agents that were renamed since have their present names.
 
@@ -40,9 +40,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def completed(row: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """A row that leaves out what all rows share, with ``common`` and the configuration's lists that hold one value.
+    """Complete a row with ``common`` and with the configuration's lists that hold one value.
 
-    What the row itself says stands. The hash of its scene is that of the scene's name.
+    Fields of the row itself take precedence. The hash of its scene is looked up by the scene's name.
     """
     config = manifest["config"]
     only = {field: config[name][0] for field, name in LISTS.items() if len(config.get(name) or ()) == 1}

@@ -1,20 +1,26 @@
-"""The schema of an episode's row: typed, versioned, the same for every environment; what does not apply is absent.
+"""Define the schema of an episode's row: typed, versioned, the same for every environment.
 
-A row of an earlier state lacks fields that came later, and the earliest lack ``format``. They are read as they are:
-absent is not null. Metres, seconds, radians.
+Fields that do not apply to an environment are absent. A row of an earlier state lacks fields that came later, and the
+earliest lack ``format``; they are read as they are, because absent is not null. Fields that have been renamed since are
+read under both names (:data:`RENAMED_FIELDS`). Units are metres, seconds and radians.
+
+Formats: 1, the first; 2, ``touched`` and ``touches`` are called ``collided`` and ``collision_events``.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-FORMAT: Literal[1] = 1
+FORMAT: Literal[2] = 2
 KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics", "task", "seed", "agent")
 """The fields that identify an episode; each combination appears once in a sweep."""
+RENAMED_FIELDS = {"touched": "collided", "touches": "collision_events"}
+"""Fields of format 1 and their present names."""
 
 Count = Annotated[int, Field(ge=0)]
 Length = Annotated[float, Field(ge=0.0)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Proportion = Annotated[float, Field(ge=0.0, le=1.0)]
 Points = list[list[float]]
 
 
@@ -23,24 +29,24 @@ class _Strict(BaseModel):
 
 
 class Latency(_Strict):
-    """50 % and 95 % points of a stage over the steps of an episode, s."""
+    """Hold the 50 % and 95 % points of a stage's latency over the steps of an episode, s."""
 
     p50: float
     p95: float
 
 
 class Trace(_Strict):
-    """Thinned paths, xy in m: enough for a picture."""
+    """Hold thinned paths for a picture, xy in m."""
 
     true: Points
     estimate: Points | None = None  # at the same times; None for an agent that keeps none
     contacts: Points | None = None
     poses: Points | None = None  # with headings
-    reached: dict[str, list[float]] | None = None  # share in % -> where an explorer had covered it
+    reached: dict[str, list[float]] | None = None  # % of coverage -> where an explorer had reached it
 
 
 class Curve(_Strict):
-    """What an explorer knew along its run; None in a series for an agent without a map."""
+    """Hold what an explorer knew along its run; None in a series for an agent without a map."""
 
     metres: list[float]
     seconds: list[float]
@@ -50,18 +56,18 @@ class Curve(_Strict):
 
 
 class Navigation(_Strict):
-    """PointNav tasks that ``astar`` drove on the map that an explorer left: means, and why it failed."""
+    """Hold the results of PointNav tasks that ``astar`` drove on an explorer's map: means, and reasons of failures."""
 
     tasks: Count
-    success: Share
-    spl: Share
+    success: Proportion
+    spl: Proportion
     failures: list[str]
 
 
 class EpisodeRow(_Strict):
-    """One episode; which environments have which fields, and what they mean, is in ``docs/evaluation.md``."""
+    """Hold one episode; ``docs/evaluation.md`` says which environments have which fields, and what they mean."""
 
-    format: Literal[1] = FORMAT
+    format: Literal[2] = FORMAT
     # What ran
     env: str
     scene: str
@@ -84,14 +90,14 @@ class EpisodeRow(_Strict):
     success: bool
     failure: str | None = None
     status: str | None = None
-    spl: Share | None = None
-    soft_spl: Share | None = None
+    spl: Proportion | None = None
+    soft_spl: Proportion | None = None
     path_length: Length | None = None
     geodesic: Length | None = None
     steps: Count | None = None
     seconds: Length | None = None
     collisions: Count | None = None
-    touched: bool | None = None
+    collided: bool | None = None
     distance_to_goal: Length | None = None
     location_error_mean: Length | None = None
     location_error_rmse: Length | None = None
@@ -103,7 +109,7 @@ class EpisodeRow(_Strict):
     success_radius: Length | None = None
     trace: Trace | None = None
     # Of a car
-    touches: Count | None = None
+    collision_events: Count | None = None
     direction_changes: Count | None = None
     heading_error: float | None = None
     # Of an explorer
@@ -116,24 +122,33 @@ class EpisodeRow(_Strict):
     seconds_95: Length | None = None
     seconds_99: Length | None = None
     curve: Curve | None = None
-    coverage: Share | None = None
+    coverage: Proportion | None = None
     entropy: float | None = None
-    completeness: Share | None = None
+    completeness: Proportion | None = None
     accuracy: Length | None = None
-    accurate_5cm: Share | None = None
+    accurate_5cm: Proportion | None = None
     completion: Length | None = None
-    complete_5cm: Share | None = None
+    complete_5cm: Proportion | None = None
     stopped: bool | None = None
     budget: dict[str, float] | None = None
     navigation: Navigation | None = None
     explored: str | None = None
 
 
-def checked(row: dict[str, Any]) -> dict[str, Any]:
-    """The fields that a row has, as plain values of the schema's types; raises pydantic's ValidationError."""
-    return EpisodeRow.model_validate(row).model_dump(exclude_unset=True)
+def upgraded(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row of any format under the present names; a row without ``format`` stays without it."""
+    row = {
+        RENAMED_FIELDS.get(name, name) if RENAMED_FIELDS.get(name) not in row else name: value
+        for name, value in row.items()
+    }
+    return row | {"format": FORMAT} if row.get("format") == 1 else row
+
+
+def checked(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a row as plain values of the schema's types; raise pydantic's ValidationError."""
+    return EpisodeRow.model_validate(upgraded(row)).model_dump(exclude_unset=True)
 
 
 def written(row: dict[str, Any]) -> dict[str, Any]:
-    """A row as it is written now: :func:`checked`, with the format's number first."""
+    """Return a row as it is written now: :func:`checked`, with the format's number first."""
     return checked({"format": FORMAT, **row})

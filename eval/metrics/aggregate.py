@@ -1,29 +1,27 @@
-"""Means over tasks with 95 % intervals, and paired differences between agents (SPEC 12).
+"""Compute means over tasks with 95 % bootstrap intervals, and paired differences between agents.
 
-The unit that is resampled is the *task*: episodes of one task under several seeds share their start, goal and
-corridor and are not independent, so they enter and leave a resample together (a cluster bootstrap).
+The resampled unit is the *task*: episodes of one task under several seeds share their start, goal and corridor and are
+not independent, so they enter and leave a resample together (a cluster bootstrap).
 """
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.row import KEY
-
-Row = Mapping[str, Any]  # one episode, as `vssm_gym.eval.sweep.runner` writes it
+from vssm_gym.eval.metrics.metric import Row, check_name
 
 RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
-# What an episode shares with its pair.
+# Fields that the two episodes of a pair share.
 CONDITION = tuple(name for name in KEY if name not in ("task", "seed", "agent"))
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and its 95 % percentile interval; NaN bounds where fewer than two tasks leave nothing to resample."""
+    """Hold a mean and its 95 % percentile interval; bounds are NaN with fewer than two tasks to resample."""
 
     mean: float
     low: float
@@ -32,7 +30,7 @@ class Interval:
     episodes: int
 
     def text(self, digits: int = 2) -> str:
-        """``mean [low, high]``; a dash where there is no interval."""
+        """Return ``mean [low, high]``; a dash where there is no mean or interval."""
         if not np.isfinite(self.mean):
             return "-"
         mean, low, high = (f"{value:z.{digits}f}" for value in (self.mean, self.low, self.high))  # z: no "-0.00"
@@ -40,7 +38,7 @@ class Interval:
 
 
 def bootstrap_mean(values: Sequence[float], tasks: Sequence[Hashable], seed: int = 0) -> Interval:
-    """``mean(x)`` and the 2.5 % and 97.5 % quantiles of ``sum_c w_c S_c / sum_c w_c n_c``, w ~ Multinomial(C, 1/C).
+    """Compute ``mean(x)`` and the 95 % interval of ``sum_c w_c S_c / sum_c w_c n_c``, w ~ Multinomial(C, 1/C).
 
     Args:
         values: one number an episode.
@@ -68,18 +66,19 @@ def bootstrap_mean(values: Sequence[float], tasks: Sequence[Hashable], seed: int
 
 @lru_cache(maxsize=8)
 def _resamples(clusters: int, seed: int) -> np.ndarray:
-    """``(resamples, clusters)`` how often each cluster is drawn; one set serves every metric of a table."""
+    """Draw ``(resamples, clusters)`` counts of each cluster; one set serves every metric of a table."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, clusters]))
     return rng.multinomial(clusters, np.full(clusters, 1.0 / clusters), size=RESAMPLES).astype(np.float64)
 
 
 def task_key(row: Row) -> tuple[str, int]:
-    """What makes two episodes runs of one task: the apartment's content and the task's number."""
+    """Return the identity of a row's task: the apartment's content and the task's number."""
     return str(row["scene_hash"]), int(row["task"])
 
 
 def mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
-    """The interval of ``metric`` over the tasks of ``rows``; episodes that lack it (None) are left out."""
+    """Compute the mean of ``metric`` over the tasks of ``rows``; episodes that lack it (None) are left out."""
+    check_name(metric)
     present = [row for row in rows if row.get(metric) is not None]
     return bootstrap_mean([float(row[metric]) for row in present], [task_key(row) for row in present], seed)
 
@@ -87,10 +86,10 @@ def mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
 def paired_difference(
     rows: Iterable[Row], metric: str, agent: str, reference: str, seed: int = 0, by: str = "agent"
 ) -> Interval:
-    """``mean(agent - reference)`` over episodes that both ran on the same condition, task and seed, with its interval.
+    """Compute ``mean(agent - reference)`` over episodes that both ran on the same condition, task and seed.
 
-    The episode seed does not depend on the agent, so both met the same task and the same noise stream: the difference
-    is far tighter than that of two independent means. Episodes without a partner are left out.
+    The episode seed does not depend on the agent, so both had the same task and noise stream: the interval is far
+    tighter than that of the difference of two independent means. Episodes without a partner are left out.
 
     Args:
         by: the field whose two values are compared, all others equal; ``"physics"`` compares two simulators.
@@ -104,7 +103,8 @@ def paired_difference(
 def paired_values(
     rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent"
 ) -> tuple[list[float], list[Hashable]]:
-    """``first - second`` of every episode that both ran, and its task; raises like :func:`paired_difference`."""
+    """Return ``first - second`` of every episode that both ran, and its task; raise like :func:`paired_difference`."""
+    check_name(metric)
     rows = list(rows)
     of_first, of_second = _by_episode(rows, metric, by, first), _by_episode(rows, metric, by, second)
     shared = [key for key in of_first if key in of_second]
@@ -115,7 +115,7 @@ def paired_values(
 
 
 def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[tuple, tuple[float, Hashable]]:
-    """Episode (all that identifies it but ``by``) to its value and task, where ``by`` is ``value``."""
+    """Map each episode with ``by == value``, identified by its other fields, to its metric and task."""
     same = [name for name in (*CONDITION, "agent") if name != by]
     return {
         (*(row[name] for name in same), row["task"], row["seed"]): (float(row[metric]), task_key(row))
@@ -125,7 +125,7 @@ def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[t
 
 
 def group_rows(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
-    """Rows by the values of the fields ``by``, in the order in which the groups first appear."""
+    """Group rows by the values of the fields ``by``, in the order in which the groups first appear."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(str(row[name]) for name in by), []).append(row)

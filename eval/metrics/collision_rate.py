@@ -1,10 +1,10 @@
-"""Collisions by the metre: how roughly a robot drives, whatever the length of its path."""
+"""Measure collisions per metre, which does not depend on the length of a robot's path."""
 
 from vssm_gym.eval.metrics.metric import Metric, Row
 
 
 def collision_rate(row: Row) -> float | None:
-    """``collisions / path_length``: steps in contact for each metre driven; None for a robot that did not move."""
+    """Return ``collisions / path_length``, steps in contact per metre; None for a robot that did not move."""
     contacts, path = row.get("collisions"), row.get("path_length")
     if contacts is None or not path:
         return None

@@ -1,8 +1,9 @@
-"""What an exploration is worth (SPEC 8): coverage, entropy and completeness by metre and second; the way to a share.
+"""Measure explorations: coverage, entropy and completeness over path length and time, and the cost of a coverage.
 
-A run that ends before it has covered a share is *censored*: its way to that share is unknown, or there is none. It is
-counted, and where a number is asked for it takes the one that speaks against the agent whose lead is claimed
-(:func:`way_ratio`). What an average must not do is leave it out: the agent that gives up early would look fast.
+A run that ends before it reaches a level of coverage is *censored*: its path length to that level is unknown, or
+infinite. Averages must not leave it out, because the agent that gives up early would look fast. It is counted, and
+where a number is needed it takes the value that is least favourable to the agent whose lead is claimed
+(:func:`censored_ratio`).
 """
 
 import math
@@ -13,37 +14,41 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.eval.metrics.aggregate import CONDITION, RESAMPLES, Interval, Row, bootstrap_mean, task_key
+from vssm_gym.eval.metrics.aggregate import CONDITION, RESAMPLES, Interval, bootstrap_mean, task_key
+from vssm_gym.eval.metrics.metric import Row
 
-SHARES = (50, 90, 95, 99)  # % of the coverage that way and time are taken to
-GOAL = 90  # % of coverage that a run has succeeded at
+LEVELS = (50, 90, 95, 99)  # % of coverage, to which path length and time are measured
+GOAL = 90  # % of coverage: a run that reaches it succeeds
 EVERY_METRES, EVERY_SECONDS = 2.0, 10.0  # between samples of a curve, whichever comes first
-LEAST = {"metres": 0.16, "seconds": 0.2}  # one step: a ratio is finite where the first look shows it all
-ENDS = {"metres": "path_length", "seconds": "seconds"}  # of a row: what the whole run took
-KNOWN = 0.95  # share of the runs that a point of a mean curve needs: who drops out would bend it
+ONE_STEP = {
+    "metres": 0.16,
+    "seconds": 0.2,
+}  # least value in a ratio, which stays finite if the first image shows it all
+TOTALS = {"metres": "path_length", "seconds": "seconds"}  # fields of a row with the whole run's path length and time
+KNOWN = 0.95  # proportion of the runs that a point of a mean curve needs: runs that drop out would bend it
 Axis: TypeAlias = Literal["metres", "seconds"]
 CURVES = ("coverage", "entropy", "completeness")
 
 
 @dataclass
 class Recorder:
-    """Watches one run: its curves, and when it reached which share of coverage.
+    """Record one run: its curves, and when it reached each level of coverage.
 
     Attributes:
-        measure: ``() -> (entropy nats, completeness)`` of the agent's map, None each for an agent without; it is only
-            called when a sample is due, since it costs as much as a step.
+        measure: ``() -> (entropy nats, completeness)`` of the agent's map, None each for an agent without one; it is
+            only called when a sample is due, because it costs as much as a step.
     """
 
     measure: Callable[[], tuple[float | None, float | None]]
     curve: dict[str, list[Any]] = field(default_factory=lambda: {n: [] for n in ("metres", "seconds", *CURVES)})
-    reached: dict[int, tuple[float, float]] = field(default_factory=dict)  # share in %: metres, seconds
+    reached: dict[int, tuple[float, float]] = field(default_factory=dict)  # level in %: metres, seconds
     _due: tuple[float, float] = (0.0, 0.0)  # m and s from which on the next sample is taken
 
-    def see(self, metres: float, seconds: float, coverage: float, *, last: bool = False) -> None:
-        """Where the run stands now; every step, in order. The last is sampled in any case."""
-        for share in SHARES:
-            if share not in self.reached and 100.0 * coverage >= share - 1e-9:
-                self.reached[share] = round(metres, 4), round(seconds, 3)
+    def record(self, metres: float, seconds: float, coverage: float, *, last: bool = False) -> None:
+        """Record one step; steps come in order, and the last one is sampled in any case."""
+        for level in LEVELS:
+            if level not in self.reached and 100.0 * coverage >= level - 1e-9:
+                self.reached[level] = round(metres, 4), round(seconds, 3)
         if last and self.curve["seconds"] and self.curve["seconds"][-1] == round(seconds, 3):
             return
         if last or metres >= self._due[0] or seconds >= self._due[1] - 1e-9:
@@ -53,77 +58,78 @@ class Recorder:
             for samples, value, n in zip(self.curve.values(), values, digits, strict=True):
                 samples.append(None if value is None else round(value, n))
             self._due = (
-                # The first look around costs no metres: a sample as soon as it moves ends it on the curve, too
-                EVERY_METRES * (math.floor(metres / EVERY_METRES) + 1) if metres > 0.0 else LEAST["metres"] / 2.0,
+                # The first turn on the spot drives no metres: a sample at the first motion ends it on the curve
+                EVERY_METRES * (math.floor(metres / EVERY_METRES) + 1) if metres > 0.0 else ONE_STEP["metres"] / 2.0,
                 EVERY_SECONDS * (math.floor(seconds / EVERY_SECONDS + 1e-9) + 1),
             )
 
     def row(self) -> dict[str, Any]:
-        """``curve``, and ``metres_50, seconds_50, ...``: None where the run ended before."""
-        ways = {f"metres_{s}": self.reached[s][0] if s in self.reached else None for s in SHARES}
-        times = {f"seconds_{s}": self.reached[s][1] if s in self.reached else None for s in SHARES}
-        return {**ways, **times, "curve": self.curve}
+        """Return ``curve``, and ``metres_50, seconds_50, ...``, None where the run ended before."""
+        metres = {f"metres_{s}": self.reached[s][0] if s in self.reached else None for s in LEVELS}
+        seconds = {f"seconds_{s}": self.reached[s][1] if s in self.reached else None for s in LEVELS}
+        return {**metres, **seconds, "curve": self.curve}
 
 
-def way_ratio(first: Row, second: Row, share: int = GOAL, axis: Axis = "metres") -> float | None:
-    """``T_first / T_second`` of the metres (or seconds) to ``share`` % coverage, or the largest that is still possible.
+def censored_ratio(first: Row, second: Row, level: int = GOAL, axis: Axis = "metres") -> float | None:
+    """Return ``T_first / T_second`` of the metres (or seconds) to ``level`` % coverage, or its largest possible value.
 
-    - Both got there: their ratio.
-    - Only the first did. If time was out for the second after p metres: ``T_first / p``, since ``T_second > p``. If it
-      stopped by itself it would never have got there, and the ratio is no more than 1: ``min(1, T_first / p)``.
-    - Only the second did: the metres that a robot can drive at all within the time limit stand for ``T_first`` (or the
-      time limit itself).
-    - Neither did: None; such a pair says nothing, and is counted apart.
+    - Both reached it: their ratio.
+    - Only the first did. If the second ran out of time after p metres: ``T_first / p``, because ``T_second > p``. If
+    the
+      second stopped by itself, it would never have reached it: at most 1, ``min(1, T_first / p)``.
+    - Only the second did: the metres that a robot can drive within the time limit (or the time limit itself) replace
+      ``T_first``.
+    - Neither did: None; such a pair is counted apart.
 
-    So a ratio below 1 is never owed to a run that was cut short.
+    A ratio below 1 is thus never due to a run that was cut short.
     """
-    a, b = first[f"{axis}_{share}"], second[f"{axis}_{share}"]
+    a, b = first[f"{axis}_{level}"], second[f"{axis}_{level}"]
     if a is None and b is None:
         return None
     numerator = first["budget"][axis] if a is None else a
-    denominator = second[ENDS[axis]] if b is None else b
-    ratio = max(numerator, LEAST[axis]) / max(denominator, LEAST[axis])
+    denominator = second[TOTALS[axis]] if b is None else b
+    ratio = max(numerator, ONE_STEP[axis]) / max(denominator, ONE_STEP[axis])
     return min(1.0, ratio) if b is None and second["stopped"] else ratio
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """The geometric mean of paired ratios with its 95 % interval, and how the pairs came out."""
+    """Hold the geometric mean of paired ratios with its 95 % interval, and counts of the pairs' outcomes."""
 
-    interval: Interval  # of the ratio; NaN where no pair says anything
+    interval: Interval  # of the ratio; NaN without a pair that has one
     pairs: int
-    shorter: int  # pairs in which the first got there on a shorter way, or alone
-    first_missed: int  # runs of the first that did not get there
+    shorter: int  # pairs in which the first reached the level on a shorter path, or alone
+    first_missed: int  # runs of the first that did not reach the level
     second_missed: int
 
     @property
     def text(self) -> str:
-        """Mean and interval."""
+        """Mean and interval as text."""
         return self.interval.text(2)
 
 
 def ratio(
-    rows: Iterable[Row], first: str, second: str, share: int = GOAL, seed: int = 0, axis: Axis = "metres"
+    rows: Iterable[Row], first: str, second: str, level: int = GOAL, seed: int = 0, axis: Axis = "metres"
 ) -> Ratio:
-    """``exp(mean(log(T_first / T_second)))`` over starts that both agents ran, resampled by :func:`clusters`.
+    """Compute ``exp(mean(log(T_first / T_second)))`` over starts that both agents ran, resampling :func:`clusters`.
 
-    Ratios are those of :func:`way_ratio`; pairs in which neither got there are in ``pairs`` only.
+    Ratios are those of :func:`censored_ratio`; pairs in which neither reached the level count in ``pairs`` only.
     """
     paired = pairs(rows, first, second)
-    found = [(a, b, value) for a, b in paired if (value := way_ratio(a, b, share, axis)) is not None]
+    found = [(a, b, value) for a, b in paired if (value := censored_ratio(a, b, level, axis)) is not None]
     logs = bootstrap_mean([math.log(v) for _, _, v in found], clusters([a for a, _, _ in found]), seed)
     mean, low, high = (float(np.exp(v)) for v in (logs.mean, logs.low, logs.high))
     return Ratio(
         Interval(mean, low, high, logs.tasks, logs.episodes),
         len(paired),
-        sum(b[f"{axis}_{share}"] is None or value < 1.0 for a, b, value in found if a[f"{axis}_{share}"] is not None),
-        sum(a[f"{axis}_{share}"] is None for a, _ in paired),
-        sum(b[f"{axis}_{share}"] is None for _, b in paired),
+        sum(b[f"{axis}_{level}"] is None or value < 1.0 for a, b, value in found if a[f"{axis}_{level}"] is not None),
+        sum(a[f"{axis}_{level}"] is None for a, _ in paired),
+        sum(b[f"{axis}_{level}"] is None for _, b in paired),
     )
 
 
 def pairs(rows: Iterable[Row], first: str, second: str) -> list[tuple[Row, Row]]:
-    """The runs of two agents from the same start of the same scene under the same noise."""
+    """Pair the runs of two agents from the same start of the same scene under the same noise."""
     names = (*CONDITION, "task", "seed")
     of: dict[str, dict[tuple, Row]] = {first: {}, second: {}}
     for row in rows:
@@ -133,13 +139,13 @@ def pairs(rows: Iterable[Row], first: str, second: str) -> list[tuple[Row, Row]]
 
 
 def clusters(rows: Sequence[Row]) -> list[Hashable]:
-    """What is resampled together: the scene of each run, or its start where all are of one scene."""
+    """Return the cluster of each run for resampling: its scene, or its start where all runs are of one scene."""
     scenes = [row["scene_hash"] for row in rows]
     return scenes if len(set(scenes)) > 1 else [task_key(row) for row in rows]
 
 
 def median(values: Sequence[float], units: Sequence[Hashable], seed: int = 0) -> Interval:
-    """The median, whose values may be infinite, and its percentile interval, resampling ``units`` whole."""
+    """Compute the median of values that may be infinite, and its percentile interval, resampling whole ``units``."""
     if not len(values):
         return Interval(np.nan, np.nan, np.nan, 0, 0)
     order = np.argsort(values)
@@ -164,17 +170,17 @@ def _weighted_median(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return 0.5 * (lower + upper)
 
 
-def median_way(rows: Sequence[Row], share: int, seed: int = 0, axis: Axis = "metres") -> Interval:
+def median_to_level(rows: Sequence[Row], level: int, seed: int = 0, axis: Axis = "metres") -> Interval:
     """The median metres (or seconds) to ``share`` %; a run that did not get there is longer than any that did."""
-    ways = [math.inf if row[f"{axis}_{share}"] is None else float(row[f"{axis}_{share}"]) for row in rows]
-    return median(ways, clusters(rows), seed)
+    values = [math.inf if row[f"{axis}_{level}"] is None else float(row[f"{axis}_{level}"]) for row in rows]
+    return median(values, clusters(rows), seed)
 
 
 def at(row: Row, name: str, axis: str, grid: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """A run's curve ``name`` over ``axis`` (``metres`` | ``seconds``), NaN where it is not known.
+    """Evaluate a run's curve ``name`` over ``axis`` (``metres`` | ``seconds``), NaN where it is unknown.
 
-    Between samples it is linear. After the end of a run that the agent ended it stays: the agent has chosen its map.
-    After that of a run for which time was out nobody knows.
+    It is linear between samples. After the end of a run that the agent ended it stays constant, because the agent keeps
+    its map; after the end of a run that ran out of time it is unknown.
     """
     x = np.asarray(row["curve"][axis], dtype=float)
     y = np.array([np.nan if value is None else value for value in row["curve"][name]], dtype=float)
@@ -185,9 +191,9 @@ def at(row: Row, name: str, axis: str, grid: Float[np.ndarray, "n"]) -> Float[np
 def mean_curve(
     rows: Sequence[Row], name: str, axis: str, grid: Float[np.ndarray, "n"], seed: int = 0
 ) -> Float[np.ndarray, "3 n"]:
-    """Mean over runs and its 95 % interval at each point of ``grid``, resampling :func:`clusters`.
+    """Compute the mean over runs and its 95 % interval at each point of ``grid``, resampling :func:`clusters`.
 
-    NaN where fewer than ``KNOWN`` of the runs are known. There is no interval with one cluster.
+    NaN where fewer than ``KNOWN`` of the runs are known; the interval is NaN with one cluster.
     """
     values = np.array([at(row, name, axis, grid) for row in rows])
     known = np.isfinite(values)
@@ -202,7 +208,7 @@ def mean_curve(
     if len(names) > 1 and enough.any():
         rng = np.random.default_rng(np.random.SeedSequence([seed, len(names)]))
         weights = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=RESAMPLES // 4)
-        with np.errstate(invalid="ignore"):  # a resample of scenes that are not known there says nothing
+        with np.errstate(invalid="ignore"):  # 0 / 0 for a resample of scenes that are unknown there
             drawn = (weights @ sums[:, enough]) / (weights @ counts[:, enough])
         curve[1:, enough] = np.nanquantile(drawn, [0.025, 0.975], axis=0)
     return curve
@@ -211,7 +217,7 @@ def mean_curve(
 def paired_at(
     rows: Iterable[Row], name: str, first: str, second: str, where: float, seed: int = 0, axis: Axis = "metres"
 ) -> Interval:
-    """``mean(first - second)`` of a curve at an equal path length or time, over pairs in which both are known there."""
+    """Compute ``mean(first - second)`` of a curve at one path length or time, over pairs in which both are known."""
     paired = pairs(rows, first, second)
     grid = np.array([where])
     values = [float((at(a, name, axis, grid) - at(b, name, axis, grid))[0]) for a, b in paired]

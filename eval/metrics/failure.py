@@ -1,13 +1,13 @@
-"""Why an episode failed, in one line: what the truth shows, and what the agent said (``kind: detail``)."""
+"""Explain why an episode failed, in one line ``kind: detail``, from the truth and from the agent's statuses."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-STUCK_STEPS = 15  # the last steps that are judged
-STUCK_CONTACTS = 0.5  # share of them that touched something
-CONTACT_MEMORY = 10  # steps before an error grew in which a contact may explain it
+STUCK_STEPS = 15  # the last steps that are examined
+STUCK_CONTACTS = 0.5  # proportion of them in collision
+CONTACT_MEMORY = 10  # steps before the track was lost in which a contact may explain it
 
 
 def failure_reason(
@@ -20,9 +20,9 @@ def failure_reason(
     contacts: Bool[np.ndarray, "steps"],
     body_length: float,
 ) -> str:
-    """The first of these that holds for a failed episode; what stands before the colon is the kind it is counted by.
+    """Return the first of these reasons that holds for a failed episode; failures are counted by the kind.
 
-    - ``lost track``: at the end the estimate is more than a body length off the truth;
+    - ``lost track``: at the end the estimate is more than a body length from the truth;
     - ``planner``: the agent gave up, or was still looking around, because its planner found no path or not in time;
     - ``collision``: stuck, within one body length and mostly in contact over the last steps;
     - ``stopped outside``: the agent stopped, knowing where it was, and the goal was not there;
@@ -30,12 +30,12 @@ def failure_reason(
 
     Args:
         stopped: whether the agent ended the episode itself.
-        statuses: what the agent said at each of its decisions.
+        statuses: the agent's status at each decision.
         positions: true positions at reset and after every step, m.
-        estimates: the agent's positions at the same times, NaN where it gave none; None if it keeps none.
+        estimates: the agent's position estimates at the same times, NaN where it gave none; None if it keeps none.
         goal: the goal's xy, m.
-        contacts: for each step whether the robot touched something.
-        body_length: m.
+        contacts: whether the robot was in collision, for each step.
+        body_length: diameter of the robot's footprint, or length of the car's, m.
     """
     if lost := lost_track(statuses, positions, estimates, contacts, body_length):
         return lost
@@ -53,7 +53,7 @@ def failure_reason(
 def stuck_at(
     positions: Float[np.ndarray, "time 2"], contacts: Bool[np.ndarray, "steps"], body_length: float
 ) -> str | None:
-    """``collision: ...`` where the robot hardly moved and mostly touched something over the last steps."""
+    """Return ``collision: ...`` where the robot hardly moved and mostly was in collision over the last steps."""
     tail = positions[-STUCK_STEPS:]
     spread = float(np.linalg.norm(tail - tail[-1], axis=1).max())
     if spread < body_length and len(contacts) and np.mean(contacts[-STUCK_STEPS:]) >= STUCK_CONTACTS:
@@ -68,7 +68,7 @@ def lost_track(
     contacts: Bool[np.ndarray, "steps"],
     body_length: float,
 ) -> str | None:
-    """``lost track: ...``: since when and how far the estimate is off at the end; None where it is not, or is none."""
+    """Return ``lost track: ...`` with the error at the end and its first step; None for a good estimate, or none."""
     if estimates is None:
         return None
     error = np.linalg.norm(estimates - positions, axis=1)
@@ -77,9 +77,9 @@ def lost_track(
         return None
     good = known[error[known] <= body_length]
     since = int(good[-1]) + 1 if len(good) else 0
-    touched = bool(np.any(contacts[max(0, since - CONTACT_MEMORY) : since]))
+    collided = bool(np.any(contacts[max(0, since - CONTACT_MEMORY) : since]))
     noticed = "which the agent noticed" if any("lost" in status for status in statuses) else "unnoticed by the agent"
     return (
         f"lost track: {error[known[-1]]:.2f} m off at the end, more than {body_length:g} m since step {since}"
-        f"{', after a contact' if touched else ''}, {noticed}"
+        f"{', after a contact' if collided else ''}, {noticed}"
     )

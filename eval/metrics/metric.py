@@ -1,8 +1,11 @@
-"""What a metric is: a function of an episode's row, and how its values are shown and compared."""
+"""Define a metric: a function of an episode's row, and how its values are shown and compared."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.row import RENAMED_FIELDS
 
 Row = Mapping[str, Any]
 Value: TypeAlias = float | bool | None
@@ -11,7 +14,7 @@ Direction: TypeAlias = Literal["higher", "lower", "neither"]
 
 @dataclass(frozen=True)
 class Metric:
-    """A number of an episode.
+    """Define a number of an episode.
 
     Attributes:
         function: row -> value; None where the row does not say.
@@ -21,7 +24,7 @@ class Metric:
         reports: the kinds of report whose tables show it: ``navigation``, ``car``, ``explore``.
         headline: those of them that open with it.
         compared: those of them that show its paired differences.
-        share: a boolean, shown in % with the interval of a share.
+        proportion: whether it is a boolean, shown in % with the interval of a proportion.
     """
 
     function: Callable[[Row], Value]
@@ -31,14 +34,21 @@ class Metric:
     reports: tuple[str, ...]
     headline: tuple[str, ...] = ()
     compared: tuple[str, ...] = ()
-    share: bool = False
+    proportion: bool = False
 
 
 def stored(field: str, factor: float = 1.0) -> Callable[[Row], Value]:
-    """The value that the row holds in ``field``, times ``factor``; a boolean as it is."""
+    """Return a function that reads ``field`` of a row and multiplies it by ``factor``; a boolean stays as it is."""
 
     def read(row: Row) -> Value:
         value = row.get(field)
         return value if value is None or isinstance(value, bool) else factor * value
 
     return read
+
+
+def check_name(name: str) -> str:
+    """Return a metric's name; raise :class:`InputError` with the present name for one that has been renamed."""
+    if name in RENAMED_FIELDS:
+        raise InputError("metrics", name, f"{RENAMED_FIELDS[name]!r}, as this metric is called now")
+    return name

@@ -1,4 +1,4 @@
-"""What an episode is worth (SPEC 12): SPL, SoftSPL and location errors. Arrays broadcast; metres.
+"""Compute SPL, SoftSPL and location errors of navigation episodes. Arrays broadcast; metres.
 
 ``geodesic`` is always the shortest path of the robot's footprint from the start to the *success region* (the disc of
 radius 2b around the goal), from ``vssm_gym.envs.tasks.geodesic``, never from an agent's planner.
@@ -26,10 +26,10 @@ def spl(success: ArrayLike, geodesic: ArrayLike, path_length: ArrayLike) -> Floa
 
 
 def soft_spl(remaining: ArrayLike, geodesic: ArrayLike, path_length: ArrayLike) -> Float[np.ndarray, "*batch"]:
-    """``max(0, 1 - r / l) l / max(p, l)``: SPL with the share of the way that was covered in place of success.
+    """``max(0, 1 - r / l) l / max(p, l)``: SPL with the covered share of the distance in place of success.
 
     ``remaining`` r is the geodesic from the robot's last position to the success region (0 inside it, inf where it is
-    out of reach), so that a successful episode has the same SoftSPL as SPL. Raises like :func:`spl`, and on r < 0.
+    out of reach), so that a successful episode has equal SoftSPL and SPL. Raises like :func:`spl`, and on r < 0.
     """
     remaining = np.asarray(remaining, dtype=np.float64)
     if np.any(~(remaining >= 0.0)):
@@ -63,7 +63,7 @@ def episode_metrics(
     contacts: ArrayLike,
     estimates: Float[np.ndarray, "time 2"] | None = None,
 ) -> dict[str, float | int | bool | None]:
-    """Every metric of one episode, under the names of a sweep's rows; plain Python numbers.
+    """Compute the metrics of one episode under the names of a sweep's rows, as plain Python numbers.
 
     Args:
         success: the agent stopped within the success region.
@@ -71,8 +71,8 @@ def episode_metrics(
         remaining: shortest path from the last position to the success region.
         positions: true positions at reset and after every step.
         goal: the goal's xy.
-        contacts: for each step whether the robot touched something.
-        estimates: the agent's own positions at the same times (NaN where it gave none), or None if it keeps none.
+        contacts: whether the robot was in collision, for each step.
+        estimates: the agent's position estimates at the same times (NaN where it gave none), or None if it keeps none.
 
     Returns:
         ``success, spl, soft_spl, path_length, geodesic, steps, collisions`` (steps in contact), ``distance_to_goal``
@@ -95,7 +95,7 @@ def episode_metrics(
 def location_errors(
     positions: Float[np.ndarray, "time 2"], estimates: Float[np.ndarray, "time 2"] | None
 ) -> dict[str, float | int | bool | None]:
-    """``|p^_t - p_t|`` over an episode without any alignment (the robot knows its start pose): mean, RMSE, max, last.
+    """Compute mean, RMSE, maximum and last of ``|p^_t - p_t|`` without alignment (the robot knows its start pose).
 
     Steps with a NaN estimate are left out; all are None where nothing is left.
     """

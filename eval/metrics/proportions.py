@@ -1,8 +1,8 @@
-"""Shares of episodes (reached, touched) with 95 % intervals that hold for rare events too.
+"""Compute proportions of episodes (reached, collided) with 95 % intervals that also hold for rare events.
 
-A bootstrap of zeros says [0, 0], however few they are. Here 0 of n leaves room for about 3.7 / n. The unit is the task,
-as in :mod:`vssm_gym.eval.metrics.aggregate`: n tasks with several episodes each count as n trials whose successes are
-the tasks' mean shares, which is exact for one episode a task and on the safe side for more.
+A bootstrap of zeros gives [0, 0], however few they are. Here the interval of 0 of n reaches to about 3.7 / n. The unit
+is the task, as in :mod:`vssm_gym.eval.metrics.aggregate`: n tasks with several episodes each count as n trials whose
+successes are the tasks' mean proportions, which is exact for one episode a task and conservative for more.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,13 +11,14 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
-from vssm_gym.eval.metrics.aggregate import Interval, Row, paired_values, task_key
+from vssm_gym.eval.metrics.aggregate import Interval, paired_values, task_key
+from vssm_gym.eval.metrics.metric import Row, check_name
 
 TAIL = 0.025
 
 
 def clopper_pearson(k: float, n: int) -> tuple[float, float]:
-    """The shares p of which neither ``P(X >= k | n, p)`` nor ``P(X <= k | n, p)`` is below 2.5 %, X binomial.
+    """Return the interval of p where ``P(X >= k | n, p)`` and ``P(X <= k | n, p)`` are at least 2.5 %, X binomial.
 
     Never covers less than 95 % (Clopper and Pearson, 1934). ``k`` in [0, n] may be a fraction; ``n`` >= 1.
     """
@@ -27,10 +28,11 @@ def clopper_pearson(k: float, n: int) -> tuple[float, float]:
 
 
 def tango(gained: float, lost: float, n: int) -> tuple[float, float]:
-    """The differences ``d`` of paired shares with ``|b - c - n d| <= 1.96 sqrt(n (2 q + d (1 - d)))``.
+    """Return the differences ``d`` of paired proportions with ``|b - c - n d| <= 1.96 sqrt(n (2 q + d (1 - d)))``.
 
     Of n pairs ``b = gained`` hold only for the first and ``c = lost`` only for the second; ``q`` is the most likely
-    share of the latter were ``d`` true (Tango, 1998). No disagreement in n pairs leaves room for 3.8 / (n + 3.8).
+    proportion of the latter if ``d`` is true (Tango, 1998). Without disagreement the interval reaches to 3.8 / (n +
+    3.8).
     """
     z = float(stats.norm.ppf(1.0 - TAIL))
 
@@ -47,7 +49,8 @@ def tango(gained: float, lost: float, n: int) -> tuple[float, float]:
 
 
 def percent(rows: Iterable[Row], metric: str) -> Interval:
-    """The share of episodes where the boolean ``metric`` holds, in %, with the interval of Clopper and Pearson."""
+    """Compute the proportion of episodes with the boolean ``metric``, in %, with Clopper and Pearson's interval."""
+    check_name(metric)
     by_task: dict[object, list[float]] = {}
     for row in rows:
         if row.get(metric) is not None:
@@ -55,13 +58,13 @@ def percent(rows: Iterable[Row], metric: str) -> Interval:
     values = [value for task in by_task.values() for value in task]
     if not values:
         return Interval(np.nan, np.nan, np.nan, 0, 0)
-    share, n = float(np.mean(values)), len(by_task)
-    low, high = clopper_pearson(share * n, n)
-    return Interval(100.0 * share, 100.0 * low, 100.0 * high, n, len(values))
+    proportion, n = float(np.mean(values)), len(by_task)
+    low, high = clopper_pearson(proportion * n, n)
+    return Interval(100.0 * proportion, 100.0 * low, 100.0 * high, n, len(values))
 
 
 def paired_percent(rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent") -> Interval:
-    """``first - second`` in points of % over episodes that both ran, with the interval of Tango.
+    """Compute ``first - second`` in points of % over episodes that both ran, with Tango's interval.
 
     Raises like :func:`vssm_gym.eval.metrics.aggregate.paired_difference`.
     """

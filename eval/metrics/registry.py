@@ -1,13 +1,13 @@
-"""Every metric of an episode by name, in the order of columns; tables, reports, summaries and comparisons read this.
+"""Register every metric of an episode by name, in the order of columns, for tables, reports and summaries.
 
-What an episode measured stands in its row (:mod:`vssm_gym.eval.episodes.row`). A metric is computed from that, so
-that one that is added here also speaks of episodes that ran before.
+A row holds what an episode measured (:mod:`vssm_gym.eval.episodes.row`). Metrics are computed from rows, so that a new
+metric also applies to episodes that ran before.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
-from vssm_gym.eval.metrics import navigation as metrics
+from vssm_gym.eval.metrics import navigation
 from vssm_gym.eval.metrics.collision_rate import COLLISION_RATE
 from vssm_gym.eval.metrics.metric import Metric, Row, Value, stored
 
@@ -15,13 +15,13 @@ from vssm_gym.eval.metrics.metric import Metric, Row, Value, stored
 def _spl(row: Row) -> Value:
     if row.get("geodesic") is None:
         return None
-    return float(metrics.spl(row["success"], row["geodesic"], row["path_length"]))
+    return float(navigation.spl(row["success"], row["geodesic"], row["path_length"]))
 
 
-def _touched(row: Row) -> Value:
-    if row.get("touched") is not None:
-        return bool(row["touched"])
-    return None if row.get("touches") is None else row["touches"] > 0
+def _collided(row: Row) -> Value:
+    if row.get("collided") is not None:
+        return bool(row["collided"])
+    return None if row.get("collision_events") is None else row["collision_events"] > 0
 
 
 def _of_successes(row: Row, value: Value) -> Value:
@@ -36,12 +36,12 @@ def _covered_99(row: Row) -> Value:
     return row["metres_99"] is not None if "metres_99" in row else None
 
 
-def _metres(share: int) -> Metric:
-    return Metric(stored(f"metres_{share}"), f"m to {share} %", 1, "lower", ("explore",))
+def _metres(level: int) -> Metric:
+    return Metric(stored(f"metres_{level}"), f"m to {level} %", 1, "lower", ("explore",))
 
 
 def _decision(point: str) -> Any:
-    """The 50 % or 95 % point of an episode's decisions, ms: localisation, plan and command."""
+    """Return a function that reads the 50 % or 95 % point of an episode's whole decisions, ms."""
 
     def read(row: Row) -> Value:
         total = (row.get("latency") or {}).get("total")
@@ -52,7 +52,7 @@ def _decision(point: str) -> Any:
 
 
 def _on_its_map(field: str, factor: float) -> Any:
-    """A mean over the tasks that were driven on an explorer's map."""
+    """Return a function that reads a mean over the tasks that were driven on an explorer's map."""
     return lambda row: factor * row["navigation"][field] if row.get("navigation") else None
 
 
@@ -65,22 +65,22 @@ METRICS: dict[str, Metric] = {
     "collisions": Metric(stored("collisions"), "collisions", 1, "lower", NAVIGATION),
     "collision_rate": COLLISION_RATE,
     "distance_to_goal": Metric(stored("distance_to_goal"), "to goal m", 2, "lower", NAVIGATION),
-    "reached": Metric(stored("success"), "reached %", 1, "higher", CAR, headline=CAR, compared=CAR, share=True),
-    "covered_90": Metric(stored("success"), "covered 90 %", 1, "higher", EXPLORE, share=True),
-    "covered_99": Metric(_covered_99, "covered 99 %", 1, "higher", EXPLORE, share=True),
-    **{f"metres_{share}": _metres(share) for share in (50, 90, 95, 99)},
+    "reached": Metric(stored("success"), "reached %", 1, "higher", CAR, headline=CAR, compared=CAR, proportion=True),
+    "covered_90": Metric(stored("success"), "covered 90 %", 1, "higher", EXPLORE, proportion=True),
+    "covered_99": Metric(_covered_99, "covered 99 %", 1, "higher", EXPLORE, proportion=True),
+    **{f"metres_{level}": _metres(level) for level in (50, 90, 95, 99)},
     "seconds_90": Metric(stored("seconds_90"), "s to 90 %", 1, "lower", EXPLORE),
     "coverage_percent": Metric(stored("coverage", 100.0), "coverage %", 1, "higher", EXPLORE, compared=EXPLORE),
-    "known": Metric(stored("entropy", -1e-3), "information knat", 1, "higher", EXPLORE, compared=EXPLORE),
+    "known": Metric(stored("entropy", -1e-3), "information, 10^3 nats", 1, "higher", EXPLORE, compared=EXPLORE),
     "complete_percent": Metric(
         stored("completeness", 100.0), "surface complete %", 1, "higher", EXPLORE, compared=EXPLORE
     ),
     "accuracy_cm": Metric(stored("accuracy", 100.0), "mesh accuracy cm", 2, "lower", EXPLORE),
     "completion_cm": Metric(stored("completion", 100.0), "mesh completion cm", 2, "lower", EXPLORE, compared=EXPLORE),
-    "touched": Metric(
-        _touched, "touched %", 1, "lower", (*CAR, *EXPLORE), headline=CAR, compared=(*CAR, *EXPLORE), share=True
+    "collided": Metric(
+        _collided, "collided %", 1, "lower", (*CAR, *EXPLORE), headline=CAR, compared=(*CAR, *EXPLORE), proportion=True
     ),
-    "touches": Metric(stored("touches"), "touches", 3, "lower", CAR),
+    "collision_events": Metric(stored("collision_events"), "collision events", 3, "lower", CAR),
     "seconds_driven": Metric(
         lambda row: _of_successes(row, row.get("seconds")), "seconds", 1, "lower", CAR, headline=CAR, compared=CAR
     ),
@@ -104,10 +104,10 @@ METRICS: dict[str, Metric] = {
 
 
 def shown_in(report: str) -> Mapping[str, Metric]:
-    """The metrics of a kind of report."""
+    """Return the metrics of a kind of report."""
     return {name: metric for name, metric in METRICS.items() if report in metric.reports}
 
 
 def measured(row: Row) -> dict[str, Any]:
-    """A row with every metric; where the row stores a value under that name, that one."""
+    """Return a row with every metric added; a value that the row stores under a metric's name takes precedence."""
     return {**{name: metric.function(row) for name, metric in METRICS.items()}, **row}

@@ -1,12 +1,12 @@
-"""What of an apartment's surfaces a robot could ever see, how much of it a map shows, and how exactly.
+"""Compare a map's surface with those surfaces of an apartment that a robot could ever see.
 
     completeness = |{p in S : the map's surface crosses the normal at p within 0.1 m}| / |S|
     accuracy     = mean over the map's surface of the distance to the scene's nearest face
     completion   = mean over p in S of the distance to the map's surface, each no more than ``FAR``
 
 ``S`` are the points of the scene's faces that a camera on the robot sees from anywhere the robot can reach, level, in
-any direction, no farther than coverage counts: what lies behind furniture belongs to no score, so that 1 can be
-attained. It is the truth: it judges explorers and never reaches one.
+any direction, no farther than coverage counts: surfaces behind furniture enter no score, so that 1 can be
+attained. ``S`` is ground truth: it evaluates explorers, which never see it.
 """
 
 import math
@@ -28,25 +28,25 @@ from vssm_gym.model.emission import KNOWN_SHARE, TAU
 from vssm_gym.viz.mesh import Mesh, surface_mesh
 
 SPACING = 0.1  # m between points of S: one a cell of this size on each face
-POSITIONS = 0.4  # m between the places that are looked from
+POSITIONS = 0.4  # m between viewpoints
 AROUND, UPWARDS = 240, 60  # rays of a whole turn, and from the image's lower edge to its upper one
-WITHIN = 0.1  # m that a map's surface may be off the true one and count as found
+WITHIN = 0.1  # m: largest error of a map's surface that counts as found
 ALONG = 9  # samples of a normal: closer together than half a cell of any map in use
-NEAR = 0.05  # m, of the shares of accurate and of complete surface
-FAR = 0.5  # m: a room that was never entered is as missing as any, however far it is
-SAMPLES = 10_000  # points that a mesh is judged by, each way
-_CANDIDATES = 8  # triangles whose centres are nearest, among which the nearest is looked for
+NEAR = 0.05  # m: threshold of the proportions of accurate and of complete surface
+FAR = 0.5  # m: distances are clipped here, so that a room that was never entered counts the same wherever it is
+SAMPLES = 10_000  # points of the mesh, and of the surface, that accuracy and completion are computed from
+_CANDIDATES = 8  # triangles with the nearest centres, among which the nearest triangle is searched
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points of faces and the normals there, out of the solid; world frame, m. Equal to itself only."""
+    """Hold points of faces and their outward normals in the world frame, m. Compared by identity."""
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
 
     def thinned(self, n: int, seed: int = 0) -> "Surface":
-        """At most ``n`` of the points, drawn without preference."""
+        """Return at most ``n`` of the points, drawn uniformly."""
         if len(self.points) <= n:
             return self
         chosen = np.random.default_rng(seed).choice(len(self.points), n, replace=False)
@@ -54,7 +54,7 @@ class Surface:
 
 
 def observable_surface(scene_cache: SceneCache) -> Surface:
-    """``S``; see the module. About one point a ``SPACING``^2 of every face, in an order that follows from the scene."""
+    """Compute ``S`` of the module: about one point a ``SPACING``^2 of every face, in a fixed order."""
     space, config = scene_cache.sampler.space, scene_cache.renderer.config
     low, high = np.split(np.array(space.largest.bounds), 2)
     xs, ys = (np.arange(a, b, POSITIONS) for a, b in zip(low, high, strict=True))
@@ -84,7 +84,7 @@ def observable_surface(scene_cache: SceneCache) -> Surface:
 
 @dataclass(frozen=True)
 class _Faces:
-    """The boxes as arrays: centres (n, 3), half extents (n, 3), cosine and sine of the yaw (n,)."""
+    """Hold boxes as arrays: centres (n, 3), half extents (n, 3), cosine and sine of the yaw (n,)."""
 
     centre: np.ndarray
     half: np.ndarray
@@ -98,7 +98,7 @@ class _Faces:
         return cls(np.array([box.center for box in boxes]), half, np.cos(yaw), np.sin(yaw))
 
     def cells(self, points: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A number (n,) for the cell of the face that each point lies on, and the face's normal (n, 3)."""
+        """Return the number (n,) of the cell of the face that each point lies on, and the face's normal (n, 3)."""
         d, c, s = points - self.centre[box], self.c[box], self.s[box]
         local = np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], axis=-1)
         every = np.arange(len(points))
@@ -111,7 +111,7 @@ class _Faces:
         return keys, normals
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance (n,) to the nearest face of any box, no more than ``FAR``."""
+        """Return the distance (n,) to the nearest face of any box, no more than ``FAR``."""
         nearest = np.full(len(points), FAR)
         reach = np.linalg.norm(self.half, axis=1) + FAR
         for i in range(len(self.centre)):
@@ -126,16 +126,16 @@ class _Faces:
 
 
 def completeness(m: VoxelMap, surface: Surface) -> float:
-    """Share of ``surface`` that ``m`` shows within ``WITHIN``; see the module."""
+    """Return the proportion of ``surface`` that ``m`` shows within ``WITHIN``; see the module."""
     found = _found(m, jnp.asarray(surface.points, jnp.float32), jnp.asarray(surface.normals, jnp.float32))
     return float(np.mean(np.asarray(found)))
 
 
 @jax.jit
 def _found(m: VoxelMap, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> Bool[Array, "n"]:
-    """Whether the field rises through the surface's threshold on the way into the solid, where it was observed.
+    """Return whether the field rises through the surface's threshold along the inward normal, where it was observed.
 
-    The first such crossing of the normal decides. A wall's far side is none: there the field falls again.
+    The first such crossing decides. A wall's far side is none, because there the field falls.
     """
     offsets = jnp.linspace(WITHIN, -WITHIN, ALONG)
     occupancy = m.occupancy_at(points[:, None] + offsets[:, None] * normals[:, None])
@@ -150,17 +150,17 @@ def _found(m: VoxelMap, points: Float[Array, "n 3"], normals: Float[Array, "n 3"
 
 
 def mesh_quality(m: VoxelMap, surface: Surface, boxes: list[SolidBox], seed: int = 0) -> dict[str, float | None]:
-    """How the map's mesh compares with the scene, distances in metres; see the module.
+    """Compute the accuracy and completion of the map's mesh, m; see the module.
 
     Args:
         m: the map.
-        surface: what could be seen of the scene.
-        boxes: all that is solid in it.
-        seed: of the points of the mesh that are judged, uniform over its area.
+        surface: the observable surface of the scene.
+        boxes: all solid boxes of the scene.
+        seed: of the points of the mesh, uniform over its area.
 
     Returns:
-        ``accuracy`` and ``accurate_5cm`` (share of the mesh within 5 cm of the scene; both None where the map shows no
-        surface), ``completion`` and ``complete_5cm`` (share of the surface within 5 cm of the mesh).
+        ``accuracy`` and ``accurate_5cm`` (proportion of the mesh within 5 cm of the scene; both None where the map
+        shows no surface), ``completion`` and ``complete_5cm`` (proportion of the surface within 5 cm of the mesh).
     """
     mesh = surface_mesh(m)
     if not len(mesh.faces):
@@ -176,7 +176,7 @@ def mesh_quality(m: VoxelMap, surface: Surface, boxes: list[SolidBox], seed: int
 
 
 def sample_mesh(mesh: Mesh, n: int, seed: int) -> Float[np.ndarray, "n 3"]:
-    """``n`` points of a mesh, uniform over its area."""
+    """Draw ``n`` points of a mesh, uniform over its area."""
     rng = np.random.default_rng(seed)
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -186,7 +186,7 @@ def sample_mesh(mesh: Mesh, n: int, seed: int) -> Float[np.ndarray, "n 3"]:
 
 
 def distance_to_mesh(points: Float[np.ndarray, "n 3"], mesh: Mesh) -> Float[np.ndarray, "n"]:
-    """Distance to a mesh, no more than ``FAR``; exact up to long triangles, which marching cubes does not make."""
+    """Return the distance to a mesh, no more than ``FAR``; exact for the compact triangles of marching cubes."""
     triangles = mesh.vertices[mesh.faces].astype(np.float64)
     k = min(_CANDIDATES, len(triangles))
     _, which = cKDTree(triangles.mean(axis=1)).query(points, k=k)

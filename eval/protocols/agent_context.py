@@ -1,4 +1,4 @@
-"""What an agent is told before it starts, built in one place: nothing of the scene."""
+"""Build the context that an agent receives before an episode; it says nothing of the scene."""
 
 from functools import singledispatch
 from typing import Any, Protocol
@@ -13,8 +13,8 @@ from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar
 from vssm_gym.model.transition.differential import DifferentialDrive, WheelNoise
 
 
-class Body(Protocol):
-    """What contexts read of a robot."""
+class RobotBody(Protocol):
+    """Define what a context reads of a robot."""
 
     @property
     def T_body_cam(self) -> np.ndarray:
@@ -23,36 +23,36 @@ class Body(Protocol):
 
     @property
     def limits(self) -> np.ndarray:
-        """Largest values of a command."""
+        """Largest components of a command."""
         ...
 
     @property
     def dt(self) -> float:
-        """Seconds a step."""
+        """Duration of a step, s."""
         ...
 
 
-# How a real car strays from the bicycle in 0.1 s: 3 degrees of steering, a tenth of its speed, and tyres that slip.
-CAR_STRAYS = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
+# Error of the bicycle model of a real car in 0.1 s: 3 degrees of steering, a tenth of its speed, tyre slip (m, rad).
+CAR_MODEL_ERROR = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
 
 
 @singledispatch
-def believed_motion(body: Any, noise: tuple[float, float]) -> Transition:
-    """Return how a robot believes that it moves; unless its kind is registered here, as a holonomic one does.
+def transition_of(body: Any, noise: tuple[float, float]) -> Transition:
+    """Return the transition model of a robot: :class:`Planar`, unless its type is registered here.
 
     Args:
         body: the robot.
-        noise: standard deviations that it is told of its execution.
+        noise: standard deviations of its execution noise.
     """
     return Planar(MotionNoise(*noise))
 
 
-believed_motion.register(Car, lambda body, noise: Bicycle(CAR_STRAYS, body.wheelbase))
-believed_motion.register(DifferentialRobot, lambda body, noise: DifferentialDrive(WheelNoise(*noise), body.track))
+transition_of.register(Car, lambda body, noise: Bicycle(CAR_MODEL_ERROR, body.wheelbase))
+transition_of.register(DifferentialRobot, lambda body, noise: DifferentialDrive(WheelNoise(*noise), body.track))
 
 
 def context_of(
-    body: Body,
+    body: RobotBody,
     length: float,
     start_pose: np.ndarray,
     *,
@@ -63,18 +63,18 @@ def context_of(
     K: np.ndarray | None = None,
     limits: np.ndarray | None = None,
 ) -> AgentContext:
-    """The context of a robot.
+    """Build the context of a robot.
 
     Args:
-        body: its measures; a :class:`Car` is told to the agent as a whole.
+        body: its geometry; a :class:`Car` is passed to the agent as a whole.
         length: diameter of the robot's footprint, or length of the car's, m.
         start_pose: ``(3,)`` x, y (m), heading (rad).
-        success_radius: m, around the goal; 0 where there is none.
-        noise: standard deviations of the execution noise that the agent is told, rad and m.
+        success_radius: around the goal, m; 0 without a goal.
+        noise: standard deviations of the execution noise that the agent assumes, rad and m.
         voxel_map: the learned map, None for an agent that needs none.
-        camera: width and height in pixels; None without one.
+        camera: an object with ``width`` and ``height`` in pixels; None without one.
         K: ``(3, 3)`` of the camera, pixels; None without one.
-        limits: of a command, where not all of the body's.
+        limits: largest commands, where they are not all of the body's limits.
     """
     return AgentContext(
         K=np.eye(3) if K is None else np.array(K),
@@ -87,7 +87,7 @@ def context_of(
         body_length=length,
         success_radius=success_radius,
         noise=noise,
-        transition=believed_motion(body, noise),
+        transition=transition_of(body, noise),
         car=body if isinstance(body, Car) else None,
     )
 
@@ -99,7 +99,7 @@ def context_in(
     noise: tuple[float, float],
     limits: np.ndarray | None = None,
 ) -> AgentContext:
-    """The context of a round robot in a world that was just reset; ``info`` is what its reset returned."""
+    """Build the context of a round robot in a world that was just reset; ``info`` is that of the reset."""
     return context_of(
         world.robot,
         world.robot.body_length,

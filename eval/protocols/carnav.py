@@ -1,4 +1,4 @@
-"""CarNav in a sweep: a chain of target poses, its environment, and one episode of it."""
+"""Run CarNav in a sweep: chains of target poses, the environment, and single episodes."""
 
 import time
 from functools import partial
@@ -24,30 +24,30 @@ from vssm_gym.planning.car import reeds_shepp
 
 __all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
-MOVING = 0.05  # m/s, of a command: slower is standing, for the count of direction changes
+MOVING = 0.05  # m/s: slower commands count as standing when direction changes are counted
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
-    """Write a chain of ``n`` test targets of a scene to a file; one that is there and as long is kept."""
+    """Write a chain of ``n`` test targets of a scene to a file; keep a file that already holds them."""
     make = partial(car_task_sets.make_car_tasks, apartment, n)
     keep_or_write(apartment, n, path, car_task_sets.load, make, car_task_sets.save)
 
 
 def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
-    """Run one episode; returns its measured fields of a row."""
+    """Run one episode and return the measured fields of its row."""
     tasks = tasks_in(task_file, CarTaskSet)
     env = world(
         episode.condition,
         physics=episode.condition.physics,
         observe_pose=agent.needs_pose,
-        images=not agent.needs_pose,  # who sees the pose needs no images, and rendering takes half of the time
+        images=not agent.needs_pose,  # an agent that observes the pose needs none; rendering takes half of the time
     )
     seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
     return run_episode(env, agent, tasks.tasks[episode.task], seed=seed, voxel_map=voxel_map)
 
 
 def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_map: VoxelMap | None) -> dict[str, Any]:
-    """Run ``agent`` on ``task`` until the car is there, time is out, or the agent refuses it.
+    """Run ``agent`` on ``task`` until the car has arrived, time is out, or the agent gives up.
 
     Args:
         env: CarNav with its time limit; the pose is observed if and only if the agent needs it.
@@ -58,7 +58,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
 
     Returns:
         The metrics of :func:`episode_metrics`, with the length of the shortest Reeds-Shepp curve into the target's
-        region, obstacles apart, as ``geodesic``; ``touches`` (times the car came to touch something), ``touched``,
+        region, obstacles ignored, as ``geodesic``; ``collision_events`` (times that contact began), ``collided``,
         ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``, ``status``, latencies, ``trace`` (its
         ``poses`` with headings).
     """
@@ -120,8 +120,8 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         failure = f"planner: {decisions[-1].status}"
     return {
         **metrics,
-        "touches": int(info["collisions"]),
-        "touched": bool(info["collisions"]),
+        "collision_events": int(info["collisions"]),
+        "collided": bool(info["collisions"]),
         "seconds": round(len(contacts) * context.dt, 3),
         "direction_changes": direction_changes(np.array(speeds)),
         "heading_error": task.turn(path[-1]),
@@ -137,9 +137,10 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
 
 
 def shortest_curve(start: np.ndarray, goal: np.ndarray, radius: float) -> float:
-    """Length (m) of the shortest Reeds-Shepp curve from a pose into a target's region: to 4 mm, no car drives less.
+    """Return the length (m) of the shortest Reeds-Shepp curve from a pose into a target's region, to 4 mm.
 
-    Over a lattice of the region; at least a millimetre, so that ratios stay finite.
+    It is a lower bound of every car's path length, computed over a lattice of the region; at least a millimetre, so
+    that ratios stay finite.
     """
     r, angle = np.meshgrid(np.array([0.0, 0.5, 1.0]) * REACHED, np.linspace(-np.pi, np.pi, 13)[:-1], indexing="ij")
     offsets = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
@@ -152,6 +153,6 @@ def shortest_curve(start: np.ndarray, goal: np.ndarray, radius: float) -> float:
 
 
 def direction_changes(speeds: np.ndarray) -> int:
-    """How often a drive turns from forwards to backwards or the other way, standing in between or not."""
+    """Count the changes between forward and backward driving, with or without a stand in between."""
     signs = np.sign(speeds[np.abs(speeds) > MOVING])
     return int(np.count_nonzero(np.diff(signs)))

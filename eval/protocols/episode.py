@@ -1,4 +1,4 @@
-"""One episode of one agent: the loop that hands observations to the agent, and the truth to nobody but the metrics."""
+"""Run one navigation episode of one agent: the agent receives observations, and only the metrics see the truth."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -16,21 +16,21 @@ from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols.agent_context import context_in
 from vssm_gym.maps.voxel_map import VoxelMap
 
-TRACE_POINTS = 80  # of a path kept in a row, enough for a picture
-TRACE_CONTACTS = 30
+TRACE_POINTS = 80  # points of a path kept in a row, enough for a picture
+TRACE_CONTACTS = 30  # points of contact kept in a row
 
 
 @dataclass(frozen=True)
-class Step:
-    """One step of a run as a spectator sees it: the agent has taken up the image and decided, nothing has moved yet.
+class StepRecord:
+    """Hold one step of a run as a spectator sees it: the agent has decided, and nothing has moved yet.
 
     Attributes:
         number: steps before it.
         seconds: since the start.
         planar: ``(3,)`` true x, y (m), heading (rad).
-        observation: what the agent saw.
-        info: the environment's, of the same moment.
-        decision: the agent's.
+        observation: the agent's observation.
+        info: the environment's info of the same moment.
+        decision: the agent's decision.
     """
 
     number: int
@@ -41,7 +41,7 @@ class Step:
     decision: Decision
 
 
-Spectator: TypeAlias = Callable[[Step], None]
+Spectator: TypeAlias = Callable[[StepRecord], None]
 
 
 def run_episode(
@@ -60,14 +60,14 @@ def run_episode(
 
     Args:
         env: PointNav, ImageNav or LidarMaze with its time limit; it shows the pose only to an agent that needs it.
-        sampler: of the environment's scene, for the way that is left at the end.
+        sampler: of the environment's scene, for the distance that remains at the end.
         agent: any agent of the registry; it is reset here.
         task: start and goal.
         seed: of the environment's streams and, mixed, of the agent; the same for every agent.
         voxel_map: the learned map, None for an agent that needs none.
-        noise: standard deviations of the execution noise that the agent is told, rad and m.
-        limits: of the agent's commands, where not all of the robot's.
-        spectator: shown every step, in order; what it does takes none of the agent's time.
+        noise: standard deviations of the execution noise in the agent's context, rad and m.
+        limits: largest commands, where they are not all of the robot's limits.
+        spectator: called with every step, in order; its time does not count as the agent's.
 
     Returns:
         The metrics of :func:`episode_metrics`, ``failure`` (None on success), the agent's last ``status``, latency
@@ -90,7 +90,7 @@ def run_episode(
         seconds.append(time.perf_counter() - began)
         if spectator is not None:
             driven = len(contacts) * context.dt
-            spectator(Step(len(contacts), driven, np.array(world.planar), observation, info, decision))
+            spectator(StepRecord(len(contacts), driven, np.array(world.planar), observation, info, decision))
         observation, _, stopped, truncated, info = env.step(decision.action)
         ended = stopped or truncated
         decisions.append(decision)
@@ -132,10 +132,10 @@ def run_episode(
 
 
 def estimates_of(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
-    """The agent's positions at reset and after every step; None if it never gave one.
+    """Return the agent's position estimates at reset and after every step; None if it never gave one.
 
-    A decision's estimate is of the time before its action. After the last action the agent is not asked again: a stop
-    moves nothing, so its estimate stays; after a time-out it is unknown.
+    A decision's estimate is of the time before its action. After the last action the agent is not called again: a stop
+    moves nothing, so its estimate still holds; after a time-out it is unknown.
     """
     if all(decision.pose is None for decision in decisions):
         return None
@@ -145,12 +145,12 @@ def estimates_of(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarr
 
 
 def _remaining(sampler: TaskSampler, position: np.ndarray, goal: np.ndarray, success_radius: float) -> float:
-    """Metres of way from a true position to the success region; contacts may leave the robot a hair inside a wall."""
+    """Return the path length (m) from a true position, perhaps slightly inside a wall, to the success region."""
     return sampler.geodesics.length(sampler.space.nearest(position), goal, success_radius)
 
 
 def latency_of(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[str, dict[str, float]]:
-    """50 % and 95 % points of every stage that the agent reports, and of the whole decision, seconds."""
+    """Return the 50 % and 95 % points of every stage that the agent reports, and of the whole decision, s."""
     stages = {stage: [d.latency[stage] for d in decisions if stage in d.latency] for stage in decisions[0].latency}
     return {
         stage: {"p50": round(float(np.quantile(values, 0.5)), 6), "p95": round(float(np.quantile(values, 0.95)), 6)}
@@ -161,19 +161,19 @@ def latency_of(decisions: Sequence[Decision], seconds: Sequence[float]) -> dict[
 def trace_of(
     positions: np.ndarray, estimates: np.ndarray | None, contacts: np.ndarray
 ) -> dict[str, list[list[float]] | None]:
-    """True and estimated path at the same few times, and some of the places of contact, to the millimetre."""
+    """Return the true and estimated path at the same few times, and some points of contact, to the millimetre."""
     known = np.arange(len(positions))
     if estimates is not None:
         known = known[np.isfinite(estimates).all(axis=1)]
-    touched = positions[1:][contacts]
+    in_contact = positions[1:][contacts]
     return {
         "true": thinned(positions[known]),
         "estimate": None if estimates is None else thinned(estimates[known]),
-        "contacts": thinned(touched, TRACE_CONTACTS),
+        "contacts": thinned(in_contact, TRACE_CONTACTS),
     }
 
 
 def thinned(points: np.ndarray, limit: int = TRACE_POINTS) -> list[list[float]]:
-    """At most ``limit`` of the points, first and last among them."""
+    """Return at most ``limit`` of the points, first and last among them."""
     chosen = np.unique(np.linspace(0, len(points) - 1, min(limit, len(points))).round().astype(int))
     return points[chosen].round(3).tolist()

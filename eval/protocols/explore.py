@@ -1,4 +1,4 @@
-"""Explore in a sweep: its starts, its environment, and navigation on the map that a run leaves.
+"""Run Explore in a sweep: starts, the environment, and navigation on the map of a run.
 
 Start ``i`` is that of PointNav's test task ``i`` of the scene, so that both share one frozen, hashed file.
 """
@@ -15,8 +15,8 @@ from vssm_gym.envs.robots import NOISE_LEVELS
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.eval.episodes.identity import Episode, ExploreSettings, episode_seed
-from vssm_gym.eval.protocols import episode as pointnav
-from vssm_gym.eval.protocols import pointnav as pointnav_protocol
+from vssm_gym.eval.protocols import pointnav
+from vssm_gym.eval.protocols.episode import run_episode as run_navigation
 from vssm_gym.eval.protocols.explore_episode import Spectator, map_of, run_episode
 from vssm_gym.eval.protocols.shared import conditions, load, notice, sampler_of, scene_names, tasks_in, world
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -24,12 +24,12 @@ from vssm_gym.maps.voxel_map import VoxelMap
 __all__ = ["conditions", "load", "navigate", "notice", "run", "scene_names", "write_tasks"]
 
 POINTNAV = "vssm_gym/PointNav-v0"
-LEAST_TASKS = 40  # of a scene's file, so that there are some to navigate beside the starts
+LEAST_TASKS = 40  # in a scene's file, so that there are tasks to navigate besides the starts
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
-    """The first test tasks of a scene, at least ``n``, as a file; one that is there and holds them is kept."""
-    pointnav_protocol.write_tasks(apartment, max(n, LEAST_TASKS), path)
+    """Write the first test tasks of a scene, at least ``n``, to a file; keep a file that already holds them."""
+    pointnav.write_tasks(apartment, max(n, LEAST_TASKS), path)
 
 
 def run(
@@ -39,7 +39,7 @@ def run(
     voxel_map: VoxelMap | None,
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
-    """Run one episode and what is driven on its map; returns what it was worth."""
+    """Run one episode and the navigation on its map; return the measured fields of its row."""
     tasks, settings = tasks_in(task_file, TaskSet), episode.explore or ExploreSettings()
     env = world(
         episode.condition,
@@ -57,9 +57,9 @@ def run(
 
 
 def navigate(episode: Episode, tasks: TaskSet, explored: VoxelMap, n: int) -> dict[str, Any]:
-    """Drive ``n`` of the scene's PointNav tasks with ``astar`` on a map that an explorer left.
+    """Drive ``n`` of the scene's PointNav tasks with ``astar`` on an explorer's map.
 
-    They are the ``n`` tasks after the one whose start the run had, so that all agents meet the same ones.
+    They are the ``n`` tasks after that of the run's start, so that all agents have the same tasks.
 
     Returns:
         ``tasks`` (how many), ``success`` and ``spl`` (means), ``failures`` (reasons).
@@ -67,7 +67,7 @@ def navigate(episode: Episode, tasks: TaskSet, explored: VoxelMap, n: int) -> di
     chosen = [tasks.tasks[(episode.task + 1 + k) % len(tasks.tasks)] for k in range(n)]
     noise = NOISE_LEVELS[episode.condition.noise]
     rows = [
-        pointnav.run_episode(
+        run_navigation(
             world(episode.condition, POINTNAV),
             sampler_of(episode.condition.scene),
             _navigator(),

@@ -1,7 +1,7 @@
-"""One run of one explorer: the loop that hands it observations, and the truth to nobody but the metrics (SPEC 8).
+"""Run one exploration of one agent: the agent receives observations, and only the metrics see the truth.
 
-A run goes on until the agent stops or time is out, whatever it has covered: an episode that ended at 99 % would cut the
-entropy of the fastest explorer short.
+A run continues until the agent stops or time is out, whatever it has covered: an episode that ended at 99 % would cut
+the entropy of the fastest explorer short.
 """
 
 import time
@@ -20,16 +20,16 @@ from vssm_gym.eval.metrics.failure import lost_track, stuck_at
 from vssm_gym.eval.metrics.navigation import location_errors, path_length
 from vssm_gym.eval.metrics.surfaces import Surface, completeness, mesh_quality, observable_surface
 from vssm_gym.eval.protocols.agent_context import context_in
-from vssm_gym.eval.protocols.episode import Spectator, Step, estimates_of, latency_of, thinned, trace_of
+from vssm_gym.eval.protocols.episode import Spectator, StepRecord, estimates_of, latency_of, thinned, trace_of
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.exploration.information import entropy
 
-JUDGED = 4000  # points of the surface that completeness is sampled by along a run
-TRACE_POINTS = 300  # of a path kept in a row: explorers drive far
+COMPLETENESS_POINTS = 4000  # of the surface, at which completeness is sampled along a run
+TRACE_POINTS = 300  # points of a path kept in a row: explorers drive far
 
 
 def map_of(agent: Agent) -> VoxelMap | None:
-    """The belief of an agent that keeps one (``agent.map``), else None."""
+    """Return the belief of an agent that keeps one (``agent.map``), else None."""
     return getattr(agent, "map", None)
 
 
@@ -43,25 +43,25 @@ def run_episode(
         agent: any agent; it is reset here and is given no map.
         start: x, y (m), heading (rad).
         seed: of the environment's streams and, mixed, of the agent; the same for every agent.
-        spectator: shown every step, in order; what it does takes none of the agent's time.
+        spectator: called with every step, in order; its time does not count as the agent's.
 
     Returns:
         ``metres_50, _90, _95, _99`` and ``seconds_...`` (None: the run ended before), ``coverage``, ``entropy`` (nats,
         relative to the prior) and ``completeness`` at its end (None without a map), ``curve`` of these, the mesh's
-        ``accuracy, accurate_5cm, completion, complete_5cm`` (m and shares), ``success`` (90 %), ``stopped`` (by the
-        agent), ``path_length``, ``seconds``, ``steps``, ``collisions`` (steps in contact), ``touched``, location
+        ``accuracy, accurate_5cm, completion, complete_5cm`` (m and proportions), ``success`` (90 %), ``stopped`` (by
+        the agent), ``path_length``, ``seconds``, ``steps``, ``collisions`` (steps in contact), ``collided``, location
         errors, ``failure``, ``status``, latencies, ``budget`` (what the time limit allows), ``trace``.
     """
     observation, info = env.reset(seed=seed, options={"start": start})
     world: Any = env.unwrapped
     context = context_in(world, info, None, (world.noise.turn, world.noise.step))
     surface = _surface(world.simulation.scene_cache)
-    judged = _thinned(surface)
+    sampled = _thinned(surface)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
 
     def measure() -> tuple[float | None, float | None]:
         m = map_of(agent)
-        return (None, None) if m is None else (entropy(m), completeness(m, judged))
+        return (None, None) if m is None else (entropy(m), completeness(m, sampled))
 
     recorder = Recorder(measure)
     positions: list[np.ndarray] = [world.planar[:2]]
@@ -76,13 +76,13 @@ def run_episode(
         decisions.append(decision)
         # The agent's map now holds what coverage counts: the image of this step, not yet that of the next.
         driven = len(contacts) * context.dt
-        recorder.see(info["path_length"], driven, info["coverage"])
+        recorder.record(info["path_length"], driven, info["coverage"])
         if spectator is not None:
-            spectator(Step(len(contacts), driven, np.array(world.planar), observation, info, decision))
+            spectator(StepRecord(len(contacts), driven, np.array(world.planar), observation, info, decision))
         observation, _, stopped, truncated, info = env.step(decision.action)
         positions.append(world.planar[:2])
         contacts.append(bool(info["collision"]))
-    recorder.see(info["path_length"], (len(contacts) - stopped) * context.dt, info["coverage"], last=True)
+    recorder.record(info["path_length"], (len(contacts) - stopped) * context.dt, info["coverage"], last=True)
 
     path, contact = np.array(positions), np.array(contacts, dtype=bool)
     estimates = estimates_of(decisions, stopped)
@@ -104,7 +104,7 @@ def run_episode(
         "steps": len(contacts),
         "stopped": bool(stopped),
         "collisions": int(contact.sum()),
-        "touched": bool(contact.any()),
+        "collided": bool(contact.any()),
         **location_errors(path, estimates),
         "budget": _budget(env, world.robot),
         "failure": why,
@@ -129,7 +129,7 @@ def _failure(
     contacts: Bool[np.ndarray, "steps"],
     body_length: float,
 ) -> str:
-    """Why a run ended below :data:`GOAL`; what stands before the colon is the kind it is counted by."""
+    """Explain why a run ended below :data:`GOAL`, as ``kind: detail``; failures are counted by the kind."""
     reached = f"{100.0 * coverage:.0f} % covered"
     if lost := lost_track(statuses, path, estimates, contacts, body_length):
         return f"{lost}, {reached}"
@@ -144,13 +144,13 @@ def _failure(
 
 
 def _budget(env: gym.Env, robot: HolonomicRobot) -> dict[str, float]:
-    """What the time limit allows: steps, seconds, and the metres that the robot can drive in them."""
+    """Return the steps and seconds of the time limit, and the metres that the robot can drive in them."""
     steps = int(env.get_wrapper_attr("_max_episode_steps"))
     return {"steps": steps, "seconds": round(steps * robot.dt, 3), "metres": round(steps * robot.max_step, 3)}
 
 
 def _place(path: np.ndarray, metres: float) -> list[float]:
-    """Where the path has the length ``metres``, to the millimetre."""
+    """Return the point at which the path has the length ``metres``, to the millimetre."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     return path[np.argmin(np.abs(along - metres))].round(3).tolist()
 
@@ -162,4 +162,4 @@ def _surface(cache: SceneCache) -> Surface:
 
 @lru_cache(maxsize=1)
 def _thinned(surface: Surface) -> Surface:
-    return surface.thinned(JUDGED)
+    return surface.thinned(COMPLETENESS_POINTS)

@@ -1,4 +1,4 @@
-"""LidarMaze in a sweep: the mazes' own frozen tasks, the environment, and one episode of it."""
+"""Run LidarMaze in a sweep: the mazes' own frozen tasks, the environment, and single episodes."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
@@ -17,36 +17,36 @@ from vssm_gym.eval.protocols.episode import run_episode
 from vssm_gym.eval.protocols.shared import keep_or_write, made, tasks_in
 from vssm_gym.maps.voxel_map import VoxelMap
 
-COMMAND = (0, 2)  # of the robot's limits: it turns and drives, and never sideways
+COMMAND = (0, 2)  # indices of the robot's limits that agents use: turn and step, never sideways
 
 
 def scene_names() -> Sequence[str]:
-    """Names of the built-in mazes."""
+    """Return the names of the built-in mazes."""
     return MAZES
 
 
 def conditions() -> Mapping[str, Sequence[str]]:
-    """What the lists of a configuration may hold; ranges are always cast as rays."""
+    """Return the names that a configuration may hold; ranges are always ray-cast."""
     return {"noise": tuple(MOTION_NOISE), "sensor_noise": tuple(RANGE_NOISE), "renderer": ("raycast",)}
 
 
 def load(scene: str) -> Apartment:
-    """The maze of a built-in name or of a file."""
+    """Load the maze of a built-in name or of a file."""
     return load_maze(scene).apartment
 
 
 def notice(apartment: Apartment) -> str:
-    """Nothing: what is wrong with a maze is refused when it is loaded."""
+    """Return an empty notice: a faulty maze is refused when it is loaded."""
     return ""
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
-    """Write the first ``n`` of a maze's tasks to a file; raises :class:`InputError` where the maze has fewer."""
+    """Write the first ``n`` of a maze's tasks to a file; raise :class:`InputError` where the maze has fewer."""
     keep_or_write(apartment, n, path, task_sets.load, partial(_first, apartment, n), task_sets.save)
 
 
 def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
-    """Run one episode; returns its measured fields of a row."""
+    """Run one episode and return the measured fields of its row."""
     c, tasks = episode.condition, tasks_in(task_file, TaskSet)
     noise = MOTION_NOISE[c.noise]
     return run_episode(

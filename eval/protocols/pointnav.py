@@ -1,6 +1,6 @@
-"""PointNav and ImageNav in a sweep: their tasks, their environment, and one episode of them.
+"""Run PointNav and ImageNav in a sweep: their tasks, their environments, and single episodes.
 
-Both have the same frozen tasks; PointNav says where the goal is, ImageNav shows what is seen from there.
+Both have the same frozen tasks; PointNav observes the goal's position, ImageNav an image taken at the goal.
 """
 
 from functools import partial
@@ -30,7 +30,7 @@ __all__ = ["conditions", "load", "notice", "run", "scene_names", "write_tasks"]
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
-    """Write the first ``n`` test tasks of a scene to a file; one that is there and holds them is kept."""
+    """Write the first ``n`` test tasks of a scene to a file; keep a file that already holds them."""
     make = partial(task_sets.task_set, apartment, HolonomicRobot(), "test", n)
     keep_or_write(apartment, n, path, task_sets.load, make, task_sets.save)
 
@@ -42,7 +42,7 @@ def run(
     voxel_map: VoxelMap | None,
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
-    """Run one episode; returns its measured fields of a row."""
+    """Run one episode and return the measured fields of its row."""
     tasks, noise = tasks_in(task_file, TaskSet), NOISE_LEVELS[episode.condition.noise]
     return run_episode(
         world(episode.condition, observe_pose=agent.needs_pose),

@@ -20,26 +20,26 @@ from vssm_gym.envs.tasks.navigation import TaskSampler, TaskSet, read
 from vssm_gym.eval.episodes.identity import Condition
 
 S = TypeVar("S", TaskSet, CarTaskSet)
-WORLD = ("scene", "noise", "sensor_noise", "renderer")  # the keywords that a condition gives to any apartment's world
+WORLD = ("scene", "noise", "sensor_noise", "renderer")  # fields of a condition that are keywords of environments
 
 
 def scene_names() -> Sequence[str]:
-    """Names of the built-in apartments."""
+    """Return the names of the built-in apartments."""
     return built_in_scenes()
 
 
 def conditions() -> Mapping[str, Sequence[str]]:
-    """What the lists of a configuration may hold in an apartment."""
+    """Return the names that a configuration may hold in an apartment."""
     return {"noise": tuple(NOISE_LEVELS), "sensor_noise": tuple(PRESETS), "renderer": tuple(RENDERERS)}
 
 
 def load(scene: str) -> Apartment:
-    """The apartment of a built-in name, of a seed or of a file."""
+    """Load the apartment of a built-in name, a seed or a file."""
     return load_scene(scene)
 
 
 def notice(apartment: Apartment) -> str:
-    """What is wrong with an apartment, or cut off in it for a robot on the floor; one line, or empty."""
+    """Return the faults of an apartment and its areas that a robot cannot reach, in one line; empty without any."""
     robot = HolonomicRobot()
     return FreeSpace.from_apartment(apartment, robot.radius, robot.height).notice(apartment.notes)
 
@@ -52,7 +52,7 @@ def keep_or_write(
     make: Callable[[], S],
     save: Callable[[S, Path], None],
 ) -> None:
-    """Write the task set that ``make`` returns; a file that is there and holds ``n`` tasks of the scene is kept."""
+    """Write the task set that ``make`` returns; keep a file that already holds ``n`` tasks of the scene."""
     if path.is_file() and len(load(path, apartment).tasks) >= n:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ def keep_or_write(
 
 
 def tasks_in(path: Path, kind: type[S]) -> S:
-    """The tasks of a file, read and verified once."""
+    """Read and verify the tasks of a file, once a process."""
     tasks = _read(path, kind)
     assert isinstance(tasks, kind)
     return tasks
@@ -73,18 +73,18 @@ def _read(path: Path, kind: type[TaskSet] | type[CarTaskSet]) -> TaskSet | CarTa
 
 @lru_cache(maxsize=1)
 def sampler_of(scene: str) -> TaskSampler:
-    """Free space and shortest paths of the holonomic robot in an apartment."""
+    """Return the task sampler of an apartment, with the holonomic robot's free space and shortest paths."""
     return TaskSampler(load_scene(scene), HolonomicRobot())
 
 
 def world(condition: Condition, env: str | None = None, **keywords: Any) -> gym.Env:
-    """The environment of a condition in an apartment, or ``env`` in its place, made once with these keywords."""
+    """Return the environment of a condition, or ``env`` in its place, made once with these keywords."""
     shared = {name: getattr(condition, name) for name in WORLD}
     return made(env or condition.env, **shared | keywords)
 
 
 def made(env: str, **keywords: Any) -> gym.Env:
-    """An environment with the sparse reward, made once with these keywords."""
+    """Return an environment with the sparse reward, made once with these keywords."""
     return _made(env, tuple(sorted(keywords.items())))
 
 

@@ -1,4 +1,4 @@
-"""The car's figures: its footprint along a run on the learned map, and curves over all runs."""
+"""Draw the car's figures: its footprint along a run on the learned map, and curves over all runs."""
 
 import math
 from collections.abc import Sequence
@@ -9,34 +9,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vssm_gym.eval.metrics import aggregate
-from vssm_gym.eval.metrics.aggregate import Row
-from vssm_gym.eval.report import figures as report_figures
+from vssm_gym.eval.metrics.metric import Row
+from vssm_gym.eval.report import figures
 from vssm_gym.geometry.car import Car
 from vssm_gym.viz import pictures
 
 CAR = Car()
 SPACING = 0.3  # m driven between two footprints
-VISIBLE = 0.005  # m, of an error of location
-ARROW = 0.3  # m, of a heading
-# Of a figure of curves: metric -> labels and limits of its axes.
+VISIBLE = 0.005  # m: smaller location errors are not drawn
+ARROW = 0.3  # m, length of the arrow of a heading
+# Panels of the curves: metric -> labels and limits of its axes.
 PANELS: dict[str, dict[str, Any]] = {
-    "seconds_driven": {"xlabel": "time, s", "ylabel": "share of targets reached", "xlim": (0, None)},
+    "seconds_driven": {"xlabel": "time, s", "ylabel": "proportion of targets reached", "xlim": (0, None)},
     "path_ratio": {
         "xlabel": "path / shortest Reeds-Shepp curve",
-        "ylabel": "share of those reached",
+        "ylabel": "proportion of those reached",
         "xlim": (0.9, None),
     },
     "control_p95_ms": {
         "xlabel": "95 % point of an episode's controls, ms",
-        "ylabel": "share of episodes",
+        "ylabel": "proportion of episodes",
         "xscale": "log",
     },
 }
-PERIOD = 1e3 * CAR.dt  # ms: later commands come too late
+PERIOD = 1e3 * CAR.dt  # ms: the time between two commands
 
 
 def run_picture(row: Row, background: pictures.Background | None) -> bytes:
-    """One episode on the learned map as WebP: footprints along the true path, start and target pose, touches."""
+    """Draw one episode on the learned map as WebP: footprints along the true path, start, target, collisions."""
     figure = Figure(figsize=(5.0, 4.2), layout="constrained")
     axes = figure.subplots()
     pictures.draw_background(axes, background)
@@ -55,14 +55,14 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
 
 
 def _trace(row: Row) -> dict[str, Any]:
-    """The trace without an estimate that is the truth, as of agents that observe the pose."""
+    """Return the trace, without an estimate that equals the truth, as of agents that observe the pose."""
     trace = row["trace"]
     off = (row.get("location_error_max") or 0.0) > VISIBLE
     return {**trace, "estimate": trace.get("estimate") if off else None}
 
 
 def draw_target(axes: Axes, goal: Sequence[float]) -> None:
-    """The footprint of a target pose and its heading from the rear axle; nothing for a point."""
+    """Draw the footprint of a target pose and its heading from the rear axle; nothing for a point."""
     if len(goal) < 3:
         return
     x, y, heading = goal
@@ -73,16 +73,16 @@ def draw_target(axes: Axes, goal: Sequence[float]) -> None:
 
 
 def apart(poses: np.ndarray, spacing: float) -> np.ndarray:
-    """Indices of the poses ``(n, 3)`` nearest to every ``spacing`` m of way, first and last among them."""
+    """Return indices of poses ``(n, 3)`` about every ``spacing`` m of the path, first and last among them."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))])
     marks = np.arange(0.0, driven[-1], spacing)
     return np.unique([*(int(np.abs(driven - mark).argmin()) for mark in marks), len(poses) - 1])
 
 
 def curves(rows: Sequence[Row], seed: int) -> bytes:
-    """Panels as SVG: share of targets reached by a time, path over its lower bound, latency of a control.
+    """Draw panels as SVG: proportion of targets reached over time, path over its lower bound, latency of a control.
 
-    A panel of which no row says anything is left out.
+    A panel for which no row has a value is left out.
     """
     del seed  # nothing is resampled
     panels = {name: draw for name, draw in PANELS.items() if any(row[name] is not None for row in rows)}
@@ -94,8 +94,8 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
             x = np.sort([row[name] for row in members if row[name] is not None])
             if len(x):
-                of = len(members) if name == "seconds_driven" else len(x)  # who did not arrive counts there
-                colour = report_figures.colours(rows)[agent]
+                of = len(members) if name == "seconds_driven" else len(x)  # runs that did not arrive count there
+                colour = figures.colours(rows)[agent]
                 (key[agent],) = axes.step([x[0], *x], np.arange(len(x) + 1) / of, color=colour, where="post")
         axes.set(**style)
         if name == "control_p95_ms":
@@ -103,11 +103,11 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         axes.set_ylim(-0.02, 1.04)
         axes.grid(alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
-    order = [agent for agent in report_figures.colours(rows) if agent in key]
+    order = [agent for agent in figures.colours(rows) if agent in key]
     figure.legend([key[a] for a in order], order, loc="outside lower center", ncols=7, frameon=False, fontsize=9)
     return pictures.svg(figure)
 
 
 def legend() -> bytes:
-    """The key to every run's picture, once."""
-    return report_figures.legend(pictures.footprint_handles())
+    """Draw the key to the pictures of runs."""
+    return figures.legend(pictures.footprint_handles())

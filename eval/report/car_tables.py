@@ -1,9 +1,9 @@
-"""The car's tables: what its episodes are measured by, and its two simulators side by side."""
+"""Build the car's tables: the metrics of its episodes, and its two simulators side by side."""
 
 from collections.abc import Sequence
 
 from vssm_gym.eval.metrics import aggregate
-from vssm_gym.eval.metrics.aggregate import Row
+from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.tables import Measures, grouping
 from vssm_gym.viz.html import html_table
 
@@ -12,14 +12,14 @@ SIMULATORS = ("mujoco", "bullet")
 
 
 def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
-    """What the headline groups by: the conditions without scenes and simulators, over which it counts all targets."""
+    """Return the headline's groups: the conditions without scenes and simulators, which it pools."""
     return tuple(name for name in grouping(rows) if name not in ("scene", "physics"))
 
 
 def simulators(rows: Sequence[Row], seed: int) -> str | None:
-    """Each agent's metrics in one simulator, in the other, and the paired difference; None where one did not run.
+    """Tabulate each agent's metrics in both simulators and their paired difference; None where one did not run.
 
-    Agents plan on the bicycle's kinematics whichever simulator executes; both run the same targets and seeds.
+    Agents plan on the bicycle's kinematics in both; both run the same targets and seeds.
     """
     first, second = SIMULATORS
     by, names = pooled(rows), [CAR.label(metric) for metric in CAR.compared]

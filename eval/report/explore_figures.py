@@ -1,4 +1,4 @@
-"""The figures of explorers: curves over metres and seconds, shares of runs that got there, runs on what they mapped."""
+"""Draw the explorers' figures: curves over path length and time, runs that reached a coverage, runs on their maps."""
 
 import math
 from collections.abc import Sequence
@@ -10,33 +10,33 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vssm_gym.eval.metrics import exploration as metrics
-from vssm_gym.eval.metrics.aggregate import Row, group_rows
-from vssm_gym.eval.metrics.exploration import GOAL
+from vssm_gym.eval.metrics.aggregate import group_rows
+from vssm_gym.eval.metrics.exploration import GOAL, LEVELS, mean_curve
+from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.figures import colours
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 
 CUT_HEIGHT = pictures.CUT_HEIGHT
-PLAN_CELL = 0.07  # m, of a plan: an explorer's map is larger than the apartment, whose size it does not know
-AROUND = 0.3  # m of unknown space that a plan keeps around what is known
-POINTS = 61  # of a mean curve
+PLAN_CELL = 0.07  # m, pixel of a plan; coarse, because an explorer's map is larger than the apartment
+AROUND = 0.3  # m of unknown space that a plan keeps around known space
+POINTS = 61  # points of a mean curve
 CURVES = {"entropy": ("entropy of the map, Mnat", 1e-6), "coverage": ("coverage, %", 100.0)}
 CURVES |= {"completeness": ("surface complete, %", 100.0)}
 SCENE_COLUMNS = 4
 PATH_COLOURS = "viridis"
-MARKS = {"50": "v", "90": "D", "95": "s", "99": "*"}  # where a run had covered a share
+MARKS = {"50": "v", "90": "D", "95": "s", "99": "*"}  # where a run had reached a level of coverage, %
 
 
 def curves(rows: Sequence[Row], seed: int) -> bytes:
-    """Six panels as SVG: entropy, coverage and completeness against metres and against seconds, with 95 % bands."""
+    """Draw six panels as SVG: entropy, coverage and completeness over path length and time, with 95 % bands."""
     figure = Figure(figsize=(11.5, 6.4), layout="constrained")
     panels = figure.subplots(2, 3)
     for line, (axis, unit) in zip(panels, (("metres", "path length, m"), ("seconds", "time, s")), strict=True):
         grid = np.linspace(0.0, _end(rows, axis), POINTS)
         for axes, (name, (label, factor)) in zip(line, CURVES.items(), strict=True):
             for agent, members in _agents(rows):
-                mean, low, high = factor * metrics.mean_curve(members, name, axis, grid, seed)
+                mean, low, high = factor * mean_curve(members, name, axis, grid, seed)
                 axes.plot(grid, mean, color=colours(rows)[agent], label=agent, linewidth=1.4)
                 axes.fill_between(grid, low, high, color=colours(rows)[agent], alpha=0.15, linewidth=0)
             axes.set(xlabel=unit, ylabel=label, xlim=(0, grid[-1]))
@@ -46,25 +46,25 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
 
 
 def reached(rows: Sequence[Row]) -> bytes:
-    """The share of runs that had covered 50, 90, 95 and 99 % by a path length, as SVG; runs that never did count."""
+    """Draw the proportion of all runs that had reached each level of coverage by a path length, as SVG."""
     figure = Figure(figsize=(11.5, 3.2), layout="constrained")
-    panels = figure.subplots(1, len(metrics.SHARES), sharey=True)
-    for axes, share in zip(panels, metrics.SHARES, strict=True):
-        name = f"metres_{share}"
+    panels = figure.subplots(1, len(LEVELS), sharey=True)
+    for axes, level in zip(panels, LEVELS, strict=True):
+        name = f"metres_{level}"
         longest = max((row[name] for row in rows if row[name] is not None), default=1.0)
         for agent, members in _agents(rows):
             x = np.sort([row[name] for row in members if row[name] is not None])
             y = np.arange(len(x) + 1) / len(members)
             axes.step([0.0, *x, longest], [*y, y[-1]], where="post", color=colours(rows)[agent], label=agent)
-        axes.set(xlabel=f"metres to {share} % coverage", xlim=(0, None), ylim=(-0.02, 1.04))
+        axes.set(xlabel=f"metres to {level} % coverage", xlim=(0, None), ylim=(-0.02, 1.04))
         _plain(axes)
-    panels[0].set_ylabel("share of runs")
+    panels[0].set_ylabel("proportion of runs")
     _key(figure, panels[0])
     return pictures.svg(figure)
 
 
 def scenes(rows: Sequence[Row], seed: int) -> bytes:
-    """Mean coverage against metres in each scene, as SVG, with intervals over starts."""
+    """Draw mean coverage over path length in each scene, as SVG, with intervals over starts."""
     groups = group_rows(rows, ["scene"])
     columns, lines = SCENE_COLUMNS, math.ceil(len(groups) / SCENE_COLUMNS)
     figure = Figure(figsize=(2.9 * columns, 2.3 * lines + 0.4), layout="constrained")
@@ -72,7 +72,7 @@ def scenes(rows: Sequence[Row], seed: int) -> bytes:
     for axes, ((scene,), members) in zip(panels, groups.items(), strict=False):
         grid = np.linspace(0.0, _end(members, "metres"), POINTS)
         for agent, runs in _agents(members):
-            mean, low, high = 100.0 * metrics.mean_curve(runs, "coverage", "metres", grid, seed)
+            mean, low, high = 100.0 * mean_curve(runs, "coverage", "metres", grid, seed)
             axes.plot(grid, mean, color=colours(rows)[agent], label=agent, linewidth=1.2)
             axes.fill_between(grid, low, high, color=colours(rows)[agent], alpha=0.15, linewidth=0)
         axes.axhline(GOAL, color="black", linewidth=0.6, linestyle=pictures.DASHES)
@@ -94,7 +94,7 @@ def _agents(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
 
 
 def _end(rows: Sequence[Row], axis: str) -> float:
-    """How far curves are drawn: to the end of the time, and to where the median run of the longest-driving agent is."""
+    """Return the end of curves: the time limit, or the median path length of the agent that drives farthest."""
     if axis == "seconds":
         return max(float(row["budget"]["seconds"]) for row in rows)
     return max(float(np.median([row["path_length"] for row in members])) for _, members in _agents(rows))
@@ -110,7 +110,7 @@ def _key(figure: Figure, axes: Axes) -> None:
 
 
 def plan_of(m: VoxelMap) -> pictures.Background:
-    """A map from above, cut to what is known of it."""
+    """Draw a map from above, cropped to its known part."""
     full = pictures.topdown(m, CUT_HEIGHT, PLAN_CELL)
     known = (full.image != pictures.UNKNOWN_COLOUR).any(axis=2)
     if not known.any():
@@ -125,7 +125,7 @@ def plan_of(m: VoxelMap) -> pictures.Background:
 
 
 def run_picture(row: Row, background: pictures.Background | None) -> bytes:
-    """One run as WebP: its path, dark where it began and bright where it ended, and where it had covered what."""
+    """Draw one run as WebP: its path, dark at the start and bright at the end, and where it reached which coverage."""
     figure = Figure(figsize=(4.6, 4.0), layout="constrained")
     axes = figure.subplots()
     pictures.draw_background(axes, background)
@@ -135,8 +135,8 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
     axes.add_collection(pieces)
     axes.plot(*path[0], "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
     axes.plot(*path[-1], "s", color="white", markeredgecolor="black", markersize=5, zorder=6)
-    for share, place in row["trace"]["reached"].items():
-        axes.plot(*place, MARKS[share], color=pictures.GOAL_COLOUR, markeredgecolor="black", markersize=7, zorder=7)
+    for level, place in row["trace"]["reached"].items():
+        axes.plot(*place, MARKS[level], color=pictures.GOAL_COLOUR, markeredgecolor="black", markersize=7, zorder=7)
     contacts = np.asarray(row["trace"]["contacts"] or [], dtype=float).reshape(-1, 2)
     axes.plot(*contacts.T, "x", color="red", markersize=5, markeredgewidth=1.2, zorder=8)
     if background is None:
@@ -148,15 +148,15 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
 
 
 def legend() -> bytes:
-    """The key to every run's picture, once."""
+    """Draw the key to the pictures of runs."""
     style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "black"}
     handles = [
         Line2D([], [], color="#3b528b", linewidth=1.6, label="path, first dark, last bright"),
         Line2D([], [], marker="o", color="white", markersize=6, label="start", **style),
         Line2D([], [], marker="s", color="white", markersize=5, label="end", **style),
         *(
-            Line2D([], [], marker=mark, color=pictures.GOAL_COLOUR, markersize=7, label=f"{share} % covered", **style)
-            for share, mark in MARKS.items()
+            Line2D([], [], marker=mark, color=pictures.GOAL_COLOUR, markersize=7, label=f"{level} % covered", **style)
+            for level, mark in MARKS.items()
         ),
         Line2D([], [], marker="x", color="red", linestyle="", markersize=5, label="contact"),
     ]

@@ -1,4 +1,4 @@
-"""The figures of a report: curves over all episodes, and single runs drawn on the learned map."""
+"""Draw the figures of a report: curves over all episodes, and single runs on the learned map."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -8,22 +8,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vssm_gym.eval.metrics import aggregate
-from vssm_gym.eval.metrics.aggregate import Row
+from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.viz import pictures
 
 GROUPS = ("scene", "noise", "physics", "agent")  # runs are chosen from each of these in turn
-# Okabe and Ito: told apart with colour-blind eyes too.
+# The palette of Okabe and Ito (2008), which colour-blind readers can distinguish.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 
 
 def colours(rows: Sequence[Row]) -> dict[str, str]:
-    """A colour for each agent, in the order in which they first appear."""
+    """Assign a colour to each agent, in the order in which they first appear."""
     agents = dict.fromkeys(str(row["agent"]) for row in rows)
     return {agent: PALETTE[i % len(PALETTE)] for i, agent in enumerate(agents)}
 
 
 def curves(rows: Sequence[Row], seed: int) -> bytes:
-    """Three panels as SVG: success against geodesic length, the CDF of location error, and error against path."""
+    """Draw three panels as SVG: success over geodesic length, the CDF of location error, and error over path length."""
     figure = Figure(figsize=(11.5, 3.3), layout="constrained")
     success, cdf, growth = figure.subplots(1, 3)
     for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
@@ -32,7 +32,9 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         _error_cdf(cdf, members, agent, colour)
         _error_growth(growth, members, agent, colour)
     success.set(xlabel="geodesic length of the task, m", ylabel="success rate", ylim=(-0.04, 1.04))
-    cdf.set(xlabel="mean location error of an episode, m", ylabel="share of episodes", xscale="log", ylim=(0, 1.02))
+    cdf.set(
+        xlabel="mean location error of an episode, m", ylabel="proportion of episodes", xscale="log", ylim=(0, 1.02)
+    )
     growth.set(xlabel="true path so far, m", ylabel="median location error, m")
     for axes in (success, cdf, growth):
         axes.grid(alpha=0.3, linewidth=0.5)
@@ -42,7 +44,7 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
 
 
 def _success_by_length(axes: Axes, rows: Sequence[Row], agent: str, colour: str, seed: int) -> None:
-    """Success in up to five bins of equal counts, with the 95 % interval of each."""
+    """Draw success in up to five bins of equal counts, with the 95 % interval of each."""
     lengths = np.array([row["geodesic"] for row in rows])
     bins = int(np.clip(len(set(lengths)) // 8, 1, 5))
     edges = np.quantile(lengths, np.linspace(0.0, 1.0, bins + 1))
@@ -64,7 +66,7 @@ def _error_cdf(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> None
 
 
 def _error_growth(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> None:
-    """Median over episodes of the error after each metre driven, as far as half of the episodes go."""
+    """Draw the median error over path length, as far as half of the episodes drive."""
     profiles = []
     for row in rows:
         trace = row.get("trace") or {}
@@ -80,7 +82,7 @@ def _error_growth(axes: Axes, rows: Sequence[Row], agent: str, colour: str) -> N
 
 
 def run_picture(row: Row, background: pictures.Background | None) -> bytes:
-    """One episode on the learned map as WebP: true path, estimate, goal region, contacts."""
+    """Draw one episode on the learned map as WebP: true path, estimate, goal region, contacts."""
     figure = Figure(figsize=(4.2, 3.6), layout="constrained")
     axes = figure.subplots()
     pictures.draw_background(axes, background)
@@ -93,7 +95,7 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
 
 
 def legend(more: Sequence[Artist] = ()) -> bytes:
-    """The key to every run's picture, once, with ``more`` handles."""
+    """Draw the key to the pictures of runs, with ``more`` handles."""
     handles = [*pictures.legend_handles(), *more]
     figure = Figure(figsize=(1.25 * len(handles), 0.35))
     figure.legend(handles=handles, loc="center", ncols=len(handles), frameon=False, fontsize=9)
@@ -101,18 +103,17 @@ def legend(more: Sequence[Artist] = ()) -> bytes:
 
 
 def has_failed(row: Row) -> bool:
-    """Whether the episode has a failure to give a reason for."""
+    """Return whether the episode failed."""
     return bool(row["failure"])
 
 
 def choose_failures(
     rows: Sequence[Row], limit: int, each: int, failed: Callable[[Row], bool] = has_failed
 ) -> list[Row]:
-    """Failed runs to draw: agents that fail rarely come first, for theirs are the ones to learn from.
+    """Choose failed runs to draw; agents that fail rarely come first, because their failures tell most.
 
-    Runs whose rows were kept without a trace cannot be drawn.
-
-    At most ``each`` of one agent and condition, at most ``limit`` in all.
+    Rows without a trace cannot be drawn. At most ``each`` runs of one agent and condition are chosen, and ``limit`` in
+    all.
     """
     chosen = aggregate.group_rows(filter(failed, rows), GROUPS)
     episodes: Mapping[tuple, list] = aggregate.group_rows(rows, GROUPS)
@@ -122,9 +123,9 @@ def choose_failures(
 
 
 def choose_successes(rows: Sequence[Row], limit: int) -> list[Row]:
-    """The longest successful tasks of each agent and condition, in turn, so that every agent that succeeds is seen.
+    """Choose the longest successful tasks of each agent and condition, in turn, so that every agent is shown.
 
-    By geodesic; where there is no goal by the path that was driven.
+    Lengths are geodesics, or path lengths where there is no goal.
     """
     groups = aggregate.group_rows([row for row in rows if row["success"] and row.get("trace")], GROUPS)
     length = lambda row: row.get("geodesic") or row["path_length"]

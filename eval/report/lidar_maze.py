@@ -1,4 +1,4 @@
-"""LidarMaze's part of a report: PointNav's, without learned maps; in the unit square centimetres matter."""
+"""Lay out LidarMaze's report: PointNav's without learned maps, with lengths to the centimetre."""
 
 from dataclasses import replace
 

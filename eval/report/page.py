@@ -1,4 +1,4 @@
-"""``report DIR``: one self-contained HTML page from a sweep's rows: headline, failures first, tables, curves, runs."""
+"""Write the report of a sweep as one self-contained HTML page: headline, failures first, tables, curves, runs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,8 @@ from typing import Any
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.manifest import LISTS, MANIFEST, read_manifest
-from vssm_gym.eval.metrics.aggregate import Row, group_rows
+from vssm_gym.eval.metrics.aggregate import group_rows
+from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import figures, tables
@@ -20,12 +21,12 @@ from vssm_gym.output_folders import check_file
 from vssm_gym.viz import pictures
 from vssm_gym.viz.html import STYLE
 
-ORDERED = ("noise", "sensor_noise", "renderer", "physics", "agent")  # as the configuration's lists are
+ORDERED = ("noise", "sensor_noise", "renderer", "physics", "agent")  # fields in the order of the configuration's lists
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
 
 
 def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
-    """Write ``folder/report.html`` from ``episodes.jsonl``, ``sweep.json`` and ``maps/``; returns its path.
+    """Write ``folder/report.html`` from ``episodes.jsonl``, ``sweep.json`` and ``maps/``; return its path.
 
     The page needs no other file and no network. It appears whole or not at all. It leaves out what the folder lacks:
     pictures of rows without a trace, latencies, maps.
@@ -60,7 +61,7 @@ def _environment(manifest: dict[str, Any], folder: Path) -> str:
 
 
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows as if one worker had run them in order: agents as the configuration lists them, then tasks and seeds."""
+    """Sort rows by scene, by the order of the configuration's lists, then by task and seed."""
     rank = {field: {name: i for i, name in enumerate(config[LISTS[field]])} for field in ORDERED}
     return sorted(
         rows,

@@ -1,4 +1,4 @@
-"""The tables of a report as HTML: results with intervals, paired differences, latencies, failures by reason."""
+"""Build the tables of a report as HTML: results with intervals, paired differences, latencies, failures by reason."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -8,23 +8,22 @@ from functools import cached_property
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.metrics import aggregate
-from vssm_gym.eval.metrics import proportions as shares
-from vssm_gym.eval.metrics.aggregate import Interval, Row
-from vssm_gym.eval.metrics.metric import Metric
+from vssm_gym.eval.metrics import aggregate, proportions
+from vssm_gym.eval.metrics.aggregate import Interval
+from vssm_gym.eval.metrics.metric import Metric, Row, check_name
 from vssm_gym.eval.metrics.registry import shown_in
 from vssm_gym.viz.html import html_table
 
 
 @dataclass(frozen=True)
 class Measures:
-    """The metrics of a kind of report, as its tables show them: ``navigation``, ``car`` or ``explore``."""
+    """Select and format the metrics of a kind of report: ``navigation``, ``car`` or ``explore``."""
 
     report: str
 
     @cached_property
     def metrics(self) -> Mapping[str, Metric]:
-        """By name, in the order of columns."""
+        """The metrics by name, in the order of columns."""
         return shown_in(self.report)
 
     @property
@@ -34,36 +33,35 @@ class Measures:
 
     @property
     def compared(self) -> list[str]:
-        """Those whose paired differences are shown."""
+        """The metrics whose paired differences are shown."""
         return [name for name, metric in self.metrics.items() if self.report in metric.compared]
 
     def label(self, name: str) -> str:
-        """The heading of a metric's column."""
-        return self.metrics[name].label
+        """Return the heading of a metric's column."""
+        return self.metrics[check_name(name)].label
 
     def mean(self, rows: Sequence[Row], name: str, seed: int) -> str:
-        """Mean and 95 % interval of a metric, as a cell."""
-        share = self.metrics[name].share
-        return self.text(name, shares.percent(rows, name) if share else aggregate.mean(rows, name, seed))
+        """Format the mean and 95 % interval of a metric as a cell."""
+        proportion = self.metrics[check_name(name)].proportion
+        return self.text(name, proportions.percent(rows, name) if proportion else aggregate.mean(rows, name, seed))
 
     def difference(
         self, rows: Sequence[Row], name: str, first: str, second: str, seed: int, by: str = "agent"
     ) -> Interval | None:
-        """Paired ``first - second`` of a metric; None where they share nothing to compare, as with an agent that keeps
-        no estimate and so has no location error."""
+        """Compute the paired difference ``first - second`` of a metric; None where no shared episode has it."""
         try:
-            if self.metrics[name].share:
-                return shares.paired_percent(rows, name, first, second, by)
+            if self.metrics[name].proportion:
+                return proportions.paired_percent(rows, name, first, second, by)
             return aggregate.paired_difference(rows, name, first, second, seed, by)
         except InputError:
             return None
 
     def text(self, name: str, interval: Interval | None) -> str:
-        """The cell of an interval, with the metric's digits."""
+        """Format an interval with the metric's digits."""
         return interval.text(self.metrics[name].digits) if interval else "-"
 
     def directions(self, names: Sequence[str]) -> str:
-        """``Higher is better: SPL, success. Lower is better: steps.``"""
+        """Return a text like ``Higher is better: SPL, success. Lower is better: steps.``"""
         better = {
             word: [self.label(name) for name in names if self.metrics[name].direction == word]
             for word in ("higher", "lower")
@@ -72,14 +70,14 @@ class Measures:
 
 
 POINTNAV = Measures("navigation")
-# How a failed episode ended, as far as its environment measures it.
+# Fields that the list of failures shows, where the environment measures them.
 ENDS = {"distance_to_goal": "to goal m", "location_error_final": "error m"}
-# The order of columns; the constant ones are not shown.
+# Columns of the condition, in order; constant ones are not shown.
 BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "agent")
 
 
 def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The condition columns that tell rows apart, always with scene, noise and agent."""
+    """Return the condition columns that vary over rows, and always scene, noise and agent."""
     return tuple(
         name for name in BY if name in ("scene", "noise", "agent") or len({str(row[name]) for row in rows}) > 1
     )
@@ -92,17 +90,17 @@ def results(
     metrics: Sequence[str] = (),
     by: Sequence[str] | None = None,
 ) -> str:
-    """Mean and 95 % interval of each of ``metrics`` (all that are measured) for each group of rows.
+    """Tabulate mean and 95 % interval of each of ``metrics`` (all that are measured) for each group of rows.
 
     Args:
         rows: episodes.
         seed: of the resampling.
-        measures: how metrics are shown.
+        measures: selects and formats metrics.
         metrics: the columns.
-        by: what rows are grouped by: the condition and agent.
+        by: fields that rows are grouped by; None: condition and agent.
     """
     by = grouping(rows) if by is None else by
-    shown = known(rows, measures, metrics)
+    shown = known(rows, measures, [check_name(name) for name in metrics])
     header = [*(name.replace("_", " ") for name in by), "episodes", *(measures.label(metric) for metric in shown)]
     lines = [
         [*group, str(len(members)), *(measures.mean(members, metric, seed) for metric in shown)]
@@ -112,17 +110,17 @@ def results(
 
 
 def known(rows: Sequence[Row], measures: Measures, metrics: Sequence[str] = ()) -> list[str]:
-    """Those of ``metrics``, or of all that the report shows, of which a row says something."""
+    """Return those of ``metrics``, or of all that the report shows, for which a row has a value."""
     return [metric for metric in metrics or measures.metrics if any(row.get(metric) is not None for row in rows)]
 
 
 def headline(rows: Sequence[Row], seed: int, measures: Measures, by: Sequence[str]) -> str:
-    """The measures that a page opens with, for each group of rows."""
+    """Tabulate the metrics that a page opens with, for each group of rows."""
     return results(rows, seed, measures, measures.headline, by)
 
 
 def reference_agent(rows: Sequence[Row]) -> str | None:
-    """The agent that others are compared with: ``astar`` where it ran, else the first; None when alone."""
+    """Return the agent that others are compared with: ``astar``, or the first; None with one agent."""
     agents = list(dict.fromkeys(str(row["agent"]) for row in rows))
     if len(agents) < 2:
         return None
@@ -130,7 +128,7 @@ def reference_agent(rows: Sequence[Row]) -> str | None:
 
 
 def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measures = POINTNAV) -> str:
-    """Paired differences ``reference - other`` over the episodes that both ran."""
+    """Tabulate paired differences ``reference - other`` over the episodes that both ran."""
     by = grouping(rows)[:-1]
     compared = known(rows, measures, measures.compared)
     names = [measures.label(metric) for metric in compared]
@@ -148,7 +146,7 @@ def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measur
 
 
 def latencies(rows: Sequence[Row]) -> str:
-    """Milliseconds by agent and stage: medians of the episodes' 50 % and 95 % points, and the worst 95 % point."""
+    """Tabulate latencies (ms) by agent and stage: medians of the episodes' 50 % and 95 % points, the largest 95 %."""
     lines = []
     for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
         for stage in dict.fromkeys(stage for row in members for stage in row.get("latency") or ()):
@@ -161,29 +159,29 @@ def latencies(rows: Sequence[Row]) -> str:
 
 
 def kind(reason: str) -> str:
-    """The part of a failure's reason before the colon: what failures are counted by."""
+    """Return the kind of a failure, the part of its reason before the colon."""
     return reason.partition(":")[0]
 
 
 def failure_counts(rows: Sequence[Row]) -> str:
-    """How often each agent failed for each kind of reason, and touched something where that is counted by episode."""
+    """Count each agent's failures by kind, and its episodes with a collision where rows have that field."""
     by = grouping(rows)
     kinds = sorted({kind(row["failure"]) for row in rows if row["failure"]})
-    touched = ["touched"] if any(row.get("touched") for row in rows) else []
+    collided = ["collided"] if any(row.get("collided") for row in rows) else []
     lines = []
     for group, members in aggregate.group_rows(rows, by).items():
         counts = Counter(kind(row["failure"]) for row in members if row["failure"])
         failed = f"{counts.total()} of {len(members)}"
-        counts.update({name: sum(bool(row[name]) for row in members) for name in touched})
-        lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in (*kinds, *touched))])
-    header = [*(name.replace("_", " ") for name in by), "failed", *kinds, *touched]
+        counts.update({name: sum(bool(row[name]) for row in members) for name in collided})
+        lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in (*kinds, *collided))])
+    header = [*(name.replace("_", " ") for name in by), "failed", *kinds, *collided]
     return html_table(header, lines, len(by))
 
 
 def failure_list(rows: Sequence[Row]) -> str:
-    """Every failed episode with its reason."""
+    """List every failed episode with its reason."""
     by, failed = grouping(rows), [row for row in rows if row["failure"]]
-    ends = {name: said for name, said in ENDS.items() if any(row.get(name) is not None for row in failed)}
+    ends = {name: label for name, label in ENDS.items() if any(row.get(name) is not None for row in failed)}
     lines = [
         [
             *(str(row[name]) for name in by),

@@ -1,7 +1,7 @@
-"""The cost-to-go of the car's targets on the learned map: slices of value iteration, as agents see it (SPEC 7).
+"""Draw the cost-to-go of the car's targets on the learned map: slices of the agents' value iteration.
 
-A panel shows ``min_heading V(x, y, heading)``, the others one heading each. Value iteration runs again for the picture,
-on the map, floor plan and margins that the agents are given.
+One panel shows ``min_heading V(x, y, heading)``, the others one heading each. Value iteration runs again for the
+picture, on the map, floor plan and margins of the agents (thesis, section 5.6).
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 
 from vssm_gym.agents.shared.critic import Critic
 from vssm_gym.agents.shared.driver import RESOLUTION
-from vssm_gym.eval.metrics.aggregate import Row
+from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.car_figures import CAR, draw_target
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -20,20 +20,20 @@ from vssm_gym.planning.car.footprint import Arena, plan_of
 from vssm_gym.planning.value_iteration import CostToGo
 from vssm_gym.viz import pictures
 
-TURNS = np.radians([0.0, 90.0, 180.0, -90.0])  # of the slices, from the target's heading
+TURNS = np.radians([0.0, 90.0, 180.0, -90.0])  # headings of the slices, relative to the target's
 WALL = "#33373d"
-TRAPPED = "#b9bec5"  # free of obstacles, but without a way to the target
+TRAPPED = "#b9bec5"  # free of obstacles, but without a path to the target
 
 
 class ValuePainter:
-    """Draws targets in one scene's map; the floor plan and its collision tests are made once."""
+    """Draw targets in one scene's map; the floor plan and its collision tests are made once."""
 
     def __init__(self, voxel_map: VoxelMap) -> None:
         self._arena = plan_of(voxel_map, "mean", RESOLUTION)
         self._critic = Critic(self._arena, CAR)
 
     def paint(self, row: Row) -> tuple[bytes, str]:
-        """The slices for a row's target as WebP, and what value iteration says of it."""
+        """Draw the slices for a row's target as WebP; return them and a caption."""
         poses, goal = np.asarray(row["trace"]["poses"], dtype=float), np.asarray(row["goal"], dtype=float)
         result = self._critic.aim(poses[0], goal)
         cost = result.cost_to_go
@@ -41,28 +41,27 @@ class ValuePainter:
             return b"", result.status.message
         caption = (
             f"{result.sweeps} sweeps to a Bellman residual of {result.residual:.1e}; {result.unreachable} of "
-            f"{result.free} free poses have no way to the target"
+            f"{result.free} free poses have no path to the target"
         )
         return slices(self._arena, cost, poses, goal), caption
 
 
 def slices(arena: Arena, cost: CostToGo, poses: np.ndarray, goal: np.ndarray) -> bytes:
-    """Minimum over headings and four headings as WebP, with one scale of colour.
+    """Draw the minimum over headings and four headings as WebP, with one scale of colour.
 
-    Dark: occupied. Grey: no pose of this panel's headings is free and has a way to the target, as where the footprint
-    would touch something.
+    Dark: occupied. Grey: no pose of this panel's headings is free and has a path to the target.
 
     Args:
         arena: the floor plan.
-        cost: of that floor plan.
-        poses: ``(n, 3)`` of a run to the target, drawn over the first panel.
-        goal: ``(2,)`` or ``(3,)``.
+        cost: its cost-to-go.
+        poses: ``(n, 3)`` of a run to the target, drawn over the first panel: x, y (m), heading (rad).
+        goal: ``(2,)`` or ``(3,)``, likewise.
     """
     values = np.asarray(cost.values)
     values = np.where(values < np.float32(cost.never), values, np.nan)
     nearest = goal[2] if len(goal) == 3 else 0.0
     index = np.round((nearest + TURNS) * values.shape[2] / (2.0 * np.pi)).astype(int) % values.shape[2]
-    top = float(np.nanquantile(values, 0.98))  # nooks that take many turns to leave would take most of the scale
+    top = float(np.nanquantile(values, 0.98))  # poses that take many turns to leave would use most of the scale
     figure = Figure(figsize=(14.5, 2.7), layout="constrained")
     panels = figure.subplots(1, 1 + len(TURNS), sharex=True, sharey=True)
     planes = [np.where(np.isnan(values).all(axis=2), np.nan, np.nanmin(np.nan_to_num(values, nan=np.inf), axis=2))]
@@ -76,7 +75,7 @@ def slices(arena: Arena, cost: CostToGo, poses: np.ndarray, goal: np.ndarray) ->
     draw_target(panels[0], goal.tolist())
     panels[0].plot(*poses[:, :2].T, color="white", linewidth=1.2, zorder=4)
     pictures.draw_outlines(panels[0], CAR.corners(poses[:1]), "white", filled=True)
-    for axes, k in zip(panels[1:], index, strict=True):  # which way the car looks in this panel
+    for axes, k in zip(panels[1:], index, strict=True):  # the heading of this panel
         heading = 2.0 * np.pi * k / values.shape[2]
         pictures.draw_outlines(axes, CAR.corners(np.array([[*goal[:2], heading]])), "white")
     label = f"cost-to-go, motions of {cost.motion_length:.3f} m"
@@ -85,12 +84,12 @@ def slices(arena: Arena, cost: CostToGo, poses: np.ndarray, goal: np.ndarray) ->
 
 
 def _plane(axes: Axes, arena: Arena, plane: np.ndarray, top: float) -> AxesImage:
-    """One slice in world coordinates over the floor plan; returns what the colour bar is of."""
+    """Draw one slice in world coordinates over the floor plan; return the image for the colour bar."""
     (nx, ny), half = plane.shape, 0.5 * arena.resolution
     low = arena.origin - half
     extent = (low[0], low[0] + nx * arena.resolution, low[1], low[1] + ny * arena.resolution)
-    ground = np.where(arena.occupied[..., None], to_rgb(WALL), to_rgb(TRAPPED))
-    axes.imshow(ground.transpose(1, 0, 2), origin="lower", extent=extent, interpolation="nearest")
+    background = np.where(arena.occupied[..., None], to_rgb(WALL), to_rgb(TRAPPED))
+    axes.imshow(background.transpose(1, 0, 2), origin="lower", extent=extent, interpolation="nearest")
     axes.tick_params(labelsize=6, length=2)
     return axes.imshow(
         plane.T, origin="lower", extent=extent, interpolation="nearest", cmap="viridis_r", vmin=0.0, vmax=top

@@ -1,10 +1,10 @@
-"""What tells the reports of environments apart; :mod:`vssm_gym.eval.report.page` puts the page together from it."""
+"""Define what differs between the reports of environments; :mod:`vssm_gym.eval.report.page` assembles the page."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vssm_gym.eval.metrics.aggregate import Row
+from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import figures, summary, tables
 from vssm_gym.eval.report.summary import Column
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -13,30 +13,30 @@ from vssm_gym.viz import pictures
 
 @dataclass(frozen=True)
 class View:
-    """How the episodes of an environment are measured, drawn and told of.
+    """Define how the episodes of an environment are measured, drawn and described.
 
     Attributes:
-        conditions: lists of the configuration that the page opens with.
-        measures: of the tables.
-        note: HTML, what the results' numbers are.
-        summary: heading and text of each column of the table that ends a sweep, from the rows of one agent.
+        conditions: lists of the configuration that the page's header shows.
+        measures: the metrics of the tables.
+        note: HTML that explains the metrics.
+        summary: headings and functions of the columns of the table that a sweep prints, one line an agent.
         headline: HTML of the tables that the page opens with.
         comparison: HTML of a section after the agents' differences.
-        curves_by: fields with one figure of curves for each combination.
+        curves_by: fields with one figure of curves for each combination of values.
         curves: that figure as SVG.
-        plans: HTML of a section drawn from the learned maps, by scene, or from others in the sweep's folder.
-        backgrounds: what runs are drawn on, by scene, from the same.
-        drawn_on: what that is called.
-        cut_height: m, of it.
-        failed: whether a run belongs to those that are drawn first.
-        failures: the heading of their section.
-        such: what those runs are called.
-        without_failures: what is said where there are none.
+        plans: HTML of a section drawn from the learned maps, by scene, or from maps in the sweep's folder.
+        backgrounds: images that runs are drawn on, by scene, from the same maps.
+        drawn_on: a phrase that names these images.
+        cut_height: height at which maps are cut for them, m.
+        failed: whether a run is drawn in the section of failures.
+        failures: the heading of that section.
+        such: a phrase that names those runs.
+        without_failures: the text of that section without such runs.
         legend: the key to the pictures as SVG.
         picture: one run on its map as WebP.
-        condition: where and how a run took place.
-        success: HTML, the outcome of a run that succeeded.
-        numbers: what a run took.
+        condition: a text of a run's scene and noise.
+        success: HTML of the outcome of a successful run.
+        numbers: a text of a run's steps, times and lengths.
     """
 
     conditions: tuple[str, ...]
@@ -65,7 +65,7 @@ class View:
 def learned(
     cut_height: float,
 ) -> Callable[[Mapping[str, VoxelMap], Path, Sequence[Row]], dict[str, pictures.Background]]:
-    """``backgrounds`` of a view whose runs are drawn on the maps that agents were given, cut at ``cut_height`` m."""
+    """Return ``backgrounds`` of a view whose runs are drawn on the agents' maps, cut at ``cut_height`` m."""
     return lambda maps, folder, rows: {scene: pictures.topdown(m, cut_height) for scene, m in maps.items()}
 
 

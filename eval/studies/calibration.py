@@ -1,10 +1,10 @@
-"""Does the filter know how wrong it is? Poses and velocities against their covariances (PRISM, figs. 7 and 8).
+"""Compare errors of the filter's poses and velocities with their covariances (PRISM, figs. 7 and 8).
 
     A = T_est_0 T_true_0^-1 puts the truth into the world of the estimate: first-pose alignment, so drift counts
     e_i = log(T_est_i^-1 A T_true_i) ~ N(0, s Sigma_i)?;   v_i ~ N(v_true(i-1, i), S_i)?
 
-The scalar s on all covariances of poses is fitted to the *other* sequences: none has a say in its own. Velocities are
-judged as the filter states them. A frame that the filter calls lost claims nothing and is left out, but counted.
+The scalar s on all covariances of poses is fitted to the *other* sequences (leave-one-out). Velocities are evaluated
+with the covariances as stated. Frames that the filter calls lost have no estimate; they are left out, but counted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,21 +32,21 @@ COLUMNS = 5  # of the small pictures
 
 
 @dataclass(frozen=True)
-class Judged:
-    """One sequence: what the filter said of itself, and what was true."""
+class SequenceCalibration:
+    """Hold the filter's errors and covariances over one sequence."""
 
     poses: Calibration  # covariances as stated
     velocity: Float[np.ndarray, "n 6"]  # error of each component (linear, angular) over its own std
     speed: float  # m/s, true, mean
     frames: int
     lost: int
-    error_m: float  # RMSE of position after first-pose alignment
+    error_m: float  # RMSE of position after first-pose alignment, m
 
 
 def run(
     recordings: Sequence[sequences.Sequence], *, options: SlamOptions, on_progress: OnProgress | None = None
 ) -> Study:
-    """Run the filter over every recording and judge its covariances.
+    """Run the filter over every recording and evaluate its covariances.
 
     Args:
         recordings: at least two, with ground truth.
@@ -63,13 +63,13 @@ def run(
     for recording in recordings:
         if recording.truth is None:
             raise InputError(recording.root / "groundtruth.txt", "file", "ground-truth poses, which this study needs")
-    judged: dict[str, Judged] = {}
+    evaluated: dict[str, SequenceCalibration] = {}
     notices: list[str] = []
     for name, recording in zip(names, recordings, strict=True):
         done = run_slam(recording, options, on_progress=labelled(on_progress, name))
-        judged[name] = judge(done, recording)
+        evaluated[name] = evaluate(done, recording)
         notices += done.notices
-    raw = {name: one.poses for name, one in judged.items()}
+    raw = {name: one.poses for name, one in evaluated.items()}
     scaled = cross_fitted(raw)
     rows = {
         name: {
@@ -82,7 +82,7 @@ def run(
             "scaled": scaled[name].summary(),
             "velocity": {"linear": _of_band(one.velocity[:, :3]), "angular": _of_band(one.velocity[:, 3:])},
         }
-        for name, one in judged.items()
+        for name, one in evaluated.items()
     }
     scale = fit_scale(raw)
     return Study(
@@ -105,7 +105,7 @@ def run(
             "recorded pose. NEES / 6 is 1 where calibrated. The scale multiplies all covariances of a sequence and is "
             "the mean NEES / 6 of the other sequences' frames.",
             "Bias: mean signed distance of the calibration curve from the diagonal, -0.5 to 0.5, positive where the "
-            "filter is pessimistic. Velocity: share of components inside their own 95 % band as stated, and "
+            "filter is pessimistic. Velocity: proportion of components inside their own 95 % band as stated, and "
             "in brackets the RMS of error over std, 1 where calibrated.",
             "Frames that the filter calls lost are left out; the table says how many.",
             *notices,
@@ -130,12 +130,12 @@ LABELS = {
 
 
 def _short(value: float) -> str:
-    """With two decimals where they matter: a NEES can be a thousand."""
+    """Format with two decimals below 100, and with none above: a NEES can be a thousand."""
     return f"{value:.2f}" if value < 100.0 else f"{value:,.0f}"
 
 
 def _of_band(errors: Float[np.ndarray, "n d"]) -> dict[str, float]:
-    """``share`` of components inside their 95 % band, and ``rms`` of error over std: 1 where calibrated."""
+    """Return ``share``, of components inside their 95 % band, and ``rms`` of error over std, 1 where calibrated."""
     return {"share": float(np.mean(np.abs(errors) <= BAND)), "rms": float(np.sqrt(np.mean(errors**2)))}
 
 
@@ -143,8 +143,8 @@ def _band_text(band: Mapping[str, float]) -> str:
     return f"{band['share']:.1%} ({band['rms']:.2f})"
 
 
-def judge(done: SlamRun, recording: sequences.Sequence) -> Judged:
-    """Residuals of the frames that were tracked and whose pose is known.
+def evaluate(done: SlamRun, recording: sequences.Sequence) -> SequenceCalibration:
+    """Compute the residuals of tracked frames with a ground-truth pose.
 
     Args:
         done: a run over it.
@@ -157,7 +157,7 @@ def judge(done: SlamRun, recording: sequences.Sequence) -> Judged:
     known, _ = trajectory_error.associate(done.times, recording.truth[0])
     known, lost, poses = np.unique(known), done.lost, done.poses
     kept = np.array([i for i in known if done.frames[i].covariance is not None and not lost[i]], int)
-    # The filter's velocity at a frame is that of the way from the frame before, whose pose must be known too.
+    # The filter's velocity at a frame is that since the frame before, whose pose must be known too.
     moved = np.flatnonzero(np.isin(kept - 1, known))
     if len(moved) == 0:
         raise InputError(recording.root, "frames", "some that are tracked, with a ground-truth pose and one before it")
@@ -170,7 +170,7 @@ def judge(done: SlamRun, recording: sequences.Sequence) -> Judged:
     off = np.stack([done.frames[i].velocity for i in kept[moved]]) - true_velocity
     std = np.sqrt(np.einsum("nii->ni", covariances[moved])[:, 6:])
     position = np.linalg.norm(poses[kept, :3, 3] - T_true[kept, :3, 3], axis=1)
-    return Judged(
+    return SequenceCalibration(
         poses=Calibration.of(e, covariances[:, :6, :6]),
         velocity=off / std,
         speed=float(np.linalg.norm(true_velocity[:, :3], axis=1).mean()),
@@ -203,7 +203,7 @@ def _answer(rows: Mapping[str, Any], scale: float) -> str:
 
 
 def _picture(raw: Mapping[str, Calibration], scaled: Mapping[str, Calibration], rows: Mapping[str, Any]) -> bytes:
-    """Calibration curves raw and scaled, velocity shares, and whitened residuals sequence by sequence, as SVG."""
+    """Draw calibration curves raw and scaled, velocity bands, and whitened residuals of each sequence, as SVG."""
     lines = -(-len(raw) // COLUMNS)
     figure = Figure(figsize=(11.5, 3.7 + 2.1 * lines), layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=[3.7, 2.1 * lines], squeeze=False)[:, 0]
@@ -213,7 +213,7 @@ def _picture(raw: Mapping[str, Calibration], scaled: Mapping[str, Calibration], 
         for i, (name, calibration) in enumerate(chosen.items()):
             axes.plot(*calibration.curve(), label=name, linewidth=1.3, color=f"C{i % 10}", clip_on=False)
         axes.set(xlabel="predicted cumulative probability", title=title, xlim=(0, 1), ylim=(0, 1), aspect="equal")
-    left.set_ylabel("observed share (above: pessimistic)")
+    left.set_ylabel("observed proportion (above: pessimistic)")
     places = np.arange(len(rows))
     for offset, kind, colour in ((-0.2, "linear", pictures.TRUE_COLOUR), (0.2, "angular", pictures.GOAL_COLOUR)):
         shares = [100 * row["velocity"][kind]["share"] for row in rows.values()]
@@ -231,7 +231,7 @@ def _picture(raw: Mapping[str, Calibration], scaled: Mapping[str, Calibration], 
 
 
 def _histograms(figure: Any, scaled: Mapping[str, Calibration]) -> None:
-    """Whitened residuals of translation and rotation beside a standard normal; beyond 5 in the last bin."""
+    """Draw whitened residuals of translation and rotation over a standard normal; beyond 5 in the last bin."""
     grid = figure.subplots(
         -(-len(scaled) // COLUMNS), min(COLUMNS, len(scaled)), sharex=True, sharey=True, squeeze=False
     ).ravel()

@@ -1,8 +1,8 @@
-"""Does the filter hold in flight? Reference flights through a hall, seen by noisy stereo (PRISM, table 1).
+"""Evaluate the filter in flight: reference flights through a hall with noisy stereo depth (PRISM, table 1).
 
-Every flight is flown by the simulated body, gusts and all, recorded as ``vssm-gym record`` would, and given to the
-filter of ``vssm-gym slam``. Two errors of position: after SE(3) alignment of the whole path, as the papers state it,
-and with the first pose alone put on the true one, where a slip at the start turns all that follows.
+Every flight is flown by the simulated body with gusts, recorded as by ``vssm-gym record``, and given to the filter of
+``vssm-gym slam``. Two errors of position are reported: after SE(3) alignment of the whole path, as in the papers, and
+after alignment of the first pose alone, where an error at the start rotates all later poses.
 """
 
 import tempfile
@@ -27,10 +27,10 @@ from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
-GOAL = 0.10  # m of ATE
-# The nose as in the flights of Blackbird that the papers chose.
+GOAL = 0.10  # m of ATE, the project's own aim
+# The yaw mode of the Blackbird flights that the papers chose.
 YAWS: dict[str, Yaw] = {"star": "forward", "picasso": "constant", "figure8": "forward", "clover": "forward"}
-# ATE in metres at 1, 2, 3, 4 m/s on Blackbird's real flights (PRISM, table 1): other scenes, another stereo.
+# ATE (m) at 1, 2, 3, 4 m/s on Blackbird's real flights (PRISM, table 1), in other scenes with another stereo camera.
 PUBLISHED = {"picasso": (0.064, 0.053, 0.061, 0.079), "star": (0.089, 0.111, 0.115, 0.153)}
 
 
@@ -49,11 +49,11 @@ def run(
     Args:
         scene: the hall.
         flights: names of reference flights.
-        speeds: peaks, m/s.
-        sensor_noise: what the camera adds to exact images.
+        speeds: peak speeds, m/s.
+        sensor_noise: the noise of the camera.
         options: of the filter; images are recorded at its size and rate.
-        seeds: flights of each kind, with other gusts and noises.
-        on_progress: called after every frame recorded or tracked.
+        seeds: number of flights of each kind, with different gusts and noise.
+        on_progress: called during recording and tracking.
 
     Raises:
         InputError: an unknown name, or a flight that does not fit the scene.
@@ -107,8 +107,8 @@ def run(
         },
         figures={"rows": rows},
         notes=(
-            "ATE is the RMSE of positions after SE(3) alignment, lost frames included; 'first pose' is the RMSE with "
-            "the first pose alone put on the true one; 'end' is that error at the last frame, over a closed path.",
+            "ATE is the RMSE of positions after SE(3) alignment, lost frames included; 'first pose' is the RMSE after "
+            "alignment of the first pose alone; 'end' is that error at the last frame, over a closed path.",
             "Milliseconds are those of a whole step once its image is read, without the calls that compile.",
             "Published: PRISM on Blackbird's real flights at these speeds, in another scene: a scale, not a contest.",
         ),
@@ -127,7 +127,7 @@ LABELS = {
 
 
 def measured(done: SlamRun, true: Float[np.ndarray, "n 4 4"]) -> dict[str, Any]:
-    """Errors, lost frames and times of one run; ATE None where the estimate never moved enough to be aligned."""
+    """Compute errors, lost frames and times of one run; ATE is None where the estimate cannot be aligned."""
     error = np.linalg.norm((true[0] @ inverse(done.poses[0]) @ done.poses)[:, :3, 3] - true[:, :3, 3], axis=1)
     try:
         errors = trajectory_error.evaluate(done.times, done.poses, done.times, true, deltas=(), alignments=("se3",))
@@ -165,12 +165,12 @@ def _line(row: Mapping[str, Any]) -> list[str]:
 
 
 def _answer(rows: list[dict[str, Any]]) -> str:
-    judged = [row for row in rows if row["ate_m"] is not None]
-    within = sum(row["ate_m"] <= GOAL for row in judged)
+    aligned = [row for row in rows if row["ate_m"] is not None]
+    within = sum(row["ate_m"] <= GOAL for row in aligned)
     lost, frames = sum(row["lost"] for row in rows), sum(row["frames"] for row in rows)
-    if not judged:
+    if not aligned:
         return "No flight was followed."
-    worst = max(judged, key=lambda row: row["ate_m"])
+    worst = max(aligned, key=lambda row: row["ate_m"])
     return (
         f"{within} of {len(rows)} flights within {100 * GOAL:.0f} cm ATE, {lost} of {frames} frames lost. "
         f"Largest ATE: {100 * worst['ate_m']:.1f} cm, {worst['flight']} at {worst['speed']:g} m/s."
@@ -178,7 +178,7 @@ def _answer(rows: list[dict[str, Any]]) -> str:
 
 
 def _picture(rows: list[dict[str, Any]]) -> bytes:
-    """ATE against speed, and of each kind the fastest flight from above, as SVG."""
+    """Draw ATE over speed, and the fastest flight of each kind from above, as SVG."""
     names = list(dict.fromkeys(row["flight"] for row in rows))
     figure = Figure(figsize=(3.4 * (1 + len(names)), 3.4), layout="constrained")
     left, *plans = figure.subplots(1, 1 + len(names))

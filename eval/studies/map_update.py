@@ -1,9 +1,9 @@
-"""Closed-form map update against gradient descent, at the same poses (SPEC 4, 13; PRISM, fig. 6).
+"""Compare the closed-form map update with gradient descent at the same poses (PRISM, fig. 6).
 
-Every map starts with the closed-form update of the first frame, since an empty map renders nothing. Then each arm gets
-the frames in order: one closed-form update a frame, or k steps of gradient descent through the renderer on the frame,
-every one on pixels drawn anew. Every tenth frame is held out, and the maps are judged on those. Gradient descent is run
-with three learning rates, and the one of highest held-out log-likelihood counts: its figures are of a tuned method.
+Every map starts with the closed-form update of the first frame, because an empty map renders nothing. Then each method
+takes the frames in order: one closed-form update a frame, or k steps of gradient descent through the renderer, each on
+newly drawn pixels. Every tenth frame is held out for evaluation. Gradient descent is run with three learning rates, and
+the one of highest held-out log-likelihood counts, so that its figures are those of a tuned method.
 """
 
 import time
@@ -30,20 +30,20 @@ from vssm_gym.viz import pictures
 
 STEPS = (1, 4, 16, 64)  # of gradient descent a frame
 FACTORS = (1.0, 0.2, 0.04)  # on the rates of gradient descent; the best counts
-HELD_OUT = 10  # every so many frames one is held out
-# On-line rates: a cell has few steps to come from the prior to its value, a truncation band away (SPEC 2's 0.05 m).
+HELD_OUT = 10  # one frame in so many is held out
+# On-line rates: a cell has few steps to move from the prior to its value, a truncation band away.
 GRADIENT = RefineConfig(images=1, pixels=1024, occupancy_rate=0.02, colour_rate=0.1)
 
 
 def run(
     sequence: Sequence, *, size: tuple[int, int], frames: int, voxel: float, on_progress: OnProgress | None = None
 ) -> Study:
-    """Both ways over up to ``frames`` frames, spread over the sequence.
+    """Run both methods over up to ``frames`` frames, spread over the sequence.
 
     Args:
         sequence: with ground-truth poses.
         size: width and height that images are resized to.
-        frames: how many are used at most, the held-out ones included.
+        frames: largest number of frames, held-out ones included.
         voxel: cell size, m.
         on_progress: called after every frame of every arm.
 
@@ -72,9 +72,9 @@ def run(
                 if k
                 else _closed_form(prior, views["train"], shown, on_progress)
             )
-            judged = held_out(m, views["test"], fit_scales(m, views["train"]))
+            evaluated = held_out(m, views["test"], fit_scales(m, views["train"]))
             timed = {"ms_a_frame": 1e3 * float(np.median(seconds)), "steps": k, "rate_factor": factor}
-            tried.append(timed | judged._asdict())
+            tried.append(timed | evaluated._asdict())
         arms[name] = max(tried, key=lambda arm: arm["log_likelihood"])
     setting = {
         "sequence": sequence.root.resolve().name,
@@ -97,11 +97,11 @@ def run(
         figures=arms,
         notes=(
             "Same frames, same true poses; every map starts with the closed-form update of the first frame. Errors and "
-            "log-likelihood are means over the held-out pixels where the map has an observed surface; the share of "
-            "those is beside them. Each map is given the emission scales that fit it best on the training images.",
+            "log-likelihood are means over the held-out pixels where the map has an observed surface; their "
+            "proportion is the last column. Each map has the emission scales that fit it best on the training images.",
             "Milliseconds are the median wall-clock time of a frame's update, the empty-space index included. A step "
-            f"of gradient descent draws {GRADIENT.pixels} pixels of the frame and touches only their cells. Its rate "
-            "is the one that does best on the held-out frames themselves, which favours it.",
+            f"of gradient descent draws {GRADIENT.pixels} pixels of the frame and changes only their cells. Its rate "
+            "is the best one on the held-out frames themselves, which favours it.",
         ),
     )
 
@@ -137,7 +137,7 @@ def _fuse(m: VoxelMap, views: Views, i: int) -> VoxelMap:
 def _closed_form(
     prior: VoxelMap, views: Views, name: str, on_progress: OnProgress | None
 ) -> tuple[list[float], VoxelMap]:
-    """One update a frame; the first frames, which compile or meet an empty map, are not timed."""
+    """Update once a frame; the first frames, which compile or see an empty map, are not timed."""
     m, seconds = jax.tree.map(jnp.copy, prior), []
     for i in range(len(views)):
         began = time.perf_counter()
@@ -151,7 +151,7 @@ def _closed_form(
 def _descend(
     prior: VoxelMap, views: Views, steps: int, factor: float, name: str, on_progress: OnProgress | None
 ) -> tuple[list[float], VoxelMap]:
-    """``steps`` steps on each frame; which cells were observed is that of the closed form, so both are judged alike."""
+    """Descend ``steps`` steps on each frame; observed cells are those of the closed form, for an equal evaluation."""
     observed = _closed_form(prior, views, name, None)[1]
     m = _fuse(jax.tree.map(jnp.copy, prior), views, 0)
     state, seconds, key = map_learning.init(m, fit_scales(m, views[:1])), [], jax.random.key(0)
@@ -169,12 +169,12 @@ def _descend(
 
 
 def _answer(arms: dict[str, dict[str, Any]]) -> str:
-    """By log p, since it counts depth and colour; depth error stands beside it, for the two need not agree."""
+    """Compare by log p, which includes depth and colour, and state the depth error too, since the two may disagree."""
     closed = arms["closed form"]
     descents = [arm for arm in arms.values() if arm["steps"]]
     equal = [arm for arm in descents if arm["log_likelihood"] >= closed["log_likelihood"]]
     arm = min(equal, key=lambda a: a["ms_a_frame"]) if equal else max(descents, key=lambda a: a["log_likelihood"])
-    verdict = "is as good" if equal else "does not get there; best"
+    verdict = "is as good" if equal else "stays below; it is best"
     return (
         f"By the log-likelihood of held-out pixels: closed form {closed['log_likelihood']:.2f} nats a pixel in "
         f"{closed['ms_a_frame']:.1f} ms a frame. Gradient descent {verdict} with {arm['steps']} steps a frame: "
@@ -186,7 +186,7 @@ def _answer(arms: dict[str, dict[str, Any]]) -> str:
 
 
 def _picture(arms: dict[str, dict[str, Any]]) -> bytes:
-    """Held-out depth error and log-likelihood against the time of a frame's update, as SVG."""
+    """Draw held-out depth error and log-likelihood over the time of a frame's update, as SVG."""
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     for axes, (name, scale) in zip(figure.subplots(1, 2), (("depth_l1", 1e3), ("log_likelihood", 1.0)), strict=True):
         descents = [arm for arm in arms.values() if arm["steps"]]

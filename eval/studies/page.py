@@ -1,7 +1,4 @@
-"""What every study of ``vssm-gym study`` writes: its figures as JSON, one picture, one page that needs no other file.
-
-A study is one file ``study_NAME.py`` with ``run(...) -> Study``; the command line has one function for each.
-"""
+"""Write the outcome of a study: its figures as JSON, one picture, and one self-contained HTML page."""
 
 import json
 import os
@@ -21,15 +18,15 @@ from vssm_gym.viz.html import STYLE, html_table
 
 @dataclass(frozen=True)
 class Study:
-    """The outcome of a study, ready to be written."""
+    """Hold the outcome of a study."""
 
     name: str  # of the files
     question: str  # the page's heading
     answer: str  # one paragraph, from the figures
     header: tuple[str, ...]  # of the table
-    lines: Sequence[Sequence[str]]  # of the table, the first column being what is compared
+    lines: Sequence[Sequence[str]]  # of the table; the first column names what is compared
     picture: bytes  # SVG
-    setting: dict[str, Any]  # sequence, sizes, rates: what repeats the study
+    setting: dict[str, Any]  # sequence, sizes, rates: what is needed to repeat the study
     figures: dict[str, Any]  # every number behind table and picture
     notes: tuple[str, ...] = field(default=())  # how it was measured, one paragraph each
 
@@ -40,7 +37,7 @@ def labelled(on_progress: OnProgress | None, label: str) -> OnProgress | None:
 
 
 def write_study(study: Study, out: Path) -> Path:
-    """Write ``NAME.json``, ``NAME.svg`` and ``NAME.html`` under ``out``, each whole or not at all; returns the page.
+    """Write ``NAME.json``, ``NAME.svg`` and ``NAME.html`` under ``out``, each whole or not at all; return the page.
 
     Args:
         study: its outcome.
@@ -61,7 +58,7 @@ def write_study(study: Study, out: Path) -> Path:
 
 
 def page(study: Study, stored: dict[str, Any]) -> str:
-    """The HTML page of a study."""
+    """Build the HTML page of a study."""
     notes = "".join(f"<p class=note>{escape(note)}</p>" for note in study.notes)
     return (
         f"<!doctype html><html lang=en><head><meta charset=utf-8><title>vssm-gym study: {escape(study.name)}</title>"

@@ -1,8 +1,8 @@
-"""How accuracy and time depend on the resolution of the map and of tracking (PRISM, table 4).
+"""Measure how accuracy and time depend on the resolution of the map and of tracking (PRISM, table 4).
 
-Gauss-Newton draws nothing, so a seed alone would repeat a run to the digit. Run k therefore also leaves out the first k
-recorded frames: the thinned stream is then made of other images where the camera is faster than the filter, and the
-grid, which is laid around the first camera, lies elsewhere. The runs of all settings take turns.
+Gauss-Newton is deterministic, so a seed alone would repeat a run exactly. Run k therefore also leaves out the first k
+recorded frames: the thinned stream then has other images where the camera is faster than the filter, and the grid,
+which is placed around the first camera, moves. The runs of all settings take turns.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
-LEAST = 3  # frames; fewer positions cannot be aligned
+MIN_FRAMES = 3  # fewer positions cannot be aligned
 
 
 def run(
@@ -34,12 +34,12 @@ def run(
     seeds: int,
     on_progress: OnProgress | None = None,
 ) -> Study:
-    """Every voxel size with every tracking width, ``seeds`` runs each.
+    """Run every voxel size with every tracking width, ``seeds`` times each.
 
     Args:
         sequence: with ground truth.
         voxels: cell sizes, m.
-        render_widths: widths that images are tracked and rendered at, pixels; the map takes them at ``size``.
+        render_widths: widths at which images are tracked and rendered, pixels; the map takes them at ``size``.
         size: width and height that images are resized to.
         rate: frames a second at most.
         seeds: runs of each setting.
@@ -50,8 +50,8 @@ def run(
     """
     if sequence.truth is None:
         raise InputError(sequence.root / "groundtruth.txt", "file", "ground-truth poses, which this study needs")
-    if len(sequence.frames) < seeds + LEAST:
-        raise InputError(sequence.root, "frames", f"at least {seeds + LEAST}, found {len(sequence.frames)}")
+    if len(sequence.frames) < seeds + MIN_FRAMES:
+        raise InputError(sequence.root, "frames", f"at least {seeds + MIN_FRAMES}, found {len(sequence.frames)}")
     options = {
         (voxel, width): SlamOptions(size=size, rate=rate, voxel=voxel, render_width=width)
         for voxel in voxels
@@ -106,7 +106,7 @@ LABELS = {"ate_m": "ATE, cm", "max_m": "largest, cm", "lost": "lost frames", "st
 
 
 def _measured(done: SlamRun, sequence: Sequence) -> dict[str, Any]:
-    """Of one run: errors (None where the estimate never moved enough to be aligned), frames, lost ones, step times."""
+    """Compute one run's errors (None where the estimate cannot be aligned), frames, lost frames and step times."""
     assert sequence.truth is not None
     try:
         errors = trajectory_error.evaluate(done.times, done.poses, *sequence.truth, deltas=(), alignments=("se3",))
@@ -123,7 +123,7 @@ def _measured(done: SlamRun, sequence: Sequence) -> dict[str, Any]:
 
 
 def _summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of all runs of a setting; ``ate_m`` None where one of them has none: a mean over the rest would flatter."""
+    """Summarise the runs of a setting; ``ate_m`` is None if one run has none, because other means would flatter."""
     ate = [run["ate_m"] for run in runs]
     whole = all(value is not None for value in ate)
     steps = np.concatenate([run["steps_ms"] for run in runs])
@@ -157,12 +157,12 @@ def _text(name: str, arm: Mapping[str, Any]) -> str:
 
 
 def _answer(arms: list[dict[str, Any]]) -> str:
-    """The most accurate setting among those that lost least, and the fastest that is hardly worse."""
-    judged = [arm for arm in arms if arm["ate_m"] is not None and arm["step_ms"] is not None]
-    if not judged:
+    """Name the most accurate setting among those that lost least, and the fastest within a tenth of its error."""
+    followed = [arm for arm in arms if arm["ate_m"] is not None and arm["step_ms"] is not None]
+    if not followed:
         return "No setting followed the camera."
-    best = min(judged, key=lambda arm: (arm["lost"], arm["ate_m"]))
-    near = [arm for arm in judged if arm["lost"] <= best["lost"] and arm["ate_m"] <= 1.1 * best["ate_m"]]
+    best = min(followed, key=lambda arm: (arm["lost"], arm["ate_m"]))
+    near = [arm for arm in followed if arm["lost"] <= best["lost"] and arm["ate_m"] <= 1.1 * best["ate_m"]]
     fast = min(near, key=lambda arm: arm["step_ms"])
 
     def said(arm: dict[str, Any]) -> str:
@@ -177,7 +177,7 @@ def _answer(arms: list[dict[str, Any]]) -> str:
 
 
 def _picture(arms: list[dict[str, Any]]) -> bytes:
-    """ATE with its range over the runs, and the median step with its 95th percentile, against cell size, as SVG."""
+    """Draw ATE with its range over the runs, and the step's median and 95th percentile, over cell size, as SVG."""
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     for i, width in enumerate(dict.fromkeys(arm["render_width"] for arm in arms)):

@@ -1,7 +1,7 @@
-"""Where the time of a step goes, by image size, cell size and extent of the map (PRISM, fig. 5).
+"""Measure the time of each stage of a step, by image size, cell size and extent of the map (PRISM, fig. 5).
 
-One of the three is changed at a time, around the default. Every setting is run twice and all of them take turns, so
-that a slow minute of the machine does not fall on one of them.
+One of the three is varied at a time, around the default. Every setting is run twice and all of them take turns, so
+that changes of the machine's speed affect all of them.
 """
 
 from collections.abc import Mapping
@@ -22,12 +22,12 @@ SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded s
 VOXELS = (0.04, 0.07, 0.10)  # m
 EXTENTS = (7.0, 14.0, 28.0)  # m
 ROUNDS = 2
-STAGES = ("track", "map", "anchor", "recover", "rest")  # in the order of the bars; rest: of the step, in no stage
+STAGES = ("track", "map", "anchor", "recover", "rest")  # in the order of the bars; rest: time in no stage
 COLOURS = {"track": "#4477aa", "map": "#66aa77", "anchor": "#ddaa33", "recover": "#bb5566", "rest": "#c4c9cf"}
 
 
 def settings(recorded: tuple[int, int], rate: float) -> dict[tuple[str, str], SlamOptions]:
-    """``(what is changed, its value)`` and the options of each run; the default stands in every group.
+    """Return the options of each run by ``(what is varied, its value)``; the default is in every group.
 
     Args:
         recorded: width and height of the recorded images.
@@ -49,7 +49,7 @@ def run(sequence: Sequence, *, rate: float, on_progress: OnProgress | None = Non
         on_progress: called after every frame.
 
     Raises:
-        InputError: images below the default size, or fewer frames than compile everything.
+        InputError: images below the default size, or too few frames to compile everything.
     """
     camera = sequence.camera
     if camera.width < SlamOptions.size[0] or camera.height < SlamOptions.size[1]:
@@ -94,7 +94,7 @@ def run(sequence: Sequence, *, rate: float, on_progress: OnProgress | None = Non
             "anchor is rendered only where the camera has left the last one, so medians do not add up to the step.",
             "Picture: coloured, the mean of each stage over all steps, of which the slowest twentieth is left out; "
             "these add up to the mean step. The dot is the median step, the line ends at its 95th percentile. Reading, "
-            "which a thread does beside the filter, is the hollow bar.",
+            "which runs in a thread of its own, is the hollow bar.",
             f"Images are tracked at about {default.render_width} pixels width whatever their size; the map takes them "
             f"whole. Cubes of more than {MAX_DENSE_CELLS:,} cells are stored block-sparse.",
             *notices,
@@ -103,10 +103,10 @@ def run(sequence: Sequence, *, rate: float, on_progress: OnProgress | None = Non
 
 
 def _timed(frames: list[TrackedFrame], sequence: Sequence) -> dict[str, Any]:
-    """``ms``: median and p95 of the step, each stage that ran and reading; ``mean_ms``: what adds up to a step."""
+    """Return ``ms``, median and p95 of the step, each stage and reading, and ``mean_ms``, which adds up to a step."""
     warm = [frame for frame in frames if frame.warm]
     if not warm:
-        raise InputError(sequence.root, "frames", "more of them: no step is left beside those that compile")
+        raise InputError(sequence.root, "frames", "more of them: every step compiles")
     steps = [frame.stages | {"rest": frame.step_s - sum(frame.stages.values())} for frame in warm]
     seconds = {"step": [frame.step_s for frame in warm], "read": [frame.read_s for frame in warm]}
     seconds |= {name: ran for name in STAGES if (ran := [step[name] for step in steps if name in step])}
@@ -130,7 +130,7 @@ def _text(ms: Mapping[str, float] | None) -> str:
 
 
 def _answer(arms: list[dict[str, Any]], default: SlamOptions) -> str:
-    """Of the default: the step and its largest stages."""
+    """State the default's step and its largest stages."""
     size = "x".join(map(str, default.size))
     arm = next(arm for arm in arms if (arm["varied"], arm["value"]) == ("image", size))
     step, whole = arm["ms"]["step"], sum(arm["mean_ms"].values())
@@ -138,13 +138,13 @@ def _answer(arms: list[dict[str, Any]], default: SlamOptions) -> str:
     order = sorted((name for name in STAGES if share[name] >= 0.005), key=lambda name: -share[name])
     return (
         f"At {size} pixels, cells of {100 * default.voxel:g} cm and a cube of {default.extent:g} m a step takes "
-        f"{step['p50']:.1f} ms in the median and {step['p95']:.1f} ms at the 95th percentile, that is "
-        f"{1e3 / step['p50']:.0f} images a second. Shares: {', '.join(f'{n} {share[n]:.0%}' for n in order)}."
+        f"{step['p50']:.1f} ms (median) and {step['p95']:.1f} ms at the 95th percentile, that is "
+        f"{1e3 / step['p50']:.0f} images a second. Proportions: {', '.join(f'{n} {share[n]:.0%}' for n in order)}."
     )
 
 
 def _picture(arms: list[dict[str, Any]]) -> bytes:
-    """Stacked stages of each setting, one panel for each thing that is changed, as SVG."""
+    """Draw the stacked stages of each setting, one panel for each varied quantity, as SVG."""
     groups = list(dict.fromkeys(arm["varied"] for arm in arms))
     figure = Figure(figsize=(10.4, 3.8), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(groups), sharey=True))
@@ -160,7 +160,7 @@ def _picture(arms: list[dict[str, Any]]) -> bytes:
         axes.errorbar(x - 0.12, step[:, 0], yerr=(np.zeros(len(mine)), step[:, 1] - step[:, 0]), fmt="o", color="black",
                       markersize=3.5, capsize=3, linewidth=1.0, label="step: median, 95 %")  # fmt: skip
         read = [arm["ms"]["read"]["p50"] for arm in mine]
-        axes.bar(x + 0.27, read, 0.2, facecolor="none", edgecolor="0.45", label="read, beside the filter")
+        axes.bar(x + 0.27, read, 0.2, facecolor="none", edgecolor="0.45", label="read, in its own thread")
         axes.set_xticks(x, [arm["value"] + ("\nsparse" if arm["sparse"] else "") for arm in mine])
         axes.set_title({"image": "image size", "cell": "cell size", "extent": "extent of the map"}[group])
         axes.grid(axis="y", alpha=0.3)

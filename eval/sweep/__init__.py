@@ -1,1 +1,5 @@
-"""Sweeps: configurations, workers, shards, and the log of episodes."""
+"""Run sweeps: all episodes of a configuration over worker processes.
+
+``config`` reads and checks a configuration, ``runner`` runs it, ``worker`` is one process, ``shards`` and ``merge``
+split a sweep over machines. Of :mod:`vssm_gym.eval` this package imports ``episodes`` and ``protocols``.
+"""

@@ -1,4 +1,4 @@
-"""A sweep's configuration: lists multiply into episodes, and every name is checked before anything runs (DESIGN)."""
+"""Read and check a sweep's configuration, whose lists multiply into episodes, before anything runs."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker t
 
 
 def _task_ids(value: Any) -> Any:
-    """``100`` is the first hundred test tasks, ``"20-39"`` those with these numbers (both included), a list itself."""
+    """Parse ``100`` (the first hundred test tasks), ``"20-39"`` (these numbers, both included) or a list."""
     if isinstance(value, bool):
         raise ValueError("a number of tasks, a range like 20-39 or a list of task numbers")
     if isinstance(value, int):
@@ -35,13 +35,12 @@ def _task_ids(value: Any) -> Any:
 
 
 class SweepConfig(BaseModel):
-    """What a sweep runs: the product of every list, over the chosen test tasks of each scene.
+    """Define a sweep: the product of all lists, over the chosen test tasks of each scene.
 
     ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry, also with a planner
-    (``astar+theta_star``), or ``policy:FILE``; a
-    relative path starts at the folder of the YAML file.
-    ``voxel`` (m) is the cell size of the maps that agents are given; ``map_poses`` says whether their images were taken
-    where the recording has them or where PRISM estimates them. ``explore`` is for Explore alone.
+    (``astar+theta_star``), or ``policy:FILE``; a relative path starts at the folder of the YAML file.
+    ``voxel`` (m) is the cell size of the agents' maps; ``map_poses`` says whether these are learned at the recorded
+    poses or at PRISM's estimates. ``explore`` is for Explore alone.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
@@ -62,7 +61,7 @@ class SweepConfig(BaseModel):
 
 
 def expand(config: SweepConfig) -> Iterator[Episode]:
-    """Every episode once; world by world, then task by task, so that a worker keeps its scene and map.
+    """Yield every episode once: world by world, then task by task, so that a worker keeps its scene and map.
 
     Agents vary fastest: a sweep that is stopped early still has the same tasks for every agent.
     """
@@ -79,7 +78,7 @@ def load_config(path: Path) -> SweepConfig:
     """Read and check a sweep's YAML.
 
     Raises:
-        InputError: no such file, not YAML, a field that is unknown, missing or malformed, or a name nobody registered.
+        InputError: no such file, not YAML, a field that is unknown, missing or malformed, or an unknown name.
     """
     config = read_yaml(path, SweepConfig)
     check_environments(config, path)
@@ -95,7 +94,7 @@ def load_config(path: Path) -> SweepConfig:
 
 
 def check_environments(config: SweepConfig, source: object) -> None:
-    """Raise :class:`InputError` unless its environments are those of one robot and one task, and sweeps know them."""
+    """Raise :class:`InputError` unless the environments have protocols and share one robot and one task."""
     for env in config.env:
         if env not in SWEPT_ENVIRONMENTS:
             raise InputError(source, "env", f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {env!r}")
@@ -109,7 +108,7 @@ def check_environments(config: SweepConfig, source: object) -> None:
 
 
 def check_names(config: SweepConfig, source: object) -> None:
-    """Raise :class:`InputError` with the available names for the first name that nothing answers to."""
+    """Raise :class:`InputError` with the available names for the first unknown name."""
     # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
     from vssm_gym.agents.registry import AGENTS, WITH, agent_type
 

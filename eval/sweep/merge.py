@@ -1,4 +1,4 @@
-"""``merge SHARD ... --out DIR``: the folders of all shards of a sweep as the one folder that the whole sweep leaves."""
+"""Merge the folders of all shards of a sweep into the folder of the whole sweep: ``merge SHARD ... --out DIR``."""
 
 import json
 import os
@@ -14,16 +14,16 @@ from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
 from vssm_gym.output_folders import check_folder
 
 TASKS, MAPS = "tasks", "maps"
-FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, beside its log and manifest
+FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, besides its log and manifest
 
 
 @dataclass(frozen=True)
 class Merged:
-    """What came of it.
+    """Hold the result of a merge.
 
     Attributes:
         log: the merged episodes.
-        notices: how the shards differ although they are of one sweep: versions, maps of one scene; one line each.
+        notices: differences between the shards (versions, maps of one scene), one line each.
     """
 
     log: Path
@@ -33,16 +33,16 @@ class Merged:
 def merge_sweeps(folders: Sequence[Path], out: Path) -> Merged:
     """Merge the finished shards of one sweep into ``out``, which appears whole or not at all.
 
-    Where two shards hold the map or recording of one scene, that of the earlier shard is kept: rows say by ``map_hash``
-    which one their agents had.
+    Where two shards hold the map or recording of one scene, that of the earlier shard is kept: rows name by
+    ``map_hash`` the map that their agents had.
 
     Args:
         folders: of ``vssm-gym sweep --shard I/N``, one for each I, in any order.
         out: new or empty folder.
 
     Raises:
-        InputError: a folder that holds no shard, one of another sweep, one given twice, one that has not ended; shards
-            that are missing; other tasks of the same scene; a folder that cannot be written.
+        InputError: a folder that holds no shard, or a shard of another sweep, given twice, or unfinished; missing
+            shards; different tasks of one scene; a folder that cannot be written.
     """
     check_folder(out)
     if out.is_dir() and any(out.iterdir()):
@@ -66,7 +66,7 @@ def merge_sweeps(folders: Sequence[Path], out: Path) -> Merged:
 
 
 def _ordered(folders: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
-    """Every shard of one sweep with its manifest, by its number."""
+    """Return every shard of one sweep with its manifest, in the order of their numbers."""
     if not folders:
         raise InputError("merge", "folders", "the folders of a sweep's shards")
     found: dict[int, tuple[Path, dict[str, Any]]] = {}
@@ -93,7 +93,7 @@ def _ordered(folders: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
 
 
 def _rows(shards: Sequence[tuple[Path, dict[str, Any]]]) -> Iterator[dict[str, Any]]:
-    """The rows of all shards, none twice, none missing."""
+    """Yield the rows of all shards; raise :class:`InputError` for a row that is missing or doubled."""
     seen: dict[tuple, Path] = {}
     for folder, manifest in shards:
         rows = read_rows(folder / FILE)
@@ -108,7 +108,7 @@ def _rows(shards: Sequence[tuple[Path, dict[str, Any]]]) -> Iterator[dict[str, A
 
 
 def _copy(sources: Sequence[Path], target: Path) -> None:
-    """What the folders hold, by name; the first of a name is kept. Tasks of one name have to be the same."""
+    """Copy the contents of the folders; the first file of a name is kept, and tasks of one name have to be the same."""
     for source in filter(Path.is_dir, sources):
         target.mkdir(parents=True, exist_ok=True)
         for path in sorted(source.iterdir()):

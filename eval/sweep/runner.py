@@ -1,8 +1,8 @@
-"""``sweep CONFIG --out DIR``: every episode of a configuration once, over worker processes, whatever interrupts it.
+"""Run every episode of a configuration once over worker processes, and resume after interruptions: ``sweep CONFIG``.
 
 The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, ``recordings/``, ``maps/`` and
-``episodes.jsonl``. Only this process writes them; a worker that dies takes nothing along but its own episode. Workers
-of explorers write whole files to ``explored/``: the maps that are left by the first run of each agent in each scene.
+``episodes.jsonl``. Only this process writes them; a worker that dies loses its own episode only. Workers of
+explorers write whole files to ``explored/``: the final maps of the first run of each agent in each scene.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ def run_sweep(
     shard: Shard | None = None,
     on_progress: OnProgress | None = None,
 ) -> Path:
-    """Run what is not yet in ``out/episodes.jsonl``; returns that file.
+    """Run the episodes that are not yet in ``out/episodes.jsonl``; return that file.
 
     Each row is on disk as soon as its episode ends. Ctrl-C lets the episodes that are running end (seconds), keeps them
     and raises KeyboardInterrupt.
@@ -81,7 +81,7 @@ def run_sweep(
 
 
 def check_arguments(out: Path, workers: int, seed: int) -> None:
-    """Raise :class:`InputError` for what no sweep can run with; nothing is written.
+    """Raise :class:`InputError` for arguments that no sweep can run with; nothing is written.
 
     ``out`` may be new, empty, or a sweep's: that has a manifest, or no more than the log that is opened just before it.
     """
@@ -95,7 +95,7 @@ def check_arguments(out: Path, workers: int, seed: int) -> None:
 
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
-    """16 hex digits of what decides the results: configuration, scenes and policies (by content, not by path), seed."""
+    """Hash what determines the results (configuration, contents of scenes and policies, seed); 16 hex digits."""
     content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
     content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
     content["agents"] = [hashed_name(agent_label(agent)) for agent in config.agents]
@@ -124,7 +124,7 @@ def _manifest(
 
 
 def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None:
-    """Make ``out`` this sweep's folder, or say why it cannot be."""
+    """Make ``out`` this sweep's folder; raise :class:`InputError` where it cannot be."""
     path = out / MANIFEST
     if rows and not resume:
         raise InputError(out, "folder", f"a folder without episodes; it holds {rows} (--resume continues them)")
@@ -152,7 +152,7 @@ def _jobs(
     manifest: dict[str, Any],
     on_progress: OnProgress | None,
 ) -> list[worker.Job]:
-    """Jobs for episodes of one scene, after its tasks were drawn and, where an agent needs it, its map was learned."""
+    """Draw the tasks of a scene and learn its map if an agent needs it; return the jobs of its episodes."""
     from vssm_gym.agents.registry import agent_type
 
     apartment, map_file = protocol_of(config.env[0]).load(scene), None
@@ -180,7 +180,7 @@ def _jobs(
 
 
 def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | None:
-    """Where the map of an explorer's first run in each world is kept; None of other episodes."""
+    """Return the file for the map of an explorer's first run in each world; None for other episodes."""
     c = episode.condition
     first = (episode.task, episode.seed) == (config.tasks[0], config.seeds[0])
     if SWEPT_ENVIRONMENTS[c.env].task != "explore" or not first:
@@ -190,10 +190,10 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
 
 
 def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_progress: OnProgress | None) -> None:
-    """All jobs of a scene over workers of its own, whose memory is free at its end; results are logged as they come.
+    """Run all jobs of a scene over workers of its own, whose memory is freed at the end; log results as they come.
 
-    One episode of each agent that uses the map goes first, one after the other in one worker: it compiles what the
-    others then find in the compilation cache. Two workers that compile at once take twice the time and memory.
+    One episode of each agent that uses the map runs first, one after the other: it fills the compilation cache for the
+    others. Two workers that compile at once would take twice the time and memory.
     """
     first = list({job.episode.agent: job for job in reversed(jobs) if job.map_file}.values())[::-1]
     futures: dict[Future, worker.Job] = {}

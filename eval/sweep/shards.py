@@ -1,9 +1,9 @@
-"""Shards: the parts of a sweep that several machines run. Every episode is in exactly one, whoever asks.
+"""Split a sweep into shards for several machines; every episode is in exactly one.
 
     units = (scene, task) in the order of the configuration,   shard i of N = units [(i - 1) U / N, i U / N)
 
 All agents, conditions and seeds of a task stay together, so that every pair that is compared ran on one machine. Shards
-are contiguous: one of them meets few scenes, and learns few maps.
+are contiguous: each has few scenes, and learns few maps.
 """
 
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ from vssm_gym.eval.episodes.identity import Episode
 
 @dataclass(frozen=True)
 class Shard:
-    """Part ``index``, counted from 1, of ``of``."""
+    """Hold part ``index``, counted from 1, of ``of``."""
 
     index: int
     of: int
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """The shard that ``I/N`` says; raises :class:`InputError` unless 1 <= I <= N."""
+        """Parse ``I/N``; raise :class:`InputError` unless 1 <= I <= N."""
         first, slash, last = text.partition("/")
         if not (slash and first.isdigit() and last.isdigit() and 1 <= int(first) <= int(last)):
             raise InputError("sweep", "shard", f"I/N with 1 <= I <= N, as in 2/5; found {text!r}")
         return cls(int(first), int(last))
 
     def part(self, episodes: Sequence[Episode]) -> list[Episode]:
-        """Its episodes, in their order; raises :class:`InputError` where there are fewer tasks than shards."""
+        """Return the shard's episodes in order; raise :class:`InputError` where there are fewer tasks than shards."""
         units = list(dict.fromkeys((e.condition.scene, e.task) for e in episodes))
         if self.of > len(units):
             raise InputError("sweep", "shard", f"at most {len(units)} shards, one a task and scene; found {self.of}")

@@ -1,7 +1,7 @@
-"""What one worker process of a sweep does: hold a world, its map and the agents, and run episodes in them.
+"""Run episodes in a worker process of a sweep, which keeps a world, its map and the agents between them.
 
-Workers are spawned, single-threaded (two on two cores then do twice the work, and an episode's floating-point sums do
-not depend on how many workers there are), and keep what is expensive between episodes: nothing is compiled twice.
+Workers are spawned and single-threaded: two on two cores then do twice the work, and an episode's floating-point sums
+do not depend on the number of workers. Nothing is compiled twice.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ _compiled: set[str] = set()  # agents that this process has run
 
 @dataclass(frozen=True)
 class Job:
-    """One episode to run, and what a worker cannot know: where maps and tasks are, and what to sign the row with."""
+    """Hold one episode to run, the files of its map and tasks, and the fields that sign its row."""
 
     episode: Episode
     map_file: Path | None  # None for an agent that needs no map
@@ -51,14 +51,14 @@ class Job:
     scene_hash: str
     config_hash: str
     version: str
-    explored_file: Path | None = None  # where the map that an explorer leaves is kept
+    explored_file: Path | None = None  # for the final map of an explorer
 
 
 @contextlib.contextmanager
 def single_threaded_children() -> Iterator[None]:
-    """Processes started within inherit variables that keep numerical libraries on one thread; this one is unchanged.
+    """Start processes in this context with numerical libraries limited to one thread; this process is unchanged.
 
-    Libraries read them when they are loaded, long before a pool's initializer could run.
+    Libraries read these environment variables when they are loaded, before a pool's initializer could run.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     flags = " ".join(filter(None, [before["XLA_FLAGS"], ONE_THREAD["XLA_FLAGS"]]))
@@ -74,7 +74,7 @@ def single_threaded_children() -> Iterator[None]:
 
 
 def initialise() -> None:
-    """First call in a worker: Ctrl-C is the parent's to handle, and a parent that dies takes its workers along."""
+    """Initialise a worker: ignore Ctrl-C, which the parent handles, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -87,7 +87,7 @@ def _leave_with(sentinel: int) -> None:
 
 
 def run(job: Job) -> dict[str, Any]:
-    """Run one episode; returns its row, ready for the log."""
+    """Run one episode and return its row for the log."""
     episode = job.episode
     protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
     voxel_map = _map(job.map_file) if job.map_file else None
@@ -102,17 +102,17 @@ def run(job: Job) -> dict[str, Any]:
 
 
 def _keep(agent: "Agent", job: Job) -> str | None:
-    """Write the map that an agent has left; its file's name, None for an agent without."""
-    left: VoxelMap | None = getattr(agent, "map", None)
-    if left is None or job.explored_file is None:
+    """Write an agent's final map; return its file's name, None for an agent without a map."""
+    final: VoxelMap | None = getattr(agent, "map", None)
+    if final is None or job.explored_file is None:
         return None
     job.explored_file.parent.mkdir(parents=True, exist_ok=True)
-    left.save(job.explored_file, agent=job.episode.agent, scene_hash=job.scene_hash, package_version=job.version)
+    final.save(job.explored_file, agent=job.episode.agent, scene_hash=job.scene_hash, package_version=job.version)
     return job.explored_file.name
 
 
 def release_memory() -> None:
-    """Give freed memory back to the system, where the C library can: compiling leaves hundreds of megabytes behind."""
+    """Return freed memory to the system, where the C library can; compiling leaves hundreds of megabytes allocated."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

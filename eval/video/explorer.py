@@ -1,6 +1,6 @@
-"""A video of one run of an explorer: what it sees, what it believes, where it wants to go and why, how far it has come.
+"""Write a video of one exploration: its images, map, candidates, planned path and coverage.
 
-All that does not move is drawn once; a frame draws the rest over it.
+Static parts are drawn once; a frame draws the moving parts over them.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ from vssm_gym.eval.video.recording import EVERY, Recording
 from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
 from vssm_gym.progress import OnProgress
 
-_CHARACTERS = 92  # of a status that fit into a line
+_CHARACTERS = 92  # of a status: a line holds no more
 
 
 def write_video(path: Path, recording: Recording, title: str, on_progress: OnProgress | None = None) -> None:
@@ -24,8 +24,8 @@ def write_video(path: Path, recording: Recording, title: str, on_progress: OnPro
 
     Args:
         path: of the file, which ends in ``.mp4``.
-        recording: of a run that has ended, with a moment at least.
-        title: who explores what.
+        recording: of a run that has ended, with at least one moment.
+        title: names agent and scene.
         on_progress: called with ("video", done, total).
     """
     sheet, n = Sheet(recording, title), len(recording.moments)
@@ -33,7 +33,7 @@ def write_video(path: Path, recording: Recording, title: str, on_progress: OnPro
 
 
 class Sheet:
-    """The page whose moving parts are set by :meth:`draw`."""
+    """Lay out the video's page; :meth:`draw` sets its moving parts."""
 
     def __init__(self, recording: Recording, title: str) -> None:
         self._recording, self._bounds = recording, recording.bounds()
@@ -44,15 +44,15 @@ class Sheet:
         figure.text(0.02, 0.95, title, fontsize=15, weight="bold")
         speed = EVERY * HolonomicRobot().dt * RATE
         figure.text(0.98, 0.95, f"{speed:g} x as fast as driven", fontsize=10, ha="right", color="0.35")
-        self._see(figure)
+        self._image_panel(figure)
         self._curve(figure)
         self._plan(figure)
 
     def draw(self, i: int) -> UInt8[np.ndarray, "height width 3"]:
-        """The frame of moment ``i``."""
+        """Draw the frame of moment ``i``."""
         moment = self._recording.moments[i]
         self._driven.set_data(*self._recording.driven(moment).T)
-        self._way.set_data(*(np.empty((2, 0)) if moment.way is None else moment.way.T))
+        self._path.set_data(*(np.empty((2, 0)) if moment.path is None else moment.path.T))
         self._robot.set_xy(pictures.robot_outline(moment.planar))
         if self._dots is not None:
             tour = moment.tour
@@ -69,8 +69,8 @@ class Sheet:
         plan = pictures.plan_image(moment.plan, self._bounds)
         return self._page.frame([(self._image, moment.rgb), (self._cells, plan)])
 
-    def _see(self, figure: Figure) -> None:
-        """What the robot sees, and the numbers."""
+    def _image_panel(self, figure: Figure) -> None:
+        """Add the robot's image, and the numbers."""
         rgb = self._recording.moments[0].rgb
         axes = figure.add_axes((0.02, 0.475, 0.3, 0.445), xlim=(0, rgb.shape[1]), ylim=(0, rgb.shape[0]))
         pictures.bare(axes)
@@ -78,7 +78,7 @@ class Sheet:
         self._numbers = self._moves(figure.text(0.02, 0.425, "", fontsize=13))
 
     def _curve(self, figure: Figure) -> None:
-        """Coverage by metres driven."""
+        """Add the curve of coverage over path length."""
         axes = figure.add_axes((0.06, 0.1, 0.26, 0.28))
         longest = max(float(self._metres[-1]), 1.0)
         axes.set(xlim=(0.0, 1.02 * longest), ylim=(0.0, 102.0), xlabel="driven, m", ylabel="covered, %")
@@ -89,21 +89,21 @@ class Sheet:
         self._now = self._moves(axes.plot([], [], "o", color=pictures.DRIVEN_COLOUR)[0])
 
     def _plan(self, figure: Figure) -> None:
-        """What the robot believes of the floor, and where it wants to go."""
+        """Add the floor plan of the belief, with candidates and the planned path."""
         norm, bounds = pictures.gain_norm(self._recording), self._bounds
         axes = figure.add_axes((0.345, 0.1, 0.57, 0.82), xlim=bounds[:, 0], ylim=bounds[:, 1])
         pictures.bare(axes)
         shape = pictures.plan_image(self._recording.moments[0].plan, bounds).shape
         self._cells = Window(axes, shape, self._page.size, upwards=True)
-        self._driven, self._way = (
+        self._driven, self._path = (
             self._moves(axes.plot([], [], color=colour, linewidth=width, path_effects=pictures.HALO)[0])
-            for colour, width in ((pictures.DRIVEN_COLOUR, 1.6), (pictures.WAY_COLOUR, 2.0))
+            for colour, width in ((pictures.DRIVEN_COLOUR, 1.6), (pictures.PATH_COLOUR, 2.0))
         )
         self._dots: Any = None
         if norm is not None:
             dots = axes.scatter([], [], c=[], cmap=pictures.GAIN_COLOURS, norm=norm, **pictures.CANDIDATE)
             self._dots = self._moves(dots)
-            self._ring = self._moves(axes.plot([], [], color=pictures.WAY_COLOUR, **pictures.CHOSEN)[0])
+            self._ring = self._moves(axes.plot([], [], color=pictures.PATH_COLOUR, **pictures.CHOSEN)[0])
             pictures.label_gain(figure.colorbar(dots, cax=figure.add_axes((0.93, 0.2, 0.013, 0.62))))
         self._robot = self._moves(pictures.draw_robot(axes, self._recording.moments[0].planar))
         for artist in pictures.draw_scale(axes, bounds):

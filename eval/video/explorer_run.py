@@ -1,4 +1,4 @@
-"""One run of one explorer, kept whole: the row of a sweep, the map that it leaves, pictures and a video."""
+"""Run one exploration and keep its row, final map, pictures and video."""
 
 import json
 import tempfile
@@ -11,10 +11,11 @@ from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.eval.episodes.identity import scene_name
 from vssm_gym.eval.protocols import explore as explore_protocol
-from vssm_gym.eval.protocols.explore_episode import Step, map_of
+from vssm_gym.eval.protocols.episode import StepRecord
+from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.runner import config_hash
-from vssm_gym.eval.video import pictures as explore_pictures
+from vssm_gym.eval.video import pictures
 from vssm_gym.eval.video.explorer import write_video
 from vssm_gym.eval.video.recording import Recording
 from vssm_gym.files import atomic_write
@@ -23,14 +24,14 @@ from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
 
-DPI = 110
+DPI = 110  # of the pictures
 
 
 def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
     """Run the one episode of ``config`` and write the folder ``out``, which appears whole or not at all.
 
     Args:
-        config: of Explore, with one scene, one agent, one of each condition, one task and one seed.
+        config: of Explore, with one scene, one agent, one value of each condition, one task and one seed.
         out: new or empty folder; see ``vssm-gym explore --help`` for what is in it.
         on_progress: called with ("exploring" | "video", done, total).
 
@@ -42,7 +43,7 @@ def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = Non
     recording = Recording(agent)
     limit = episode.explore.steps if episode.explore else 0
 
-    def see(step: Step) -> None:
+    def see(step: StepRecord) -> None:
         recording(step)
         if on_progress:
             on_progress("exploring", step.number, limit)
@@ -66,8 +67,8 @@ def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = Non
         explored.save(unfinished / "map.npz", agent=row["agent"], scene_hash=content, package_version=version)
         choice = recording.choice()
         if choice is not None:
-            explore_pictures.candidates(choice, recording).savefig(unfinished / "candidates.png", dpi=DPI)
-        explore_pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=DPI)
+            pictures.candidates(choice, recording).savefig(unfinished / "candidates.png", dpi=DPI)
+        pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=DPI)
         Image.fromarray(mesh_picture(surface_mesh(explored))).save(unfinished / "mesh.png")
         title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
         write_video(unfinished / "run.mp4", recording, title, on_progress)

@@ -1,7 +1,7 @@
-"""What pictures and a video of an explorer's run are made from: moments of it, with what the agent then believed.
+"""Record moments of an exploration, with the agent's belief at each, for pictures and a video.
 
-It watches a run as :func:`~vssm_gym.eval.protocols.explore_episode.run_episode` shows it. Pictures are drawn when the
-run has ended: only then is it known how large the apartment is and how much a candidate can gain.
+A :class:`Recording` is the spectator of :func:`~vssm_gym.eval.protocols.explore_episode.run_episode`. Pictures are
+drawn when the run has ended, because only then the extent of the map and the range of gains are known.
 """
 
 from dataclasses import dataclass
@@ -12,19 +12,20 @@ from jaxtyping import Float, Int8, UInt8
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.exploration.mi_explorer import Tour
 from vssm_gym.agents.shared.own_map import OwnMapConfig
-from vssm_gym.eval.protocols.explore_episode import Step, map_of
+from vssm_gym.eval.protocols.episode import StepRecord
+from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import UNKNOWN
 
 EVERY = 2  # steps between two moments, 0.4 s
-EARLY = 0.4  # coverage from which on a choice is shown: by then there are several places to choose from
-SEVERAL = 4  # places that make a choice worth showing
+EARLY = 0.4  # coverage from which on a choice is shown: by then there are several candidates
+SEVERAL = 4  # least number of candidates of a choice that is shown
 
 
 @dataclass(frozen=True)
-class Plan:
-    """The part of a floor plan that is known.
+class CroppedPlan:
+    """Hold the known part of a floor plan.
 
     Attributes:
         cells: ``(nx, ny)`` of FREE, OCCUPIED and UNKNOWN (:mod:`vssm_gym.planning.occupancy_grid`).
@@ -37,8 +38,8 @@ class Plan:
     resolution: float
 
     @classmethod
-    def of(cls, m: VoxelMap) -> "Plan":
-        """The plan of a belief at the heights of the robot's body."""
+    def of(cls, m: VoxelMap) -> "CroppedPlan":
+        """Compute the plan of a belief at the heights of the robot's body."""
         plan = FloorPlan.of(m, *OwnMapConfig().heights)
         known = plan.cells != UNKNOWN
         if not known.any():
@@ -49,25 +50,25 @@ class Plan:
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 2"]:
-        """Lowest and highest corner, m."""
+        """Lowest and highest corner, ``(2, 2)``, m."""
         low = self.origin - 0.5 * self.resolution
         return np.stack([low, low + self.resolution * np.array(self.cells.shape)])
 
 
 @dataclass(frozen=True)
 class Moment:
-    """One moment of a run.
+    """Hold one moment of a run.
 
     Attributes:
         seconds: since the start.
-        metres: driven.
-        coverage: of what can be seen at all, [0, 1].
+        metres: path length so far.
+        coverage: of the observable area, [0, 1].
         planar: x, y (m), heading (rad).
-        status: what the agent says.
-        way: still to be driven, m; None without one.
-        rgb: what the agent sees.
-        plan: what it believes.
-        tour: the places it chose among, until it has stopped; None of an agent that shows none.
+        status: the agent's status.
+        path: the planned path, ``(n, 2)`` m; None without one.
+        rgb: the agent's image.
+        plan: the floor plan of its belief.
+        tour: its candidates, until it has stopped; None of an agent that shows none.
         chosen: whether it chose among them since the moment before.
     """
 
@@ -76,20 +77,20 @@ class Moment:
     coverage: float
     planar: Float[np.ndarray, "3"]
     status: str
-    way: Float[np.ndarray, "n 2"] | None
+    path: Float[np.ndarray, "n 2"] | None
     rgb: UInt8[np.ndarray, "height width 3"]
-    plan: Plan
+    plan: CroppedPlan
     tour: Tour | None
     chosen: bool
 
 
 class Recording:
-    """Collects the moments of one run; given to the run as its spectator.
+    """Collect the moments of one run, as its spectator.
 
     Attributes:
         moments: every ``EVERY`` steps, and where the agent stops.
-        path: ``(3,)`` x, y (m), heading of every step.
-        seconds: of every step.
+        path: ``(3,)`` x, y (m), heading (rad) of every step.
+        seconds: time of every step.
     """
 
     def __init__(self, agent: Agent) -> None:
@@ -99,8 +100,8 @@ class Recording:
         self.seconds: list[float] = []
         self._tour: Tour | None = None
 
-    def __call__(self, step: Step) -> None:
-        """See one step."""
+    def __call__(self, step: StepRecord) -> None:
+        """Record one step."""
         self.path.append(step.planar)
         self.seconds.append(step.seconds)
         decision = step.decision
@@ -118,7 +119,7 @@ class Recording:
                 decision.status,
                 decision.plan,
                 np.array(step.observation["rgb"]),
-                Plan.of(m),
+                CroppedPlan.of(m),
                 None if stops else tour,
                 tour is not self._tour and not stops,
             )
@@ -126,17 +127,17 @@ class Recording:
         self._tour = tour
 
     def bounds(self, around: float = 0.3) -> Float[np.ndarray, "2 2"]:
-        """Lowest and highest corner of all that was ever known, with ``around`` m on each side."""
+        """Return the lowest and highest corner of all known space, with ``around`` m on each side."""
         corners = np.array([moment.plan.bounds for moment in self.moments])
         return np.stack([corners[:, 0].min(axis=0) - around, corners[:, 1].max(axis=0) + around])
 
     def driven(self, moment: Moment) -> Float[np.ndarray, "n 2"]:
-        """The path up to a moment, m."""
+        """Return the path up to a moment, m."""
         n = int(np.searchsorted(self.seconds, moment.seconds)) + 1
         return np.array(self.path[:n])[:, :2]
 
     def choice(self) -> Moment | None:
-        """The first choice among ``SEVERAL`` places with ``EARLY`` covered; else the one among most places, or None."""
+        """Return the first choice at ``EARLY`` coverage among ``SEVERAL`` candidates, or that among most, or None."""
         choices = [moment for moment in self.moments if moment.chosen and moment.tour is not None]
         early = (c for c in choices if c.coverage >= EARLY and c.tour is not None and len(c.tour.xy) >= SEVERAL)
         return next(early, max(choices, key=_places, default=None))

@@ -1,4 +1,4 @@
-"""Videos of runs as MP4: the writer, a page whose moving parts are drawn over what stands still, pictures on it."""
+"""Write videos as MP4 from pages whose moving parts are drawn over static ones."""
 
 import contextlib
 import importlib
@@ -20,12 +20,12 @@ from vssm_gym.progress import OnProgress
 
 RATE = 15  # frames a second
 SIZE, DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
-HOLD = 2.0  # s that the last frame stays
+HOLD = 2.0  # s that the last frame is shown
 HOW = "imageio-ffmpeg, which writes videos: pip install 'vssm-gym[viz]'"
 
 
 def check_writer(command: str) -> None:
-    """Raise :class:`InputError` where videos cannot be written; to be asked before a run, not after it."""
+    """Raise :class:`InputError` where videos cannot be written; call it before a run."""
     try:
         importlib.import_module("imageio_ffmpeg")  # of an extra; what imageio writes MP4 with
     except ImportError as reason:
@@ -42,8 +42,8 @@ def write_frames(
 
     Args:
         path: of the file, which ends in ``.mp4``.
-        frames: one at least; the last one stays for a while.
-        total: how many.
+        frames: at least one; the last one is held.
+        total: number of frames.
         on_progress: called with ("video", done, total).
     """
     writer: Any = imageio.get_writer(
@@ -51,7 +51,7 @@ def write_frames(
     )
     # As a context of its own the writer leaves ffmpeg running where a frame fails
     with contextlib.closing(writer), warnings.catch_warnings():
-        # JAX warns of every fork; this one, at the first frame, becomes ffmpeg at once
+        # JAX warns of every fork; this one, at the first frame, executes ffmpeg at once
         warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
         for i, frame in enumerate(frames):
             writer.append_data(frame)
@@ -62,10 +62,10 @@ def write_frames(
 
 
 class Window:
-    """A picture's place in a frame. It is enlarged by hand: matplotlib takes longer for that than for all else."""
+    """Hold a picture's place in a frame; enlarging by indices is much faster than matplotlib's resampling."""
 
     def __init__(self, axes: Axes, shape: tuple[int, ...], frame: tuple[int, int], upwards: bool) -> None:
-        """``shape`` is that of the pictures, ``frame`` (height, width); with ``upwards`` row 0 is the lowest."""
+        """Place pictures of ``shape`` in a ``frame`` (height, width); with ``upwards`` row 0 is the lowest."""
         axes.apply_aspect()
         (left, bottom), (right, top) = np.rint(axes.get_window_extent().get_points()).astype(int)
         self._place = slice(frame[0] - top, frame[0] - bottom), slice(left, right)
@@ -74,12 +74,12 @@ class Window:
         self._columns = np.arange(right - left) * shape[1] // (right - left)
 
     def show(self, image: UInt8[np.ndarray, "rows columns 3"], frame: UInt8[np.ndarray, "height width 4"]) -> None:
-        """Draw the picture into the frame, its pixels repeated."""
+        """Draw the picture into the frame, repeating its pixels."""
         frame[(*self._place, slice(3))] = image[self._rows, self._columns]
 
 
 class Page:
-    """A figure of which a frame draws only what moves: pictures first, then artists in the order of :meth:`moves`."""
+    """Hold a figure of which a frame redraws the moving parts only: pictures, then artists in the order of addition."""
 
     def __init__(self) -> None:
         self.figure = Figure(figsize=SIZE, dpi=DPI)
@@ -89,7 +89,7 @@ class Page:
         self._background: Any = None
 
     def moves(self, artist: Any) -> Any:
-        """Draw ``artist`` in every frame; the artist."""
+        """Draw ``artist`` in every frame; return it."""
         artist.set_animated(True)
         self._moving.append(artist)
         return artist
@@ -97,7 +97,7 @@ class Page:
     def frame(
         self, pictures: Iterable[tuple[Window, UInt8[np.ndarray, "rows columns 3"]]]
     ) -> UInt8[np.ndarray, "height width 3"]:
-        """The frame of the moving artists as they are now; what stands still is drawn with the first one."""
+        """Draw a frame with the moving artists' present state; the first frame draws the static parts."""
         if self._background is None:
             self._canvas.draw()
             self._background = self._canvas.copy_from_bbox(self.figure.bbox)

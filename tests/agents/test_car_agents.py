@@ -19,7 +19,7 @@ from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks.car import ALIGNED, REACHED, CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet, load, make_car_tasks, save
 from vssm_gym.errors import InputError
-from vssm_gym.eval.protocols.agent_context import believed_motion
+from vssm_gym.eval.protocols.agent_context import transition_of
 from vssm_gym.eval.protocols.carnav import direction_changes, run_episode, shortest_curve
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -69,7 +69,7 @@ def run(name: str, learned: VoxelMap, goal: tuple[float, ...], physics: str = "m
 @pytest.mark.parametrize("goal", [(2.2, 0.7, 2.5), (4.6, 2.0, -1.5)])
 def test_it_parks_without_a_touch(name, goal, learned):
     row = run(name, learned, goal)
-    assert row["success"] and not row["touched"] and row["failure"] is None
+    assert row["success"] and not row["collided"] and row["failure"] is None
     assert row["geodesic"] <= row["path_length"] + 1e-9 and row["spl"] > 0.4
     assert row["location_error_max"] < 1e-5  # it was told, in float32
     assert len(row["trace"]["poses"]) <= 80 and row["trace"]["poses"][0] == pytest.approx([0.8, 2.6, 0.3], abs=0.01)
@@ -79,7 +79,7 @@ def test_it_parks_without_a_touch(name, goal, learned):
 @pytest.mark.slow
 def test_the_dynamic_window_gets_to_the_place_at_least(learned):
     row = run("dwa", learned, (4.6, 2.0, -1.5))
-    assert row["distance_to_goal"] < REACHED and not row["touched"]
+    assert row["distance_to_goal"] < REACHED and not row["collided"]
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_a_car_believes_to_drive_its_arc(speed, steering, heading):
     chord = way * np.sinc(0.5 * turn / np.pi)
     direction = heading + 0.5 * turn
     start = np.array([0.3, -0.2, heading])
-    motion = believed_motion(CAR, (0.0, 0.0))
+    motion = transition_of(CAR, (0.0, 0.0))
     after = np.asarray(motion.mean(jnp.asarray(start), jnp.asarray([speed, steering]), CAR.dt), np.float64)
     np.testing.assert_allclose(
         after[:2], start[:2] + chord * np.array([math.cos(direction), math.sin(direction)]), atol=1e-6

@@ -12,9 +12,9 @@ from PIL import Image
 from vssm_gym.agents.base import Decision
 from vssm_gym.agents.exploration.mi_explorer import Tour
 from vssm_gym.cli import main as main_module
-from vssm_gym.eval.protocols.explore_episode import Step
+from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.video import pictures as explore_pictures
-from vssm_gym.eval.video.recording import EVERY, Plan, Recording
+from vssm_gym.eval.video.recording import EVERY, CroppedPlan, Recording
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
@@ -103,7 +103,7 @@ def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
 
 def test_a_plan_keeps_its_place_in_a_larger_picture():
     cells = np.array([[FREE, OCCUPIED, UNKNOWN], [FREE, FREE, OCCUPIED]], np.int8)
-    plan = Plan(cells, np.array([1.05, 2.05]), 0.1)
+    plan = CroppedPlan(cells, np.array([1.05, 2.05]), 0.1)
     np.testing.assert_allclose(plan.bounds, [[1.0, 2.0], [1.2, 2.3]])
     image = explore_pictures.plan_image(plan, np.array([[0.8, 1.9], [1.3, 2.4]]))
     assert image.shape == (5, 5, 3)  # rows are y, upwards
@@ -131,7 +131,7 @@ def watched(choices):
         decision = Decision(np.array([0.0, 0.0, 0.1, stop], np.float32), None, "")
         info = {"coverage": coverage, "path_length": 0.1 * i}
         seen = {"rgb": np.zeros((3, 4, 3), np.uint8)}
-        recording(Step(i, 0.2 * i, np.array([0.1 * i, 0.0, 0.0]), seen, info, decision))
+        recording(StepRecord(i, 0.2 * i, np.array([0.1 * i, 0.0, 0.0]), seen, info, decision))
     return recording
 
 

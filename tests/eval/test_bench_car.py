@@ -31,7 +31,7 @@ def test_the_cars_arenas_make_160_by_128_cells(scene):
 
 @pytest.mark.slow
 def test_the_sealed_corner_is_out_of_reach():
-    """No motion leads out of it, from poses that are free in it and had a way while it was open."""
+    """No motion leads out of it, from poses that are free in it and had a path while it was open."""
     solid, low, high = bench_car.floor_plan(load_scene("arena"), Car())
     goal = np.array([1.0, 1.0])
     plain = solve(PoseGrid.of(bench_car.rasterised(solid, low, high), Car()), goal)
@@ -83,7 +83,7 @@ def test_the_whole_bench(monkeypatch, tmp_path, capsys):
     for row in result["rows"][2:5]:
         assert row["aim"] == 100.0
         assert row["facts"]["recompilations"] == 0
-        assert row["facts"]["touched"] == 0
+        assert row["facts"]["collided"] == 0
     shown = capsys.readouterr().out
     assert "bench car: arena" in shown
     assert "PyBullet is not installed" in shown

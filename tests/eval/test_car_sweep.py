@@ -1,6 +1,6 @@
 """The robot car end to end: 52 of the 1000 targets of ``car.yaml``, on maps that PRISM made of recorded drives.
 
-A car that stops short of a target, or touches in more than one run, is what the sweep is there to find.
+A car that stops short of a target, or collides in more than one run, is what the sweep is there to find.
 """
 
 import json
@@ -27,6 +27,6 @@ def test_the_car_reaches_fifty_targets(tmp_path):
     assert {(row["scene"], row["physics"]) for row in rows} == {(s, p) for s in SCENES for p in config.physics}
     missed = [(row["scene"], row["physics"], row["task"], row["failure"]) for row in rows if not row["success"]]
     assert missed == []
-    assert sum(row["touched"] > 0 for row in rows) <= 1  # of 52: what one run in a hundred allows
+    assert sum(row["collided"] > 0 for row in rows) <= 1  # of 52: what one run in a hundred allows
     for scene in SCENES:
         assert read_metadata(tmp_path / "sweep" / "maps" / f"{scene}.npz")["poses"] == "estimated"

@@ -15,7 +15,7 @@ from vssm_gym.agents.renamed import RENAMED, current_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
-from vssm_gym.eval.episodes.row import FORMAT, KEY, EpisodeRow, checked
+from vssm_gym.eval.episodes.row import FORMAT, KEY, RENAMED_FIELDS, EpisodeRow, checked
 
 BASELINES = sorted(path.parent for path in (CHECKOUT / "eval" / "baselines").glob("*/episodes.jsonl"))
 ROWS = {
@@ -80,8 +80,8 @@ def test_committed_rows_are_read_in_whole(folder):
     config, hashes = manifest["config"], manifest["scene_hashes"]
     for row, line in zip(rows, lines, strict=True):
         line["agent"] = current_name(line["agent"])
-        assert row.items() >= line.items()
-        assert row.items() >= (manifest["common"] | line).items()
+        said = {RENAMED_FIELDS.get(name, name): value for name, value in (manifest["common"] | line).items()}
+        assert row.items() >= said.items()
         assert row["env"] == config["env"][0]
         assert row["robot"] == config["robot"][0]
         assert row["agent"] in config["agents"]
@@ -102,6 +102,25 @@ def test_rows_of_renamed_agents_are_read_under_their_present_names(tmp_path):
     assert (tmp_path / FILE).read_text() == former  # the file stays as it was written
     assert set(present) <= set(AGENTS)
     assert not set(RENAMED) & set(AGENTS)
+
+
+@pytest.mark.parametrize("old_format", [{"format": 1}, {}], ids=["format 1", "before formats"])
+def test_renamed_fields_are_read_under_both_names_and_written_under_the_new_ones(tmp_path, old_format):
+    """Rows of format 1 become rows of the present format; the earliest rows stay without a format."""
+    new = ROWS["car"] | {"collided": True, "collision_events": 2}
+    old = {name: value for name, value in new.items() if name not in RENAMED_FIELDS.values()} | old_format
+    (tmp_path / FILE).write_text(json.dumps(old | {"touched": True, "touches": 2}) + "\n")
+    assert read_rows(tmp_path / FILE) == [new | ({"format": FORMAT} if old_format else {})]
+    with EpisodeLog(tmp_path / FILE) as log:
+        log.append(new | {"task": 10**6})
+    last = json.loads((tmp_path / FILE).read_text().splitlines()[-1])
+    assert last["format"] == FORMAT and (last["collided"], last["collision_events"]) == (True, 2)
+    assert not set(RENAMED_FIELDS) & last.keys()
+
+
+def test_a_row_with_both_names_of_a_field_is_refused():
+    with pytest.raises(ValueError, match="touched"):
+        checked(ROWS["car"] | {"touched": True})
 
 
 def test_what_a_row_says_stands_before_what_all_share():

@@ -7,7 +7,7 @@ import pytest
 
 from tests.helpers.explore_runs import STEP, STEPS, run
 from vssm_gym.eval.metrics import exploration as metrics
-from vssm_gym.eval.metrics.exploration import Recorder, at, mean_curve, median, median_way, ratio, way_ratio
+from vssm_gym.eval.metrics.exploration import Recorder, at, censored_ratio, mean_curve, median, median_to_level, ratio
 
 BUDGET = STEPS * STEP
 
@@ -17,8 +17,8 @@ def test_a_recorder_notes_where_shares_were_reached_to_the_step_and_samples_by_m
     recorder = Recorder(lambda: (calls.append(1), (-10.0 * len(calls), 0.1))[1])
     steps = 101  # 20 s at 0.25 m/s, 5 m; coverage 0.2 each metre
     for k in range(steps):
-        recorder.see(0.05 * k, 0.2 * k, min(1.0, 0.01 * k))
-    recorder.see(0.05 * (steps - 1), 0.2 * (steps - 1), 1.0, last=True)
+        recorder.record(0.05 * k, 0.2 * k, min(1.0, 0.01 * k))
+    recorder.record(0.05 * (steps - 1), 0.2 * (steps - 1), 1.0, last=True)
     row = recorder.row()
     assert (row["metres_50"], row["seconds_50"]) == (2.5, 10.0)
     assert (row["metres_90"], row["metres_99"]) == (4.5, 4.95)
@@ -32,8 +32,8 @@ def test_a_recorder_notes_where_shares_were_reached_to_the_step_and_samples_by_m
 def test_a_run_that_stands_is_sampled_by_the_clock_and_its_end_is_always_there():
     recorder = Recorder(lambda: (None, None))
     for k in range(120):
-        recorder.see(0.0, 0.2 * k, 0.3)
-    recorder.see(0.0, 24.0, 0.3, last=True)
+        recorder.record(0.0, 0.2 * k, 0.3)
+    recorder.record(0.0, 24.0, 0.3, last=True)
     row = recorder.row()
     assert row["curve"]["seconds"] == [0.0, 10.0, 20.0, 24.0]
     assert row["curve"]["entropy"] == [None] * 4  # an agent without a map
@@ -45,7 +45,7 @@ def test_a_run_that_stands_is_sampled_by_the_clock_and_its_end_is_always_there()
     [
         # Both got there.
         (run("a", 10.0), run("b", 20.0), 0.5),
-        # Time was out for the other after 40 m: its way is longer than that.
+        # Time was out for the other after 40 m: its path is longer than that.
         (run("a", 10.0), run("b", 60.0, ends=40.0, stopped=False), 0.25),
         # ... and after 5 m, which says little: the ratio stays what the bound allows, above 1.
         (run("a", 10.0), run("b", 60.0, ends=5.0, stopped=False), 2.0),
@@ -60,7 +60,7 @@ def test_a_run_that_stands_is_sampled_by_the_clock_and_its_end_is_always_there()
     ],
 )
 def test_a_censored_way_counts_against_the_agent_whose_lead_is_claimed(first, second, expected):
-    assert way_ratio(first, second) == (expected if expected is None else pytest.approx(expected))
+    assert censored_ratio(first, second) == (expected if expected is None else pytest.approx(expected))
 
 
 def test_who_alone_got_there_got_there_first():
@@ -70,15 +70,17 @@ def test_who_alone_got_there_got_there_first():
 
 def test_times_are_compared_by_the_same_rules():
     """Runs at 0.4 m/s within a limit of 100 s."""
-    assert way_ratio(run("a", 10.0), run("b", 20.0), axis="seconds") == pytest.approx(0.5)
-    assert way_ratio(run("a", 10.0), run("b", 60.0, ends=40.0, stopped=False), axis="seconds") == pytest.approx(0.25)
-    assert way_ratio(run("a", 60.0, ends=5.0, stopped=True), run("b", 20.0), axis="seconds") == pytest.approx(2.0)
+    assert censored_ratio(run("a", 10.0), run("b", 20.0), axis="seconds") == pytest.approx(0.5)
+    assert censored_ratio(run("a", 10.0), run("b", 60.0, ends=40.0, stopped=False), axis="seconds") == pytest.approx(
+        0.25
+    )
+    assert censored_ratio(run("a", 60.0, ends=5.0, stopped=True), run("b", 20.0), axis="seconds") == pytest.approx(2.0)
 
 
 def test_ratios_stay_finite_where_the_first_look_shows_it_all():
     at_once = run("a", 10.0) | {"metres_90": 0.0}
-    assert way_ratio(at_once, run("b", 1.6)) == pytest.approx(0.1)  # one step counts
-    assert way_ratio(at_once, at_once) == 1.0
+    assert censored_ratio(at_once, run("b", 1.6)) == pytest.approx(0.1)  # one step counts
+    assert censored_ratio(at_once, at_once) == 1.0
 
 
 def test_giving_up_early_never_makes_an_agent_look_better():
@@ -86,22 +88,22 @@ def test_giving_up_early_never_makes_an_agent_look_better():
     rng = np.random.default_rng(0)
     for _ in range(200):
         a, b, cut = rng.uniform(5.0, 60.0, 3)
-        whole = way_ratio(run("a", a), run("b", b))
+        whole = censored_ratio(run("a", a), run("b", b))
         for stopped in (True, False):
-            assert way_ratio(run("a", a, ends=min(cut, 0.9 * a), stopped=stopped), run("b", b)) >= min(
+            assert censored_ratio(run("a", a, ends=min(cut, 0.9 * a), stopped=stopped), run("b", b)) >= min(
                 whole, BUDGET / b
             )
-        timed_out = way_ratio(run("a", a), run("b", b, ends=min(cut, 0.9 * b), stopped=False))
+        timed_out = censored_ratio(run("a", a), run("b", b, ends=min(cut, 0.9 * b), stopped=False))
         assert timed_out >= whole  # the lead over a run that was cut short is never overstated
 
 
-def grid_of_runs(ways, **more):
-    """Runs of agents ``a`` and ``b``: ``ways[scene]`` is a list of (metres of a, metres of b)."""
+def grid_of_runs(metres, **more):
+    """Runs of agents ``a`` and ``b``: ``metres[scene]`` is a list of (metres of a, metres of b)."""
     return [
-        run(agent, way, scene=scene, task=task, **more)
-        for scene, pairs in ways.items()
+        run(agent, driven, scene=scene, task=task, **more)
+        for scene, pairs in metres.items()
         for task, pair in enumerate(pairs)
-        for agent, way in zip("ab", pair, strict=True)
+        for agent, driven in zip("ab", pair, strict=True)
     ]
 
 
@@ -142,24 +144,24 @@ def test_missed_runs_are_counted_and_pairs_without_any_way_say_nothing():
 
 
 def test_a_first_look_around_costs_no_metres_on_the_curve():
-    """All that it shows is known before the first metre, and not by and by on the way to it."""
+    """All that it shows is known before the first metre, and not gradually along it."""
     recorder = Recorder(lambda: (None, None))
     for k in range(30):  # turns for 6 s
-        recorder.see(0.0, 0.2 * k, k / 40)
+        recorder.record(0.0, 0.2 * k, k / 40)
     for k in range(30, 60):
-        recorder.see(0.16 * (k - 29), 0.2 * k, 0.75)
+        recorder.record(0.16 * (k - 29), 0.2 * k, 0.75)
     row = recorder.row() | {"stopped": True}
     assert at(row, "coverage", "metres", np.array([0.2, 1.0])).tolist() == [0.75, 0.75]
 
 
 def test_medians_count_who_never_got_there_as_longest():
-    there = [run("a", way, task=i) for i, way in enumerate([10.0, 12.0, 14.0])]
+    there = [run("a", metres, task=i) for i, metres in enumerate([10.0, 12.0, 14.0])]
     never = [run("a", 60.0, ends=3.0, task=3 + i) for i in range(2)]
-    assert median_way(there, 90).mean == 12.0
-    assert median_way([*there, *never], 90).mean == 14.0  # of five
-    assert median_way(there[:2], 90).mean == 11.0  # of two their mean
-    assert math.isinf(median_way([there[0], never[0]], 90).mean)  # half of them did not get there
-    most = median_way([*there, *never, *(run("a", 60.0, ends=3.0, task=9 + i) for i in range(2))], 90)
+    assert median_to_level(there, 90).mean == 12.0
+    assert median_to_level([*there, *never], 90).mean == 14.0  # of five
+    assert median_to_level(there[:2], 90).mean == 11.0  # of two their mean
+    assert math.isinf(median_to_level([there[0], never[0]], 90).mean)  # half of them did not get there
+    most = median_to_level([*there, *never, *(run("a", 60.0, ends=3.0, task=9 + i) for i in range(2))], 90)
     assert math.isinf(most.mean)
     assert math.isinf(most.high)
 

@@ -1,4 +1,4 @@
-"""Runs of explorers: what a row says of them, what becomes of each way to end, and a sweep from start to report."""
+"""Test runs of explorers: the fields of their rows, each kind of ending, and a sweep from start to report."""
 
 import json
 import re
@@ -81,7 +81,7 @@ def test_a_run_on_the_spot_costs_time_and_no_way(env):
     assert 0.0 < row["seconds_50"] <= 12.0
     assert (row["entropy"], row["completeness"]) == (None, None)  # it keeps no map
     assert "accuracy" not in row
-    assert (row["touched"], row["success"]) == (False, False)
+    assert (row["collided"], row["success"]) == (False, False)
     assert row["failure"].startswith("time out: ")
     assert "covered after 60 steps" in row["failure"]
 
@@ -102,9 +102,9 @@ def test_an_agent_that_stops_below_the_goal_has_failed_for_the_reason_it_gives(e
     assert re.fullmatch(reason, row["failure"])
 
 
-def test_a_robot_that_pushes_against_a_wall_is_stuck_and_has_touched(env):
+def test_a_robot_that_pushes_against_a_wall_is_stuck_and_has_collided(env):
     row = run(env, Scripted(FORWARD, status="on the way"), start=np.array([0.6, 1.0, -np.pi / 2]))
-    assert row["touched"]
+    assert row["collided"]
     assert row["collisions"] > 30
     assert row["failure"].startswith("collision: stuck, ")
     assert len(row["trace"]["contacts"]) > 0
@@ -183,7 +183,7 @@ class _Frontier:
 
 @pytest.mark.parametrize("policy", [_Random, _Learned, _Frontier])
 def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy):
-    """Coverage, way and time of the same seed, by a plain Gymnasium loop and by the protocol."""
+    """Coverage, path length and time of the same seed, by a plain Gymnasium loop and by the protocol."""
     agent = _AsAgent(policy())
     row = run(env, agent, seed=7)
     observation, info = env.reset(seed=7, options={"start": START})
@@ -200,8 +200,8 @@ def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy)
     assert row["path_length"] == pytest.approx(info["path_length"])
     assert row["steps"] == steps
     for share in (50, 90, 99):
-        way = next((way for way, coverage in seen if 100.0 * coverage >= share), None)
-        assert row[f"metres_{share}"] == (None if way is None else pytest.approx(way, abs=1e-3))
+        metres = next((metres for metres, coverage in seen if 100.0 * coverage >= share), None)
+        assert row[f"metres_{share}"] == (None if metres is None else pytest.approx(metres, abs=1e-3))
     assert (row["entropy"], row["completeness"]) == (None, None)
 
 
@@ -299,5 +299,11 @@ def test_explorers_from_start_to_report(tmp_path):
     assert first == second
 
     text = write_report(tmp_path / "whole").read_text()
-    for heading in ("ratio of ways", "hardest other agent", "m to 90 %", "navigation success %", "Maps that are left"):
+    for heading in (
+        "ratio of path lengths",
+        "strongest other agent",
+        "m to 90 %",
+        "navigation success %",
+        "Final maps",
+    ):
         assert heading in text

@@ -5,16 +5,19 @@ import math
 import pytest
 
 from tests.eval.test_episode_row import BASELINES, ROWS
+from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, read_rows
-from vssm_gym.eval.metrics import navigation as metrics
+from vssm_gym.eval.episodes.row import RENAMED_FIELDS
+from vssm_gym.eval.metrics import aggregate, navigation, proportions
 from vssm_gym.eval.metrics.registry import METRICS, measured, shown_in
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
+from vssm_gym.eval.report import summary
 from vssm_gym.eval.report.tables import Measures, results
 
 STORED = {folder.name: read_rows(folder / FILE) for folder in BASELINES}
 EVERY = {**STORED, **{name: [row] for name, row in ROWS.items()}}
 # Derived again from other fields that the row stores, and not read: the two have to agree.
-DERIVED = {"spl": ("rl",), "touched": ("exploration",)}
+DERIVED = {"spl": ("rl",), "collided": ("exploration",)}
 
 
 @pytest.mark.parametrize("name", METRICS)
@@ -26,7 +29,7 @@ def test_a_metric_is_a_number_of_some_stored_row_and_agrees_with_what_is_stored(
             if value is None:
                 continue
             said += 1
-            assert isinstance(value, bool) or not metric.share
+            assert isinstance(value, bool) or not metric.proportion
             assert math.isfinite(value)
             if source in STORED and row.get(name) is not None:
                 assert value == pytest.approx(row[name], abs=1.01e-4)  # kept to four digits
@@ -61,11 +64,18 @@ def test_every_report_has_metrics_of_its_own_labels():
 
 
 def test_by_hand():
-    row = {"success": True, "geodesic": 2.0, "path_length": 4.0, "touches": 1, "seconds": 6.0, "metres_99": None}
+    row = {
+        "success": True,
+        "geodesic": 2.0,
+        "path_length": 4.0,
+        "collision_events": 1,
+        "seconds": 6.0,
+        "metres_99": None,
+    }
     row |= {"latency": {"total": {"p50": 0.01, "p95": 0.02}}, "navigation": {"success": 0.5, "spl": 0.25}}
     found = measured(row)
     assert (found["spl"], found["path_ratio"], found["seconds_driven"]) == (0.5, 2.0, 6.0)
-    assert (found["touched"], found["covered_99"]) == (True, False)
+    assert (found["collided"], found["covered_99"]) == (True, False)
     assert (found["control_p50_ms"], found["decision_p95_ms"]) == (10.0, 20.0)
     assert (found["navigation_success"], found["navigation_spl"]) == (50.0, 0.25)
     failed = measured(row | {"success": False})
@@ -75,9 +85,26 @@ def test_by_hand():
 def test_spl_is_that_of_the_literature():
     """One function for the row that is written and for the column that is shown."""
     row = ROWS["car"]
-    assert METRICS["spl"].function(row) == metrics.spl(row["success"], row["geodesic"], row["path_length"])
+    assert METRICS["spl"].function(row) == navigation.spl(row["success"], row["geodesic"], row["path_length"])
 
 
 def test_directions_are_told():
     said = Measures("navigation").directions(["spl", "steps"])
     assert said == "Higher is better: SPL. Lower is better: steps."
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED_FIELDS.items())
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda name: results([], 0, Measures("car"), metrics=(name,), by=()),
+        lambda name: Measures("car").label(name),
+        lambda name: summary.mean(name),
+        lambda name: aggregate.mean([], name),
+        lambda name: aggregate.paired_difference([], name, "a", "b"),
+        lambda name: proportions.percent([], name),
+    ],
+)
+def test_a_metric_asked_for_by_its_old_name_gives_the_new_one(ask, old, new):
+    with pytest.raises(InputError, match=f"{old}: expected '{new}', as this metric is called now"):
+        ask(old)

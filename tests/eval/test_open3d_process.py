@@ -47,7 +47,7 @@ def run(command, **keywords):
 
 def test_every_frame_arrives_as_it_is_and_its_answer_comes_back():
     heard = []
-    found = run(answering(), told=lambda *event: heard.append(event))
+    found = run(answering(), on_progress=lambda *event: heard.append(event))
     assert found.version == "0.1"
     np.testing.assert_array_equal(found.poses[:, 0, 3], range(5))
     np.testing.assert_allclose(found.poses[:, 1, 3], [0.0, 0.5, 1.0, 1.5, 2.0])

@@ -20,7 +20,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import resolution as study_resolution
 from vssm_gym.eval.studies import runtime as study_runtime
-from vssm_gym.eval.studies.calibration import judge
+from vssm_gym.eval.studies.calibration import evaluate
 from vssm_gym.eval.studies.map_update import _answer, _picture
 from vssm_gym.eval.studies.page import Study, write_study
 from vssm_gym.inference.status import Status
@@ -137,11 +137,11 @@ def calibrated_run(frames: int, scale: float = 1.0) -> tuple[SlamRun, SimpleName
 def test_a_calibrated_filter_is_found_so(scale: float) -> None:
     """NEES / 6 and the velocity's RMS come out as drawn, in whatever world the truth is recorded."""
     run, recording = calibrated_run(600, scale)
-    judged = judge(run, recording)
-    assert judged.poses.summary()["nees_over_dimension"] == pytest.approx(scale, rel=0.05)
-    np.testing.assert_allclose(np.sqrt(np.mean(judged.velocity**2)), np.sqrt(scale), rtol=0.03)
-    assert np.mean(np.abs(judged.velocity) <= 1.959964) == pytest.approx({1.0: 0.95, 4.0: 0.673}[scale], abs=0.02)
-    assert judged.poses.nees.shape == (599,)  # the first frame claims nothing
+    evaluated = evaluate(run, recording)
+    assert evaluated.poses.summary()["nees_over_dimension"] == pytest.approx(scale, rel=0.05)
+    np.testing.assert_allclose(np.sqrt(np.mean(evaluated.velocity**2)), np.sqrt(scale), rtol=0.03)
+    assert np.mean(np.abs(evaluated.velocity) <= 1.959964) == pytest.approx({1.0: 0.95, 4.0: 0.673}[scale], abs=0.02)
+    assert evaluated.poses.nees.shape == (599,)  # the first frame claims nothing
 
 
 def test_lost_frames_and_frames_without_truth_are_left_out() -> None:
@@ -152,13 +152,13 @@ def test_lost_frames_and_frames_without_truth_are_left_out() -> None:
     frames[7] = replace(frames[7], status=Status.LOST, T_world_cam=far)
     times, truth = recording.truth
     recording.truth = (np.delete(times, 12), np.delete(truth, 12, axis=0))
-    judged = judge(replace(run, frames=tuple(frames)), recording)
-    assert (judged.frames, judged.lost, len(judged.poses.nees)) == (20, 1, 17)
-    assert len(judged.velocity) == 16  # frame 13 follows one whose true pose is not known
-    assert judged.error_m < 0.5
+    evaluated = evaluate(replace(run, frames=tuple(frames)), recording)
+    assert (evaluated.frames, evaluated.lost, len(evaluated.poses.nees)) == (20, 1, 17)
+    assert len(evaluated.velocity) == 16  # frame 13 follows one whose true pose is not known
+    assert evaluated.error_m < 0.5
     recording.truth = (times[[0, 5, 10]], truth[[0, 5, 10]])
     with pytest.raises(InputError, match="frames"):
-        judge(run, recording)
+        evaluate(run, recording)
 
 
 def test_stages_add_up_to_the_mean_step() -> None:
@@ -269,6 +269,6 @@ def test_the_studies_of_the_filter(walk, tmp_path, monkeypatch) -> None:
     commands.calibration((walk, again), tmp_path / "out")
     rows = json.loads((tmp_path / "out" / "calibration.json").read_text())["figures"]["sequences"]
     assert set(rows) == {"walk", "again"}
-    for row in rows.values():  # the scale of the other one is its own, which makes it calibrated in the mean
+    for row in rows.values():  # the scale of the other one is its own, which makes it calibrated on average
         assert row["scaled"]["nees_over_dimension"] == pytest.approx(1.0, rel=0.2)
         assert row["velocity"]["linear"]["share"] > 0.9

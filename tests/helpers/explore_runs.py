@@ -5,8 +5,8 @@ import numpy as np
 STEPS, STEP, DT = 500, 0.16, 0.2  # a budget of 80 m and 100 s
 
 
-def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, touched=False, navigation=None, **more):
-    """Return a straight run at 0.4 m/s that covers 90 % after ``metres_90`` m and ends after ``ends`` m (at 100 %).
+def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, collided=False, navigation=None, **more):
+    """A straight run at 0.4 m/s that has covered 90 % after ``metres_90`` m and ends after ``ends`` m (at 100 %).
 
     Entropy falls with coverage by 1 Mnat; completeness is 0.8 of coverage. A run that ends before 90 % has failed.
     """
@@ -14,11 +14,11 @@ def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, touch
     metres = np.linspace(0.0, ends, 25).round(3)
     coverage = np.minimum(0.9 * metres / metres_90, 1.0)
 
-    def reached(share):
-        way = metres_90 * share / 90.0
-        return round(way, 4) if way <= ends + 1e-9 else None
+    def reached(level):
+        metres = metres_90 * level / 90.0
+        return round(metres, 4) if metres <= ends + 1e-9 else None
 
-    ways = {share: reached(share) for share in (50, 90, 95, 99)}
+    driven = {level: reached(level) for level in (50, 90, 95, 99)}
     success = bool(coverage[-1] >= 0.9 - 1e-9)
     return {
         "env": "vssm_gym/Explore-v0",
@@ -35,8 +35,8 @@ def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, touch
         "agent": agent,
         "version": "0.1.0",
         "success": success,
-        **{f"metres_{share}": way for share, way in ways.items()},
-        **{f"seconds_{share}": None if way is None else round(way / 0.4, 3) for share, way in ways.items()},
+        **{f"metres_{level}": metres for level, metres in driven.items()},
+        **{f"seconds_{level}": None if metres is None else round(metres / 0.4, 3) for level, metres in driven.items()},
         "curve": {
             "metres": metres.tolist(),
             "seconds": (metres / 0.4).round(3).tolist(),
@@ -55,8 +55,8 @@ def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, touch
         "seconds": float(ends / 0.4),
         "steps": round(ends / 0.4 / DT),
         "stopped": stopped,
-        "collisions": int(touched),
-        "touched": touched,
+        "collisions": int(collided),
+        "collided": collided,
         "location_error_mean": 0.0,
         "location_error_max": 0.0,
         "location_error_final": 0.0,
@@ -72,7 +72,7 @@ def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, touch
         "trace": {
             "true": [[0.1 * k, 0.2 * task] for k in range(20)],
             "estimate": None,
-            "contacts": [[0.5, 0.2 * task]] if touched else [],
+            "contacts": [[0.5, 0.2 * task]] if collided else [],
             "reached": {"50": [0.8, 0.2 * task], "90": [1.5, 0.2 * task]} if success else {},
         },
         **more,

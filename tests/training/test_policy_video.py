@@ -16,7 +16,7 @@ from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import file as policy_file
 from vssm_gym.cli import main as main_module
 from vssm_gym.envs.scenes.scene import save_scene
-from vssm_gym.eval.video.recording import Plan
+from vssm_gym.eval.video.recording import CroppedPlan
 from vssm_gym.eval.video.writer import HOLD, RATE
 from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
@@ -27,7 +27,7 @@ from vssm_gym.training.video import Sheet, write_video
 TABLE = furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6))
 
 
-def run(n: int, success: bool, plan: Plan) -> Run:
+def run(n: int, success: bool, plan: CroppedPlan) -> Run:
     """Along x for n moments, from (1, 1)."""
     moments = tuple(
         Moment(

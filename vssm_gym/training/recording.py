@@ -21,9 +21,9 @@ from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks.navigation import Task, load
 from vssm_gym.eval.episodes.identity import scene_name
 from vssm_gym.eval.protocols import pointnav as pointnav_protocol
-from vssm_gym.eval.protocols.episode import Step
+from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.sweep.config import SweepConfig, expand
-from vssm_gym.eval.video.recording import Plan
+from vssm_gym.eval.video.recording import CroppedPlan
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.scan import BEAMS, scan_of
 from vssm_gym.geometry.transforms import planar_to_matrix
@@ -75,7 +75,7 @@ class Run:
     """
 
     moments: tuple[Moment, ...]
-    plan: Plan
+    plan: CroppedPlan
     success: bool
     ending: str
 
@@ -141,7 +141,7 @@ def _real(config: SweepConfig, task_file: Path, m: VoxelMap, on_progress: OnProg
     agent: Any = make_agent(episode.agent)
     spec, moments, touched = agent.policy.spec, [], 0
 
-    def see(step: Step) -> None:
+    def see(step: StepRecord) -> None:
         nonlocal touched
         touched += bool(step.info["collision"])
         assert step.decision.pose is not None
@@ -179,7 +179,7 @@ def _imagined(policy: Path, map_file: Path, task: Task, noise: str, seed: int, o
         on_progress("imagining", STEPS, STEPS)
     away = float(np.linalg.norm(moments[-1].planar[:2] - task.goal))
     failure = f"{'stopped outside' if looks[-1].stop[0] else 'time out'}: {away:.2f} m from the goal"
-    return Run(tuple(moments), Plan.of(m), row["success"], "arrived" if row["success"] else failure)
+    return Run(tuple(moments), CroppedPlan.of(m), row["success"], "arrived" if row["success"] else failure)
 
 
 def ray_ends(planar: Float[np.ndarray, "3"], scan: Float[np.ndarray, "beams"], hfov: float) -> Float[np.ndarray, "n 2"]:
@@ -195,7 +195,7 @@ def ray_ends(planar: Float[np.ndarray, "3"], scan: Float[np.ndarray, "beams"], h
     return planar[:2] + np.stack([c * ahead - s * aside, s * ahead + c * aside], axis=-1)
 
 
-def true_plan(scene: str) -> Plan:
+def true_plan(scene: str) -> CroppedPlan:
     """The simulator's floor plan at the robot's height; what lies off the floor is UNKNOWN."""
     space = FreeSpace.from_apartment(load_scene(scene), ROBOT.radius, ROBOT.height)
     low, high = (np.array(space.region.bounds[i : i + 2]) + sign * AROUND for i, sign in ((0, -1.0), (2, 1.0)))
@@ -204,7 +204,7 @@ def true_plan(scene: str) -> Plan:
     xy = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     solid, free = space.distance_to_solid(xy) == 0.0, space.distance_to_obstacle(xy) > 0.0
     cells = np.where(solid, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
-    return Plan(cells, low + 0.5 * CELL, CELL)
+    return CroppedPlan(cells, low + 0.5 * CELL, CELL)
 
 
 def _seen(m: VoxelMap, planar: np.ndarray, hfov: float) -> UInt8[np.ndarray, "height width 3"]:

@@ -10,8 +10,8 @@ import pytest
 
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.errors import InputError
-from vssm_gym.eval.report import figures as report_figures
-from vssm_gym.eval.report import tables as report_tables
+from vssm_gym.eval.episodes.manifest import read_manifest
+from vssm_gym.eval.report import figures, tables
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
@@ -190,15 +190,15 @@ def test_a_folder_that_is_no_sweep_is_refused(tmp_path):
 def test_failures_that_are_rare_are_drawn_first():
     rows = [episode("random", t, False, "time out") for t in range(20)]
     rows += [episode("astar", t, t > 1, None if t > 1 else "lost track") for t in range(20)]
-    chosen = report_figures.choose_failures(rows, limit=5, each=4)
+    chosen = figures.choose_failures(rows, limit=5, each=4)
     assert [row["agent"] for row in chosen] == ["astar", "astar", "random", "random", "random"]
-    longest = report_figures.choose_successes(rows, limit=1)
+    longest = figures.choose_successes(rows, limit=1)
     assert longest[0]["task"] == 19
 
 
 def test_the_table_counts_failures_by_kind():
     rows = [episode("astar", 0, False, "lost track: 1 m"), episode("astar", 1, False, "lost track: 2 m")]
-    text = Page(report_tables.failure_counts([*rows, episode("astar", 2, True)])).text.split()
+    text = Page(tables.failure_counts([*rows, episode("astar", 2, True)])).text.split()
     assert text[-4:] == ["2", "of", "3", "2"]
 
 
@@ -229,7 +229,7 @@ def test_committed_rows_have_a_report(folder, tmp_path):
     assert page.open == []
     assert "Results" in page.headings
     assert not {"Successful runs", "Latency of a step", "Cost-to-go"} & set(page.headings)
-    manifest = json.loads((folder / "sweep.json").read_text())
+    manifest = read_manifest(folder / "sweep.json")
     assert manifest["config_hash"] in page.text
     assert all(agent in page.text for agent in manifest["config"]["agents"])
     assert "nan" not in page.text.lower().split()

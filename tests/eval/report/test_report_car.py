@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from tests.eval.report.test_report import Page, box_map
 from vssm_gym.agents.shared.critic import Critic
 from vssm_gym.eval.metrics.registry import measured
-from vssm_gym.eval.report import car_figures, car_tables, value_figures
-from vssm_gym.eval.report import figures as report_figures
+from vssm_gym.eval.report import car_figures, car_tables, figures, value_figures
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena
@@ -32,7 +31,7 @@ CONFIG = {
 }
 
 
-def episode(agent, physics, task, success=True, touches=0, **more):
+def episode(agent, physics, task, success=True, collisions=0, **more):
     """A straight run of 1.5 m along y = 0.1 task, 10 cm a second slower in bullet."""
     poses = np.stack([np.linspace(0.2, 1.7, 40), np.full(40, 0.1 * task), np.zeros(40)], axis=-1)
     true = poses[:, :2].round(3).tolist()
@@ -56,9 +55,9 @@ def episode(agent, physics, task, success=True, touches=0, **more):
         "path_length": 1.5,
         "geodesic": 1.2,
         "steps": 60,
-        "collisions": touches,
-        "touches": touches,
-        "touched": bool(touches),
+        "collisions": collisions,
+        "collision_events": collisions,
+        "collided": bool(collisions),
         "seconds": 6.0 + (physics == "bullet"),
         "direction_changes": 1,
         "heading_error": 0.1,
@@ -73,7 +72,7 @@ def episode(agent, physics, task, success=True, touches=0, **more):
         "trace": {
             "true": true,
             "estimate": true,
-            "contacts": [[1.0, 0.1]] if touches else [],
+            "contacts": [[1.0, 0.1]] if collisions else [],
             "poses": poses.round(3).tolist(),
         },
         **more,
@@ -82,7 +81,7 @@ def episode(agent, physics, task, success=True, touches=0, **more):
 
 def rows_of_a_sweep():
     runs = [(physics, task) for physics in CONFIG["physics"] for task in CONFIG["tasks"]]
-    rows = [episode("vi_mpc", *run, touches=2 if run == ("bullet", 3) else 0) for run in runs]
+    rows = [episode("vi_mpc", *run, collisions=2 if run == ("bullet", 3) else 0) for run in runs]
     return rows + [episode("dwa", *run, success=run[1] > 1) for run in runs]
 
 
@@ -99,7 +98,7 @@ def cells(html):
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", line) for line in re.findall(r"<tr>(.*?)</tr>", html)]
 
 
-def test_the_page_opens_with_reached_and_touched_and_shows_touches_first(sweep_folder):
+def test_the_page_opens_with_reached_and_collided_and_shows_collisions_first(sweep_folder):
     text = write_report(sweep_folder).read_text()
     page = Page(text)
     assert page.open == []
@@ -109,16 +108,16 @@ def test_the_page_opens_with_reached_and_touched_and_shows_touches_first(sweep_f
     vi_mpc = dict(zip(headline[0], headline[1], strict=True))
     assert (vi_mpc["agent"], vi_mpc["episodes"]) == ("vi_mpc", "16")  # both simulators together
     assert vi_mpc["reached %"] == "100.0 [63.1, 100.0]"  # 8 tasks: 0.025^(1/8)
-    assert vi_mpc["touched %"].startswith("6.2 [")
+    assert vi_mpc["collided %"].startswith("6.2 [")
     assert "SPL" not in page.text
     assert "Sim to sim" in page.headings
     assert "Cost-to-go" not in page.headings  # without a map there is none
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", text)
     assert captions[0].startswith("vi_mpc · arena · bullet · low · task 3")  # reached, but not without a touch
-    assert "touches 2" in captions[0]
+    assert "collision events 2" in captions[0]
     counts = next(table for table in text.split("<table>") if "<th>failed</th>" in table)
     counts = [line for line in cells(counts) if line[2:4] == ["bullet", "vi_mpc"]]
-    assert [line[4:] for line in counts] == [["0 of 8", "", "1"]]  # failed, timed out, touched
+    assert [line[4:] for line in counts] == [["0 of 8", "", "1"]]  # failed, timed out, collided
     assert "all 4 failures" in page.text
     assert "Clopper and Pearson" in page.text
 
@@ -156,7 +155,7 @@ def test_simulators_stand_side_by_side_with_their_paired_difference():
     assert [line[executed] for line in (mujoco, bullet, difference)] == ["mujoco", "bullet", "bullet - mujoco"]
     assert [line[seconds] for line in (mujoco, bullet)] == ["6.0 [6.0, 6.0]", "7.0 [7.0, 7.0]"]
     assert difference[seconds] == "1.0 [1.0, 1.0]"
-    assert difference[header.index("touched %")].startswith("12.5 [-")  # one of eight: not yet a difference
+    assert difference[header.index("collided %")].startswith("12.5 [-")  # one of eight: not yet a difference
     assert len(dwa) == 3
     assert car_tables.simulators([row for row in rows if row["physics"] == "mujoco"], 0) is None
 
@@ -229,7 +228,7 @@ def test_a_target_without_a_way_is_told_of_instead_of_drawn(corridor, monkeypatc
 
 
 def test_both_simulators_are_among_the_runs_that_are_drawn():
-    chosen = report_figures.choose_successes(rows_of_a_sweep(), limit=4)
+    chosen = figures.choose_successes(rows_of_a_sweep(), limit=4)
     assert {(row["agent"], row["physics"]) for row in chosen} == {
         (agent, physics) for agent in CONFIG["agents"] for physics in CONFIG["physics"]
     }

@@ -1,4 +1,4 @@
-"""The report of explorers: who gets there on which way, where the first agent is not the best, curves, runs, maps."""
+"""The report of explorers: the path length of each agent, where the first agent is not the best, curves, runs, maps."""
 
 import json
 import re
@@ -37,14 +37,14 @@ WAYS = {"oak": (10.0, 20.0, 14.0), "elm": (12.0, 11.0, 16.0)}  # of the first th
 
 
 def rows_of_a_sweep():
-    """The random walk never gets there in elm; there frontier_nearest is best; mi_explorer touches something once."""
+    """The random walk never gets there in elm; there frontier_nearest is best; mi_explorer collides once."""
     rows = []
-    for scene, ways in WAYS.items():
+    for scene, metres in WAYS.items():
         for task in CONFIG["tasks"]:
             start = {"scene": scene, "task": task}
-            for agent, way in zip(AGENTS, ways, strict=False):
-                touched = agent == "mi_explorer" and start == {"scene": "oak", "task": 3}
-                rows.append(run(agent, way + 0.1 * task, touched=touched, navigation=1.0, **start))
+            for agent, driven in zip(AGENTS, metres, strict=False):
+                collided = agent == "mi_explorer" and start == {"scene": "oak", "task": 3}
+                rows.append(run(agent, driven + 0.1 * task, collided=collided, navigation=1.0, **start))
             if scene == "oak":
                 rows.append(run("random_walk", 60.0, ends=65.0, navigation=0.5, **start))
             else:
@@ -88,8 +88,8 @@ def test_the_page_opens_with_ways_and_their_ratios_over_all_scenes(page):
     assert head["random_walk"]["covered 90 %"].startswith("50.0 [")
     assert head["random_walk"]["m to 90 %"] == "never [60.0, never]"  # half of them did not
     assert head["random_walk"]["navigation success %"] == "50 [50, 50]"
-    assert head["mi_explorer"]["touched %"].startswith("12.5 [")
-    ratios = {line["ratio of ways"]: line for line in table(page, "ratio of ways")}
+    assert head["mi_explorer"]["collided %"].startswith("12.5 [")
+    ratios = {line["ratio of path lengths"]: line for line in table(page, "ratio of path lengths")}
     nearest = ratios["mi_explorer / frontier_nearest"]
     oak = np.exp(np.mean([np.log((10.0 + 0.1 * t) / (20.0 + 0.1 * t)) for t in range(4)]))
     elm = np.exp(np.mean([np.log((12.0 + 0.1 * t) / (11.0 + 0.1 * t)) for t in range(4)]))
@@ -101,17 +101,17 @@ def test_the_page_opens_with_ways_and_their_ratios_over_all_scenes(page):
 
 
 def test_it_says_where_the_first_agent_is_not_the_best(page):
-    for claim in ("the way", "the simulated time, without thinking,"):
+    for claim in ("the path", "the simulated time, without computing time,"):
         assert re.search(f"of {claim} of the frontier baseline that is best in it, frontier_(nearest|gain)", page)
     assert "s to 90 %" in page
     said = re.search(r"mi_explorer is not the best in: (.*?)</p>", page)[1]
     assert said.startswith("elm (frontier_nearest, 1.09")
     assert "oak" not in said
     assert re.search(r"entropy at equal path length is not the lowest in: elm \(frontier_nearest at 5, 10 m\)", page)
-    scenes = {line["scene"]: line for line in table(page, "hardest other agent")}
-    assert scenes["oak"]["hardest other agent"] == "frontier_gain"
-    assert scenes["oak"]["mi_explorer&#x27;s way is"] == "shorter"
-    assert scenes["elm"]["mi_explorer&#x27;s way is"] == "longer"
+    scenes = {line["scene"]: line for line in table(page, "strongest other agent")}
+    assert scenes["oak"]["strongest other agent"] == "frontier_gain"
+    assert scenes["oak"]["mi_explorer&#x27;s path is"] == "shorter"
+    assert scenes["elm"]["mi_explorer&#x27;s path is"] == "longer"
 
 
 def headline(rows):
@@ -122,23 +122,25 @@ def test_a_leader_everywhere_is_not_contradicted():
     text = headline([row for row in rows_of_a_sweep() if row["scene"] == "oak"])
     assert "is not the best" not in text
     assert "is not the lowest" not in text
-    assert re.search(r"<p class=good>To 90 % coverage mi_explorer drives 0\.7\d+ \[0\.7\d+, 0\.7\d+\] of the way", text)
+    assert re.search(
+        r"<p class=good>To 90 % coverage mi_explorer drives 0\.7\d+ \[0\.7\d+, 0\.7\d+\] of the path", text
+    )
     assert "tell whose entropy" not in text
 
 
 @pytest.mark.parametrize(
-    ("way", "spread", "verdict"),
+    ("mean", "spread", "verdict"),
     [
         (16.0, 0.0, ("good", "met", "met")),
         (17.2, 0.0, ("bad", "missed", "met")),  # 0.86 for certain: shorter, and not by what is asked for
-        (17.0, 7.0, ("bad", "met", "missed")),  # less in the mean, and perhaps by chance
+        (17.0, 7.0, ("bad", "met", "missed")),  # less on average, and perhaps by chance
     ],
 )
-def test_the_claim_needs_its_mean_and_its_interval(way, spread, verdict):
-    """Of ways both are asked for, of times the interval alone."""
-    ways = {task: way + spread * (-1) ** task for task in range(6)}
-    rows = [run("mi_explorer", ways[task], task=task) for task in ways]
-    rows += [run("frontier_gain", 20.0, task=task) for task in ways]
+def test_the_claim_needs_its_mean_and_its_interval(mean, spread, verdict):
+    """Of path lengths both count, of times the interval alone."""
+    metres = {task: mean + spread * (-1) ** task for task in range(6)}
+    rows = [run("mi_explorer", metres[task], task=task) for task in metres]
+    rows += [run("frontier_gain", 20.0, task=task) for task in metres]
     kind, mean, interval = verdict
     text = headline(rows)
     assert re.search(
@@ -156,17 +158,17 @@ def test_what_nobody_knows_is_said_and_does_not_count_as_a_lead():
     page = EXPLORE_VIEW.comparison([measured(row) for row in rows], 0)
     points = {line["at"]: line for line in table(page, "pairs known")}
     assert [points[f"{x} m"]["pairs known"] for x in (5, 10, 20, 40)] == ["4 of 4", "1 of 4", "0 of 4", "0 of 4"]
-    assert points["40 m"]["entropy, knat"] == "-"
-    assert points["5 m"]["entropy, knat"] == "75.0 [75.0, 75.0]"
+    assert points["40 m"]["entropy, 10^3 nats"] == "-"
+    assert points["5 m"]["entropy, 10^3 nats"] == "75.0 [75.0, 75.0]"
     assert "Fewer than half of the pairs are known of frontier_gain at 10, 20, 40 m." in page
     # At equal times: 8 m are driven after 20 s.
     assert "Fewer than half of the pairs are known of frontier_gain at 30, 60, 120, 240 s." in page
 
 
-def test_failures_and_touches_come_first_and_maps_that_were_kept_are_shown(page):
+def test_failures_and_collisions_come_first_and_final_maps_are_shown(page):
     shown = Page(page)
-    assert shown.headings[1] == "Failures and touches"
-    assert "Maps that are left" in shown.headings
+    assert shown.headings[1] == "Failures and collisions"
+    assert "Final maps" in shown.headings
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", page)
     assert captions[0].startswith("mi_explorer · oak · low · task 3")  # it fails the most rarely
     assert sum("random_walk · elm" in caption for caption in captions) == 4
@@ -190,7 +192,7 @@ def test_runs_are_drawn_on_the_widest_map_of_their_scene_cut_to_what_is_known():
 
 def test_one_agent_alone_is_reported_without_comparisons():
     rows = [run("random_walk", 60.0, ends=3.0, task=t) for t in range(2)]
-    assert "ratio of ways" not in headline(rows)
+    assert "ratio of path lengths" not in headline(rows)
     assert "never" in headline(rows)
     assert "Scene by scene" not in EXPLORE_VIEW.comparison(rows, 0)
 
@@ -224,6 +226,6 @@ def test_the_console_says_what_suits_cars(tmp_path, capsys):
 
 
 def test_ways_are_written_with_never_where_a_bound_is():
-    assert explore_tables.way(Interval(20.0, 15.0, np.inf, 3, 9)) == "20.0 [15.0, never]"
-    assert explore_tables.way(Interval(np.inf, np.nan, np.nan, 1, 1)) == "never [-]"
-    assert explore_tables.way(Interval(np.nan, np.nan, np.nan, 0, 0)) == "-"
+    assert explore_tables.median_text(Interval(20.0, 15.0, np.inf, 3, 9)) == "20.0 [15.0, never]"
+    assert explore_tables.median_text(Interval(np.inf, np.nan, np.nan, 1, 1)) == "never [-]"
+    assert explore_tables.median_text(Interval(np.nan, np.nan, np.nan, 0, 0)) == "-"

@@ -1,4 +1,4 @@
-"""Intervals of shares: against scipy's and against coverage, and honest about what never happened."""
+"""Test intervals of proportions against scipy's, against their coverage, and for events that never happened."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from vssm_gym.eval.metrics.proportions import clopper_pearson, paired_percent, p
 
 def episode(task, value, agent="vi_mpc", physics="mujoco", seed=0):
     row = {"env": "E", "scene_hash": "h", "robot": "car", "noise": "low", "sensor_noise": "none", "renderer": "raycast"}
-    return row | {"physics": physics, "agent": agent, "task": task, "seed": seed, "touched": value}
+    return row | {"physics": physics, "agent": agent, "task": task, "seed": seed, "collided": value}
 
 
 @given(st.integers(1, 300), st.data())
@@ -23,11 +23,11 @@ def test_clopper_and_pearson_as_in_scipy(n, data):
 
 
 def test_what_never_happened_may_still_happen():
-    interval = percent([episode(t, False) for t in range(1000)], "touched")
+    interval = percent([episode(t, False) for t in range(1000)], "collided")
     assert (interval.mean, interval.low) == (0.0, 0.0)
     assert interval.high == pytest.approx(100.0 * (1.0 - 0.025 ** (1 / 1000)))  # 0.37 %
     paired = [episode(t, False, physics=p) for t in range(1000) for p in ("mujoco", "bullet")]
-    difference = paired_percent(paired, "touched", "bullet", "mujoco", by="physics")
+    difference = paired_percent(paired, "collided", "bullet", "mujoco", by="physics")
     assert difference.mean == 0.0
     assert (difference.low, difference.high) == pytest.approx((-0.3827, 0.3827), abs=1e-4)
 
@@ -35,8 +35,8 @@ def test_what_never_happened_may_still_happen():
 def test_episodes_of_one_task_count_as_one_task():
     """Seeds that repeat each other add no information."""
     values = np.random.default_rng(0).random(40) < 0.1
-    once = percent([episode(t, bool(v)) for t, v in enumerate(values)], "touched")
-    thrice = percent([episode(t, bool(v), seed=s) for t, v in enumerate(values) for s in range(3)], "touched")
+    once = percent([episode(t, bool(v)) for t, v in enumerate(values)], "collided")
+    thrice = percent([episode(t, bool(v), seed=s) for t, v in enumerate(values) for s in range(3)], "collided")
     assert (thrice.mean, thrice.low, thrice.high) == pytest.approx((once.mean, once.low, once.high))
     assert (thrice.tasks, thrice.episodes) == (40, 120)
 
@@ -55,7 +55,7 @@ def test_the_paired_interval_covers_the_true_difference(up, down):
 
 @pytest.mark.parametrize(("b", "c", "n"), [(1, 7, 21), (0, 3, 40), (5, 5, 30), (0, 0, 50), (2, 0, 9)])
 def test_the_ends_of_the_paired_interval_are_1_96_deviations_off(b, c, n):
-    """The nuisance share at each end by brute force: the likeliest of all tables with that difference."""
+    """The nuisance proportion at each end by brute force: the likeliest of all tables with that difference."""
     for end, side in zip(tango(b, c, n), (1.0, -1.0), strict=True):
         q = np.linspace(max(0.0, -end), (1.0 - end) / 2.0, 400_001)[1:-1]  # of the second alone
         likelihood = stats.multinomial.logpmf(
@@ -81,6 +81,6 @@ def test_laws_of_the_paired_interval(n, data):
 
 
 def test_missing_values_and_missing_partners():
-    assert percent([episode(0, None)], "touched").text() == "-"
+    assert percent([episode(0, None)], "collided").text() == "-"
     with pytest.raises(InputError, match="b - a"):
-        paired_percent([episode(0, True, agent="a"), episode(1, True, agent="b")], "touched", "b", "a")
+        paired_percent([episode(0, True, agent="a"), episode(1, True, agent="b")], "collided", "b", "a")
