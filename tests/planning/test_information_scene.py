@@ -19,7 +19,7 @@ from vssm_gym.planning.exploration.information import InformationConfig, expecte
 def test_sparse_pixels_rank_candidates_as_all_of_them_do_and_as_the_truth_does():
     apartment, robot = load_scene("oak"), HolonomicRobot()
     eye = make_camera(apartment.boxes(), CameraConfig())
-    looks = bench_information.survey_looks(apartment, robot, seed=1)
+    looks = bench_information.survey_poses(apartment, robot, seed=1)
     m = bench_information.learned(apartment, eye, looks[:24])
     T = bench_information.candidate_trajectories(m, apartment, robot, 40, np.random.default_rng(1))
     exact = expected_gain(m, T, eye.camera, bench_information.ALL).total
