@@ -4,6 +4,7 @@ import ast
 import functools
 import importlib
 import inspect
+import math
 import re
 import shlex
 from pathlib import Path
@@ -12,6 +13,20 @@ import pytest
 
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli.main import COMMANDS, build_app
+from vssm_gym.envs.robots.holonomic import NOISE_LEVELS
+from vssm_gym.inference.alignment.adam import AdamConfig
+from vssm_gym.inference.alignment.residuals import AlignConfig
+from vssm_gym.inference.mapping.observation import MapUpdateConfig
+from vssm_gym.inference.prism import drift
+from vssm_gym.inference.prism.config import PrismConfig
+from vssm_gym.inference.tracking import keyframes, process_noise
+from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
+from vssm_gym.inference.tracking.recovery import RecoveryConfig
+from vssm_gym.maps import voxel_map
+from vssm_gym.model import emission, emission_uncertainty
+from vssm_gym.model.transition.imu import ImuNoise
+from vssm_gym.model.transition.rigid import RigidNoise
 
 PAGES = sorted([CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *CHECKOUT.glob("docs/**/*.md")])
 SCIENCE = [CHECKOUT / "docs/science" / f"{name}.md" for name in ("model", "inference", "planning", "tasks")]
@@ -140,6 +155,66 @@ def test_equations_are_numbered_and_name_their_functions(page, letter):
         assert (anchor, label) == (f"{letter}{number}".lower(), f"{letter}{number}")
         assert re.search(r"\n\n {4}\S.*\n\n", entry, re.DOTALL), f"{label} has no equation"
         assert re.search(r"^`vssm_gym\.[\w.]+`", entry, re.MULTILINE), f"{label} names no function"
+
+
+def entries() -> dict[str, str]:
+    """Return the text of every equation, from its label to the next label or heading, by label."""
+    found = {}
+    for page in SCIENCE:
+        for entry in re.split(r"^(?=<a id=)|^(?=#)", page.read_text(), flags=re.MULTILINE):
+            if label := re.match(rf'<a id="\w+"></a>\*\*({LABEL})\*\*', entry):
+                found[label.group(1)] = entry
+    return found
+
+
+# What an equation states, and the value in the code that it states
+STATED = [
+    ("M3", "(10 m)^2", voxel_map.PRIOR_OCCUPANCY_STD, 10.0),
+    ("M3", "-0.001 m", voxel_map.PRIOR_OCCUPANCY_MEAN, -0.001),
+    ("M8", "e = 0.4 voxel", emission.STEP, 0.4),
+    ("M8", "tau = 0,", emission.TAU, 0.0),
+    ("M11", "s_c = s_d / 10", emission.EmissionScales().depth / emission.EmissionScales().rgb, 10.0),
+    ("M12", "s = 0.03 m", voxel_map.OBSERVATION_STD, 0.03),
+    ("M12", "s_c = 0.1", voxel_map.OBSERVATION_COLOUR_STD, 0.1),
+    ("M13", "at least 0.1", emission_uncertainty.MIN_SLOPE, 0.1),
+    ("M21", "std 0.03 and 0.05 m", (RigidNoise().vel_translation, RigidNoise().pose_translation), (0.03, 0.05)),
+    ("M21", "0.03 and 0.02 for rotation", (RigidNoise().vel_rotation, RigidNoise().pose_rotation), (0.03, 0.02)),
+    ("M22", "0.01 m, 0.001 rad", (ImuNoise().location, ImuNoise().orientation), (0.01, 0.001)),
+    ("I10", "h = 1.345", AlignConfig().huber, 1.345),
+    ("I10", "r_rgb / 0.04", AlignConfig().rgb_sigma, 0.04),
+    ("I10", "30 pixels", AlignConfig().pixels_per_datum, 30.0),
+    ("I9", "0.3 m and 0.3 here", (AlignConfig().geo_gate, AlignConfig().rgb_gate), (0.3, 0.3)),
+    ("I9", "0.45 m and 0.15", (AdamConfig().geo_gate, AdamConfig().rgb_gate), (0.45, 0.15)),
+    ("I12", "200 pixels", AdamConfig().pixels, 200),
+    ("I12", "1000 steps", AdamConfig().steps, 1000),
+    ("I12", "0.001 m and 0.00036 rad", (AdamConfig().translation_step, AdamConfig().rotation_step), (0.001, 0.00036)),
+    ("I12", "0.02 and 0.1", (AdamConfig().geo_scale, AdamConfig().rgb_scale), (0.02, 0.1)),
+    ("I16", "0.8 Sigma_t-1", TrackingConfig().smoothing, 0.8),
+    ("I18", "tau = 1 s,  c = 1.5", (process_noise.TIME, process_noise.CAUTION), (1.0, 1.5)),
+    ("I18", "0.2^2 <= s^2", process_noise.FLOOR, 0.2),
+    ("I19", "trunc = 2 voxels", MapUpdateConfig().truncation, 2.0),
+    ("I20", "w = 1", MapUpdateConfig().std, 1.0),
+    ("I23", "k = 16", drift.ALIKE, 16.0),
+    ("I25", "0.15 m", PrismConfig().reference_distance, 0.15),
+    ("I25", "0.15 rad", PrismConfig().reference_angle, 0.15),
+    ("I26", "a quarter of the edge", PrismConfig().window_margin, 0.25),
+    ("I27", ">= 0.6", TrackingConfig().min_score, 0.6),
+    ("I27", "<= 5", TrackingConfig().max_photometric, 5.0),
+    ("I27", "12^2", TrackingConfig().max_surprise, 12.0),
+    ("I27", "5 % of the pixels", TrackingConfig().min_reading, 0.05),
+    ("I28", "0.3 m and 0.26 rad", (keyframes.DISTANCE, keyframes.ANGLE), (0.3, 0.26)),
+    ("I29", ">= 0.65", RecoveryConfig().min_score, 0.65),
+    ("I29", "min(4, 0.55 contrast", (RecoveryConfig().max_photometric, RecoveryConfig().max_unexplained), (4.0, 0.55)),
+    ("I33", "100 steps", TRACKER_ADAM.steps, 100),
+    ("T2", "low (3 deg, 0.1 b)", (NOISE_LEVELS["low"].turn, NOISE_LEVELS["low"].step), (math.radians(3.0), 0.02)),
+    ("T2", "high (9 deg, 0.3 b)", (NOISE_LEVELS["high"].turn, NOISE_LEVELS["high"].step), (math.radians(9.0), 0.06)),
+]
+
+
+@pytest.mark.parametrize(("label", "text", "value", "stated"), STATED, ids=[f"{row[0]}-{row[1]}" for row in STATED])
+def test_equations_state_the_values_of_the_code(label, text, value, stated):
+    assert text in " ".join(entries()[label].split()) or text in entries()[label]
+    assert value == pytest.approx(stated)
 
 
 @pytest.mark.parametrize("folder", ["vssm_gym", "agents", "eval", "envs", "tests", "docs"])
