@@ -17,6 +17,13 @@ if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
         os.environ.setdefault(variable, share)
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from vssm_gym.cli.shared.cache import use_compilation_cache
+
+# One compilation of a function serves both xdist workers, the processes that tests start, the slow tests and every
+# later run. Tests compile hundreds of small functions: they are kept too.
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+use_compilation_cache()
+
 import jax
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -32,10 +39,6 @@ already_imported = [name for name in CHECKED if f"vssm_gym.{name}" in sys.module
 if already_imported:
     raise RuntimeError(f"imported before the shape checks were installed: {already_imported}")
 install_import_hook([f"vssm_gym.{name}" for name in CHECKED], "beartype.beartype")
-
-from vssm_gym.cli.shared.cache import use_compilation_cache
-
-use_compilation_cache()  # one compilation of a jitted function serves every later run and both xdist workers
 
 # Shrinking a failure can take minutes: worth it at a desk, not in CI, where the failure itself is enough.
 phases = [phase for phase in Phase if phase is not Phase.shrink or "CI" not in os.environ]

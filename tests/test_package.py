@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -118,6 +119,12 @@ def test_gymnasium_imports_the_package_that_an_id_names():
     code = "from gymnasium.envs.registration import _find_spec as find; print(find('vssm_gym:vssm_gym/PointNav-v0').id)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "vssm_gym/PointNav-v0"
+
+
+def test_compiled_functions_are_kept_between_runs():
+    """JAX reads the folder from the environment when it is imported: set later, it is silently ignored."""
+    assert jax.config.jax_compilation_cache_dir == os.environ["JAX_COMPILATION_CACHE_DIR"]
+    assert jax.config.jax_enable_compilation_cache
 
 
 def test_annotated_shapes_are_checked_here():
