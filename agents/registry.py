@@ -85,7 +85,18 @@ def agent_type(name: str) -> type[Agent]:
 
 
 def make_agent(name: str) -> Agent:
-    """An agent of the table, with another planner (``astar+theta_star``), or the policy of a file (``policy:FILE``)."""
+    """Make an agent by name.
+
+    Args:
+        name: a name of :data:`AGENTS`; with another planner ``astar+theta_star``; or ``policy:FILE``, a trained policy.
+
+    Returns:
+        The agent; ``reset`` opens an episode.
+
+    Raises:
+        KeyError: an unknown agent.
+        InputError: an unknown planner, an agent that takes none, or a policy file that cannot be read.
+    """
     kind: Any = agent_type(name)
     if name.startswith(PREFIX):
         return kind(name.removeprefix(PREFIX))

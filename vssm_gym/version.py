@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-import vssm_gym
+__version__ = "0.1.0"
 
 
 def package_version() -> str:
@@ -13,5 +13,5 @@ def package_version() -> str:
         command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
         described = subprocess.run(command, capture_output=True, text=True, check=False)
         if described.returncode == 0:
-            return f"{vssm_gym.__version__}+{described.stdout.strip()}"
-    return vssm_gym.__version__
+            return f"{__version__}+{described.stdout.strip()}"
+    return __version__

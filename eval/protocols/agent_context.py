@@ -3,14 +3,18 @@
 from functools import singledispatch
 from typing import Any, Protocol
 
+import gymnasium as gym
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.envs.robots.differential import DifferentialRobot
+from vssm_gym.envs.tasks.car import REACHED
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
 from vssm_gym.model.transition.differential import DifferentialDrive, WheelNoise
+
+SCANNER_COMMANDS = (0, 2)  # of the robot's limits: with a laser scanner it turns and drives, and never sideways
 
 
 class RobotBody(Protocol):
@@ -90,6 +94,34 @@ def context_of(
         transition=transition_of(body, noise),
         car=body if isinstance(body, Car) else None,
     )
+
+
+def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None = None) -> AgentContext:
+    """Return what an agent may know before an episode of an environment, as a sweep tells it.
+
+    Args:
+        env: PointNav, ImageNav, Explore, LidarMaze or CarNav, wrapped or not.
+        info: what its ``reset`` returned; of it only the start pose and the camera's matrix are read.
+        voxel_map: the learned map, for agents that need one.
+
+    Returns:
+        The context: camera, limits, start pose, execution noise and the transition that the robot believes in.
+    """
+    world: Any = env.unwrapped
+    world = getattr(world, "navigation", world)  # ImageNav moves as the PointNav that it holds
+    if (car := getattr(world, "car", None)) is not None:
+        return context_of(
+            car,
+            car.length,
+            info["start_pose"],
+            success_radius=REACHED,
+            noise=(0.0, 0.0),
+            voxel_map=voxel_map,
+            camera=world.camera,
+            K=info["K"],
+        )
+    limits = None if hasattr(world, "camera") else world.robot.limits[list(SCANNER_COMMANDS)]
+    return context_in(world, info, voxel_map, (world.noise.turn, world.noise.step), limits)
 
 
 def context_in(

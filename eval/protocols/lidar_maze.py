@@ -13,11 +13,10 @@ from vssm_gym.envs.tasks.mazes import MAZES, ROBOT, Maze, load_maze
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.protocols.agent_context import SCANNER_COMMANDS
 from vssm_gym.eval.protocols.episode import run_episode
 from vssm_gym.eval.protocols.shared import keep_or_write, made, tasks_in
 from vssm_gym.maps.voxel_map import VoxelMap
-
-COMMAND = (0, 2)  # indices of the robot's limits that agents use: turn and step, never sideways
 
 
 def scene_names() -> Sequence[str]:
@@ -57,7 +56,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | N
         seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
         voxel_map=voxel_map,
         noise=(noise.turn, noise.step),
-        limits=ROBOT.limits[list(COMMAND)],
+        limits=ROBOT.limits[list(SCANNER_COMMANDS)],
     )
 
 

@@ -58,7 +58,7 @@ def run(
     test = used[HELD_OUT // 2 :: HELD_OUT]
     train = np.setdiff1d(used, test)
     views = {name: _views(reader, poses, chosen) for name, chosen in (("train", train), ("test", test))}
-    low, high = grid_bounds(reader, poses, MapUpdateConfig())
+    low, high = grid_bounds(reader, poses, reader.camera, MapUpdateConfig(), sequence.root)
     nx, ny, nz = (int(n) for n in np.ceil((high - low) / voxel) + 1)
     prior = VoxelMap.prior(low, voxel, (nx, ny, nz))
     arms: dict[str, dict[str, Any]] = {}

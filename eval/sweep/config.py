@@ -75,7 +75,13 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
 
 
 def load_config(path: Path) -> SweepConfig:
-    """Read and check a sweep's YAML.
+    """Read and check the configuration of a sweep.
+
+    Args:
+        path: YAML file; relative scenes and policies in it start at its folder.
+
+    Returns:
+        The configuration, every name of which is known.
 
     Raises:
         InputError: no such file, not YAML, a field that is unknown, missing or malformed, or an unknown name.

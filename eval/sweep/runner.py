@@ -43,7 +43,7 @@ def run_sweep(
     shard: Shard | None = None,
     on_progress: OnProgress | None = None,
 ) -> Path:
-    """Run the episodes that are not yet in ``out/episodes.jsonl``; return that file.
+    """Run the episodes of a configuration that are not yet in ``out/episodes.jsonl``.
 
     Each row is on disk as soon as its episode ends. Ctrl-C lets the episodes that are running end (seconds), keeps them
     and raises KeyboardInterrupt.
@@ -56,6 +56,9 @@ def run_sweep(
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
         on_progress: called with ("recording" | "map" | "episodes", done, total).
+
+    Returns:
+        The file ``out/episodes.jsonl``.
 
     Raises:
         InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.

@@ -150,6 +150,9 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
         root: The folder.
         intrinsics: ``fx fy cx cy [k1 k2 p1 p2 k3]`` of the recorded images, in place of the folder's ``camera.json``.
 
+    Returns:
+        The frames by file name, the camera, and what else was recorded: true poses, controls, IMU readings.
+
     Raises:
         InputError: an index file is missing or malformed, none of the first frames can be read, depth and colour
             differ in size, or the intrinsics are of another size.

@@ -4,6 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.filter import Filter, Rig
 from vssm_gym.inference.prism.config import HAND_HELD
 from vssm_gym.inference.prism.config import ROBOT as ROBOT_PRISM
@@ -51,6 +56,34 @@ FILTERS: dict[str, FilterEntry] = {
         lambda rig, transition: DeadReckoning(transition), needs_map=False, maps=False, any_state=True, blind=True
     ),
 }
+
+
+def make_filter(
+    name: str, camera: Camera, transition: Transition, T_body_cam: Float[np.ndarray, "4 4"] | None = None
+) -> Filter:
+    """Make the filter of a name for a camera and the motion of the body that carries it.
+
+    Args:
+        name: ``prism`` (PRISM: the pose and the map), ``tracker`` (the pose in a given map; ``adam`` is the same with
+            the published solver), ``emission`` (gradients through the renderer of a given map), ``frames`` (against the
+            previous image) or ``dead_reckoning`` (controls alone).
+        camera: of the images.
+        transition: how the body moves. The options are those of a robot where its controls are commands, those of a
+            hand-held camera elsewhere.
+        T_body_cam: pose of the camera in the body frame, m; by default the camera is the body.
+
+    Returns:
+        A filter with ``init``, ``step`` and ``posterior``.
+
+    Raises:
+        InputError: an unknown name, or a filter that does not take the transition.
+    """
+    if name not in FILTERS:
+        raise InputError("make_filter", "name", f"one of {', '.join(FILTERS)}; found {name!r:.80}")
+    if name not in filters_for(transition):
+        expected = f"one whose state is a pose with {name!r}; found {type(transition).__name__}"
+        raise InputError("make_filter", "transition", expected)
+    return FILTERS[name].make(Rig.of(camera, T_body_cam), transition)
 
 
 def filters_for(transition: Any) -> list[str]:

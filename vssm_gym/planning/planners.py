@@ -67,3 +67,38 @@ def find_planner(planner: str | Planner) -> Planner:
             "configuration", "planner", f"one of {', '.join(PLANNERS)}, or a Planner; found {planner!r:.80}"
         )
     return PLANNERS[planner]
+
+
+def plan(
+    start: np.ndarray,
+    goal: np.ndarray,
+    space: Space,
+    radius: float,
+    *,
+    planner: str | Planner = "astar",
+    margin: float = 0.0,
+    goal_radius: float = 0.0,
+    max_expansions: int = 1_000_000,
+) -> PlanResult:
+    """Plan a short path of a disc of ``radius`` from ``start`` to within ``goal_radius`` of ``goal``.
+
+    Args:
+        start: ``(2,)`` position or ``(3,)`` planar pose in the world frame, m; of a pose the position counts.
+        goal: ``(2,)`` or ``(3,)``, likewise.
+        space: the clearance of the disc's centre: a :class:`~vssm_gym.planning.clearance.ClearanceMap`, or a
+            :class:`~vssm_gym.planning.clearance.ClearanceField` for a function.
+        radius: of the disc, m.
+        planner: ``astar`` (A*) or ``theta_star`` (Theta*), or any callable with this signature but for ``planner``.
+        margin: extra clearance everywhere on the path, m; a negative one accepts less than the radius.
+        goal_radius: distance from the goal that is near enough, m.
+        max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
+
+    Returns:
+        Status, path, path length and time. A start or a goal that cannot be reached is a status.
+
+    Raises:
+        InputError: an unknown planner, or a start or goal that is no finite position.
+    """
+    return find_planner(planner)(
+        start, goal, space, radius, margin=margin, goal_radius=goal_radius, max_expansions=max_expansions
+    )

@@ -7,7 +7,7 @@ import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,32 +48,84 @@ def build_map(
         voxel: cell size, m.
         on_progress: called after every frame.
         warn: called at the end with the damaged frames, which count as empty.
+        poses: ``recorded`` takes the ground truth, ``estimated`` those that PRISM finds in images and controls.
+
+    Returns:
+        The map; z is the world's z.
 
     Raises:
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
     """
-    reader, config = FrameReader(sequence), MapUpdateConfig()
+    reader = FrameReader(sequence)
     taken, accepted = _poses(sequence, voxel, poses, on_progress)
-    low, high = grid_bounds(reader, taken, config)
+    m = _fused(reader, taken, reader.camera, voxel, np.flatnonzero(accepted).tolist(), on_progress, sequence.root)
+    if warn:
+        warn(reader.notices)
+    return m
+
+
+class Frames(Protocol):
+    """Images by number, such as a list of pairs or a :class:`~vssm_gym.data.sequences.FrameReader`."""
+
+    def __len__(self) -> int:
+        """Return the number of images."""
+        ...
+
+    def __getitem__(self, index: int, /) -> tuple[np.ndarray, np.ndarray]:
+        """Return colour ``(height, width, 3)`` uint8 and z-depth ``(height, width)``, m; 0 = no reading."""
+        ...
+
+
+def map_from_frames(
+    frames: Frames, T_world_cam: np.ndarray, camera: Camera, voxel: float = 0.05, on_progress: OnProgress | None = None
+) -> VoxelMap:
+    """``q(M) ∝ p(M) prod_t q(M | x_t, z_t)``: fuse RGB-D images at known poses into a map, in closed form (PRISM).
+
+    The grid spans what the depth images show.
+
+    Args:
+        frames: ``(rgb, depth)`` of each image: colour ``(height, width, 3)`` uint8, z-depth ``(height, width)`` in
+            metres with 0 where there is no reading; each is read twice.
+        T_world_cam: ``(n, 4, 4)`` pose of the camera at each image.
+        camera: intrinsics and size of the images.
+        voxel: cell size, m.
+        on_progress: called with ``("map", images done, images)`` after every image.
+
+    Returns:
+        The map; z is the world's z.
+
+    Raises:
+        InputError: not one pose for each image, no depth at all, or a space too large for cells of this size.
+    """
+    poses = np.asarray(T_world_cam, np.float64)
+    if poses.shape != (len(frames), 4, 4):
+        raise InputError("map_from_frames", "T_world_cam", f"({len(frames)}, 4, 4) poses; found {poses.shape}")
+    return _fused(frames, poses, camera, voxel, list(range(len(frames))), on_progress, "map_from_frames")
+
+
+def _fused(
+    frames: Frames,
+    T_world_cam: np.ndarray,
+    camera: Camera,
+    voxel: float,
+    chosen: list[int],
+    on_progress: OnProgress | None,
+    source: object,
+) -> VoxelMap:
+    """Fuse the ``chosen`` images into a grid that spans all of them."""
+    config = MapUpdateConfig()
+    low, high = grid_bounds(frames, T_world_cam, camera, config, source)
     shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
     if np.prod(shape) > MAX_CELLS:
         raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
-    voxel_map = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
-    for done, i in enumerate(np.flatnonzero(accepted).tolist(), 1):
-        rgb, depth = reader[i]
-        voxel_map = update(
-            voxel_map,
-            jnp.asarray(depth),
-            jnp.asarray(rgb, jnp.float32) / 255.0,
-            jnp.asarray(taken[i], jnp.float32),
-            reader.camera,
-            config,
-        )
+    m = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
+    for done, i in enumerate(chosen, 1):
+        rgb, depth = frames[i]
+        colour, pose = jnp.asarray(rgb, jnp.float32) / 255.0, jnp.asarray(T_world_cam[i], jnp.float32)
+        m = update(m, jnp.asarray(depth), colour, pose, camera, config)
         if on_progress:
-            on_progress("map", done, int(accepted.sum()))
-    if warn:
-        warn(reader.notices)
-    return voxel_map
+            on_progress("map", done, len(chosen))
+    return m
 
 
 def _poses(
@@ -86,18 +138,24 @@ def _poses(
     return estimate.T_world_cam, estimate.accepted
 
 
-def grid_bounds(reader: FrameReader, poses: np.ndarray, config: MapUpdateConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of the bounding box of back-projected depths of sampled frames, with a margin."""
+def grid_bounds(
+    frames: Frames, T_world_cam: np.ndarray, camera: Camera, config: MapUpdateConfig, source: object
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of the box around the back-projected depths of some images, with a margin.
+
+    Raises:
+        InputError: ``source`` has no depth reading at all.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    rays = _rays(reader.camera)
-    for i in range(0, len(poses), max(1, len(poses) // LOOKED_AT)):
-        depth = reader[i][1]
+    rays = _rays(camera)
+    for i in range(0, len(T_world_cam), max(1, len(T_world_cam) // LOOKED_AT)):
+        depth = frames[i][1]
         seen = (depth > config.min_depth) & (depth <= config.max_depth)
         if seen.any():
-            p_world = (rays[seen] * depth[seen][:, None]) @ poses[i, :3, :3].T + poses[i, :3, 3]
+            p_world = (rays[seen] * depth[seen][:, None]) @ T_world_cam[i, :3, :3].T + T_world_cam[i, :3, 3]
             low, high = np.minimum(low, p_world.min(axis=0)), np.maximum(high, p_world.max(axis=0))
     if not np.isfinite(low).all():
-        raise InputError(reader.sequence.root, "depth", "readings; every pixel that was looked at has none")
+        raise InputError(source, "depth", "readings; every pixel that was looked at has none")
     return low - MARGIN, high + MARGIN
 
 

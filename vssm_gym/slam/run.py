@@ -295,7 +295,10 @@ def run_slam(
         sequence: the recording.
         options: image size, rate, grid.
         on_frame: called with every finished frame.
-        on_progress: called after every frame.
+        on_progress: called with ``("tracking and mapping", frames done, frames)`` after every frame.
+
+    Returns:
+        Every frame's pose with its uncertainty, and the posterior after the last one.
 
     Raises:
         InputError: an image that cannot be read, or no depth reading in the whole sequence.

@@ -46,13 +46,19 @@ def built_in_scenes() -> list[str]:
 
 
 def load_scene(spec: str | Path | Apartment) -> Apartment:
-    """Return the apartment of a built-in name ("oak"), of a seed or of a file.
+    """Load the apartment of a built-in name, of a seed or of a file.
 
-    "procedural:7" and "procedural:7:large" are made by `generator.generate`. Files are JSON (our own, a ProcTHOR house
-    or a HouseExpo plan, recognised by their content), a line of a file of ProcTHOR houses (``houses.jsonl.gz#7``,
-    counted from 0), a ROS map's YAML, or MJCF (XML) with a floor.
+    Args:
+        spec: a built-in name (``"oak"``); a seed of the generator (``"procedural:7"``, ``"procedural:7:large"``); or a
+            file: JSON (our own, a ProcTHOR house or a HouseExpo plan, recognised by the content), a line of a file of
+            ProcTHOR houses (``houses.jsonl.gz#7``, counted from 0), a ROS map's YAML, or MJCF (XML) with a floor. An
+            :class:`Apartment` is returned as it is.
 
-    An `Apartment` is returned as it is. Raises InputError naming the file and the field that is wrong.
+    Returns:
+        The apartment, checked.
+
+    Raises:
+        InputError: an unknown name, or a file that is missing or malformed; it names the file and the field.
     """
     if isinstance(spec, Apartment):
         return spec

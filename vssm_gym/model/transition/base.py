@@ -7,8 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.model.transition.belief import GaussianBelief, normal_log_prob
 from vssm_gym.model.transition.manifold import Manifold
 
@@ -75,6 +77,36 @@ class Transition(eqx.Module):
         """``log p(z' | z, u)`` of the Gaussian about :meth:`mean`."""
         xi = self.manifold.error(self.mean(state, control, dt), following)
         return normal_log_prob(xi, self._every_covariance(state, control, dt)) - self.manifold.log_volume(xi)
+
+    def belief_at(
+        self,
+        pose: Float[Array, "3"] | Float[Array, "4 4"] | np.ndarray,
+        *,
+        translation_std: float = 0.001,
+        rotation_std: float = 0.001,
+        velocity_std: float = 0.5,
+        rate_std: float = 1.0,
+    ) -> GaussianBelief:
+        """Return the belief over a body near a pose, at rest on average.
+
+        Args:
+            pose: of the body in the world: ``(x, y, heading)`` in m and rad, or ``T_world_body`` ``(4, 4)``.
+            translation_std: standard deviation along each axis of the body frame, m.
+            rotation_std: standard deviation about each axis of the body frame, rad.
+            velocity_std: standard deviation of each linear velocity, where the state has one, m/s.
+            rate_std: standard deviation of each angular velocity, where the state has one, rad/s.
+
+        Returns:
+            A Gaussian on this transition's manifold.
+        """
+        T_world_body = jnp.asarray(pose, jnp.float32)
+        if T_world_body.shape == (3,):
+            T_world_body = planar_to_matrix(T_world_body)
+        turns, p = self.manifold.turns, self.manifold.twists.shape[1]
+        of_pose = np.where(turns[:p], rotation_std, translation_std)
+        of_velocity = np.where(turns[p:], rate_std, velocity_std)
+        variances = jnp.asarray(np.concatenate([of_pose, of_velocity]) ** 2, jnp.float32)
+        return GaussianBelief(self.manifold.resting(T_world_body), jnp.diag(variances), self.manifold)
 
     def mean_path(self, state: Any, controls: Float[Array, "*batch time m"], dt: float | Array) -> Any:
         """Return the states after each of several controls without noise, axes ``(*batch, time, ...)``.

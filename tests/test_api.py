@@ -1,0 +1,207 @@
+"""The public names: one table, imported when used, documented; and the page that shows them at work."""
+
+import ast
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vssm_gym as vg
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+SNIPPETS = re.findall(r"```python\n(.*?)```", (CHECKOUT / "docs" / "library.md").read_text(), re.DOTALL)
+TITLES = ["map", "prism", "futures", "agent"]
+OPENERS = ("Whether", "What", "How", "Of", "Where")  # no sentence that documents something starts so
+
+
+def functions() -> list[str]:
+    return [name for name in vg.PUBLIC if not inspect.isclass(getattr(vg, name))]
+
+
+def classes() -> list[str]:
+    return [name for name in vg.PUBLIC if inspect.isclass(getattr(vg, name))]
+
+
+def test_a_script_needs_few_names():
+    assert 30 <= len(vg.PUBLIC) <= 42
+
+
+def test_type_checkers_read_the_same_names():
+    tree = ast.parse((CHECKOUT / "vssm_gym" / "__init__.py").read_text())
+    [block] = [node for node in tree.body if isinstance(node, ast.If)]
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    read = {alias.asname: node.module for node in imports for alias in node.names if alias.asname == alias.name}
+    assert read == vg.PUBLIC
+
+
+@pytest.mark.parametrize("name", vg.PUBLIC)
+def test_a_public_name_is_defined_where_the_table_says(name):
+    assert getattr(vg, name).__module__ == vg.PUBLIC[name]
+    assert name in dir(vg)
+    assert not isinstance(getattr(vg, name), ModuleType)
+
+
+def test_another_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'VoxelMapp'"):
+        vg.VoxelMapp  # noqa: B018
+    with pytest.raises(ImportError):
+        importlib.import_module("vssm_gym.VoxelMapp")
+
+
+def test_importing_loads_the_registration_alone():
+    code = (
+        "import sys, vssm_gym\n"
+        "print(sorted(m for m in sys.modules if m.startswith('vssm_gym.')))\n"
+        "vssm_gym.InputError\n"
+        "print('vssm_gym.errors' in sys.modules, 'jax' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded, later = done.stdout.splitlines()
+    assert ast.literal_eval(loaded) == ["vssm_gym.envs", "vssm_gym.envs.registration", "vssm_gym.version"]
+    assert later == "True False"
+
+
+# documentation
+
+
+@pytest.mark.parametrize("name", vg.PUBLIC)
+def test_a_public_name_is_documented(name):
+    doc = inspect.getdoc(getattr(vg, name)) or ""
+    first = doc.partition("\n")[0]
+    assert len(first) > 20
+    assert first.partition(" ")[0] not in OPENERS
+    assert first.endswith(".")
+
+
+@pytest.mark.parametrize("name", functions())
+def test_a_public_function_documents_and_annotates_every_argument(name):
+    function = getattr(vg, name)
+    doc, signature = inspect.getdoc(function) or "", inspect.signature(function)
+    assert signature.return_annotation is not inspect.Signature.empty
+    assert "Returns:" in doc
+    if signature.parameters:
+        described = set(re.findall(r"^    (\w+): \S", doc.partition("Args:\n")[2], re.MULTILINE))
+        for parameter in signature.parameters.values():
+            assert parameter.annotation is not inspect.Parameter.empty, parameter
+            assert parameter.name in described, f"{name} does not say what {parameter.name} is"
+
+
+@pytest.mark.parametrize("name", classes())
+def test_the_methods_of_a_public_class_are_documented_and_annotated(name):
+    """Those of its own; special methods speak for themselves."""
+    cls = getattr(vg, name)
+    for key, member in vars(cls).items():
+        if key.startswith("_"):
+            continue
+        member = member.__func__ if isinstance(member, classmethod | staticmethod) else member
+        member = member.fget if isinstance(member, property) else member
+        if not inspect.isfunction(member):
+            continue
+        first = (inspect.getdoc(member) or "").partition("\n")[0]
+        assert first, f"{name}.{key} has no docstring"
+        assert first.partition(" ")[0] not in OPENERS, f"{name}.{key}: {first}"
+        signature = inspect.signature(member)
+        for parameter in list(signature.parameters.values()):
+            assert parameter.name in ("self", "cls") or parameter.annotation is not inspect.Parameter.empty, key
+        assert signature.return_annotation is not inspect.Signature.empty, f"{name}.{key}"
+
+
+# the page
+
+
+def run(title: str) -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    exec(SNIPPETS[TITLES.index(title)], names)
+    return names
+
+
+def test_the_page_uses_public_names_alone():
+    assert len(SNIPPETS) == len(TITLES)
+    for snippet in SNIPPETS:
+        used = set(re.findall(r"\bvg\.(\w+)", snippet))
+        assert used <= vg.PUBLIC.keys()
+        assert "from vssm_gym" not in snippet
+        assert len([line for line in snippet.splitlines() if line]) <= 40
+
+
+def test_the_page_maps_posed_images_and_plans_in_the_map():
+    names = run("map")
+    assert names["path"].found
+    first, seen = np.asarray(names["frames"][0][0]) / 255.0, np.asarray(names["view"].rgb)
+    assert np.median(np.abs(first - seen)) < 0.1  # what the map renders is what the camera saw
+
+
+def test_the_page_runs_prism():
+    names = run("prism")
+    assert names["how"].status.message == "ok"
+    assert names["off"] < 0.03
+
+
+def test_the_page_draws_futures():
+    names = run("futures")
+    assert names["ends"].shape == (12, 3)
+    assert names["spread"].shape == (60, 80, 3)
+    assert 0.01 < float(names["spread"].mean()) < 1.0
+
+
+def test_the_page_drives_an_agent():
+    names = run("agent")
+    assert names["info"]["success"]
+    assert names["picture"].std() > 0
+
+
+# what the page needs of its functions
+
+
+def test_a_filter_is_made_by_name():
+    camera = vg.Camera.from_hfov(40, 30, 1.5)
+    assert isinstance(vg.make_filter("prism", camera, vg.Rigid()), vg.Prism)
+    assert isinstance(vg.make_filter("tracker", camera, vg.Planar(vg.MotionNoise(0.1, 0.1))), vg.MapTracker)
+    with pytest.raises(vg.InputError, match="one of prism, "):
+        vg.make_filter("slam", camera, vg.Rigid())
+    with pytest.raises(vg.InputError, match="a pose"):
+        vg.make_filter("frames", camera, vg.Rigid())
+
+
+def test_a_belief_stands_at_a_pose_whatever_the_state():
+    planar = vg.Bicycle().belief_at(np.array([1.0, 2.0, 0.5]), translation_std=0.1, rotation_std=0.2)
+    np.testing.assert_allclose(planar.mean, [1.0, 2.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(np.diag(planar.covariance), [0.01, 0.01, 0.04], rtol=1e-5)
+    T = np.eye(4)
+    T[:3, 3] = 1.0, 2.0, 3.0
+    rigid = vg.Rigid().belief_at(T, rate_std=2.0)
+    np.testing.assert_allclose(rigid.mean.T_world_body, T)
+    np.testing.assert_allclose(np.diag(rigid.covariance), [1e-6] * 6 + [0.25] * 3 + [4.0] * 3, rtol=1e-5)
+
+
+def test_frames_need_a_pose_each():
+    frames = [(np.zeros((30, 40, 3), np.uint8), np.ones((30, 40), np.float32))]
+    camera = vg.Camera.from_hfov(40, 30, 1.5)
+    with pytest.raises(vg.InputError, match="T_world_cam"):
+        vg.map_from_frames(frames, np.zeros((2, 4, 4)), camera)
+    with pytest.raises(vg.InputError, match="has none"):
+        vg.map_from_frames([(frames[0][0], 0.0 * frames[0][1])], np.eye(4)[None], camera)
+
+
+@pytest.mark.parametrize("env", ["PointNav-v0", "ImageNav-v0", "Explore-v0", "LidarMaze-v0", "CarNav-v0"])
+def test_a_context_tells_the_start_and_nothing_of_the_scene(env):
+    import gymnasium as gym
+
+    world = gym.make(f"vssm_gym/{env}", scene={"LidarMaze-v0": "rooms-v1", "CarNav-v0": "arena"}.get(env, "oak"))
+    observation, info = world.reset(seed=0)
+    context = vg.agent_context(world, info)
+    assert isinstance(context, vg.AgentContext)
+    np.testing.assert_array_equal(context.start_pose, info["start_pose"])
+    assert context.map is None
+    agent = vg.make_agent({"LidarMaze-v0": "dist_bug"}.get(env, "random"))
+    if env != "CarNav-v0":  # no agent of the car does without a map
+        agent.reset(context, observation, 0)
+        assert world.action_space.contains(agent.act(observation).action)
+    world.close()
