@@ -22,7 +22,7 @@ STOP_COMMAND = (0.0, 0.0, 0.0)  # the motion part of a stop: the robot stays whe
 
 @dataclass(frozen=True)
 class AgentContext:
-    """What a robot may know before it starts (SPEC 6: its start pose and a map, then RGB-D only).
+    """State what a robot may know before it starts: its start pose and a map; after that it sees images only.
 
     Attributes:
         K: ``(3, 3)`` intrinsic matrix, pixels; the identity without a camera.

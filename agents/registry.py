@@ -94,8 +94,7 @@ def make_agent(name: str) -> Agent:
         The agent; ``reset`` opens an episode.
 
     Raises:
-        KeyError: an unknown agent.
-        InputError: an unknown planner, an agent that takes none, or a policy file that cannot be read.
+        InputError: an unknown agent or planner, an agent that takes none, or a policy file that cannot be read.
     """
     kind: Any = agent_type(name)
     if name.startswith(PREFIX):

@@ -46,5 +46,5 @@ class PlanResult:
 
     @property
     def found(self) -> bool:
-        """Whether the path ends inside the goal region."""
+        """Return True if the path ends inside the goal region."""
         return self.status is PlanStatus.FOUND
