@@ -17,11 +17,11 @@ from vssm_gym.envs.robots.holonomic import NOISE_LEVELS
 from vssm_gym.inference.alignment.adam import AdamConfig
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
-from vssm_gym.inference.prism import drift
 from vssm_gym.inference.prism.config import PrismConfig
-from vssm_gym.inference.tracking import keyframes, process_noise
 from vssm_gym.inference.tracking.camera_filter import TrackingConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
+from vssm_gym.inference.tracking.keyframes import KeyframeConfig
+from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.maps import voxel_map
 from vssm_gym.model import emission, emission_uncertainty
@@ -190,11 +190,11 @@ STATED = [
     ("I12", "0.001 m and 0.00036 rad", (AdamConfig().translation_step, AdamConfig().rotation_step), (0.001, 0.00036)),
     ("I12", "0.02 and 0.1", (AdamConfig().geo_scale, AdamConfig().rgb_scale), (0.02, 0.1)),
     ("I16", "0.8 Sigma_t-1", TrackingConfig().smoothing, 0.8),
-    ("I18", "tau = 1 s,  c = 1.5", (process_noise.TIME, process_noise.CAUTION), (1.0, 1.5)),
-    ("I18", "0.2^2 <= s^2", process_noise.FLOOR, 0.2),
+    ("I18", "tau = 1 s,  c = 1.5", (ProcessNoiseConfig().time_constant, ProcessNoiseConfig().caution), (1.0, 1.5)),
+    ("I18", "0.2^2 <= s^2", ProcessNoiseConfig().floor, 0.2),
     ("I19", "trunc = 2 voxels", MapUpdateConfig().truncation, 2.0),
     ("I20", "w = 1", MapUpdateConfig().std, 1.0),
-    ("I23", "k = 16", drift.ALIKE, 16.0),
+    ("I23", "k = 16", PrismConfig().correlated_images, 16.0),
     ("I25", "0.15 m", PrismConfig().reference_distance, 0.15),
     ("I25", "0.15 rad", PrismConfig().reference_angle, 0.15),
     ("I26", "a quarter of the edge", PrismConfig().window_margin, 0.25),
@@ -202,7 +202,7 @@ STATED = [
     ("I27", "<= 5", TrackingConfig().max_photometric, 5.0),
     ("I27", "12^2", TrackingConfig().max_surprise, 12.0),
     ("I27", "5 % of the pixels", TrackingConfig().min_reading, 0.05),
-    ("I28", "0.3 m and 0.26 rad", (keyframes.DISTANCE, keyframes.ANGLE), (0.3, 0.26)),
+    ("I28", "0.3 m and 0.26 rad", (KeyframeConfig().distance, KeyframeConfig().angle), (0.3, 0.26)),
     ("I29", ">= 0.65", RecoveryConfig().min_score, 0.65),
     ("I29", "min(4, 0.55 contrast", (RecoveryConfig().max_photometric, RecoveryConfig().max_unexplained), (4.0, 0.55)),
     ("I33", "100 steps", TRACKER_ADAM.steps, 100),

@@ -14,14 +14,12 @@ import numpy as np
 from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.filter import KNOWN_START_STD, Rig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import GaussianBelief, planar_belief, world_covariance
-
-START_STD = 1e-3  # m, rad: how well a robot that looks at images knows its start
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ class FilteredPose:
             raise InputError("AgentContext", "map", "a learned map: this localizer tracks in one")
         self._dt = context.dt
         self._filter = self._entry.make(rig_of(context), context.transition)
-        std = 0.0 if self._entry.blind else START_STD
+        std = 0.0 if self._entry.blind else KNOWN_START_STD
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
         prior = Posterior(start, context.map if self._entry.needs_map else None)
         image = self._image(observation)

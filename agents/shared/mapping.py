@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
-from vssm_gym.agents.shared.localization import START_STD, Localization, TruePose, localization, rig_of
+from vssm_gym.agents.shared.localization import Localization, TruePose, localization, rig_of
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.inference.filter import KNOWN_START_STD
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.registry import FILTERS
@@ -76,7 +77,7 @@ class MapAndPose:
         """The first image at the known start; what a lost robot does is compiled here, so that it delays no step."""
         rig = rig_of(context)
         image = RGBD.from_camera(observation["rgb"], observation["depth"])
-        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), START_STD**2 * jnp.eye(3))
+        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), KNOWN_START_STD**2 * jnp.eye(3))
         self._filter, self._dt = FILTERS["prism"].make(rig, context.transition), context.dt
         self._state = self._filter.init(Posterior(start, prior), image, jax.random.key(0))
         # An image without depth fits nothing, so the map stays as it is.

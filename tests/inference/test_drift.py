@@ -8,8 +8,11 @@ from scipy.linalg import expm, logm
 
 from tests.helpers.prism_room import image, start, step, walked
 from vssm_gym.inference.prism import drift
+from vssm_gym.inference.prism.config import HAND_HELD
 from vssm_gym.inference.status import Status
 from vssm_gym.model.transition import GaussianBelief, RigidState, rigid_belief
+
+ALIKE = HAND_HELD.correlated_images
 
 
 def twist_matrix(xi: np.ndarray) -> np.ndarray:
@@ -59,12 +62,12 @@ def test_the_frame_walks_by_the_share_that_the_image_wrote() -> None:
     assert bool(seen.hit.all())
     old = jnp.repeat(jnp.asarray([0.01, 1.0, 7.0, 7.0]), n // 4, total_repeat_length=n)
     new = jnp.repeat(jnp.asarray([1.01, 2.0, 7.0, 7.0]), n // 4, total_repeat_length=n)
-    grown = np.asarray(drift.grow(before, old, new, belief_of(T, S), seen), float) - np.asarray(before, float)
+    grown = np.asarray(drift.grow(before, old, new, belief_of(T, S), seen, ALIKE), float) - np.asarray(before, float)
     carry = np.asarray(drift.se3_adjoint(jnp.asarray(T, jnp.float32)), float)
-    expected = drift.ALIKE * (0.25 * (1.0 - 0.01 / 1.01) + 0.25 * 0.5) * carry @ S @ carry.T
+    expected = ALIKE * (0.25 * (1.0 - 0.01 / 1.01) + 0.25 * 0.5) * carry @ S @ carry.T
     np.testing.assert_allclose(grown, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
     none = jax.tree.map(jnp.zeros_like, seen)
-    np.testing.assert_array_equal(drift.grow(before, old, new, belief_of(T, S), none), before)
+    np.testing.assert_array_equal(drift.grow(before, old, new, belief_of(T, S), none, ALIKE), before)
 
 
 def shares(frames, rate: float) -> np.ndarray:
@@ -82,7 +85,7 @@ def shares(frames, rate: float) -> np.ndarray:
 
 def test_a_camera_that_stands_still_soon_walks_no_more() -> None:
     """The n-th image of one place writes 1/n of it at most (cells at the image's rim are written by fewer)."""
-    still = shares([0] * 40, 10.0) / drift.ALIKE
+    still = shares([0] * 40, 10.0) / ALIKE
     assert (still <= 1.05 / np.arange(2, 42)).all()
     assert still[-10:].sum() < 0.3
 
@@ -90,5 +93,5 @@ def test_a_camera_that_stands_still_soon_walks_no_more() -> None:
 def test_new_space_counts_whole_whatever_the_rate() -> None:
     """The same walk in steps of a half and of a third: the walk of the map's frame is that of the way, not of time."""
     coarse, fine = shares(np.arange(2.0, 25.0, 2.0), 5.0), shares(np.arange(1.0, 25.0, 1.0), 10.0)
-    assert coarse.sum() / drift.ALIKE > 1.0
+    assert coarse.sum() / ALIKE > 1.0
     assert fine.sum() == pytest.approx(coarse.sum(), rel=0.5)

@@ -12,10 +12,11 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.residuals import luminance
 from vssm_gym.inference.alignment.rotation import RotationConfig
 from vssm_gym.inference.tracking import keyframes
-from vssm_gym.inference.tracking.keyframes import ANGLE, DISTANCE, Keyframes, remember, similar
+from vssm_gym.inference.tracking.keyframes import KeyframeConfig, Keyframes, remember, similar
 
 CAMERA = Camera.from_hfov(160, 120, np.radians(70.0))
 CAPACITY = 6
+RING = KeyframeConfig(capacity=CAPACITY)
 CONFIG = RotationConfig()
 RNG = np.random.default_rng(0)
 PICTURES = jnp.asarray(RNG.uniform(size=(3 * CAPACITY, 120, 160)), jnp.float32)
@@ -34,7 +35,7 @@ def keep(kept: Keyframes, T: np.ndarray, grey: jax.Array) -> Keyframes:
 
 
 def nothing() -> Keyframes:
-    return keyframes.empty(CAMERA, CAPACITY)
+    return keyframes.empty(CAMERA, RING)
 
 
 def test_poses_that_are_near_a_keyframe_are_not_kept() -> None:
@@ -44,11 +45,11 @@ def test_poses_that_are_near_a_keyframe_are_not_kept() -> None:
     assert int(kept.count) == 1
     for x, yaw, is_new in (
         (0.0, 0.0, False),
-        (0.9 * DISTANCE, 0.0, False),
-        (0.0, 0.95 * ANGLE, False),
-        (0.9 * DISTANCE, 0.95 * ANGLE, False),
-        (1.1 * DISTANCE, 0.0, True),
-        (0.0, -1.1 * ANGLE, True),
+        (0.9 * RING.distance, 0.0, False),
+        (0.0, 0.95 * RING.angle, False),
+        (0.9 * RING.distance, 0.95 * RING.angle, False),
+        (1.1 * RING.distance, 0.0, True),
+        (0.0, -1.1 * RING.angle, True),
     ):
         before = int(kept.count)
         kept = keep(kept, camera_pose((x, 0.0, 1.0), yaw), PICTURES[1])

@@ -14,7 +14,7 @@ from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
 from vssm_gym.inference.filter import Rig
-from vssm_gym.inference.prism.config import ROBOT as ROBOT_PRISM
+from vssm_gym.inference.prism.config import ROBOT_PRISM
 from vssm_gym.inference.prism.filter import Prism, PrismState
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap

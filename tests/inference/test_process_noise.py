@@ -8,18 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.inference.tracking import process_noise
-from vssm_gym.inference.tracking.process_noise import CAUTION, FLOOR, TIME
+from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.model.transition import PLANAR, RIGID, Rigid, RigidNoise
 
 NOISE = RigidNoise(0.15, 0.01, 0.3, 0.01)
+CONFIG = ProcessNoiseConfig()
 
 
 @jax.jit
 def step(level, moved, predicted, posterior, dt):
-    """Return the noise of a step of a pose at rest, which normalises innovations."""
+    """Adapt to an innovation, normalised by the noise of a step of a body at rest."""
     rest = RIGID.resting(jnp.eye(4))
     noise = Rigid(NOISE).noise_covariance(rest, jnp.zeros(6), dt)[:6, :6]
-    return process_noise.adapt(level, moved, predicted, posterior, dt, noise, RIGID)
+    return process_noise.adapt(level, moved, predicted, posterior, dt, noise, RIGID, CONFIG)
 
 
 def adapt(level, moved, dt: float, left: float = 0.0) -> jnp.ndarray:
@@ -42,24 +43,26 @@ def test_the_level_is_the_hands_own_times_a_margin(std: tuple[float, float], dt:
     for e in innovations(np.random.default_rng(0), std, dt, 600):
         level = adapt(level, e, dt)
         seen.append(np.asarray(level))
-    expected = np.maximum((CAUTION * np.asarray(std)) ** 2, FLOOR**2)
+    expected = np.maximum((CONFIG.caution * np.asarray(std)) ** 2, CONFIG.floor**2)
     np.testing.assert_allclose(np.mean(seen[100:], axis=0), expected, rtol=0.25)
 
 
 @given(
     st.lists(st.floats(-10.0, 10.0, width=32), min_size=6, max_size=6),
     st.floats(0.001, 10.0),
-    st.floats(FLOOR**2, 1.0),
+    st.floats(CONFIG.floor**2, 1.0),
 )
 def test_the_level_stays_in_its_range(e: list[float], dt: float, before: float) -> None:
     """No innovation, however large or small, leads out of it, nor past what that innovation speaks for."""
     start = jnp.full(2, before)
     level = np.asarray(adapt(start, e, dt))
-    assert (level >= FLOOR**2 - 1e-6).all()
+    assert (level >= CONFIG.floor**2 - 1e-6).all()
     assert (level <= 1.0).all()
     calm = np.asarray(adapt(start, np.zeros(6), dt))
     assert (level >= calm - 1e-6).all()
-    np.testing.assert_allclose(calm, np.maximum(before * np.exp(-dt / TIME), FLOOR**2), rtol=1e-4)
+    np.testing.assert_allclose(
+        calm, np.maximum(before * np.exp(-dt / CONFIG.time_constant), CONFIG.floor**2), rtol=1e-4
+    )
 
 
 def test_at_a_level_the_variances_are_scaled_by_it() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.flight_hall import hall
 from vssm_gym.cli.record import record
-from vssm_gym.data.flights import DEPTH_SCALE, record_flight
+from vssm_gym.data.flights import FLIGHT_DEPTH_SCALE, record_flight
 from vssm_gym.data.recording import read_provenance
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
@@ -43,7 +43,7 @@ def recording(tmp_path_factory):
 def test_a_recorded_flight_is_a_closed_path_with_commands_and_imu(recording):
     sequence = load_sequence(recording)
     assert sequence.notices == ()
-    assert sequence.depth_scale == DEPTH_SCALE
+    assert sequence.depth_scale == FLIGHT_DEPTH_SCALE
     poses = sequence.true_poses()
     assert np.linalg.norm(poses[0, :3, 3] - poses[-1, :3, 3]) < 0.3
     assert sequence.controls.shape == (len(sequence.frames), 7)

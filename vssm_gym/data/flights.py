@@ -19,7 +19,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 from vssm_gym.progress import OnProgress
 
-DEPTH_SCALE = 2000.0  # units a metre: 16 bits reach 32 m, in steps of half a millimetre
+FLIGHT_DEPTH_SCALE = 2000.0  # units a metre: 16 bits reach 32 m, in steps of half a millimetre
 
 
 def record_flight(
@@ -76,7 +76,7 @@ def record_flight(
 
 
 def _fly(env: FlightEnv, folder: Path, seed: int, on_progress: OnProgress | None) -> int:
-    writer = SequenceWriter(folder, env.camera, env.body.T_body_cam, depth_scale=DEPTH_SCALE)
+    writer = SequenceWriter(folder, env.camera, env.body.T_body_cam, depth_scale=FLIGHT_DEPTH_SCALE)
     pilot = FlightController(env.body)
     observation, info = env.reset(seed=seed)
     assert env.task is not None

@@ -6,6 +6,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+MAX_DEPTH = 8.0  # m, default range of depth readings and of the renderer (PRISM: 7 to 8 m indoors)
+
 
 class Camera(eqx.Module):
     """Represent pinhole intrinsics: a pytree of static size whose intrinsics can be differentiated or learned."""

@@ -9,8 +9,9 @@ pixels the rays are exactly those of the imagined scan, with others they are off
 
 import numpy as np
 
-BEAMS = 64
-MAX_DEPTH = 8.0  # m, the range of the emission (vssm_gym.model.emission.MAX_DEPTH)
+from vssm_gym.geometry.camera import MAX_DEPTH
+
+BEAMS = 64  # of vssm_gym/WorldModelNav-v0
 
 
 def scan_of(depth: np.ndarray, max_depth: float = MAX_DEPTH) -> np.ndarray:

@@ -15,6 +15,8 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
+KNOWN_START_STD = 1e-3  # m, rad, of the start of a robot that knows it
+
 Clock = Callable[[str, Any], Any]  # called with name and outcome of each stage, returns the outcome; for timing
 
 

@@ -10,12 +10,11 @@ from jaxtyping import Float
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.filter import Filter, Rig
-from vssm_gym.inference.prism.config import HAND_HELD
-from vssm_gym.inference.prism.config import ROBOT as ROBOT_PRISM
+from vssm_gym.inference.prism.config import HAND_HELD, ROBOT_PRISM
 from vssm_gym.inference.prism.filter import Prism
 from vssm_gym.inference.tracking.camera_filter import TrackingConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM, EmissionTracker
-from vssm_gym.inference.tracking.map_tracker import ROBOT, DeadReckoning, FrameTracker, MapTracker
+from vssm_gym.inference.tracking.map_tracker import ROBOT_TRACKING, DeadReckoning, FrameTracker, MapTracker
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.model.transition.base import Transition
 
@@ -42,7 +41,7 @@ def _tracker(rig: Rig, transition: Transition) -> Filter:
 
 def _adam(rig: Rig, transition: Transition) -> Filter:
     """Make the tracker with the published solver."""
-    config = ROBOT if transition.commanded else TrackingConfig()
+    config = ROBOT_TRACKING if transition.commanded else TrackingConfig()
     return MapTracker(rig, transition, replace(config, solver="adam", adam=TRACKER_ADAM))
 
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 
-KNOWN_SHARE = 0.5  # of a column's heights that must be observed; below a visible table top they are unobserved
+OBSERVED_SHARE = 0.5  # of a column's heights that must be observed; below a visible table top they are unobserved
 
 
 def observed_columns(

@@ -26,6 +26,7 @@ PRIOR_OCCUPANCY_MEAN = -0.001  # m: unknown space is just free, so an empty map 
 # OBSERVATION_STD^2 / (precision std^2), see docs/slam.md.
 OBSERVATION_STD = 0.03  # m, of occupancy
 OBSERVATION_COLOUR_STD = 0.1
+TRUNCATION = 2.0  # voxels: half the width of the band around a surface that an image updates (PRISM)
 OBSERVED_PRECISION = 0.1  # a cell with more than this was observed at least once, at any std up to 3
 
 DEFAULT_SLOTS = 40_000  # of a block-sparse map: 0.5 GB, 440 m^3 of seen space in cells of 3.5 cm, 3,500 m^3 of 7 cm

@@ -16,19 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.camera import MAX_DEPTH, Camera
 from vssm_gym.maps.block_table import BLOCK, block_number, cell_offset, corner_offsets
 from vssm_gym.maps.compaction import first_set
 from vssm_gym.maps.voxel_map import VoxelMap, trilinear
 
 TAU = 0.0  # occupancy of the surface: zero for signed distances
 STEP = 0.4  # e, in voxels (PRISM)
-MAX_DEPTH = 8.0  # m
 HIT = 1 << 20  # added to the sample of a hit; no ray has as many samples
 NARROWING = (2, 4, 8, 16, 32, 64)  # divisors of the number of rays: sizes of ever narrower batches
 FLIGHT = 3  # leaps before the first test of a cube: rays start in free space
 KNOWN_SHARE = 0.75  # a pixel is known where observed cells have at least this interpolation weight
-SAMPLES_IN_CUBE = 5  # a ray crosses a cube's diagonal, sqrt(3) voxels, in at most floor(sqrt(3) / STEP) + 1 samples
+SAMPLES_IN_CUBE = int(3**0.5 / STEP) + 1  # at most, of a ray along a cube's diagonal of sqrt(3) voxels
 
 
 class RGBD(eqx.Module):

@@ -3,7 +3,8 @@
 The published update gives each observation the std 1; the error of a real reading is a few centimetres. The variance of
 a cell is therefore ``s^2 / n``, with ``s`` the std of one reading and ``n`` the precision in units of observations. Two
 kinds of cell keep their mean: unobserved cells (independent draws from the broad prior would fill unknown space with
-surfaces), and cells two voxels or more from the surface, whose observations were clipped and are only bounds.
+surfaces), and cells two voxels (the default truncation) or more from the surface, whose observations were clipped and
+are only bounds.
 
 Cells are independent in ``q(M)`` although the error of one ray is common to them. Averaging over a pixel's eight cells
 therefore understates the std of depth by a factor of up to ``sqrt(8)``.
@@ -19,10 +20,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.block_table import cell_offset
-from vssm_gym.maps.voxel_map import OBSERVATION_COLOUR_STD, OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
+from vssm_gym.maps.voxel_map import OBSERVATION_COLOUR_STD, OBSERVATION_STD, OBSERVED_PRECISION, TRUNCATION, VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD, STEP, render, world_rays
 
-BAND = 2.0  # voxels, the default truncation of the map update: cells farther from the surface hold bounds only
 MIN_SLOPE = 0.1  # of occupancy over depth, so that a ray that grazes a surface magnifies errors tenfold at most
 
 # Two samples 0.4 voxels apart lie in one cube or in adjacent ones: cells 0, 1, 2 from the lower one along each axis
@@ -38,7 +38,7 @@ class MeasurementNoise(eqx.Module):
 
     def occupancy_variance(self, mean: Array, precision: Array, voxel_size: Array) -> Array:
         """Return the variance of cells' occupancy, m^2, any shape; 0 where the cell keeps its mean."""
-        measured = (precision > OBSERVED_PRECISION) & (jnp.abs(mean) < BAND * voxel_size * (1.0 - 1e-4))
+        measured = (precision > OBSERVED_PRECISION) & (jnp.abs(mean) < TRUNCATION * voxel_size * (1.0 - 1e-4))
         return jnp.where(measured, self.depth**2 / (precision * self.counted**2), 0.0)
 
     def colour_variance(self, precision: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from vssm_gym.errors import InputError
-from vssm_gym.maps.columns import KNOWN_SHARE, level_distance, observed_columns
+from vssm_gym.maps.columns import OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
@@ -58,7 +58,7 @@ class ClearanceMap:
         """
         low = voxel_map.bounds[0]
         top, share = observed_columns(voxel_map, z_min, z_max, resolution)
-        unknown = share < KNOWN_SHARE
+        unknown = share < OBSERVED_SHARE
         occupied = (top > 0.0) | unknown
         # An unobserved column has no surface to interpolate: half a cell is the unbiased place of its border.
         depth = np.where(unknown & (top <= 0.0), 0.5 * resolution, top)

@@ -15,7 +15,7 @@ from numba import njit
 
 from vssm_gym.maps.block_table import BLOCK
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
-from vssm_gym.planning.clearance import KNOWN_SHARE, ClearanceMap
+from vssm_gym.planning.clearance import OBSERVED_SHARE, ClearanceMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 PAD = 5.0  # m around what is known: unknown space to look into
@@ -67,7 +67,7 @@ class FloorPlan:
             stored = slot != 0
         occupancy, precision = np.asarray(voxel_map.occupancy), np.asarray(voxel_map.occupancy_precision)
         top, known = _columns(occupancy, precision, slot, stored, first, last)
-        unknown = known < KNOWN_SHARE * (last - first + 1)
+        unknown = known < OBSERVED_SHARE * (last - first + 1)
         occupied = top > 0.0
         if seen is not None:
             occupied |= seen

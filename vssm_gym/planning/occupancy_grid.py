@@ -11,7 +11,7 @@ import numpy as np
 
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
-from vssm_gym.maps.columns import KNOWN_SHARE, observed_columns
+from vssm_gym.maps.columns import OBSERVED_SHARE, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
@@ -58,7 +58,7 @@ class OccupancyGrid:
         spacing = resolution / per_cell
         top, share = observed_columns(voxel_map, z_min, height, spacing)
         occupied = _blocks(top > 0.0, per_cell).any(axis=(1, 3))
-        unknown = _blocks(share, per_cell).mean(axis=(1, 3)) < KNOWN_SHARE
+        unknown = _blocks(share, per_cell).mean(axis=(1, 3)) < OBSERVED_SHARE
         cells = np.where(occupied, OCCUPIED, np.where(unknown, UNKNOWN, FREE)).astype(np.int8)
         known = np.argwhere(cells != UNKNOWN)
         if len(known) == 0:

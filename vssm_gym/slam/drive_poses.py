@@ -15,7 +15,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.envs.robots import NOISE_LEVELS
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
-from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.filter import KNOWN_START_STD, Rig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.maps.voxel_map import DEFAULT_SLOTS, VoxelMap
 from vssm_gym.model.emission import RGBD
@@ -25,7 +25,6 @@ from vssm_gym.progress import OnProgress
 
 REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
 LOW, HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
-START_STD = 1e-3  # m, rad: the start is known
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
     sparse = VoxelMap.prior(low, voxel, (nx, ny, nz), slots=DEFAULT_SLOTS)
     motion = Planar(MotionNoise(noise.turn, noise.step))
     prism = FILTERS["prism"].make(rig, motion)
-    known = planar_belief(start, START_STD**2 * jnp.eye(3))
+    known = planar_belief(start, KNOWN_START_STD**2 * jnp.eye(3))
     state = prism.init(Posterior(known, sparse), RGBD.from_camera(*reader[0]), jax.random.key(0))
     planar, accepted = [np.asarray(start, float)], [True]
     for i in range(1, len(reader)):

@@ -12,6 +12,7 @@ from matplotlib.patches import Ellipse
 
 from vssm_gym.data.sequences import Sequence
 from vssm_gym.geometry.transforms import R_BODY_CAM, inverse, transform
+from vssm_gym.inference.alignment.residuals import FULL_COVERAGE
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.camera_filter import TrackingConfig
 from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT
@@ -273,7 +274,7 @@ def fit(run: SlamRun, config: TrackingConfig) -> bytes:
 
 def _score(frame: TrackedFrame) -> float:
     """``inlier_share min(1, coverage / 0.4)``, as :func:`vssm_gym.inference.alignment.residuals.score`."""
-    return (frame.inlier_share or 0.0) * min(1.0, (frame.coverage or 0.0) / 0.4)
+    return (frame.inlier_share or 0.0) * min(1.0, (frame.coverage or 0.0) / FULL_COVERAGE)
 
 
 def latency(run: SlamRun) -> bytes:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.data.trajectories import from_tum
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.camera import MAX_DEPTH, Camera
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig
@@ -29,7 +29,7 @@ from vssm_gym.inference.tracking.camera_filter import SOLVERS, TrackingConfig, a
 from vssm_gym.inference.tracking.localise import readable
 from vssm_gym.inference.tracking.map_tracker import MapTracker
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
-from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.maps.voxel_map import TRUNCATION, VoxelMap, read_metadata
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RIGID
@@ -48,7 +48,7 @@ class DepthKind:
     """Configure the trust in the depth of one kind of sensor."""
 
     align: AlignConfig
-    truncation: float = 2.0  # voxels behind a surface that an image updates
+    truncation: float = TRUNCATION  # voxels behind a surface that an image updates
     reference_limits: tuple[float, float] = (
         0.15,
         0.15,
@@ -83,7 +83,7 @@ class SlamOptions:
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty reaches the pose too
     seed: int = 0
     render_width: int = 160  # pixels: images are tracked at about this width
-    max_depth: float = 8.0  # m; farther readings are left out
+    max_depth: float = MAX_DEPTH  # m; farther readings are left out
     depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
     imu: bool = False  # whether the sequence's IMU replaces constant velocity in the prior
     method: str = "prism"  # one of METHODS: map and track, or track in ``map``

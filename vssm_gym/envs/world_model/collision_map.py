@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vssm_gym.envs.world_model.config import SOURCE
 from vssm_gym.errors import InputError
-from vssm_gym.maps.columns import KNOWN_SHARE, level_distance, observed_columns
+from vssm_gym.maps.columns import OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
 RESOLUTION = 0.025  # m
@@ -40,7 +40,7 @@ class CollisionMap(eqx.Module):
         Raises :class:`InputError` for a map that shows no free floor.
         """
         columns = [observed_columns(m, Z_MIN, height, RESOLUTION) for m in maps]
-        known = columns[0][1] >= KNOWN_SHARE  # precisions are the belief's in every sample
+        known = columns[0][1] >= OBSERVED_SHARE  # precisions are the belief's in every sample
         free = np.argwhere(known & (columns[0][0] <= 0.0))
         if len(free) == 0:
             raise InputError(SOURCE, "map", f"free floor observed between {Z_MIN} and {height} m; found none")

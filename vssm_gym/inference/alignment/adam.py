@@ -32,7 +32,7 @@ from vssm_gym.inference.alignment.residuals import (
 )
 from vssm_gym.model.emission import RGBD
 
-EPSILON = 1e-8  # Adam's
+EPSILON = 1e-8  # of Adam (Kingma and Ba, ICLR 2015)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_adjoint
 from vssm_gym.model.emission import RGBD
 
+FULL_COVERAGE = 0.4  # share of the image that suffices for a full score; chosen on hand-held recordings
+
 
 @dataclass(frozen=True)
 class AlignConfig:
@@ -35,6 +37,8 @@ class AlignConfig:
     levels: tuple[int, ...] = (4, 2, 1)  # image shrink factors, coarse to fine
     iterations: tuple[int, ...] = (6, 5, 5)  # at most, per level
     tolerance: float = 1e-5  # m and rad: a smaller step ends the level
+    inlier: float = 2.5  # standard deviations: smaller residuals are inliers
+    cost_limit: float = 3.0  # standard deviations, of a residual in the alignment cost
     edge: float = 0.05  # relative depth jump to a neighbour that makes a reference pixel unusable
 
 
@@ -59,7 +63,7 @@ class Observed(eqx.Module):
 class AlignInfo(eqx.Module):
     """Measure the fit quality of an alignment at its solution."""
 
-    inlier_share: Float[Array, ""]  # of the projected pixels with a plane: |r_geo| < 2.5 sigma
+    inlier_share: Float[Array, ""]  # of the projected pixels with a plane: |r_geo| < AlignConfig.inlier sigma
     coverage: Float[Array, ""]  # share of observed pixels that fall on a reference plane
     photometric: Float[Array, ""]  # mean |r_rgb| / sigma
     information: Float[Array, "dof dof"]  # of the data about xi: sum J^T J of the scaled residuals, per datum
@@ -67,7 +71,7 @@ class AlignInfo(eqx.Module):
 
 
 def score(info: AlignInfo) -> Float[Array, ""]:
-    """``inlier_share min(1, coverage / 0.4)``: near 1 where an image fits its reference.
+    """``inlier_share min(1, coverage / FULL_COVERAGE)``: near 1 where an image fits its reference.
 
     Chosen on hand-held recordings.
 
@@ -75,7 +79,7 @@ def score(info: AlignInfo) -> Float[Array, ""]:
     that
     the filter allows; below it, few pixels could reach a high inlier share by chance.
     """
-    return info.inlier_share * jnp.minimum(1.0, info.coverage / 0.4)
+    return info.inlier_share * jnp.minimum(1.0, info.coverage / FULL_COVERAGE)
 
 
 def luminance(rgb: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
@@ -275,14 +279,14 @@ def linearise(
 def alignment_cost(
     T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
 ) -> Float[Array, ""]:
-    """Return the alignment cost: the mean of ``min(|r|, 3)`` in standard deviations over all observed pixels.
+    """Return the alignment cost: the mean of ``min(|r|, cost_limit)`` in standard deviations over all observed pixels.
 
-    It ranks start poses. A pixel that falls on nothing known costs 3, so that looking away from the reference has no
-    advantage.
+    It ranks start poses. A pixel that falls on nothing known costs the limit, so that looking away from the reference
+    has no advantage.
     """
     geo, rgb, *_ = linearise(T, ref, obs, camera, factor, config)
-    far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), 3.0), 3.0)
-    off = jnp.where(rgb.usable, jnp.minimum(jnp.abs(rgb.residual), 3.0), 3.0)
+    far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), config.cost_limit), config.cost_limit)
+    off = jnp.where(rgb.usable, jnp.minimum(jnp.abs(rgb.residual), config.cost_limit), config.cost_limit)
     return jnp.sum((far + config.rgb_weight * off) * obs.valid) / jnp.maximum(jnp.sum(obs.valid), 1)
 
 
@@ -307,8 +311,8 @@ def fit_quality(
     """Return the fit quality of an image and its reference at ``T`` = T_ref_cam, both at full size."""
     geo, rgb, *seen = linearise(T, ref, obs, camera, 1, config)
     share = stride(camera, 1, config) ** 2 / config.pixels_per_datum
-    close_geo = geo.usable & (jnp.abs(geo.residual) < 2.5)
-    close_rgb = rgb.usable & (jnp.abs(rgb.residual) < 2.5)
+    close_geo = geo.usable & (jnp.abs(geo.residual) < config.inlier)
+    close_rgb = rgb.usable & (jnp.abs(rgb.residual) < config.inlier)
     H, _ = normal_equations(
         geo._replace(weight=share * close_geo), rgb._replace(weight=share * config.rgb_weight * close_rgb), *seen
     )

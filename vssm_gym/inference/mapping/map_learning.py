@@ -28,9 +28,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from vssm_gym.inference.mapping.views import Views, fit_scales
-from vssm_gym.maps.voxel_map import VoxelMap, trilinear
+from vssm_gym.maps.voxel_map import TRUNCATION, VoxelMap, trilinear
 from vssm_gym.model import emission
-from vssm_gym.model.emission import STEP, TAU, EmissionScales
+from vssm_gym.model.emission import MAX_DEPTH, STEP, TAU, EmissionScales
 from vssm_gym.progress import OnProgress
 
 BAND = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray without a surface is given one
@@ -47,8 +47,8 @@ class RefineConfig:
     scale_rate: float = 0.01  # share of the way to a batch's own scales
     steps: int = 4000  # of refine; rates fall linearly to zero over them
     refresh: int = 100  # steps between rebuilds of the empty-space index
-    truncation: float = 2.0  # voxels: a surface found farther behind the observed one is another surface
-    max_depth: float = 8.0  # m; farther readings are left out
+    truncation: float = TRUNCATION  # voxels: a surface found farther behind the observed one is another surface
+    max_depth: float = MAX_DEPTH  # m; farther readings are left out
 
 
 class RefineState(eqx.Module):

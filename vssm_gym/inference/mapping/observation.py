@@ -14,18 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from vssm_gym.geometry.camera import Camera
-from vssm_gym.maps.voxel_map import OBSERVATION_COLOUR_STD, OBSERVATION_STD
+from vssm_gym.geometry.camera import MAX_DEPTH, Camera
+from vssm_gym.maps.voxel_map import OBSERVATION_COLOUR_STD, OBSERVATION_STD, TRUNCATION
 
 
 @dataclass(frozen=True)
 class MapUpdateConfig:
     """Configure the map update."""
 
-    truncation: float = 2.0  # voxels behind the surface; 4 for noisy stereo depth (PRISM)
+    truncation: float = TRUNCATION  # voxels behind the surface; 4 for noisy stereo depth (PRISM)
     std: float = 1.0  # of the observation of occupancy (m) and of colour
     min_depth: float = 0.05  # m
-    max_depth: float = 8.0  # m; farther readings are left out
+    max_depth: float = MAX_DEPTH  # m; farther readings are left out
 
 
 class Observation(NamedTuple):

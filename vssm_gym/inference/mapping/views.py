@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.camera import MAX_DEPTH, Camera
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import EmissionScales
@@ -78,7 +78,7 @@ def _all_residuals(m: VoxelMap, views: Views, max_depth: float) -> tuple[np.ndar
     return np.concatenate(depths), np.concatenate(colours), read
 
 
-def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float = 8.0) -> HeldOut:
+def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float = MAX_DEPTH) -> HeldOut:
     """Evaluate ``log p(x | z, M)`` a pixel and errors on views that were not used to make the map.
 
     Args:
@@ -101,7 +101,7 @@ def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float
     )
 
 
-def fit_scales(m: VoxelMap, views: Views, max_depth: float = 8.0, count: int = 20) -> EmissionScales:
+def fit_scales(m: VoxelMap, views: Views, max_depth: float = MAX_DEPTH, count: int = 20) -> EmissionScales:
     """Estimate the scales of greatest likelihood given the map, ``s = mean |r|``, from up to ``count`` of the views."""
     chosen = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
     depth, colour, _ = _all_residuals(m, views[chosen], max_depth)

@@ -22,6 +22,7 @@ class PrismConfig:
     track_width: int | None = 160  # pixels: images are tracked at this width and mapped at their own; None: unchanged
     reference_distance: float = 0.15  # m and
     reference_angle: float = 0.15  # rad: the reference view serves until the camera is farther from it than either
+    correlated_images: float = 16.0  # k of the drift: between 4 (simulated walks) and 100 (a Kinect), both calibrated
     window_margin: float | None = 0.25  # of the map's edge: the window moves beyond this from its middle; None: never
 
     def __post_init__(self) -> None:
@@ -33,4 +34,4 @@ class PrismConfig:
 HAND_HELD = PrismConfig()
 # For a robot whose commands are known. After an image that is not accepted, the map stays unchanged and the pose
 # follows the commands; the next images are compared with the map at the predicted pose, until one is accepted.
-ROBOT = PrismConfig(tracking=COMMANDED, recovery=None, window_margin=None, track_width=None)
+ROBOT_PRISM = PrismConfig(tracking=COMMANDED, recovery=None, window_margin=None, track_width=None)

@@ -20,8 +20,6 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.belief import GaussianBelief
 
-ALIKE = 16.0  # k; simulated walks are calibrated with 4, a real Kinect, whose depth errors are systematic, with 100
-
 
 @jax.jit
 def precision(m: VoxelMap, T_world_cam: Float[Array, "4 4"], image: RGBD, camera: Camera) -> Float[Array, "readings"]:
@@ -37,6 +35,7 @@ def grow(
     after: Float[Array, "readings"],
     relative: GaussianBelief,
     image: RGBD,
+    correlated_images: float | Array,
 ) -> Float[Array, "6 6"]:
     """``P + k nu Ad_T Sigma Ad_T^T``, ``nu`` the share of the map in view that the image wrote.
 
@@ -46,13 +45,14 @@ def grow(
         after: And after that.
         relative: The belief against the map; Sigma is its pose covariance.
         image: The image.
+        correlated_images: k, the number of consecutive images whose errors are alike.
     """
     read = image.hit[2::4, 2::4].reshape(-1)
     share = jnp.sum(read * (1.0 - before / after)) / jnp.maximum(jnp.sum(read), 1)
     twists = relative.manifold.twists
     p = twists.shape[1]
     carry = se3_adjoint(relative.manifold.pose(relative.mean)) @ twists
-    return drift + ALIKE * share * carry @ relative.covariance[:p, :p] @ carry.T
+    return drift + correlated_images * share * carry @ relative.covariance[:p, :p] @ carry.T
 
 
 @jax.jit

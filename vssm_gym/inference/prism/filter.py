@@ -85,7 +85,9 @@ class Prism:
         m = map_update.update(prior.map, image.depth, image.rgb, T, self.rig.camera, config.update)
         m, kept = clock("map", m), None
         if config.recovery is not None:
-            kept = keyframes.remember(keyframes.empty(view.camera), T, luminance(small.rgb), view.camera)
+            settings = config.recovery.keyframe
+            none = keyframes.empty(view.camera, settings)
+            kept = keyframes.remember(none, T, luminance(small.rgb), view.camera, settings)
         against = clock(
             "anchor", reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1)
         )
@@ -150,10 +152,12 @@ class Prism:
                 dropped = int(fell)
         before = drift.precision(m, T, small, view.camera)
         m = clock("map", self._mapped(m, image, past, mapping))
-        drifted = drift.grow(state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small)
+        drifted = drift.grow(
+            state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small, config.correlated_images
+        )
         kept, against = state.keyframes, state.reference
-        if kept is not None:
-            kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera)
+        if kept is not None and config.recovery is not None:
+            kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera, config.recovery.keyframe)
         moved_on = reference_view.has_left(against, T, config.reference_distance, config.reference_angle)
         if alone or status is Status.RECOVERED or moved_on:
             against = clock(

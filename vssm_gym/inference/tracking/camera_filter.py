@@ -36,6 +36,7 @@ from vssm_gym.inference.alignment.rotation import RotationConfig, camera_rotatio
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.linear_gaussian import Gaussian
 from vssm_gym.inference.tracking import process_noise
+from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
@@ -56,7 +57,9 @@ class TrackingConfig:
     adam: AdamConfig = field(default_factory=AdamConfig)  # of the solver of that name
     rotation: RotationConfig | None = field(default_factory=RotationConfig)  # of the start; None: start as predicted
     exposure: bool = True  # whether to estimate the camera's gain
-    adaptive: bool = True  # whether to adapt the process noise to prediction errors
+    adaptation: ProcessNoiseConfig | None = field(
+        default_factory=ProcessNoiseConfig
+    )  # of the process noise; None: fixed
     smoothing: float = 0.8  # of the Laplace covariance over time
     min_reading: float = 0.05  # share of the pixels that have depth; an image with fewer has no reading
     min_score: float = 0.6  # of :func:`alignment.score`
@@ -111,7 +114,7 @@ class Tracked(eqx.Module):
 COMMANDED = TrackingConfig(
     rotation=None,
     exposure=False,
-    adaptive=False,
+    adaptation=None,
     smoothing=0.0,
     min_reading=0.0,
     min_score=0.5,
@@ -194,7 +197,7 @@ def track(
     """
     manifold = transition.manifold
     possible = predicted = transition.predict(past.belief, control, dt)
-    if config.adaptive:
+    if config.adaptation is not None:
         scale = process_noise.scale(manifold, past.noise_scale)
         predicted = transition.predict(past.belief, control, dt, scale)
     p = past.laplace.shape[0]
@@ -224,9 +227,11 @@ def track(
     accepted &= moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved) <= config.max_surprise**2
     accepted &= jnp.all(jnp.isfinite(both.covariance))
     noise_scale = past.noise_scale
-    if config.adaptive:
+    if config.adaptation is not None:
         noise = transition.noise_covariance(past.belief.mean, control, dt)[:p, :p]
-        noise_scale = process_noise.adapt(past.noise_scale, moved, pose_covariance, laplace, dt, noise, manifold)
+        noise_scale = process_noise.adapt(
+            past.noise_scale, moved, pose_covariance, laplace, dt, noise, manifold, config.adaptation
+        )
     T_world_cam = manifold.pose(posterior.mean) @ rig.T_body_cam
     return Tracked(
         posterior, T_world_cam, smoothed, possible, noise_scale, T_world_turned, brightness, fit_quality, accepted

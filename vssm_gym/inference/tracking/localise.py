@@ -186,7 +186,9 @@ def _starts(
 ) -> Float[Array, "starts 4 4"]:
     """Return start poses for recovery: last pose (turned, and as it was), most similar keyframes, prediction."""
     settings, grey = relocalisation.config, luminance(image.rgb)
-    alike = keyframes.similar(relocalisation.keyframes, grey, rig.camera, settings.rotation, settings.keyframes + 1)
+    alike = keyframes.similar(
+        relocalisation.keyframes, grey, rig.camera, settings.rotation, settings.keyframes + 1, settings.keyframe
+    )
     # The prediction of a camera that was lost before is its last pose: that start would be tried twice.
     last = alike[-1] if lost else camera_pose(tracked.predicted, rig)
     return jnp.stack([tracked.T_world_turned, past.T_world_cam, *alike[:-1], last])

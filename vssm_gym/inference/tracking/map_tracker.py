@@ -42,7 +42,7 @@ from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
 # The scale of the geometry matches the roughness of a map with cells of 5 cm.
-ROBOT = replace(COMMANDED, align=AlignConfig(geo_sigma=0.012))
+ROBOT_TRACKING = replace(COMMANDED, align=AlignConfig(geo_sigma=0.012))
 
 
 class TrackerState(eqx.Module):
@@ -62,7 +62,7 @@ class MapTracker:
 
     rig: Rig
     transition: Transition
-    config: TrackingConfig = ROBOT
+    config: TrackingConfig = ROBOT_TRACKING
     recovery: RecoveryConfig | None = None  # None: retry at the predicted pose only
     max_depth: float = MAX_DEPTH  # m, of the rendering
     track_width: int | None = None  # pixels: images are shrunk to about this; None: not
@@ -79,14 +79,14 @@ class MapTracker:
         past, kept, lost = begin(prior.belief, image, rig), None, False
         if self.recovery is not None:
             # The start may be known only roughly: align the first image to the map around it.
-            kept, camera = keyframes.empty(rig.camera), rig.camera
+            kept, camera = keyframes.empty(rig.camera, self.recovery.keyframe), rig.camera
             relocalisation = Relocalisation(prior.map, kept, self.max_depth, self.recovery)
             starts = past.T_world_cam[None]
             found = search(starts, self.transition.manifold, image, rig, self.config, relocalisation)
             lost = found is None
             if found is not None:
                 past = found.past
-                kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
+                kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera, self.recovery.keyframe)
         return TrackerState(past, prior.map, kept, lost, key, prior.measurement_noise)
 
     def step(
@@ -109,8 +109,11 @@ class MapTracker:
             state.past, *moved, against, image, rig, state.key, self.config, state.lost, relocalisation, clock
         )
         past, status = located.past, located.status
-        if kept is not None and status.accepted:
-            kept = keyframes.remember(kept, past.T_world_cam, luminance(image.rgb), camera)
+        if relocalisation is not None and status.accepted:
+            settings = relocalisation.config.keyframe
+            kept = keyframes.remember(
+                relocalisation.keyframes, past.T_world_cam, luminance(image.rgb), camera, settings
+            )
         return TrackerState(past, state.map, kept, not status.accepted, state.key, state.measurement_noise), FilterInfo(
             status, past.belief, located.fit_quality
         )
@@ -130,7 +133,7 @@ class FrameTracker:
 
     rig: Rig
     transition: Transition
-    config: TrackingConfig = ROBOT
+    config: TrackingConfig = ROBOT_TRACKING
 
     def __post_init__(self) -> None:
         manifold = self.transition.manifold

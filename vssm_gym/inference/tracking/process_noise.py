@@ -10,17 +10,24 @@ steady hand. A steady hand keeps a tight prior, which holds the pose where the i
 and a calibrated velocity; an unsteady one gets the configured noise, the largest that is ever assumed.
 """
 
+from dataclasses import dataclass
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from vssm_gym.model.transition.manifold import Manifold
 
-TIME = 1.0  # s, tau: time constant of the adaptation
-FLOOR = 0.2  # smallest scale of the configured std
-CAUTION = 1.5  # c: the next innovation may be larger than the last ones
-
 NoiseScale = Float[Array, "2"]  # s^2, factors of the noise variances of translation and of rotation
+
+
+@dataclass(frozen=True)
+class ProcessNoiseConfig:
+    """Configure the adaptation of the process noise."""
+
+    time_constant: float = 1.0  # s, tau
+    floor: float = 0.2  # smallest scale of the configured std
+    caution: float = 1.5  # c, because the next innovation may be larger than the last ones
 
 
 def full() -> NoiseScale:
@@ -42,6 +49,7 @@ def adapt(
     dt: Float[Array, ""],
     noise: Float[Array, "p p"],
     manifold: Manifold,
+    config: ProcessNoiseConfig,
 ) -> NoiseScale:
     """Update the process-noise scale with an image.
 
@@ -53,6 +61,7 @@ def adapt(
         dt: Length of the step, s.
         noise: Covariance that a step adds to a pose at scale 1, which normalises ``e``.
         manifold: Which coordinates are rotations.
+        config: Time constant and limits.
     """
     turns = manifold.turns[: moved.shape[0]]
     blocks = [np.flatnonzero(~turns), np.flatnonzero(turns)]
@@ -60,6 +69,6 @@ def adapt(
     part = lambda a, b: a[np.ix_(b, b)]
     left = jnp.stack([jnp.trace(jnp.linalg.solve(part(predicted, b), part(posterior, b))) / len(b) for b in blocks])
     removed = jnp.clip(1.0 - left, 0.0, 1.0)  # f
-    seen = CAUTION**2 * jnp.stack([jnp.mean(moved[b] ** 2) for b in blocks]) / expected
-    rate = 1.0 - jnp.exp(-dt / TIME)
-    return jnp.clip(noise_scale + rate * (jnp.minimum(seen, removed) - removed * noise_scale), FLOOR**2, 1.0)
+    seen = config.caution**2 * jnp.stack([jnp.mean(moved[b] ** 2) for b in blocks]) / expected
+    rate = 1.0 - jnp.exp(-dt / config.time_constant)
+    return jnp.clip(noise_scale + rate * (jnp.minimum(seen, removed) - removed * noise_scale), config.floor**2, 1.0)

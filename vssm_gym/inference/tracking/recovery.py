@@ -16,6 +16,7 @@ from vssm_gym.inference.alignment import gauss_newton
 from vssm_gym.inference.alignment.exposure import expose, gain
 from vssm_gym.inference.alignment.residuals import AlignConfig, AlignInfo, luminance, score
 from vssm_gym.inference.alignment.rotation import RotationConfig
+from vssm_gym.inference.tracking.keyframes import KeyframeConfig
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import RGBD
@@ -29,6 +30,7 @@ class RecoveryConfig:
     align: AlignConfig = field(default_factory=lambda: AlignConfig(levels=(4, 2, 1), iterations=(10, 6, 5)))
     translation_std: float = 0.5  # m, of the pose around a start
     rotation_std: float = 0.5  # rad
+    keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)  # of the ring that starts are taken from
     keyframes: int = 3  # most similar ones to start from
     min_score: float = 0.65  # a little above tracking's: a wrong place must not pass
     max_photometric: float = 4.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
-from vssm_gym.maps.columns import KNOWN_SHARE, observed_columns
+from vssm_gym.maps.columns import OBSERVED_SHARE, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
 
@@ -97,7 +97,7 @@ def plan_of(
     top, share = observed_columns(voxel_map, z_min, z_max, spacing, deviations)
     nx, ny = (n // per_cell for n in top.shape)
     blocks = lambda a: a[: nx * per_cell, : ny * per_cell].reshape(nx, per_cell, ny, per_cell)
-    met, seen = (blocks(top) > 0.0).any(axis=(1, 3)), blocks(share).mean(axis=(1, 3)) >= KNOWN_SHARE
+    met, seen = (blocks(top) > 0.0).any(axis=(1, 3)), blocks(share).mean(axis=(1, 3)) >= OBSERVED_SHARE
     occupied = met if unknown == "optimistic" else met | ~seen
 
     low = voxel_map.bounds[0, :2] + 0.5 * (per_cell - 1) * spacing  # the centre of cell [0, 0]
