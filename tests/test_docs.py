@@ -1,6 +1,7 @@
 """Hold the pages to the code: paths, labels of equations, citations, links, Python and commands all lead somewhere."""
 
 import ast
+import builtins
 import functools
 import importlib
 import inspect
@@ -65,6 +66,11 @@ def text_of(page: Path) -> str:
 def spans(page: Path) -> list[str]:
     """List what stands in backticks outside of fenced blocks."""
     return re.findall(r"`([^`\n]+)`", text_of(page))
+
+
+def fences(page: Path) -> list[str]:
+    """List the Python blocks of a page."""
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
 @functools.cache
@@ -288,7 +294,7 @@ def test_the_index_names_every_page():
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_python_of_the_pages_compiles_and_its_imports_resolve(page):
-    for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL):
+    for block in fences(page):
         tree = ast.parse(block)
         compile(tree, ids(page), "exec")
         names = [
@@ -303,8 +309,8 @@ def test_python_of_the_pages_compiles_and_its_imports_resolve(page):
 
 def commands(page: Path) -> list[str]:
     """List the command lines of a page: in fences, continuation lines joined, and in backticks."""
-    fences = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    fenced = [block for language, block in fences if language in {"", "bash", "sh", "console"}]
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    fenced = [block for language, block in blocks if language in {"", "bash", "sh", "console"}]
     lines = re.findall(r"^(?:\S*/)?(vssm-gym .*(?:\n +\S.*)*)", "\n".join(fenced), flags=re.MULTILINE)
     return lines + [span for span in spans(page) if span.startswith("vssm-gym ")]
 
@@ -341,3 +347,31 @@ def test_commands_of_the_pages_are_those_of_the_command_line(page):
             assert [file for file in files if not (CHECKOUT / file).exists()] == []
             unknown = {word.partition("=")[0] for word in words if word.startswith("--")} - known
             assert not unknown, f"{ids(page)}: {line}: {unknown}"
+
+
+def self_contained(block: str) -> bool:
+    """Return whether a block defines every name that it uses, reads no file and does not train for minutes."""
+    tree = ast.parse(block)
+    nodes = list(ast.walk(tree))
+    named = {
+        node.id: type(node.ctx) for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    }
+    bound = {*dir(builtins), *named, *(node.arg for node in nodes if isinstance(node, ast.arg))}
+    bound |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    for node in nodes:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            bound |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
+    used = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
+    texts = [node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    files = re.compile(r"\.(npz|json|yaml|txt|mp4)$|^rgbd_dataset|/$|^[A-Z]+$")
+    return used <= bound and ".learn(" not in block and not any(files.search(text) for text in texts)
+
+
+RUNNABLE = [(page, i) for page in PAGES for i, block in enumerate(fences(page)) if self_contained(block)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("page", "number"), RUNNABLE, ids=[f"{ids(page)}-{i}" for page, i in RUNNABLE])
+def test_examples_run(page, number, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(fences(page)[number], ids(page), "exec"), {"__name__": "example"})
