@@ -92,8 +92,8 @@ def test_bad_input_is_one_line(vssm, monkeypatch):
 def test_bad_input_to_a_grouped_command_is_one_line_too(vssm, tmp_path):
     code, _, err = vssm("map", "build", str(tmp_path / "nowhere"), "--out", str(tmp_path / "map.npz"))
     assert code == 2
-    assert err.strip().startswith("error: ")  # an empty progress bar may leave an empty line
-    assert err.strip().count("\n") == 0
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
     assert "nowhere" in err
     assert list(tmp_path.iterdir()) == []
 
@@ -400,3 +400,34 @@ def test_scene_commands_refuse_in_one_line(vssm, tmp_path, monkeypatch, argument
     assert code == 2
     assert complaint in err and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+# early errors
+
+
+def test_an_early_error_stands_alone_on_stderr(vssm, tmp_path):
+    """A display of progress that shows nothing prints nothing, not even an empty line before the message."""
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "c.yaml").write_text("name: x\n")
+    for command in (
+        f"map build {tmp_path / 'empty'} --out {tmp_path / 'map.npz'}",
+        f"bench slam {tmp_path / 'empty'} --out {tmp_path / 'bench'}",
+        f"record --scene {tmp_path / 'none.json'} --out {tmp_path / 'r'} --motion flight --flight loop",
+        f"slam {tmp_path / 'empty'} --out {tmp_path / 's'}",
+        f"train {tmp_path / 'c.yaml'} --out {tmp_path / 't'}",
+    ):
+        code, out, err = vssm(*command.split())
+        assert (code, out) == (main_module.BAD_INPUT, ""), command
+        assert err.startswith("error: "), command
+        assert err.count("\n") == 1, command
+
+
+def test_a_display_of_progress_that_was_never_started_is_silent(capsys):
+    from vssm_gym.cli.shared.console import progress_bars
+
+    with pytest.raises(InputError), progress_bars():
+        raise InputError("a", "b", "c")
+    assert capsys.readouterr().err == ""
+    with progress_bars() as on_progress:
+        on_progress("map", 1, 2)
+    assert "building the map" in capsys.readouterr().err

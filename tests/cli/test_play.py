@@ -23,7 +23,7 @@ import pytest
 from tests.helpers.ansi import pixels
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli.play import play
-from vssm_gym.cli.shared.play_session import DRIVES, HUD, Session, arrow, goal_ahead, planar_pose
+from vssm_gym.cli.shared.play_session import PLAYABLE, TEXT_LINES, Session, arrow, goal_ahead, planar_pose
 from vssm_gym.cli.shared.terminal import ENTER, LEAVE
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.sensors import CameraConfig
@@ -36,19 +36,19 @@ OWN_TERMINAL = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
 
 def session(record: Path | None = None, **keywords) -> Session:
     env = gym.make("vssm_gym/PointNav-v0", camera=CameraConfig(32, 24), noise="none", **keywords)
-    return Session(env, DRIVES["PointNav-v0"], "title", record, {"motion": "keyboard"}, seed=0)
+    return Session(env, PLAYABLE["PointNav-v0"], "title", record, {"motion": "keyboard"}, seed=0)
 
 
 def text(lines: list[str]) -> str:
     return re.sub(r"\x1b\[[\d;]*m", "", "\n".join(lines))
 
 
-@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("name", PLAYABLE)
 def test_every_key_is_an_action_and_is_named_on_the_screen(name):
     env = gym.make(f"vssm_gym/{name}")
-    for key in DRIVES[name].shares:
-        assert env.action_space.contains(DRIVES[name].action(key, env.action_space))
-        assert re.search(rf"\b{key}\b", DRIVES[name].help)
+    for key in PLAYABLE[name].proportions:
+        assert env.action_space.contains(PLAYABLE[name].action(key, env.action_space))
+        assert re.search(rf"\b{key}\b", PLAYABLE[name].help)
     env.close()
 
 
@@ -90,7 +90,7 @@ def test_the_end_of_time_is_told():
 
 def test_a_maze_is_driven_by_its_plan():
     env = gym.make("vssm_gym/LidarMaze-v0", noise="none", render_mode="rgb_array")
-    driven = Session(env, DRIVES["LidarMaze-v0"], "title", None, {}, seed=0)
+    driven = Session(env, PLAYABLE["LidarMaze-v0"], "title", None, {}, seed=0)
     before = driven.info["pose"]
     screen = text(driven.screen(100, 30))
     assert "goal" in screen and "step 0 of 1000" in screen
@@ -131,14 +131,14 @@ def test_arrival_is_told():
 
 def test_the_picture_is_what_the_camera_sees():
     driven = session()
-    lines = driven.screen(65, 12 + HUD)  # one character a pixel: 32 + 1 + 32
-    shown = pixels(lines[:-HUD])
+    lines = driven.screen(65, 12 + TEXT_LINES)  # one character a pixel: 32 + 1 + 32
+    shown = pixels(lines[:-TEXT_LINES])
     np.testing.assert_array_equal(shown[:, :32], driven.observation["rgb"])
     assert (shown[:, 33:, 0] == shown[:, 33:, 1]).all()  # grey depth
     driven.press("p")
     wide = driven.screen(95, 30)
-    assert len(pixels(wide[:-HUD])[0]) > 65  # the plan beside them
-    robot = (pixels(wide[:-HUD])[..., 2].astype(int) - pixels(wide[:-HUD])[..., 0] > 100).sum()
+    assert len(pixels(wide[:-TEXT_LINES])[0]) > 65  # the plan beside them
+    robot = (pixels(wide[:-TEXT_LINES])[..., 2].astype(int) - pixels(wide[:-TEXT_LINES])[..., 0] > 100).sum()
     assert robot >= 2
 
 
@@ -295,7 +295,7 @@ def test_the_terminal_is_restored_however_it_ends(tmp_path, how, code):
 def test_the_terminal_is_restored_after_an_error():
     """An error of the program itself, in the middle of the drive, is shown on a terminal that shows it."""
     broken = (
-        "from vssm_gym.cli import play_session as p\n"
+        "from vssm_gym.cli.shared import play_session as p\n"
         "def fail(*_): raise RuntimeError('a bug')\n"
         "p.Session._step = fail\n"
     )

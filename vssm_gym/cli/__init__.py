@@ -1,1 +1,1 @@
-"""The command line: one file a command."""
+"""Run the package from a terminal: ``vssm-gym COMMAND``, one file for each command."""

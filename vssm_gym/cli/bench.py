@@ -1,4 +1,4 @@
-"""``vssm-gym bench``: how fast it is here, and how far tracking is off (DESIGN; SPEC 3, 6, 12)."""
+"""Run ``vssm-gym bench``: measure speed and tracking accuracy on this machine."""
 
 import sys
 from pathlib import Path
@@ -9,13 +9,12 @@ import tyro
 Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"]
 DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40}
 DEFAULT_TRIALS |= {"soak": 100_000, "rl": 1_000_000}  # steps
+FEWEST_CANDIDATES = 5  # of which a rank correlation means something
 DEFAULT_SCENE = {"car": "arena"}  # the others: oak
 
 
 def bench(
-    suite: Annotated[
-        Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"], tyro.conf.Positional
-    ] = "speed",
+    suite: Annotated[Suite, tyro.conf.Positional] = "speed",
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
     scene: str | None = None,
     out: Path = Path("out/bench"),
@@ -23,30 +22,29 @@ def bench(
     workers: int = 2,
     seed: int = 0,
 ) -> None:
-    """Measure here: `speed` of every stage, `envs`, `rl`, `car`, `information`, `tracker`, `drift` or `slam`.
+    """Measure speed and accuracy on this machine, one suite at a time.
 
-    `speed` prints medians from one run: image, tracker, map update, environment, planner, control loop. `envs` prints
-    steps a second of the environments, one and many at once, beside MiniWorld's where that is installed. `rl`
-    prints robot-steps a second inside a learned map beside the simulator's, how they grow with the robots, memory
-    over a million steps, and how far imagined and real robots part under the same commands. `soak` drives at random
-    through every environment and ten procedural apartments and checks each step: no NaN, no body inside a wall,
-    memory flat. `car` times value iteration, each controller in closed loop, hybrid A* and both simulators of the
-    robot car. `information` times an imagined step of an explorer and compares how it ranks candidates with all
-    pixels and with the true images. `tracker` drives trajectories of 100 steps by the true pose and prints the
-    tracker's location RMSE. `drift` chains goals over 100 m and compares the map tracker with frame-to-frame
-    alignment and dead reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time
-    and error with Open3D's dense SLAM, where that is installed.
+    `speed` measures the median time of each stage: image, tracker, map update, environment, planner, control loop.
+    `envs` measures steps per second of the environments, one and many at once, and of MiniWorld where it is
+    installed. `rl` measures robot steps per second in a learned map and in the simulator, memory over a million
+    steps, and the distance between imagined and simulated robots under the same commands. `soak` drives at random
+    through every environment and ten procedural apartments and checks every step: no NaN, no body inside a wall,
+    constant memory. `car` measures value iteration, each controller in closed loop, hybrid A* and both simulators of
+    the robot car. `information` measures an explorer's imagined step and its ranking of candidates against all pixels
+    and against the true images. `tracker` drives 100 steps at a time along the true pose and prints the tracker's
+    location RMSE. `drift` chains goals over 100 m and compares the map tracker, frame-to-frame alignment and dead
+    reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with
+    Open3D's dense SLAM, where it is installed.
 
     Args:
-        suite: what to measure.
+        suite: the suite to run.
         sequence: TUM folder, for `slam` only.
-        scene: built-in name or path of a scene file; `oak` unless told, for `car` `arena`.
-        out: folder for the learned map, which is kept, and for the figures as JSON.
-        trials: drives or runs, steps of `soak` and `rl`, steps of each controller of `car`, candidates of
-            `information`; 300 for `tracker` and `car`, 40 for `information`, 4 for `drift`, 1 for `slam`, 100000 for
-            `soak`, 1000000 for `rl`.
-        workers: processes of `tracker` and `drift`.
-        seed: of the drives.
+        scene: built-in name or path of a scene file; by default `oak`, for `car` `arena`.
+        out: folder for the learned map, which is kept, and for the results as JSON.
+        trials: number of drives (`tracker` 300, `drift` 4), runs (`slam` 1), steps (`soak` 100000, `rl` 1000000), steps
+            of each controller (`car` 300) or candidates (`information` 40).
+        workers: number of processes of `tracker` and `drift`.
+        seed: seed of the drives.
     """
     import json
 
@@ -89,7 +87,7 @@ def bench(
         elif suite == "information":
             from vssm_gym.eval.bench.information import measure as measure_information
 
-            check_at_least("bench", "trials", count, 5)  # that can be ranked
+            check_at_least("bench", "trials", count, FEWEST_CANDIDATES)
             result = measure_information(scene=scene, candidates=count, seed=seed, on_progress=progress)
         else:
             map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
@@ -126,7 +124,7 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
 
     table = Table(title=f"bench {suite}: {result['scene']}")
     if suite == "speed":
-        for name in ("stage", "median", "unit", "aim"):
+        for name in ("stage", "median", "unit", "target"):
             table.add_column(name, justify="left" if name in ("stage", "unit") else "right")
         for stage, value, unit, aim in result["rows"]:
             table.add_row(stage, f"{value:.1f}", unit, "" if aim is None else f"{aim:.0f}")
@@ -165,7 +163,7 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         table.add_row(f"below 0.1 m, of {result['trials']}", f"{100 * result['share_below_0.1m']:.1f} %")
         for q, value in result["rmse_m"].items():
             table.add_row(f"{100 * float(q):.0f} % of trials are below", f"{100 * value:.2f} cm")
-        table.add_row("steps said lost", f"{100 * result['lost_steps']:.2f} %")
+        table.add_row("steps reported lost", f"{100 * result['lost_steps']:.2f} %")
         for name, method in result["methods"].items():
             value = f"{100 * method['rmse_m_median']:.2f} cm, {method['ms_a_step']:.1f} ms"
             table.add_row(f"{name}: RMSE median of {method['drives']} drives", value)
@@ -176,33 +174,33 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
             table.add_column(name, justify="right")
         for i in range(10):
             values = (f"{method['mean_error_by_tenth_m'][i]:.3f}" for method in methods.values())
-            table.add_row(f"{10 * i} to {10 * (i + 1)} m of way", *values)
+            table.add_row(f"{10 * i} to {10 * (i + 1)} m of path", *values)
         table.add_row("RMSE of the drive", *(f"{method['rmse_m']:.3f}" for method in methods.values()))
         table.caption = f"astar / no_map, each drive: {result['astar_over_no_map']}"
     console.print(table)
 
 
 def _show_envs(table: Any, result: dict[str, Any], console: Any) -> None:
-    """One row a kind of environment: steps a second, cores, and what is promised."""
+    """Fill the table with one row for each environment: steps per second, cores, target."""
     table.title += f", {result['shapes']} shapes"
-    for name in ("environment", "steps/s", "cores", "aim"):
+    for name in ("environment", "steps/s", "cores", "target"):
         table.add_column(name, justify="left" if name == "environment" else "right", no_wrap=True)
     for what, rate, cores, aim in result["rows"]:
         table.add_row(what, f"{rate:,.0f}", str(cores), "" if aim is None else f"{aim:,.0f}")
     console.print(table)
     if result["peer"]:
-        console.print(f"compared with nothing: {result['peer']}", soft_wrap=True)
+        console.print(f"not compared: {result['peer']}", soft_wrap=True)
 
 
 def _show_rl(table: Any, result: dict[str, Any], console: Any) -> None:
-    """One row a kind and number of robots; then what is promised of memory, compilation and agreement."""
-    for name in ("robots", "at once", "steps/s", "aim"):
+    """Fill the table with one row for each number of robots; print memory, compilations and the replay below."""
+    for name in ("robots", "at once", "steps/s", "target"):
         table.add_column(name, justify="left" if name == "robots" else "right", no_wrap=True)
     for what, robots, rate, aim in result["rows"]:
         table.add_row(what, str(robots), f"{rate:,.0f}", "" if aim is None else f"{aim:,.0f}")
     console.print(table)
     for what, ratio, aim in result["ratios"]:
-        console.print(f"{what}: {ratio:,.1f}" + ("" if aim is None else f" (aim {aim:g})"))
+        console.print(f"{what}: {ratio:,.1f}" + ("" if aim is None else f" (target {aim:g})"))
     early, late = result["memory_mb"]
     console.print(f"memory over {result['steps']:,} steps: {early:.0f} MB after the first tenth, {late:.0f} at the end")
     console.print(f"recompilations: {result['recompilations']}")
@@ -221,9 +219,9 @@ def _show_rl(table: Any, result: dict[str, Any], console: Any) -> None:
 
 
 def _show_car(table: Any, result: dict[str, Any], console: Any) -> None:
-    """One row a part: median and 95th percentile, what is promised, and what else was counted."""
-    for name in ("part", "median", "95 %", "unit", "aim", "beside"):
-        table.add_column(name, justify="left" if name in ("part", "unit", "beside") else "right")
+    """Fill the table with one row for each part: median, 95th percentile, target, other counts."""
+    for name in ("part", "median", "95 %", "unit", "target", "other counts"):
+        table.add_column(name, justify="left" if name in ("part", "unit", "other counts") else "right")
     for row in result["rows"]:
         values = ("" if v is None else _written(v) for v in (row["p50"], row["p95"]))
         beside = ", ".join(f"{name} {_written(v)}" for name, v in row["facts"].items())
@@ -235,7 +233,7 @@ def _show_car(table: Any, result: dict[str, Any], console: Any) -> None:
 
 
 def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
-    """One row a map (images in it) and estimate: ms a step, Spearman's rank correlations, estimate over truth."""
+    """Fill the table with one row for each map and estimate: ms per step, Spearman's rank correlations, ratio."""
     names = ("map", "estimate", "ms", "rank, all", "rank, true", "ratio")
     for name in names:
         table.add_column(name, justify="left" if name == "estimate" else "right")
@@ -249,20 +247,22 @@ def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
         f"default: at most {ms:g} ms and at least {rank:g} with all pixels; {result['candidates']} candidates"
     )
     console.print(table)
-    console.print("map: images in it. rank: with all pixels and cells, and with the true images. ratio: to these")
+    console.print(
+        "map: images in it. rank: against all pixels and cells, and against the true images. ratio: to the latter"
+    )
     console.print(f"recompilations for other candidates: {result['recompilations']}")
     console.print(f"machine: {result['machine']}")
 
 
 def _written(value: float | int | str) -> str:
-    """Whole numbers and words as they are, others to three digits."""
+    """Return integers and words unchanged, and other numbers with three digits."""
     if not isinstance(value, float):
         return str(value)
     return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
-    """One row a stage: median and 95th percentile, and the error of the whole run beside its step."""
+    """Fill the table with one row for each stage: median, 95th percentile; the run's error stands at its step."""
     for name in ("method, image, voxel", "stage", "ms", "95 %", "ATE cm", "max cm", "> 5 cm"):
         table.add_column(name, justify="left" if name in ("method, image, voxel", "stage") else "right", no_wrap=True)
     for row in result["rows"]:
@@ -275,7 +275,7 @@ def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
             ms = [f"{times['p50']:.1f}", f"{times['p95']:.1f}"]
             table.add_row(what if first else "", stage, *ms, *(off if first else [""] * 3))
     table.caption = (
-        "median and 95th percentile of the frames in which a stage ran; ATE, its largest and the frames beyond 5 cm "
+        "median and 95th percentile over the frames in which a stage ran; ATE, largest error, frames beyond 5 cm "
         "after SE(3) alignment"
     )
     console.print(table)

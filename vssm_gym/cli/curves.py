@@ -1,4 +1,4 @@
-"""``vssm-gym curves RUN [RUN ...] --out FILE``: learning curves of trainings, with intervals over seeds (SPEC 10)."""
+"""Run ``vssm-gym curves RUN [RUN ...] --out FILE``: learning curves of trainings, with intervals over seeds."""
 
 import math
 from pathlib import Path
@@ -16,16 +16,16 @@ def curves(
     minutes: float | None = None,
     seed: int = 0,
 ) -> None:
-    """Draw success and return of trainings against minutes and steps; print how soon they succeeded.
+    """Draw success and return of trainings against minutes and steps; print the time until they succeed.
 
-    Trainings of one name are one curve: the mean over their seeds with a 95 % interval, as far as all of them go.
-    The table has medians over seeds.
+    Trainings of one name are one curve: the mean over their seeds with a 95 % interval, up to the end of
+    the shortest one. The table shows medians over seeds.
 
     Args:
         runs: folders of `vssm-gym train`, finished or not.
         out: the picture, .svg or .png.
-        minutes: where the axis of minutes ends, so that a training of hours leaves room for the others.
-        seed: of the bootstrap resampling behind the intervals.
+        minutes: end of the axis of minutes, by default that of the longest training.
+        seed: seed of the bootstrap resampling behind the intervals.
     """
     from rich.console import Console
     from rich.table import Table
@@ -33,7 +33,7 @@ def curves(
     from vssm_gym.training.learning_curves import SHARES, write_curves
 
     found = write_curves(runs, out, seed, minutes)
-    table = Table(title="time until success was, medians over seeds", title_justify="left", box=None)
+    table = Table(title="time until success, medians over seeds", title_justify="left", box=None)
     table.add_column("training", no_wrap=True)
     numbers = [column for share in SHARES for column in (f"{share:.0%}: min", "steps")]
     for name in ("seeds", *numbers, "in the end"):
@@ -46,7 +46,7 @@ def curves(
 
 
 def _times(one: "Speed", i: int) -> tuple[str, str]:
-    """Minutes and steps to share number ``i``, and how many seeds there were where not all got there."""
+    """Return minutes and steps until success level ``i``, with the number of seeds that reached it if not all did."""
     some = f" ({one.reached[i]} of {one.seeds})" if 0 < one.reached[i] < one.seeds else ""
     if not math.isfinite(one.minutes[i]):
         return f"never{some}", "never"
@@ -54,7 +54,7 @@ def _times(one: "Speed", i: int) -> tuple[str, str]:
 
 
 def _short(steps: float) -> str:
-    """Three digits, so that the table fits into a terminal: 950, 72.9k, 5.5M."""
+    """Return a number with three digits, so that the table fits into a terminal: 950, 72.9k, 5.5M."""
     for unit, name in ((1e6, "M"), (1e3, "k")):
         if steps >= unit:
             return f"{steps / unit:.{0 if steps >= 100 * unit else 1}f}{name}"

@@ -1,4 +1,4 @@
-"""``vssm-gym demo``: the main job, small: map an apartment, run five agents, write the report (DESIGN)."""
+"""Run ``vssm-gym demo``: map an apartment, run five agents in it, write the report."""
 
 from pathlib import Path
 
@@ -6,13 +6,13 @@ from pathlib import Path
 def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, seed: int = 0) -> None:
     """Record a drive through `oak`, learn its map, run five agents on 10 tasks, and write a report.
 
-    The last line printed is the report's path. A few minutes on two cores.
+    It takes a few minutes on two cores. The last line printed is the path of the report.
 
     Args:
         out: folder of the demo; an earlier demo there is replaced.
         resume: continue an interrupted demo instead.
-        workers: processes that run episodes.
-        seed: of the drive that the map is learned from.
+        workers: number of processes that run episodes.
+        seed: seed of the recorded drive from which the map is learned.
     """
     from vssm_gym import eval as evaluation
     from vssm_gym.cli.shared.console import print_results, progress_bars
@@ -31,9 +31,9 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
 
 
 def _clear(out: Path) -> None:
-    """Remove what an earlier demo wrote, and nothing else: a folder with other content is refused.
+    """Remove the files of an earlier demo and nothing else; refuse a folder with other content.
 
-    ``sweep.json`` stays until the sweep replaces it: it says whose folder this is.
+    ``sweep.json`` stays until the sweep replaces it: it marks the folder as a sweep's.
     """
     import shutil
 

@@ -1,4 +1,4 @@
-"""``vssm-gym doctor``: what works on this machine, what is missing, and how to get it."""
+"""Run ``vssm-gym doctor``: check what works on this machine, and say how to get what is missing."""
 
 import importlib.metadata
 import os
@@ -15,7 +15,7 @@ from vssm_gym.envs.rendering.gl_backends import BACKENDS, TIMEOUT, probe_code, t
 
 @dataclass(frozen=True)
 class Probe:
-    """A line of Python that works or fails in a process of its own, where a crash of a driver hurts nobody."""
+    """A program that runs in a process of its own, so that a crash of a driver ends nothing else."""
 
     name: str
     code: str  # prints what it found
@@ -25,7 +25,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Finding:
-    """What one probe found: a line of the table."""
+    """The result of one probe: a line of the table."""
 
     name: str
     ok: bool
@@ -86,7 +86,7 @@ PROBES = (
 
 
 def doctor() -> int:
-    """Say what works on this machine, what is missing and how to get it; exit with 1 if that is required."""
+    """Check what works on this machine, and say how to get what is missing; exit with 1 if a requirement is."""
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import track
@@ -111,7 +111,7 @@ def doctor() -> int:
 
 
 def run_probe(probe: Probe) -> Finding:
-    """Run one probe in a process of its own; the reason of a failure is the last line that it wrote."""
+    """Run one probe in a process of its own; the last line that it wrote explains a failure."""
     ok, detail = try_python(probe.code, TIMEOUT)
     return Finding(probe.name, ok, detail, probe.remedy, probe.required)
 
@@ -127,7 +127,7 @@ def _cores() -> Finding:
 
 
 def _packages() -> Finding:
-    """Versions of the declared dependencies, as the installed distribution itself lists them."""
+    """Return the versions of the dependencies that the installed distribution declares."""
     declared = importlib.metadata.requires("vssm-gym") or []
     versions, absent = [], []
     for requirement in (text for text in declared if "extra ==" not in text):
@@ -135,14 +135,14 @@ def _packages() -> Finding:
         try:
             versions.append(f"{name} {importlib.metadata.version(name)}")
         except importlib.metadata.PackageNotFoundError:
-            if ";" not in requirement:  # with a marker it is for some platforms only, and has a probe of its own
+            if ";" not in requirement:  # a requirement with a marker is for some platforms only, and has its own probe
                 absent.append(name)
     detail = ", ".join(versions) + (f"; not installed: {', '.join(absent)}" if absent else "")
     return Finding("packages", not absent, detail, f"pip install {' '.join(absent)}", True)
 
 
 def _cache() -> Finding:
-    """A cache that cannot be written costs a minute of compilation at every start."""
+    """Check the compilation cache: without a writable one, every start compiles for about a minute."""
     folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""``vssm-gym evaluate POLICY --out DIR``: what a trained policy is worth in the simulator, and in its imagination."""
+"""Run ``vssm-gym evaluate POLICY --out DIR``: evaluate a policy in the simulator and in a learned map."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,22 +18,22 @@ def evaluate(
     seed: int = 0,
     video: int | None = None,
 ) -> None:
-    """Run a policy file on a scene's test tasks in MuJoCo, as a sweep does, and on the same tasks in the learned map.
+    """Evaluate a policy on the test tasks of a scene, in the simulator as a sweep does, and in the learned map.
 
-    OUT is a sweep's folder, so `vssm-gym report OUT` draws it; evaluation.json has the numbers that are printed.
-    With --video it also gets a video of one task, driven beside what the policy imagines (the extra `viz`).
+    OUT is the folder of a sweep, of which `vssm-gym report OUT` writes a report; evaluation.json holds the printed
+    numbers. With --video, OUT also gets a video of one task, simulated beside imagined (the extra `viz`).
 
     Args:
         policy: policy.npz of `vssm-gym train`.
         out: new or empty folder for the results.
         scene: built-in name or path of a scene file.
-        tasks: how many of the scene's test tasks.
-        noise: of execution: none, low, mid or high.
-        map: the map file to imagine in; by default the one that the sweep learns and its agents are given.
+        tasks: number of the scene's test tasks.
+        noise: execution noise: none, low, mid or high.
+        map: map file for the imagined episodes; by default the map that the sweep learns for its agents.
         resume: continue the same evaluation in OUT.
-        workers: processes that run episodes.
-        seed: of the drive that the map is learned from, and of imagination.
-        video: number of a task, from 0, that OUT gets a video of; with --resume of an evaluation that is there already.
+        workers: number of processes that run episodes.
+        seed: seed of the recorded drive from which the map is learned, and of the imagined episodes.
+        video: number of the task to film, from 0; with --resume also for a finished evaluation.
     """
     from rich.console import Console
     from rich.table import Table
@@ -76,7 +76,7 @@ def evaluate(
         table.add_row(metric, *(means[metric].text(digits) for means in shown.values()))
     Console(highlight=False).print(table)
     if found.notice:
-        print(f"nothing imagined: {found.notice}")
+        print(f"no imagined episodes: {found.notice}")
     if video is not None:
         from vssm_gym.training.recording import record_both
         from vssm_gym.training.video import write_video

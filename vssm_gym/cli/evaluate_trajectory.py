@@ -1,4 +1,4 @@
-"""``vssm-gym evaluate-trajectory EST TRUE``: how far an estimated trajectory is from the true one (SPEC 12)."""
+"""Run ``vssm-gym evaluate-trajectory EST TRUE``: absolute and relative error of an estimated trajectory."""
 
 import json
 import re
@@ -22,15 +22,15 @@ def evaluate_trajectory(
     tolerance: float = 0.01,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
 ) -> None:
-    """Absolute (ATE) and relative (RPE) trajectory error of an estimate, after the alignment that the table names.
+    """Compute the absolute (ATE) and relative (RPE) trajectory error of an estimate, after a stated alignment.
 
     Args:
-        estimate: trajectory as TUM text (time tx ty tz qx qy qz qw, one line a pose) or EuRoC csv.
+        estimate: trajectory as TUM text (time tx ty tz qx qy qz qw, one line per pose) or EuRoC csv.
         truth: the true trajectory, in either format.
         alignment: se3: the rigid motion of least squared error; sim3: the similarity, for monocular estimates, whose
-            scale nobody knows (the relative errors are then those of the scaled estimate); first: the first pair of
-            poses, so that errors are the drift since then; none: both files have one frame.
-        tolerance: seconds that the stamps of a pair of poses may be apart.
+            scale is unknown (the relative errors are then those of the scaled estimate); first: the first pair of
+            poses, so that the error is the drift since then; none: both files share one frame.
+        tolerance: largest difference between the stamps of a pair of poses, seconds.
         json_file: also write every statistic to this file.
     """
     from rich.console import Console
@@ -71,7 +71,7 @@ def evaluate_trajectory(
 
 
 def _table(result: dict[str, Any], alignment: str) -> "Table":
-    """One row a kind of error: its name and unit, then :data:`SHOWN`."""
+    """Return the table: one row for each kind of error, with name, unit and :data:`SHOWN`."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)

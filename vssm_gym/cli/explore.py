@@ -1,8 +1,8 @@
-"""``vssm-gym explore --scene S --out DIR``: one explorer in one scene, with pictures and a video of what it did."""
+"""Run ``vssm-gym explore --scene S --out DIR``: one explorer in one scene, with pictures and a video of the run."""
 
 from pathlib import Path
 
-STARTS = 100  # test tasks of a scene, each of which is a start
+STARTS = 100  # test tasks of a scene, whose starts can be taken
 FILES = "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json"
 
 
@@ -15,21 +15,21 @@ def explore(
     steps: int = 1500,
     seed: int = 0,
 ) -> None:
-    """Let an explorer map a scene that it does not know, and show how it did.
+    """Let an explorer map an unknown scene, and show the run.
 
-    OUT gets run.mp4 (what it sees, believes and plans), candidates.png (a choice among places coloured by expected
-    information; of agents that make such choices), run.png (its path by time), mesh.png (its map from above), map.npz
-    (the same for `vssm-gym map export`) and run.json (the row of a sweep). Videos need the extra `viz`.
+    OUT gets run.mp4 (its images, belief and plans), candidates.png (one choice among candidates, coloured by expected
+    information, for agents that choose so), run.png (its path by time), mesh.png (its map from above), map.npz (for
+    `vssm-gym map export`) and run.json (the row of a sweep). Videos need the extra `viz`.
 
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
-        out: new or empty folder; it appears when all of it is there.
+        out: new or empty folder; it appears when the run is complete.
         agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, frontier_gain_scan, random_viewpoint or
             random_walk; mi_explorer_estimated_pose, frontier_gain_estimated_pose or frontier_gain_scan_estimated_pose.
-        start: of which of the scene's test tasks, 0 to 99.
-        noise: of execution: none, low, mid or high.
-        steps: of 0.2 s, after which time is out.
-        seed: of the noise and of the agent.
+        start: number of the scene's test task whose start is taken, 0 to 99.
+        noise: execution noise: none, low, mid or high.
+        steps: time limit in steps of 0.2 s.
+        seed: seed of the noise and of the agent.
     """
     from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.errors import InputError
@@ -62,6 +62,6 @@ def explore(
     with progress_bars() as progress:
         row = run(config, out, progress)
     covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
-    print(f"{covered}: {row['status'] if row['stopped'] else 'time was out'}")
+    print(f"{covered}: {row['status'] if row['stopped'] else 'time limit reached'}")
     print("\n".join(str(out / name) for name in FILES if (out / name).exists()))
     print(f"next: vssm-gym map export {out / 'map.npz'} --out {out}-map")

@@ -1,7 +1,7 @@
-"""The console script ``vssm-gym COMMAND``: parses the arguments, runs the command, turns bad input into one line.
+"""Parse the arguments of ``vssm-gym COMMAND``, run the command, and report bad input as one line.
 
-A command is the function of its file's name. The files import nothing heavy at the top, so ``vssm-gym --help`` answers
-at once and a command pays only for what it uses.
+A command is a function in a file of this folder. Only the file of the requested command is imported, and the libraries
+that it uses are imported inside the function, so that help appears at once.
 """
 
 import functools
@@ -16,8 +16,9 @@ from tyro.extras import SubcommandApp
 
 from vssm_gym.cli.shared.cache import use_compilation_cache
 from vssm_gym.errors import InputError
+from vssm_gym.version import __version__
 
-# In the order of use: the file of this folder and the function in it; a dictionary holds commands of its own.
+# In the order of use: "file.function"; a dictionary holds subcommands.
 COMMANDS: dict[str, Any] = {
     "demo": "demo.demo",
     "play": "play.play",
@@ -50,15 +51,15 @@ INTERRUPTED = 130  # what shells report for Ctrl-C: 128 + SIGINT
 
 
 def main() -> int:
-    """Run the command that ``sys.argv`` names; returns the exit code."""
+    """Run the command that ``sys.argv`` names and return the exit code."""
     if sys.argv[1:] == ["--version"]:
-        from vssm_gym import __version__
-
         print(f"vssm-gym {__version__}")
         return 0
     use_compilation_cache()
     arguments = sys.argv[1:] or ["--help"]
-    run = build_app(COMMANDS, brief=arguments[0] not in COMMANDS).cli(
+    name = arguments[0]
+    commands = {name: COMMANDS[name]} if name in COMMANDS else COMMANDS
+    run = build_app(commands, brief=name not in COMMANDS).cli(
         prog="vssm-gym", description=DESCRIPTION, args=arguments, config=(FlagCreatePairsOff,)
     )
     try:
@@ -70,16 +71,18 @@ def main() -> int:
     except KeyboardInterrupt:
         print("interrupted: what was finished is kept", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader left, as in `vssm-gym doctor | head -1`; say nothing at exit either
+    except BrokenPipeError:  # the reader has closed the pipe, as `head -1` does; the flush at exit must not fail either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return result if isinstance(result, int) else 0
 
 
 def build_app(commands: dict[str, Any], brief: bool = False) -> SubcommandApp:
-    """The tree of commands; parsing returns the chosen command with its arguments bound, not yet called.
+    """Build the parser of a tree of commands; it returns the chosen command with its arguments bound, not yet called.
 
-    With ``brief`` only the first paragraph of each docstring is kept: enough for the list of all commands.
+    Args:
+        commands: name of each command to ``"file.function"``, or to a dictionary of subcommands.
+        brief: keep only the first paragraph of each docstring, which the list of all commands shows.
     """
     app = SubcommandApp()
     for name, target in commands.items():
@@ -91,9 +94,9 @@ def build_app(commands: dict[str, Any], brief: bool = False) -> SubcommandApp:
 
 
 def _deferred(target: str, brief: bool) -> Callable[..., Callable[[], Any]]:
-    """The function at ``"file.function"``, made to bind its arguments instead of running.
+    """Return the function at ``"file.function"``, changed to bind its arguments instead of running.
 
-    It then runs outside the parser, which would take a ValueError of a command for a wrong option.
+    The command then runs outside the parser, which would report its ValueError as a wrong option.
     """
     file, name = target.split(".")
     function = getattr(importlib.import_module(f"vssm_gym.cli.{file}"), name)

@@ -1,4 +1,4 @@
-"""``vssm-gym map build SEQUENCE --out map.npz``: learn a map from a recording; ``map export MAP --out DIR``."""
+"""Run ``vssm-gym map build SEQUENCE --out FILE`` and ``vssm-gym map export MAP --out DIR``: learn and export maps."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,9 +17,8 @@ def build(
     Args:
         sequence: TUM folder with groundtruth.txt; `vssm-gym record` makes one.
         out: the map file to write (.npz).
-        voxel: size of a cell, metres.
-        poses: at which images enter the map: recorded (ground truth), or as PRISM estimates them from a survey's images
-            and commands.
+        voxel: edge of a cell, metres.
+        poses: camera poses: recorded (ground truth), or estimated by PRISM from the images and commands of a survey.
     """
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.cli.slam import print_warnings
@@ -50,14 +49,14 @@ def export(
 ) -> None:
     """Write a learned map as a ROS map and as a mesh.
 
-    OUT gets map.yaml and map.pgm (free, occupied, unknown; what ROS's map_server reads), mesh.ply (colour and variance
-    of each vertex) and mesh.glb (for browsers and Blender).
+    OUT gets map.yaml and map.pgm (free, occupied, unknown; for ROS's map_server), mesh.ply (with colour and variance of
+    each vertex) and mesh.glb (for browsers and Blender).
 
     Args:
         map_file: a map of `vssm-gym map build` (.npz).
         out: new or empty folder.
-        resolution: cell of the ROS map, metres.
-        height: of the robot, metres: obstacles above it are left out of the ROS map.
+        resolution: edge of a cell of the ROS map, metres.
+        height: height of the robot, metres; obstacles above it are left out of the ROS map.
     """
     from vssm_gym.errors import InputError
     from vssm_gym.files import atomic_write

@@ -1,4 +1,4 @@
-"""``vssm-gym merge SHARD ... --out DIR``: the shards of a sweep as one folder."""
+"""Run ``vssm-gym merge SHARD ... --out DIR``: merge the shards of a sweep."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,9 +12,9 @@ def merge(
     ],
     out: Path,
 ) -> None:
-    """Merge the folders of `sweep --shard I/N` into the one that the whole sweep would have left.
+    """Merge the folders of `sweep --shard I/N` into the folder of the whole sweep.
 
-    Every shard has to be there and finished. Nothing is written otherwise.
+    Every shard must be given and finished; otherwise nothing is written.
 
     Args:
         folders: the folders of all shards, in any order.

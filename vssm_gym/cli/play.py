@@ -1,4 +1,4 @@
-"""``vssm-gym play``: drive a robot by keyboard, in any terminal, also over SSH."""
+"""Run ``vssm-gym play``: drive a robot by keyboard, in any terminal, also over SSH."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,38 +17,38 @@ def play(
     record: Path | None = None,
     seed: int = 0,
 ) -> None:
-    """Drive a robot by keyboard in the terminal: what it sees, where its goal lies, what it touches.
+    """Drive a robot by keyboard in the terminal, which shows its images, its goal and its collisions.
 
-    No X server is needed; it works over SSH. One key is one step of the robot, so that nothing moves while you think.
+    It needs no X server and works over SSH. One key is one step of the robot; between keys nothing moves.
 
     Args:
         env: the environment's id: PointNav-v0, ImageNav-v0, Explore-v0 or LidarMaze-v0.
         scene: built-in name (oak; of a maze: rooms-v1) or path of a scene file.
         noise: execution noise: none, low, mid or high.
-        sensor_noise: what the camera, or the maze's scanner, adds to what it sees.
+        sensor_noise: noise of the camera (none, kinect, stereo) or of the maze's scanner (none, low, mid, high).
         size: WIDTHxHEIGHT of the camera's images.
-        plan: show the plan from above from the start; p switches it.
-        colours: 24-bit (true), or 256 for terminals that show no others.
-        record: new or empty folder: each episode driven becomes a TUM folder in it, 1, 2, ...
-        seed: of tasks and noise.
+        plan: show the view from above from the start; p toggles it.
+        colours: 24-bit (true), or 256 for terminals without them.
+        record: new or empty folder, in which each episode is recorded as a TUM folder: 1, 2, ...
+        seed: seed of tasks and noise.
     """
     import gymnasium as gym
 
     import vssm_gym  # noqa: F401  (registers the environments)
     from vssm_gym.cli.record import camera_of
     from vssm_gym.cli.shared.console import print_notices
-    from vssm_gym.cli.shared.play_session import DRIVES, Session
+    from vssm_gym.cli.shared.play_session import PLAYABLE, Session
     from vssm_gym.cli.shared.terminal import check_terminal, whole_terminal
     from vssm_gym.errors import InputError
     from vssm_gym.output_folders import check_at_least, check_folder
 
     name = env.removeprefix("vssm_gym/")
-    if name not in DRIVES:
-        expected = f"an environment that one key a step can steer ({', '.join(DRIVES)}); found {env!r}"
+    if name not in PLAYABLE:
+        expected = f"an environment that one key per step can steer ({', '.join(PLAYABLE)}); found {env!r}"
         raise InputError("play", "ENV", expected)
-    drive = DRIVES[name]
-    scene = drive.scene if scene is None else scene
-    if record is not None and not drive.camera:
+    keys = PLAYABLE[name]
+    scene = keys.scene if scene is None else scene
+    if record is not None and not keys.camera:
         raise InputError("play", "--record", f"an environment with a camera: {name} has no images to record")
     check_at_least("play", "seed", seed, 0)
     check_terminal("play")
@@ -57,12 +57,12 @@ def play(
         if record.exists() and any(record.iterdir()):
             raise InputError(record, "folder", "an empty or new folder: a recording is never overwritten")
     camera = camera_of("play", size)
-    seeing: dict[str, Any] = {"camera": camera} if drive.camera else {"render_mode": "rgb_array"}
-    if drive.camera:
+    seeing: dict[str, Any] = {"camera": camera} if keys.camera else {"render_mode": "rgb_array"}
+    if keys.camera:
         print_notices([scene])
     world = gym.make(f"vssm_gym/{name}", scene=scene, noise=noise, sensor_noise=sensor_noise, **seeing)
     about = {"motion": "keyboard", "environment": name, "noise": noise, "sensor_noise": sensor_noise, "seed": seed}
-    session = Session(world, drive, " · ".join([name, scene, f"noise {noise}"]), record, about, seed)
+    session = Session(world, keys, " · ".join([name, scene, f"noise {noise}"]), record, about, seed)
     session.plan = plan
     try:
         with whole_terminal() as terminal:

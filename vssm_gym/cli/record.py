@@ -1,13 +1,12 @@
-"""``vssm-gym record --scene S --out DIR``: record a scene as a TUM folder (DESIGN)."""
+"""Run ``vssm-gym record --scene S --out DIR``: record a scene as a TUM folder."""
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from vssm_gym.envs.sensors import CameraConfig
 
-OWNERS = {  # which motions an option belongs to
+OWNERS = {  # the motions that an option belongs to
     "noise": ("survey", "flight"),
     "metres": ("handheld",),
     "rate": ("handheld", "flight"),
@@ -33,24 +32,24 @@ def record(
 ) -> None:
     """Record colour, depth, commands and true poses of a scene as a TUM folder.
 
-    A `survey` is a robot's drive that shows all of the floor, to make a map from. `handheld` is a camera carried from
-    room to room, about 1.3 m up, at 0.3 to 0.6 m/s: what SLAM is tried on. `flight` is a multirotor's closed reference
-    flight from hover to hover, with its IMU in imu.txt; it needs a high, wide room.
+    In a `survey` a robot drives until it has seen the whole floor: the recording for a map. `handheld` carries a camera
+    from room to room, 1.3 m above the floor, at 0.3 to 0.6 m/s: the recording for SLAM. `flight` follows a closed
+    reference flight of a multirotor, from hover to hover, with its IMU in imu.txt; it needs a high, wide room.
 
     Args:
         scene: built-in name (oak) or path of a scene file.
         out: new or empty folder; it appears when the recording is complete.
-        motion: what carries the camera.
-        noise: execution noise of a survey's drive, or gusts of a flight: none, low (default), mid or high; recorded
-            poses are the true ones.
+        motion: the body that carries the camera.
+        noise: execution noise of a survey, or gusts of a flight: none, low (default), mid or high. The recorded poses
+            are the true ones.
         sensor_noise: none (exact images), kinect or stereo.
-        metres: length of a handheld path at least; 50 by default.
-        rate: frames a second of a handheld camera (10 by default) or of a flight (20).
+        metres: minimum path length of a handheld recording; 50 by default.
+        rate: frames per second of a handheld camera (10 by default) or of a flight (20).
         flight: star, picasso, figure8 (default) or clover.
-        speed: peak speed of a flight, metres a second; 2 by default.
-        yaw: whether a flight's nose points along its motion (default) or always the same way.
+        speed: peak speed of a flight, m/s; 2 by default.
+        yaw: heading of a flight: along its motion (forward, the default) or constant.
         size: WIDTHxHEIGHT of the images.
-        seed: of the path and of all noise.
+        seed: seed of the path and of all noise.
     """
     from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.data import flights, recording
@@ -112,10 +111,8 @@ def record(
 
 
 def camera_of(command: str, size: str) -> "CameraConfig":
-    """The camera of ``--size WIDTHxHEIGHT``; raises InputError naming the command."""
+    """Return the camera of ``--size WIDTHxHEIGHT``; raise InputError naming the command for another form."""
+    from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.envs.sensors import CameraConfig
-    from vssm_gym.errors import InputError
 
-    if not (match := re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", size.strip())):
-        raise InputError(command, "size", f"WIDTHxHEIGHT in pixels, as 160x120, not {size!r}")
-    return CameraConfig(int(match[1]), int(match[2]))
+    return CameraConfig(*parse_size(command, size))

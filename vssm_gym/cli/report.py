@@ -1,4 +1,4 @@
-"""``vssm-gym report DIR``: a sweep's results as one HTML page."""
+"""Run ``vssm-gym report DIR``: write the results of a sweep as one HTML page."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,9 +14,9 @@ def report(
     """Write DIR/report.html: failures first, tables with 95 % intervals, curves, runs drawn on the learned map.
 
     Args:
-        folder: of a sweep, finished or not.
-        out: file to write instead of DIR/report.html, in a folder that exists.
-        seed: of the bootstrap resampling behind the intervals.
+        folder: folder of a sweep, finished or not.
+        out: file to write in place of DIR/report.html; its folder must exist.
+        seed: seed of the bootstrap resampling behind the intervals.
     """
     from vssm_gym.eval.report.page import write_report
 

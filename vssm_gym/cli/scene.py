@@ -1,4 +1,4 @@
-"""``vssm-gym scene preview|import|generate``: look at a scene, bring one, make one (DESIGN)."""
+"""Run ``vssm-gym scene preview|import|generate``: draw, import or generate a scene."""
 
 import warnings
 from collections.abc import Callable
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 def preview(
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")], out: Path, height: int = 720
 ) -> None:
-    """Draw a scene: its plan and two views from inside; of a maze, which no such robot fits into, the plan alone.
+    """Draw a scene: its plan and two views from inside; of a maze the plan alone.
 
     Args:
         scene: built-in name (oak), a maze's (spiral-v1), procedural:SEED or path of a scene file.
         out: the picture to write (.png).
-        height: of the picture, pixels.
+        height: height of the picture, pixels.
     """
     from vssm_gym.errors import InputError
     from vssm_gym.output_folders import check_file
@@ -34,7 +34,7 @@ def preview(
 
 
 def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")], out: Path) -> None:
-    """Check a scene of another format and write it as ours, with a picture beside.
+    """Check a scene of another format and write it in ours, with a picture.
 
     FILE is a ProcTHOR house (JSON, or a line of JSONL as in houses.jsonl.gz#7), a HouseExpo plan (JSON), a ROS map
     (YAML) or an MJCF with a floor (XML).
@@ -51,12 +51,12 @@ def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FI
 
 
 def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"] = "medium") -> None:
-    """Make a furnished apartment from a seed, with a picture of it beside.
+    """Generate a furnished apartment from a seed, with a picture.
 
     Args:
         out: the scene to write (.json); the picture gets the same name and the ending .png.
-        seed: the same seed gives the same apartment.
-        size: small (1 to 3 rooms), medium or large.
+        seed: seed of the apartment; the same seed gives the same apartment.
+        size: size of the apartment: small (1 to 3 rooms), medium or large.
     """
     from vssm_gym.envs.scenes.generator import generate as generated
     from vssm_gym.output_folders import check_at_least
@@ -80,7 +80,7 @@ def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
 
 
 def _load(scene: str) -> "Apartment":
-    """The scene of a name or file, mazes too; what its warnings say is printed with its notes."""
+    """Return the scene of a name or file, mazes included; its warnings are repeated in its notes, which are printed."""
     from vssm_gym.envs.scenes.scene import load_scene
     from vssm_gym.envs.tasks.mazes import FOLDER, MAZES
 
@@ -107,7 +107,7 @@ def _draw(apartment: "Apartment", path: Path, height: int) -> None:
 
 
 def _summary(apartment: "Apartment") -> str:
-    """What is in the scene, and where the robot of its size can be in it."""
+    """Describe the contents of a scene and the free space of the robot that drives in it."""
     from vssm_gym.envs.robots import HolonomicRobot
     from vssm_gym.envs.scenes.free_space import FreeSpace
     from vssm_gym.envs.tasks.mazes import ROBOT, is_maze

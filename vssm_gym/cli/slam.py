@@ -1,7 +1,6 @@
-"""``vssm-gym slam SEQUENCE --out DIR``: a trajectory and a dense map from an RGB-D recording (DESIGN)."""
+"""Run ``vssm-gym slam SEQUENCE --out DIR``: a trajectory and a dense map from an RGB-D recording."""
 
 import contextlib
-import re
 import sys
 import time
 from collections import deque
@@ -14,9 +13,9 @@ import tyro
 if TYPE_CHECKING:
     from vssm_gym.slam.run import TrackedFrame
 
-INTRINSICS = "fx,fy,cx,cy[,k1,k2,p1,p2,k3]"
+INTRINSICS = "numbers fx,fy,cx,cy[,k1,k2,p1,p2,k3]"
 WARNINGS = 5  # printed; stats.json has all
-RECENT = 20  # frames that the frame rate is told from
+RECENT = 20  # frames that the displayed frame rate is the mean of
 
 
 def slam(
@@ -44,31 +43,34 @@ def slam(
     stats.json and report.html. Interrupt at any time: the finished frames' poses stay in trajectory.partial.txt.
 
     Args:
-        sequence: TUM folder (rgb.txt and depth.txt, or associations.txt); groundtruth.txt is only compared with.
+        sequence: TUM folder (rgb.txt and depth.txt, or associations.txt); groundtruth.txt is used for evaluation only.
         out: new or empty folder for the results.
-        size: WIDTHxHEIGHT that images are resized to.
-        rate: frames a second at most; others are left out.
-        voxel: size of a cell, metres.
+        size: WIDTHxHEIGHT to which images are resized.
+        rate: frames per second at most; the others are skipped.
+        voxel: edge of a cell, metres.
         extent: edge of the cube that is mapped around the camera, metres.
-        intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of those that the folder states.
-        solver: of the pose: gauss_newton, or adam as PRISM was published (slower).
-        samples: poses drawn for the map update, an odd number; from 3 on, pose and map hear of each other's doubts.
-        max_depth: metres; farther readings are left out.
-        depth: good (structured light, or stereo near by), or stereo: noisy and far away, as in flight.
-        method: prism maps and tracks; tracker locates the camera in a map that is known and stays as it is.
-        map: of the tracker: a map file, as of another run of slam, or of map build.
-        start: of the tracker: x,y,z,qx,qy,qz,qw, about where the first camera is in the map; the map's origin else.
-        imu: let imu.txt drive the prior, in place of constant velocity; the camera is at rest in the first half second.
-        seed: of what is drawn: the samples, and the pixels of adam.
-        viewer: show the run as it happens in rerun (the extra vssm-gym[viz]).
+        intrinsics: fx,fy,cx,cy[,k1,k2,p1,p2,k3] of the recorded images, in place of those in the folder.
+        solver: method of the pose estimate: gauss_newton, or adam as published for PRISM (slower).
+        samples: poses drawn for the map update, an odd number; with 3 or more, the map update accounts for the pose's
+            uncertainty and the pose estimate for the map's.
+        max_depth: metres; readings beyond it are ignored.
+        depth: kind of depth sensor: good (structured light, or stereo at short range) or stereo (noisy, long range).
+        method: prism estimates pose and map; tracker estimates the pose in a given map, which stays fixed.
+        map: map file for the tracker, from another run of slam or from map build.
+        start: x,y,z,qx,qy,qz,qw for the tracker: approximate pose of the first camera in the map (default: its origin).
+        imu: predict the motion from imu.txt instead of a constant velocity; the camera must rest for the first half
+            second.
+        seed: seed of the pose samples, and of the pixels that adam draws.
+        viewer: show the run live in rerun (the extra vssm-gym[viz]).
     """
+    from vssm_gym.cli.shared.arguments import parse_numbers, parse_size
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.slam import output as slam_output
     from vssm_gym.slam.run import SlamOptions
     from vssm_gym.viz.stream import open_viewer
 
     options = SlamOptions(
-        _size(size),
+        parse_size("slam", size),
         rate,
         voxel,
         extent,
@@ -80,10 +82,11 @@ def slam(
         imu=imu,
         method=method,
         map=map,
-        start=None if start is None else _numbers("start", start, "x,y,z,qx,qy,qz,qw"),
+        start=None if start is None else parse_numbers("slam", "start", start, float, "numbers x,y,z,qx,qy,qz,qw"),
     )
     slam_output.check_free(out)
-    recording = load_sequence(sequence, None if intrinsics is None else _numbers("intrinsics", intrinsics, INTRINSICS))
+    calibration = None if intrinsics is None else parse_numbers("slam", "intrinsics", intrinsics, float, INTRINSICS)
+    recording = load_sequence(sequence, calibration)
     print_warnings(recording.notices)
     with contextlib.ExitStack() as stack:
         shown = None
@@ -101,13 +104,13 @@ def slam(
     if "impossible" in errors:
         print(f"errors against the ground truth cannot be computed: {errors['impossible']}")
     elif errors:
-        held = ", lost frames held where they were last" if lost else ""
+        held = ", lost frames at their last pose" if lost else ""
         print(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{held}")
     print(out / slam_output.REPORT)
 
 
 def print_warnings(notices: Sequence[str]) -> None:
-    """What was wrong with the input, one line each on stderr: the first ones, and how many more there are."""
+    """Print the first warnings about the input on stderr, one line each, and the number of further ones."""
     for notice in notices[:WARNINGS]:
         print(f"warning: {notice}", file=sys.stderr)
     if len(notices) > WARNINGS:
@@ -116,9 +119,10 @@ def print_warnings(notices: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["TrackedFrame"], None]]]:
-    """Bars on stderr, that of the frames with frames a second and how many were lost: what to tell, and of frames."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    """Yield the callbacks ``on_progress`` and ``on_frame``, which draw bars, frame rate and lost frames on stderr."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+
+    from vssm_gym.cli.shared.console import progress_of
 
     columns = (
         TextColumn("{task.description:>24}"),
@@ -129,37 +133,20 @@ def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["Tracke
     )
     bars: dict[str, TaskID] = {}
     ends, lost = deque([time.perf_counter()], maxlen=RECENT + 1), 0
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with progress_of(*columns) as bar:
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def on_progress(stage: str, done: int, total: int) -> None:
             if stage not in bars:
+                bar.start()
                 bars[stage] = bar.add_task(stage, total=total, note="")
             bar.update(bars[stage], completed=done)
 
-        def tell_frame(frame: "TrackedFrame") -> None:
+        def on_frame(frame: "TrackedFrame") -> None:
             nonlocal lost
             lost += frame.lost
             ends.append(time.perf_counter())
             speed = (len(ends) - 1) / (ends[-1] - ends[0])
-            for task in bars.values():  # before the first frame is told of there is none
+            for task in bars.values():  # there is none before the first frame
                 bar.update(task, note=f"{speed:.1f} frames/s, {lost} lost")
 
-        yield tell, tell_frame
-
-
-def _size(text: str) -> tuple[int, int]:
-    from vssm_gym.errors import InputError
-
-    match = re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text.strip())
-    if not match:
-        raise InputError("slam", "size", f"WIDTHxHEIGHT in pixels, as 160x120, not {text!r}")
-    return int(match[1]), int(match[2])
-
-
-def _numbers(field: str, text: str, form: str) -> tuple[float, ...]:
-    from vssm_gym.errors import InputError
-
-    try:
-        return tuple(float(word) for word in text.split(","))
-    except ValueError:
-        raise InputError("slam", field, f"numbers {form}, not {text!r}") from None
+        yield on_progress, on_frame

@@ -1,4 +1,4 @@
-"""``vssm-gym study NAME SEQUENCE --out DIR``: the comparisons of the papers, rerun by anyone (SPEC 13)."""
+"""Run ``vssm-gym study NAME SEQUENCE --out DIR``: the comparisons of the PRISM paper on any recording."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,18 +15,18 @@ def map_update(
 ) -> None:
     """Compare the closed-form map update with gradient descent through the renderer, at the true poses.
 
-    OUT gets map-update.json, map-update.svg and map-update.html: what held-out images say of the maps, against the
-    milliseconds that a frame took (PRISM, fig. 6).
+    OUT gets map-update.json, map-update.svg and map-update.html: the errors of the maps in held-out images, against the
+    time per frame (PRISM, fig. 6).
 
     Args:
         sequence: TUM folder with groundtruth.txt.
         out: folder for the results.
-        size: WIDTHxHEIGHT that images are resized to.
-        frames: used at most, spread over the sequence; every tenth is held out.
-        voxel: size of a cell, metres.
+        size: WIDTHxHEIGHT to which images are resized.
+        frames: maximum number of frames, spread over the sequence; every tenth is held out.
+        voxel: edge of a cell, metres.
     """
+    from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.cli.shared.console import progress_bars
-    from vssm_gym.cli.slam import _size
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
     from vssm_gym.eval.studies import map_update as study_map_update
@@ -39,7 +39,9 @@ def map_update(
     check_folder(out)
     recording = load_sequence(sequence)
     with progress_bars() as progress:
-        study = study_map_update.run(recording, size=_size(size), frames=frames, voxel=voxel, on_progress=progress)
+        study = study_map_update.run(
+            recording, size=parse_size("study", size), frames=frames, voxel=voxel, on_progress=progress
+        )
     print(study.answer)
     print(write_study(study, out))
 
@@ -53,29 +55,29 @@ def resolution(
     size: str = "160x120",
     rate: float = 10.0,
 ) -> None:
-    """Compare map resolutions and the resolutions that images are tracked at, by error and time.
+    """Compare resolutions of the map and of the tracked images, by error and time.
 
-    OUT gets resolution.json, resolution.svg and resolution.html: trajectory error, lost frames and milliseconds a step
+    OUT gets resolution.json, resolution.svg and resolution.html: trajectory error, lost frames and time per step
     (PRISM, table 4).
 
     Args:
         sequence: TUM folder with groundtruth.txt.
         out: folder for the results.
-        voxels: sizes of a cell, metres, with commas between.
-        render_widths: widths that images are tracked at, pixels, with commas between.
-        seeds: runs of each setting; every one starts a frame later.
-        size: WIDTHxHEIGHT that images are resized to.
-        rate: frames a second at most.
+        voxels: edges of a cell, metres, separated by commas.
+        render_widths: widths of the tracked images, pixels, separated by commas.
+        seeds: runs of each setting; each starts one frame later than the one before.
+        size: WIDTHxHEIGHT to which images are resized.
+        rate: frames per second at most.
     """
+    from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.cli.shared.console import progress_bars
-    from vssm_gym.cli.slam import _size
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import resolution as study_resolution
     from vssm_gym.eval.studies.page import write_study
     from vssm_gym.output_folders import check_at_least, check_folder
 
     check_at_least("study", "seeds", seeds, 1)
-    cells, widths = _numbers("voxels", voxels, float), _numbers("render-widths", render_widths, int)
+    cells, widths = _distinct("voxels", voxels, float), _distinct("render-widths", render_widths, int)
     check_folder(out)
     recording = load_sequence(sequence)
     with progress_bars() as progress:
@@ -83,7 +85,7 @@ def resolution(
             recording,
             voxels=cells,
             render_widths=widths,
-            size=_size(size),
+            size=parse_size("study", size),
             rate=rate,
             seeds=seeds,
             on_progress=progress,
@@ -98,9 +100,9 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
     OUT gets runtime.json, runtime.svg and runtime.html: median and 95th percentile of every stage (PRISM, fig. 5).
 
     Args:
-        sequence: TUM folder; its images set the largest size.
+        sequence: TUM folder; the size of its images is the largest size measured.
         out: folder for the results.
-        rate: frames a second at most.
+        rate: frames per second at most.
     """
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
@@ -124,28 +126,28 @@ def calibration(
     voxel: float = 0.07,
     extent: float = 14.0,
 ) -> None:
-    """Judge the filter's uncertainty of poses and velocities over several sequences.
+    """Measure how well the filter's uncertainty of poses and velocities is calibrated, over several sequences.
 
-    OUT gets calibration.json, calibration.svg and calibration.html: NEES of every sequence as stated and with the scale
-    that the other sequences give, calibration curves, whitened residuals, velocities (PRISM, figs. 7 and 8).
+    OUT gets calibration.json, calibration.svg and calibration.html: NEES of every sequence, unscaled and with
+    the scale fitted to the other sequences, calibration curves, whitened residuals, velocities (PRISM, figs. 7 and 8).
 
     Args:
         sequences: at least two TUM folders with groundtruth.txt.
         out: folder for the results.
-        size: WIDTHxHEIGHT that images are resized to.
-        rate: frames a second at most.
-        voxel: size of a cell, metres.
+        size: WIDTHxHEIGHT to which images are resized.
+        rate: frames per second at most.
+        voxel: edge of a cell, metres.
         extent: edge of the cube that is mapped around the first camera, metres.
     """
+    from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.cli.shared.console import progress_bars
-    from vssm_gym.cli.slam import _size
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import calibration as study_calibration
     from vssm_gym.eval.studies.page import write_study
     from vssm_gym.output_folders import check_folder
     from vssm_gym.slam.run import SlamOptions
 
-    options = SlamOptions(size=_size(size), rate=rate, voxel=voxel, extent=extent)
+    options = SlamOptions(size=parse_size("study", size), rate=rate, voxel=voxel, extent=extent)
     check_folder(out)
     recordings = [load_sequence(sequence) for sequence in sequences]
     with progress_bars() as progress:
@@ -168,27 +170,27 @@ def flight(
     imu: bool = False,
     seeds: int = 1,
 ) -> None:
-    """Fly reference flights through a hall and track them from noisy stereo, at several speeds.
+    """Fly reference flights through a hall at several speeds, and track them from noisy stereo images.
 
-    OUT gets flight.json, flight.svg and flight.html: trajectory error, lost frames and milliseconds a step of every
+    OUT gets flight.json, flight.svg and flight.html: trajectory error, lost frames and milliseconds per step of every
     flight (PRISM, table 1).
 
     Args:
         out: folder for the results.
         scene: built-in name or path of a scene file.
-        flights: star, picasso, figure8, clover, with commas between.
-        speeds: peak speeds, metres a second, with commas between.
-        sensor_noise: what the camera adds to the exact image.
+        flights: star, picasso, figure8, clover, separated by commas.
+        speeds: peak speeds, m/s, separated by commas.
+        sensor_noise: noise of the camera: none, kinect or stereo.
         size: WIDTHxHEIGHT of the images.
-        rate: images a second.
-        voxel: size of a cell, metres.
+        rate: images per second.
+        voxel: edge of a cell, metres.
         extent: edge of the cube that is mapped around the first camera, metres.
-        max_depth: metres; farther readings are left out.
-        imu: whether the IMU drives the filter's prior, in place of constant velocity.
-        seeds: flights of each kind, with other gusts and noises.
+        max_depth: metres; readings beyond it are ignored.
+        imu: predict the motion from the IMU instead of a constant velocity.
+        seeds: flights of each kind, each with its own gusts and noise.
     """
+    from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.cli.shared.console import progress_bars
-    from vssm_gym.cli.slam import _size
     from vssm_gym.eval.studies import flight as study_flight
     from vssm_gym.eval.studies.page import write_study
     from vssm_gym.output_folders import check_at_least, check_folder
@@ -196,7 +198,13 @@ def flight(
 
     check_at_least("study", "seeds", seeds, 1)
     options = SlamOptions(
-        size=_size(size), rate=rate, voxel=voxel, extent=extent, max_depth=max_depth, depth="stereo", imu=imu
+        size=parse_size("study", size),
+        rate=rate,
+        voxel=voxel,
+        extent=extent,
+        max_depth=max_depth,
+        depth="stereo",
+        imu=imu,
     )
     check_folder(out)
     names = tuple(dict.fromkeys(flights.replace(" ", "").split(",")))
@@ -204,7 +212,7 @@ def flight(
         study = study_flight.run(
             scene,
             flights=names,
-            speeds=_numbers("speeds", speeds, float),
+            speeds=_distinct("speeds", speeds, float),
             sensor_noise=sensor_noise,
             options=options,
             seeds=seeds,
@@ -214,11 +222,8 @@ def flight(
     print(write_study(study, out))
 
 
-def _numbers(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
-    """Of ``text``, with commas between; each once, in their order."""
-    from vssm_gym.errors import InputError
+def _distinct(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
+    """Return the numbers of a list with commas between them, each once, in their order."""
+    from vssm_gym.cli.shared.arguments import parse_numbers
 
-    try:
-        return tuple(dict.fromkeys(kind(word) for word in text.split(",")))
-    except ValueError:
-        raise InputError("study", field, f"numbers with commas between, not {text!r}") from None
+    return tuple(dict.fromkeys(parse_numbers("study", field, text, kind, "numbers with commas between")))

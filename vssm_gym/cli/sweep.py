@@ -1,4 +1,4 @@
-"""``vssm-gym sweep CONFIG --out DIR``: run every episode of a configuration (DESIGN)."""
+"""Run ``vssm-gym sweep CONFIG --out DIR``: run every episode of a configuration."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,19 +14,19 @@ def sweep(
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     seed: int = 0,
 ) -> None:
-    """Run agents over tasks, scenes, noise levels and seeds; one line an episode goes to OUT/episodes.jsonl.
+    """Run agents over tasks, scenes, noise levels and seeds; write one line per episode to OUT/episodes.jsonl.
 
-    Maps that agents need are learned first, from a recorded drive. Interrupt at any time: what has ended is kept, and
-    --resume runs the rest.
+    The maps that agents need are learned first, from a recorded drive. Interrupt at any time: finished episodes are
+    kept, and --resume runs the others.
 
     Args:
         config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, physics, seeds, voxel,
             map_poses, explore].
         out: new or empty folder for the results.
         resume: continue a sweep of the same configuration in OUT.
-        workers: processes that run episodes.
-        shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` puts them together.
-        seed: of the drives that maps are learned from; episodes take theirs from the configuration's seeds.
+        workers: number of processes that run episodes.
+        shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` joins the parts.
+        seed: seed of the recorded drives from which maps are learned; episodes take theirs from the configuration.
     """
     from vssm_gym.cli.shared.console import print_notices, print_results, progress_bars
     from vssm_gym.eval.sweep.config import load_config
@@ -39,5 +39,5 @@ def sweep(
     with progress_bars() as progress:
         log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, shard=part, on_progress=progress)
     print_results(log)
-    following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} shards have ended"
+    following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} have finished"
     print(f"episodes: {log}\nnext: vssm-gym {following}")

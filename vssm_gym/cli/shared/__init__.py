@@ -1,1 +1,1 @@
-"""Parts that several commands share: the compilation cache, progress and tables, the terminal."""
+"""Share parts among commands: the compilation cache, arguments, progress bars, tables, the terminal."""

@@ -1,4 +1,4 @@
-"""Where compiled functions are kept between runs, so that only the first run of a command waits for the compiler."""
+"""Keep compiled functions between runs, so that only the first run of a command waits for the compiler."""
 
 import hashlib
 import os
@@ -7,15 +7,15 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """``$XDG_CACHE_HOME/vssm_gym``, else ``~/.cache/vssm_gym``."""
+    """Return ``$XDG_CACHE_HOME/vssm_gym``, or ``~/.cache/vssm_gym`` where that variable is not set."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vssm_gym"
 
 
 def use_compilation_cache() -> None:
-    """Point JAX at a persistent cache through the environment: call it before JAX is imported; workers inherit it.
+    """Set the environment variables of JAX's persistent compilation cache; worker processes inherit them.
 
-    What a variable already says is kept. Compiled code serves one kind of processor only, and JAX's key does not name
-    it, so the folder does: a home folder shared by two machines is safe.
+    Call it before JAX is imported. A variable that is already set keeps its value. Compiled code suits one kind of
+    processor only and JAX's key does not name it, so the folder's name does: two machines may share a home folder.
     """
     folder = cache_folder() / "jax" / _processor()
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
@@ -24,7 +24,7 @@ def use_compilation_cache() -> None:
 
 
 def _processor() -> str:
-    """The architecture and a digest of the instruction sets that the processor has."""
+    """Return the architecture and a digest of the processor's instruction sets."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else [platform.processor()]
     flags = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")

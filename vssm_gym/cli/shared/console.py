@@ -1,21 +1,26 @@
-"""What long commands show: a progress bar a stage, and a table of results."""
+"""Show progress bars, tables of results and warnings in the terminal."""
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
 
 STAGES = {"recording": "driving and recording", "map": "building the map", "episodes": "running episodes"}
 
 
 @contextlib.contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """A callback ``(stage, done, total)`` that draws one bar a stage on stderr; one that starts anew gets a new bar."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+    """Yield an ``on_progress(stage, done, total)`` callback that draws a bar for each stage on stderr.
+
+    A stage that begins again gets a new bar.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
-    console = Console(stderr=True)
     columns = (
         TextColumn("{task.description:>24}"),
         BarColumn(),
@@ -24,10 +29,11 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         Remaining(),
     )
     bars: dict[str, TaskID] = {}
-    with Progress(*columns, console=console) as progress:
+    with progress_of(*columns) as progress:
 
         def show(stage: str, done: int, total: int) -> None:
             if stage not in bars:
+                progress.start()
                 bars[stage] = progress.add_task(STAGES.get(stage, stage), total=total)
             progress.update(bars[stage], completed=done, total=total)
             if done >= total:
@@ -36,8 +42,26 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield show
 
 
+@contextlib.contextmanager
+def progress_of(*columns: "ProgressColumn") -> "Iterator[Progress]":
+    """Yield a display of progress on stderr that its user starts with the first bar.
+
+    A display that was never started prints nothing: rich would end it with an empty line, which would stand before the
+    message of an early error.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    progress = Progress(*columns, console=Console(stderr=True))
+    try:
+        yield progress
+    finally:
+        if progress.live.is_started:
+            progress.stop()
+
+
 def print_results(log: Path) -> None:
-    """What every agent of an episode log was worth, by condition, on stdout; the columns suit the environment."""
+    """Print the metrics of every agent of an episode log, one table for each condition, on stdout."""
     from rich.console import Console
     from rich.table import Table
 
@@ -62,7 +86,7 @@ def print_results(log: Path) -> None:
 
 
 def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
-    """What a user should know about scenes before anything runs in them, one line each on stderr."""
+    """Print warnings about scenes on stderr, one line each, before anything runs in them."""
     from vssm_gym.eval.episodes.identity import scene_name
     from vssm_gym.eval.protocols.registry import protocol_of
 

@@ -1,4 +1,4 @@
-"""What ``vssm-gym play`` does at a key and what it shows, without any terminal: a session of episodes."""
+"""Play episodes by keys: the session behind ``vssm-gym play``, without a terminal."""
 
 import contextlib
 import math
@@ -14,30 +14,30 @@ from vssm_gym.data.recording import recorded_episode
 from vssm_gym.envs.rendering.topdown import TopDown
 from vssm_gym.viz.terminal import Colours, depth_picture, side_by_side
 
-PLAN = 64  # pixels, size of the plan before it is fitted into the terminal
-HUD = 5  # lines under the pictures
+PLAN = 64  # pixels, edge of the plan before it is fitted into the terminal
+TEXT_LINES = 5  # under the pictures
 ALIASES = {"up": "w", "left": "a", "right": "d", "down": "s"}
 COMMON = "r new task   p plan   q quit"
 BOLD, PLAIN = "\x1b[1m", "\x1b[0m"
 
 
 @dataclass(frozen=True)
-class Drive:
-    """How keys move a robot: ``shares[key]`` of each action's bound, from -1 (low) to 1 (high); ``help`` on screen."""
+class KeyBindings:
+    """The action of each key: ``proportions[key]`` of each bound, from -1 (low) to 1 (high); ``help`` is shown."""
 
-    shares: dict[str, tuple[float, ...]]
+    proportions: dict[str, tuple[float, ...]]
     help: str
-    scene: str = "oak"  # where it drives unless told otherwise
-    camera: bool = True  # whether it sees by a camera, whose images can be recorded
+    scene: str = "oak"  # default
+    camera: bool = True  # the robot has a camera, whose images can be recorded
 
     def action(self, key: str, space: Any) -> np.ndarray:
-        """The action of a key, within the box ``space``."""
-        share = np.array(self.shares[key])
-        return np.where(share >= 0.0, share * space.high, -share * space.low).astype(np.float32)
+        """Return the action of a key within the box ``space``."""
+        proportion = np.array(self.proportions[key])
+        return np.where(proportion >= 0.0, proportion * space.high, -proportion * space.low).astype(np.float32)
 
 
 # (turn, o, s, stop): turns, straight on, curves; the robot has no reverse.
-HOLONOMIC = Drive(
+HOLONOMIC = KeyBindings(
     {
         "w": (0.0, 0.0, 1.0, 0.0),
         "a": (1.0, 0.0, 0.0, 0.0),
@@ -51,38 +51,38 @@ HOLONOMIC = Drive(
 )
 
 # (turn, s, stop) in a maze: the same keys
-MAZE = Drive(
-    {key: (turn, step, stop) for key, (turn, _, step, stop) in HOLONOMIC.shares.items()},
+MAZE = KeyBindings(
+    {key: (turn, step, stop) for key, (turn, _, step, stop) in HOLONOMIC.proportions.items()},
     HOLONOMIC.help,
     scene="rooms-v1",
     camera=False,
 )
 
-DRIVES: dict[str, Drive] = {
+PLAYABLE: dict[str, KeyBindings] = {
     "PointNav-v0": HOLONOMIC,
     "ImageNav-v0": HOLONOMIC,
     "Explore-v0": HOLONOMIC,
     "LidarMaze-v0": MAZE,
 }
-"""The environments that can be played, by id without ``vssm_gym/``: those that one key a step can steer."""
+"""The environments that one key per step can steer, by id without ``vssm_gym/``."""
 
 
 class Session:
-    """Episodes driven by keys; ``left`` once the person wants to go.
+    """Episodes driven by keys; ``left`` is True after the key that quits.
 
     Args:
         env: a robot on the floor of an apartment, or in a maze and with pictures (``render_mode="rgb_array"``).
-        drive: its keys.
-        title: of the screen.
+        keys: its keys.
+        title: title of the screen.
         record: folder for a recording of each episode (1, 2, ...), or None.
-        about: what to tell in each recording.
-        seed: of the first episode; later ones go on in its streams.
+        about: metadata of each recording.
+        seed: seed of the first episode; later ones continue its streams.
     """
 
     def __init__(
-        self, env: gym.Env, drive: Drive, title: str, record: Path | None, about: dict[str, Any], seed: int
+        self, env: gym.Env, keys: KeyBindings, title: str, record: Path | None, about: dict[str, Any], seed: int
     ) -> None:
-        self.env, self.drive, self.title = env, drive, title
+        self.env, self.keys, self.title = env, keys, title
         self.plan = self.left = False
         self.episodes = self.successes = 0
         self._record, self._about = record, about
@@ -102,7 +102,7 @@ class Session:
         self._path = [self._planar()[:2]]
 
     def press(self, key: str) -> None:
-        """Do what a key says; keys that mean nothing do nothing, and an episode that is over takes no more steps."""
+        """Handle a key; unknown keys do nothing, and an episode that has ended takes no more steps."""
         key = ALIASES.get(key, key)
         if key == "q":
             self.left = True
@@ -110,11 +110,11 @@ class Session:
             self._begin()
         elif key == "p":
             self.plan = not self.plan
-        elif key in self.drive.shares and not self.result:
+        elif key in self.keys.proportions and not self.result:
             self._step(key)
 
     def _step(self, key: str) -> None:
-        action = self.drive.action(key, self.env.action_space)
+        action = self.keys.action(key, self.env.action_space)
         self.observation, reward, terminated, truncated, self.info = self.env.step(action)
         self.steps += 1
         self._path.append(self._planar()[:2])
@@ -135,19 +135,19 @@ class Session:
             self.result = "OUT OF TIME"
 
     def close(self) -> None:
-        """Finish the recording of the episode as far as it was driven."""
+        """Close the recording of the current episode."""
         self._recording.close()
 
     def screen(self, columns: int, rows: int, colours: Colours = "true") -> list[str]:
-        """Lines for a terminal of this size: pictures, and under them what a driver should know."""
+        """Return the lines for a terminal of this size: pictures, and the status under them."""
         images = [v for v in self.observation.values() if v.ndim == 3 and v.dtype == np.uint8]
         if "depth" in self.observation:
             images.append(depth_picture(self.observation["depth"]))
-        if not self.drive.camera:
-            images.append(np.asarray(self.env.render()))  # the plan and the readings in it: all that there is to see
+        if not self.keys.camera:
+            images.append(np.asarray(self.env.render()))  # the plan with the readings of the scanner
         elif self.plan:
             images.append(self._plan_picture())
-        lines = side_by_side(images, columns, max(1, rows - HUD), colours)
+        lines = side_by_side(images, columns, max(1, rows - TEXT_LINES), colours)
         limit = f" of {self.env.spec.max_episode_steps}" if self.env.spec and self.env.spec.max_episode_steps else ""
         status = f"episode {self.episodes}   step {self.steps}{limit}   collisions {self.collisions}"
         if self.info["collision"]:
@@ -160,33 +160,33 @@ class Session:
             f"{BOLD}{self.title}{PLAIN}",
             f"{where}reward {self.total:+.2f}{result}",
             status,
-            self.drive.help,
+            self.keys.help,
             COMMON,
         ]
         return lines + text
 
     def _plan_picture(self) -> np.ndarray:
-        """The floor plan with the robot, its path and its goal; few pixels, so that the robot is still seen in them."""
+        """Return the floor plan with robot, path and goal, in so few pixels that the robot stays visible."""
         if self._plan is None:
             self._plan = TopDown(self._world.simulation.renderer.boxes, PLAN, PLAN)
         goal, radius = (self.observation["goal"], self._world.success_radius) if self._has_goal() else (None, 0.0)
         return self._plan.draw(np.array(self._path), self._planar(), self._world.simulation.robot.radius, goal, radius)
 
     def _planar(self) -> np.ndarray:
-        """The true ``(x, y, heading)``."""
+        """Return the true ``(x, y, heading)``, m and rad."""
         return self.info["pose"] if "pose" in self.info else planar_pose(self.info["T_world_cam"])
 
     def _has_goal(self) -> bool:
         return np.shape(self.observation.get("goal")) == (2,)
 
     def _goal_line(self) -> str:
-        """Where the goal truly lies, seen from the robot: a person at the keys is told, an agent is not."""
+        """Return the true direction and distance of the goal, which agents do not get."""
         distance, bearing = goal_ahead(self._planar(), self.observation["goal"])
         side = "left" if bearing >= 0.0 else "right"
         return f"goal {arrow(bearing)} {distance:.2f} m, {abs(math.degrees(bearing)):.0f}° {side}   "
 
     def summary(self) -> list[str]:
-        """What to say afterwards."""
+        """Return the lines that are printed at the end."""
         lines = [f"{self.episodes} episode{'s' * (self.episodes > 1)}, {self.successes} with success"]
         if self._record is not None and self._record.exists():
             folders = sorted(self._record.iterdir(), key=lambda path: int(path.name))
@@ -195,12 +195,12 @@ class Session:
 
 
 def planar_pose(T_world_cam: np.ndarray) -> np.ndarray:
-    """``(x, y, heading)`` of a camera that looks along the floor: position, and the direction of its z axis."""
+    """Return ``(x, y, heading)`` of a camera that looks along the floor: position, and direction of its z axis."""
     return np.array([*T_world_cam[:2, 3], math.atan2(T_world_cam[1, 2], T_world_cam[0, 2])])
 
 
 def goal_ahead(planar: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """Distance (m) and bearing (rad, positive to the left, in (-pi, pi]) of ``goal (2,)`` from ``(x, y, heading)``."""
+    """Return distance (m) and bearing (rad, left positive, in (-pi, pi]) of ``goal (2,)`` from ``(x, y, heading)``."""
     away = np.asarray(goal, dtype=np.float64) - planar[:2]
     ahead = np.array([math.cos(planar[2]), math.sin(planar[2])])
     cross, dot = ahead[0] * away[1] - ahead[1] * away[0], float(ahead @ away)
@@ -208,5 +208,5 @@ def goal_ahead(planar: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
 
 
 def arrow(bearing: float) -> str:
-    """One of eight arrows; up is straight ahead."""
+    """Return one of eight arrows; up is straight ahead."""
     return "↑↖←↙↓↘→↗"[round(bearing / (math.pi / 4)) % 8]

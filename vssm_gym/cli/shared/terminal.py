@@ -1,6 +1,6 @@
-"""A whole terminal for one program: keys as they are pressed, a screen of its own, and everything put back at the end.
+"""Take over the terminal: read single keys, draw on the alternate screen, and restore everything at the end.
 
-Plain POSIX (termios) and escape sequences that every terminal of the last decades knows; works over SSH.
+It uses POSIX termios and common escape sequences, and works over SSH.
 """
 
 import contextlib
@@ -17,14 +17,14 @@ from vssm_gym.errors import InputError
 
 # The alternate screen, without a cursor and without wrapping; and back.
 ENTER, LEAVE = "\x1b[?1049h\x1b[?25l\x1b[?7l\x1b[2J", "\x1b[?7h\x1b[?25h\x1b[0m\x1b[?1049l"
-RESIZE_POLL = 0.2  # s between two looks at the size while nobody presses a key
+RESIZE_POLL = 0.2  # s between two checks of the size while no key is pressed
 ESCAPE_WAIT = 0.05  # s within which the rest of an arrow key's sequence follows its escape
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _NAMES = {" ": "space", "\x1b": "escape"}
 
 
 class Terminal:
-    """Draws frames and reads keys; made by :func:`whole_terminal`."""
+    """Draw frames and read keys; made by :func:`whole_terminal`."""
 
     def __init__(self, source: int, target: int) -> None:
         self._source, self._target = source, target
@@ -34,12 +34,12 @@ class Terminal:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Columns and rows, as they are now; 80 x 24 where the terminal does not say."""
+        """Return the current columns and rows; 80 x 24 if the terminal does not report them."""
         columns, rows = os.get_terminal_size(self._target)
         return columns or 80, rows or 24
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Show ``lines`` from the upper left corner; only those that changed are sent."""
+        """Draw ``lines`` from the upper left corner; only changed ones are sent."""
         size = self.size
         lines = list(lines)[: size[1]]
         text = ""
@@ -57,7 +57,7 @@ class Terminal:
             data = data[os.write(self._target, data) :]
 
     def pressed(self) -> list[str]:
-        """The keys pressed since the last call; waits for one, or until the terminal has another size (then none).
+        """Return the keys pressed since the last call; wait for one, or until the terminal is resized (then none).
 
         A key is its character in lower case, or ``up``, ``down``, ``left``, ``right``, ``space``, ``escape``. The end
         of the input, as when a connection breaks, ends the program as Ctrl-C does.
@@ -82,7 +82,7 @@ class Terminal:
 
 
 def split_keys(text: str) -> list[str]:
-    """What was typed, as names of keys; sequences of keys that have no name here are left out."""
+    """Return the names of typed keys; escape sequences of keys without a name here are dropped."""
     keys, i = [], 0
     while i < len(text):
         if text[i] == "\x1b" and text[i + 1 : i + 2] in ("[", "O"):
@@ -102,15 +102,15 @@ def check_terminal(command: str) -> None:
     """Raise :class:`InputError` unless stdin and stdout are a terminal."""
     for name, stream in (("stdin", sys.stdin), ("stdout", sys.stdout)):
         if not stream.isatty():
-            raise InputError(command, name, "a terminal: a person presses keys and looks at pictures here")
+            raise InputError(command, name, "a terminal")
 
 
 @contextlib.contextmanager
 def whole_terminal() -> Iterator[Terminal]:
-    """The terminal that stdin and stdout are; it is as before when the block ends, however it ends.
+    """Yield the terminal of stdin and stdout, and restore it however the block ends.
 
-    Ctrl-C raises KeyboardInterrupt as always; a request to end (SIGTERM, SIGHUP) leaves the block too. Ctrl-Z does
-    nothing: a stopped program would leave the terminal as it has it.
+    Ctrl-C raises KeyboardInterrupt as usual; SIGTERM and SIGHUP leave the block too. Ctrl-Z is disabled: a stopped
+    program could not restore the terminal.
     """
     source, target = sys.stdin.fileno(), sys.stdout.fileno()
     before = termios.tcgetattr(source)
