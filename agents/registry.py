@@ -27,7 +27,7 @@ from vssm_gym.agents.navigation.no_map import NoMapAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
 from vssm_gym.agents.policy.agent import PolicyAgent
-from vssm_gym.agents.policy.file import PREFIX
+from vssm_gym.agents.policy.policy_file import PREFIX
 from vssm_gym.agents.renamed import refuse_former
 from vssm_gym.errors import InputError
 from vssm_gym.planning.planners import find_planner

@@ -5,7 +5,7 @@ Knows the distance to the target's position, not its heading: where a pose is as
 
 import numpy as np
 
-from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.driver import CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.dwa import DwaState, DwaStatus, DynamicWindow
@@ -16,7 +16,7 @@ MARGIN = 0.01  # m around the footprint
 
 
 class Window:
-    """:class:`~vssm_gym.agents.shared.driver.Strategy`: the dynamic window, one goal after another."""
+    """:class:`~vssm_gym.agents.shared.driver.CarController`: the dynamic window, one goal after another."""
 
     def __init__(self, arena: Arena, car: Car) -> None:
         self._car = car
@@ -30,12 +30,12 @@ class Window:
         self._window = DynamicWindow(self._levels, self._car, goal[:2])
         self._state = self._window.init()
         first = self._window.step(self._state, planar)
-        return first.status.message if first.status is DwaStatus.NO_WAY else None
+        return first.status.message if first.status is DwaStatus.NO_PATH else None
 
-    def step(self, planar: np.ndarray) -> Step:
+    def step(self, planar: np.ndarray) -> CarCommand:
         """The best arc within reach."""
         self._state = self._window.step(self._state, planar)
-        return Step(self._state.control, self._state.status.message)
+        return CarCommand(self._state.control, self._state.status.message)
 
 
 class DwaAgent:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.driver import CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
@@ -24,7 +24,7 @@ MARGIN = 0.01  # m around the footprint: the map's surfaces err
 
 
 class GreedyDescent:
-    """:class:`~vssm_gym.agents.shared.driver.Strategy`: the best arc, one step of it, and again."""
+    """:class:`~vssm_gym.agents.shared.driver.CarController`: the best arc, one step of it, and again."""
 
     def __init__(self, arena: Arena, car: Car) -> None:
         self._arena, self._car, self._critic = arena, car, Critic(arena, car)
@@ -42,21 +42,21 @@ class GreedyDescent:
         self._value = result.cost_to_go
         return None
 
-    def step(self, planar: Any) -> Step:
+    def step(self, planar: Any) -> CarCommand:
         """The free arc whose end is worth most, at half speed."""
         poses = self._along(planar)
         motions = np.abs(self._length) / self._value.motion_length
         cost = motions + self._value.gamma**motions * np.asarray(self._value.at(poses[:, -1]))
         here = float(self._value.at(planar))
         if here <= 0.0:
-            return Step(np.zeros(2), "at the target")
+            return CarCommand(np.zeros(2), "at the target")
         for best in np.argsort(cost):
             if not any(collides(self._arena, pose, self._car, MARGIN) for pose in poses[best]):
                 speed = np.sign(self._length[best]) * min(
                     PACE * self._car.max_speed, abs(self._length[best]) / self._car.dt
                 )
-                return Step(np.array([speed, self._steering[best]]), "descends", poses[best, :, :2])
-        return Step(np.zeros(2), "stands: every arc touches something")
+                return CarCommand(np.array([speed, self._steering[best]]), "descends", poses[best, :, :2])
+        return CarCommand(np.zeros(2), "stands: every arc touches something")
 
     def _along(self, planar: np.ndarray) -> Any:
         """Poses of every arc, ``(arcs, PARTS, 3)``."""

@@ -8,13 +8,13 @@ import math
 
 import numpy as np
 
-from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.driver import CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena
 from vssm_gym.planning.car.footprint_levels import FootprintLevels
 from vssm_gym.planning.car.hybrid_astar import CarPlan, plan
-from vssm_gym.planning.car.pursuit import Drive
+from vssm_gym.planning.car.pursuit import CarPath
 from vssm_gym.planning.result import PlanStatus
 
 EXPANSIONS = 300_000  # of a search: a count, not a time, so that runs repeat exactly on any machine
@@ -26,7 +26,7 @@ OFFSETS = np.array([[0.0, 0.0, 0.0], *itertools.product((-0.04, 0.0, 0.04), (-0.
 
 
 class HybridPursuit:
-    """:class:`~vssm_gym.agents.shared.driver.Strategy`: plan a drive, follow it, plan again where that fails."""
+    """:class:`~vssm_gym.agents.shared.driver.CarController`: plan a drive, follow it, plan again where that fails."""
 
     def __init__(self, arena: Arena, car: Car) -> None:
         grid = arena.occupied, arena.origin, arena.resolution
@@ -39,17 +39,17 @@ class HybridPursuit:
         result = self._plan(planar)
         return None if result.found else result.status.message
 
-    def step(self, planar: np.ndarray) -> Step:
+    def step(self, planar: np.ndarray) -> CarCommand:
         """Follow the drive, from a new plan where the old one was left or ended elsewhere."""
         following = self._drive.follow(planar, self._progress, self._car)
         astray = following.deviation > ASTRAY or abs(following.heading_error) > TURNED
         if following.done or astray:
             result = self._plan(planar)
             if not result.found:
-                return Step(np.zeros(2), f"stands: {result.status.message}")
+                return CarCommand(np.zeros(2), f"stands: {result.status.message}")
             following = self._drive.follow(planar, 0.0, self._car)
         self._progress = following.progress
-        return Step(following.control, "follows its drive", self._drive.poses[:, :2])
+        return CarCommand(following.control, "follows its drive", self._drive.poses[:, :2])
 
     def _plan(self, planar: np.ndarray) -> CarPlan:
         """The first drive found: to the target with room to spare, without, then to poses around it."""
@@ -57,7 +57,7 @@ class HybridPursuit:
             for levels in self._levels:
                 result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=EXPANSIONS)
                 if result.found:
-                    self._drive, self._progress = Drive(result.poses, result.gears), 0.0
+                    self._drive, self._progress = CarPath(result.poses, result.gears), 0.0
                     return result
             if result.status is not PlanStatus.GOAL_BLOCKED:
                 return result

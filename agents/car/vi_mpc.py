@@ -7,7 +7,7 @@ solver here is random search refined by an augmented Lagrangian, as published; r
 import numpy as np
 
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import Driver, Step
+from vssm_gym.agents.shared.driver import CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena
@@ -22,7 +22,7 @@ PROBLEM = MpcProblem(Car(), MpcConfig(margin=0.03, comfort=0.08, deadline=np.inf
 
 
 class ValueMpc:
-    """:class:`~vssm_gym.agents.shared.driver.Strategy`: the cost-to-go of the target, and a solver on top of it."""
+    """Control the car by a short-horizon solver whose terminal cost is the cost-to-go of the target."""
 
     def __init__(self, arena: Arena, car: Car, solver: MpcSolver) -> None:
         self._arena, self._critic, self._solver = arena, Critic(arena, car), solver
@@ -39,13 +39,13 @@ class ValueMpc:
         self._value = result.cost_to_go
         return None
 
-    def step(self, planar: np.ndarray) -> Step:
+    def step(self, planar: np.ndarray) -> CarCommand:
         """Plan over the horizon; what is safe where there is no plan."""
         problem, clearance, memory = self._solver.problem, self._arena.clearance, self._memory
         result = self._solver.plan(planar, self._value, clearance, memory.resume, memory.control)
         self._memory, action = safety.step(problem, memory, result, planar, clearance)
         status = action.kind.message if result.usable else f"{action.kind.message} ({result.status.message})"
-        return Step(action.control, status, result.states[:, :2])
+        return CarCommand(action.control, status, result.states[:, :2])
 
 
 class ViMpcAgent:

@@ -23,7 +23,7 @@ class FrontierGainConfig:
 
 
 class FrontierGain:
-    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: gain against cost."""
+    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: gain against cost."""
 
     def __init__(self, config: FrontierGainConfig) -> None:
         self._config = config

@@ -24,7 +24,7 @@ class FrontierGainScanConfig:
 
 
 class FrontierGainScan:
-    """:class:`~vssm_gym.agents.shared.strategy.Strategy`: gain against cost, and turns on the way."""
+    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: gain against cost, and turns on the way."""
 
     def __init__(self, config: FrontierGainScanConfig) -> None:
         self._config, self._frontiers = config, FrontierGain(config.frontiers)

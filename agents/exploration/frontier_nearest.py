@@ -12,7 +12,7 @@ from vssm_gym.planning.exploration.frontier import frontiers
 
 
 class NearestFrontier:
-    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: nearest first, and a look around at each that is reached."""
+    """Choose the nearest frontier, with a full turn at each goal that is reached."""
 
     def reset(self, seed: int) -> None:
         """Nothing here is random."""

@@ -85,7 +85,7 @@ class Tour:
 
 
 class MutualInformation:
-    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: expected information; see the module."""
+    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: expected information; see the module."""
 
     def __init__(self, config: MiExplorerConfig) -> None:
         self._config = config

@@ -26,7 +26,7 @@ class RandomViewpointConfig:
 
 
 class RandomViewpoint:
-    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: any candidate; it is gone to before another is drawn."""
+    """Choose a candidate viewpoint at random, and keep it until it is reached."""
 
     def __init__(self, config: RandomViewpointConfig) -> None:
         self._config = config

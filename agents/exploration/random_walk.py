@@ -23,7 +23,7 @@ class RandomWalkConfig:
 
 
 class RandomLegs:
-    """:class:`~vssm_gym.agents.shared.explorer.Strategy`: leg after leg, as long as one leads anywhere."""
+    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: leg after leg, as long as one leads anywhere."""
 
     def __init__(self, config: RandomWalkConfig) -> None:
         self._config = config

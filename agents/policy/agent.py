@@ -12,8 +12,8 @@ import time
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
-from vssm_gym.agents.policy import features as policy_input
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
+from vssm_gym.agents.policy.features import features, relative, size_of
 from vssm_gym.agents.shared.localization import FilteredPose, Localization
 from vssm_gym.agents.shared.navigator import NavigationConfig
 from vssm_gym.errors import InputError
@@ -30,8 +30,8 @@ class PolicyAgent:
         policy: of a file, or the file's path.
 
     Raises:
-        InputError: at construction, what :func:`vssm_gym.agents.policy.file.load` says; at reset, a robot or camera
-            that is not the one it was trained for.
+        InputError: at construction, a file that :func:`vssm_gym.agents.policy.policy_file.load` refuses; at reset, a
+            robot or camera that differs from that of the training.
     """
 
     name = "policy"  # an instance has its file's
@@ -52,7 +52,7 @@ class PolicyAgent:
         self._command: np.ndarray | None = None
         self._estimate = self._localizer.reset(context, observation)
         spec = self.policy.spec
-        self._seen = np.zeros((spec.frames, policy_input.size_of(spec.parts)), np.float32)
+        self._seen = np.zeros((spec.frames, size_of(spec.parts)), np.float32)
 
     def act(self, observation: Observation) -> Decision:
         """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
@@ -61,7 +61,7 @@ class PolicyAgent:
             self._estimate = self._localizer.update(self._command, observation)
         estimate, tracked = self._estimate, time.perf_counter()
         rim = stop_radius(self._context.success_radius, estimate)
-        goal = policy_input.relative(estimate.planar, observation["goal"], self._context.success_radius - rim)
+        goal = relative(estimate.planar, observation["goal"], self._context.success_radius - rim)
         stop = goal[0] <= self._context.success_radius
         self._look(observation, goal, estimate)
         command = np.zeros(3) if stop else self.policy(self._seen.reshape(-1))
@@ -80,7 +80,7 @@ class PolicyAgent:
             "pose_std": body_std(estimate),
         }
         self._seen = np.roll(self._seen, -1, axis=0)
-        self._seen[-1] = policy_input.features(shown, spec.parts)
+        self._seen[-1] = features(shown, spec.parts)
 
     def _check(self, context: AgentContext, observation: Observation) -> None:
         spec, width = self.policy.spec, observation["depth"].shape[-1]

@@ -1,7 +1,7 @@
-"""The driver that the car's agents share: localise -> plan on the learned map -> command.
+"""Drive a car to its target: localise, plan on the learned map, command.
 
-Agents differ in how they localise and in their :class:`Strategy`. The map is static, so the floor plan that strategies
-work on is made once a map; a target that no way leads to is refused before the car moves.
+The car's agents share this driver and differ in their localizer and their :class:`CarController`. The map is static, so
+its floor plan is made once per map. A target that no path leads to is refused before the car moves.
 """
 
 import time
@@ -16,13 +16,13 @@ from vssm_gym.agents.shared.localization import Localizer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.car.footprint import Arena, Unknown, plan_of
+from vssm_gym.planning.car.footprint import Arena, Unknown, arena_from_map
 
 RESOLUTION = 0.035  # m, cells of the floor plan
 
 
 @dataclass(frozen=True)
-class Step:
+class CarCommand:
     """What a strategy does now.
 
     Attributes:
@@ -36,7 +36,7 @@ class Step:
     plan: np.ndarray | None = None
 
 
-class Strategy(Protocol):
+class CarController(Protocol):
     """How a car gets to targets in one floor plan."""
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
@@ -46,7 +46,7 @@ class Strategy(Protocol):
         """
         ...
 
-    def step(self, planar: np.ndarray) -> Step:
+    def step(self, planar: np.ndarray) -> CarCommand:
         """The command of this step, from the newest estimate ``(x, y, heading)``."""
         ...
 
@@ -57,13 +57,15 @@ class Driver:
     Args:
         localizer: where the car is.
         make: a strategy for a floor plan and a car.
-        unknown: what of the map's unseen space counts as occupied: see :func:`plan_of`.
+        unknown: what of the map's unseen space counts as occupied: see :func:`arena_from_map`.
     """
 
-    def __init__(self, localizer: Localizer, make: Callable[[Arena, Car], Strategy], unknown: Unknown = "mean") -> None:
+    def __init__(
+        self, localizer: Localizer, make: Callable[[Arena, Car], CarController], unknown: Unknown = "mean"
+    ) -> None:
         self._localizer, self._make, self._unknown = localizer, make, unknown
         self._map: VoxelMap | None = None
-        self._strategy: Strategy  # for that map, kept over episodes
+        self._controller: CarController  # for that map, kept over episodes
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode; all that is random in a strategy is seeded by itself, so ``seed`` changes nothing."""
@@ -71,15 +73,15 @@ class Driver:
             missing = "map" if context.map is None else "car"
             raise InputError("AgentContext", missing, "a learned map and a car: this agent plans a car's way in a map")
         if context.map is not self._map:
-            arena = plan_of(context.map, self._unknown, RESOLUTION)
-            self._strategy, self._map = self._make(arena, context.car), context.map
+            arena = arena_from_map(context.map, self._unknown, RESOLUTION)
+            self._controller, self._map = self._make(arena, context.car), context.map
         self._car = context.car
         self._command = np.zeros(2)
         self._fresh = True
         self._estimate = self._localizer.reset(context, observation)
         self._begin(observation["goal"])
         if self._refused is None:  # compiled here, so that no step's latency holds it
-            self._strategy.step(self._estimate.planar)
+            self._controller.step(self._estimate.planar)
             self._begin(observation["goal"])
 
     def act(self, observation: Observation) -> Decision:
@@ -93,9 +95,9 @@ class Driver:
             self._begin(observation["goal"])
         planned = time.perf_counter()
         if self._refused is not None:
-            step = Step(np.zeros(2), self._refused)
+            step = CarCommand(np.zeros(2), self._refused)
         else:
-            step = self._strategy.step(self._estimate.planar)
+            step = self._controller.step(self._estimate.planar)
         self._command = self._car.clip(step.control)
         ended = time.perf_counter()
         latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
@@ -107,4 +109,4 @@ class Driver:
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)
         goal = self._goal.astype(np.float64)
-        self._refused = self._strategy.begin(self._estimate.planar, goal, self._command)
+        self._refused = self._controller.begin(self._estimate.planar, goal, self._command)

@@ -1,10 +1,10 @@
-"""The driver that all explorers share: update the map -> read its floor plan -> choose where to go -> follow.
+"""Drive an explorer: update the map, read its floor plan, choose a viewpoint, follow a path to it.
 
-Explorers differ in their :class:`Strategy`, and in their mapper: the pose is observed (SPEC 8) or estimated. The map
-is the agent's own. Every episode begins with a look around. A choice is made anew every ``replan_steps``, when it is
-carried out or has become pointless, and when something unforeseen stands in its way. A robot that lost track turns on
-the spot until an image fits its map again. How ways are driven, and what a robot does that cannot take a step, is in
-:mod:`vssm_gym.agents.shared.following`.
+Explorers share this driver. They differ in their :class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy` and in
+their mapper, which observes the pose or estimates it. The map is the agent's own. Every episode begins with a full
+turn. The explorer chooses anew every ``replan_steps``, when a choice is carried out or its target has been seen, and
+when an unforeseen obstacle blocks the path. A robot that lost track turns in place until an image fits its map again.
+:mod:`vssm_gym.agents.shared.following` follows the paths and handles steps that cannot be taken.
 """
 
 import math
@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
-from vssm_gym.agents.shared.following import Follower, FollowingConfig, Refusals, Way, to_more_room
+from vssm_gym.agents.shared.following import BlockedSteps, Follower, FollowingConfig, PlannedPath, retreat
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
-from vssm_gym.agents.shared.strategy import Choice, Situation, Strategy, around
+from vssm_gym.agents.shared.strategy import Choice, ExplorationStrategy, Situation, around
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
@@ -34,7 +34,7 @@ FULL = "finished: the map has no room for more"
 
 
 @dataclass(frozen=True)
-class ExploringConfig:
+class ExplorationConfig:
     """How ways are planned, how often to choose, and when to stop; lengths in metres."""
 
     planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
@@ -51,13 +51,13 @@ class Explorer:
 
     def __init__(
         self,
-        strategy: Strategy,
+        strategy: ExplorationStrategy,
         mapper: Mapper | None = None,
-        config: ExploringConfig | None = None,
+        config: ExplorationConfig | None = None,
         own: OwnMapConfig | None = None,
     ) -> None:
         self._strategy, self._mapper = strategy, mapper or MapAtObservedPose()
-        self._config, self._own_config = config or ExploringConfig(), own or OwnMapConfig()
+        self._config, self._own_config = config or ExplorationConfig(), own or OwnMapConfig()
         self._plan_path = find_planner(self._config.planner)
         self._own: OwnMap
 
@@ -83,10 +83,10 @@ class Explorer:
         heading = float(self._own.estimate.planar[2])
         self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
         self._sent: np.ndarray | None = None  # the last command; the first observation is in the map already
-        self._way: Way | None = None  # to the choice's goal; None at it
+        self._path: PlannedPath | None = None  # to the choice's goal; None at it
         self._arrived, self._failed = True, ""
         self._age = self._failures = self._lost = 0
-        self._refusals = Refusals()
+        self._blocked_steps = BlockedSteps()
         self._dismissed: list[np.ndarray] = []
 
     def act(self, observation: Observation) -> Decision:
@@ -108,12 +108,12 @@ class Explorer:
         self._sent = command
         latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
         action = np.array([*command, float(stop)], np.float32)
-        path = None if self._way is None else self._way.path
+        path = None if self._path is None else self._path.path
         return Decision(action, estimate.planar.copy(), activity, latency, path)
 
     def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
         """A turn on the spot, where the last image did not fit: command, activity, whether to stop."""
-        self._choice = self._way = None
+        self._choice = self._path = None
         if self._lost > self._config.max_lost:
             return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
         return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
@@ -127,9 +127,9 @@ class Explorer:
             self._close(self._left(floor))
         if self._pointless(floor) or self._stale(planar, self._near):
             self._choice = None
-        if self._choice is not None and self._way is not None:
-            self._way = self._follower.pulled(self._way, planar)
-            if self._way is None:
+        if self._choice is not None and self._path is not None:
+            self._path = self._follower.shortened(self._path, planar)
+            if self._path is None:
                 self._choice = None
         return self._choose(estimate, floor) if self._choice is None else None
 
@@ -146,13 +146,13 @@ class Explorer:
         """Whether the choice is carried out: the robot is there and has looked where it wanted to."""
         if self._choice is None:
             return False
-        if self._way is not None and math.hypot(*(self._way.path[-1] - planar[:2])) <= ARRIVED:
-            self._way = None
+        if self._path is not None and math.hypot(*(self._path.path[-1] - planar[:2])) <= ARRIVED:
+            self._path = None
         looks = list(self._choice.looks)
-        while looks and self._way is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
+        while looks and self._path is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
             looks.pop(0)
         self._choice = replace(self._choice, looks=tuple(looks))
-        return self._way is None and not looks
+        return self._path is None and not looks
 
     def _left(self, floor: FloorPlan) -> np.ndarray:
         """Which cells of the choice's target are frontiers still, ``(n, 2)`` m."""
@@ -171,13 +171,13 @@ class Explorer:
 
     def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
         """Whether the way is to be chosen anew: by the clock, or because it is not free any more."""
-        if self._choice is None or self._way is None:
+        if self._choice is None or self._path is None:
             return False  # looks are carried out to their end
-        return self._age >= self._config.replan_steps or self._follower.blocked(self._way, planar, near)
+        return self._age >= self._config.replan_steps or self._follower.blocked(self._path, planar, near)
 
     def _choose(self, estimate: Localization, floor: FloorPlan) -> str | None:
         """Choose and plan the way; the reason where nothing is left to do."""
-        self._age, self._way = 0, None
+        self._age, self._path = 0, None
         radius, planar, std = self._follower.radius, estimate.planar, self._ahead(estimate.std)
         reached, failed, least = 0, "", 0.5 * self._config.margins[-1]
         for margin in self._config.margins:
@@ -198,7 +198,7 @@ class Explorer:
                     planar, choice.goal, roadmap.clearance, radius, margin=tight, goal_radius=ARRIVED
                 )
                 if result.found:
-                    self._way = Way(result.path, roadmap.clearance, tight) if len(result.path) > 1 else None
+                    self._path = PlannedPath(result.path, roadmap.clearance, tight) if len(result.path) > 1 else None
                     return None
             failed = result.status.message
         if failed:
@@ -232,23 +232,23 @@ class Explorer:
         choice = self._choice
         if choice is None:  # no way after all
             return np.array([limits[0], 0.0, 0.0]), self._failed
-        if self._way is not None:
-            command = self._follower.step(self._way, planar, near, self._failures)
+        if self._path is not None:
+            command = self._follower.step(self._path, planar, near, self._failures)
             if np.any(command != 0.0):
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
-            self._held_up(self._way, planar, near)
+            self._held_up(self._path, planar, near)
             return np.array([limits[0], 0.0, 0.0]), "held up"
         if not choice.looks:
             return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 
-    def _held_up(self, way: Way, planar: np.ndarray, near: ClearanceMap) -> None:
+    def _held_up(self, way: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:
         """No step may be taken along the way: make room for another one, or choose anew from here."""
         self._failures += 1
-        if self._refusals.add(planar[:2]):
+        if self._blocked_steps.add(planar[:2]):
             self._give_up()
-        self._choice, self._way = None, to_more_room(way, planar, near)
-        if self._way is not None:
-            self._choice, self._age = Choice(self._way.path[-1], (), None, "makes room"), -HELD_STEPS
+        self._choice, self._path = None, retreat(way, planar, near)
+        if self._path is not None:
+            self._choice, self._age = Choice(self._path.path[-1], (), None, "makes room"), -HELD_STEPS

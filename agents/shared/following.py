@@ -15,8 +15,8 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.grid_search.clearance_requirement import needed
-from vssm_gym.planning.grid_search.path_shortening import tighten
+from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
+from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.pursuit import steer
 
 LEAST_STEP = 0.02  # m, worth its noise
@@ -37,7 +37,7 @@ class FollowingConfig:
 
 
 @dataclass(frozen=True)
-class Way:
+class PlannedPath:
     """A way and the room that it was planned with.
 
     Attributes:
@@ -72,22 +72,22 @@ class Follower:
         """For the robot of ``context``."""
         return cls(0.5 * context.body_length, context.limits, context.noise, config)
 
-    def pulled(self, way: Way, planar: np.ndarray) -> Way | None:
+    def shortened(self, way: PlannedPath, planar: np.ndarray) -> PlannedPath | None:
         """The way from where the robot is now, ``(3,)`` m and rad; None where no part of it is in sight."""
         points = np.concatenate([planar[None, :2], way.path[1:]])
-        # Never less than a step keeps, or the path would be pulled to where no step may go.
+        # Never less than a step keeps, or the path would be shortened to where no step may go.
         margin = max(way.margin - 0.015, self.config.guard)
-        need = needed(way.clearance, planar[:2], self.radius + margin)
-        path = tighten(way.clearance, points, way.path[-1], 0.0, need)
+        required = requirement_from(way.clearance, planar[:2], self.radius + margin)
+        path = shorten_path(way.clearance, points, way.path[-1], 0.0, required)
         return None if path is None else replace(way, path=path)
 
-    def blocked(self, way: Way, planar: np.ndarray, near: ClearanceMap) -> bool:
+    def blocked(self, way: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> bool:
         """Whether something unforeseen stands ahead in ``near``, the clearance as it is known now."""
         least = self.radius + min(0.0, way.margin - 0.02)
         ahead = points_along(way.path, self.config.lookahead)
         return bool(near.at(ahead[1:]).min(initial=math.inf) < min(least, float(near.at(planar[:2])) - 0.01))
 
-    def step(self, way: Way, planar: np.ndarray, near: ClearanceMap, failures: int) -> np.ndarray:
+    def step(self, way: PlannedPath, planar: np.ndarray, near: ClearanceMap, failures: int) -> np.ndarray:
         """The next command along a way; ``failures`` steps in a row could not be taken before it.
 
         Returns:
@@ -97,7 +97,7 @@ class Follower:
         return self._careful(way, planar, command, near, failures) if command[2] > 0.0 else command
 
     def _careful(
-        self, way: Way, planar: np.ndarray, command: np.ndarray, near: ClearanceMap, failures: int
+        self, way: PlannedPath, planar: np.ndarray, command: np.ndarray, near: ClearanceMap, failures: int
     ) -> np.ndarray:
         """The command with its step shortened so that the noise will not carry the body into anything."""
         c, (turn_std, step_std) = self.config, self.noise
@@ -119,7 +119,7 @@ class Follower:
 
 
 @dataclass
-class Refusals:
+class BlockedSteps:
     """Steps that could not be taken around one place."""
 
     place: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, of the first of them
@@ -133,7 +133,7 @@ class Refusals:
         return self.count % TRIES == 0
 
 
-def to_more_room(way: Way, planar: np.ndarray, near: ClearanceMap) -> Way | None:
+def retreat(way: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> PlannedPath | None:
     """The way of ``HELD_STEP`` straight to where there is most room; None where none keeps as much as here.
 
     Args:

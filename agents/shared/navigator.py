@@ -18,8 +18,8 @@ from vssm_gym.agents.shared.localization import Localization, Localizer
 from vssm_gym.errors import InputError
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.grid_search.clearance_requirement import needed
-from vssm_gym.planning.grid_search.path_shortening import tighten
+from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
+from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.planners import Planner, find_planner
 from vssm_gym.planning.pursuit import steer
 from vssm_gym.planning.result import PlanResult
@@ -147,8 +147,8 @@ class Navigator:
             path = self._extended(task.path, radius)
             if path is not None:
                 points = np.concatenate([estimate.planar[None, :2], path[1:]])
-                asked = needed(self._clearance, points[0], self._radius + task.margin - c.slack)
-                path = tighten(self._clearance, points, task.goal, radius, asked)
+                asked = requirement_from(self._clearance, points[0], self._radius + task.margin - c.slack)
+                path = shorten_path(self._clearance, points, task.goal, radius, asked)
             task.path = path
         return self._replan(estimate, target) if task.path is None else None
 

@@ -1,4 +1,4 @@
-"""What explorers choose by and what they choose: a :class:`Strategy` maps a :class:`Situation` to a :class:`Choice`."""
+"""Define how explorers choose: a strategy maps a :class:`Situation` to a :class:`Choice`."""
 
 import math
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class Choice:
     status: str
 
 
-class Strategy(Protocol):
+class ExplorationStrategy(Protocol):
     """What makes explorers differ."""
 
     def reset(self, seed: int) -> None:

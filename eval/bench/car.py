@@ -168,7 +168,7 @@ def control_row(
     task, value = _next(waiting, critic, planar)
     # Once, uncounted, because it compiles: with a plan and without one.
     result = solver.plan(planar, value, arena.clearance)
-    safety.step(PROBLEM, safety.init(np.zeros(2)), result.judged(0.0), planar, arena.clearance)
+    safety.step(PROBLEM, safety.init(np.zeros(2)), result.within_deadline(0.0), planar, arena.clearance)
     memory, counter = safety.init(np.zeros(2)), CompileCounter()
     seconds: list[float] = []
     cpu: list[float] = []

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vssm_gym.agents.policy.file import agent_label
+from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.envs.scenes.generator import PREFIX
 
 

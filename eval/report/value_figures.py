@@ -16,7 +16,7 @@ from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.car_figures import CAR, draw_target
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.car.footprint import Arena, plan_of
+from vssm_gym.planning.car.footprint import Arena, arena_from_map
 from vssm_gym.planning.value_iteration import CostToGo
 from vssm_gym.viz import pictures
 
@@ -29,7 +29,7 @@ class ValuePainter:
     """Draw targets in one scene's map; the floor plan and its collision tests are made once."""
 
     def __init__(self, voxel_map: VoxelMap) -> None:
-        self._arena = plan_of(voxel_map, "mean", RESOLUTION)
+        self._arena = arena_from_map(voxel_map, "mean", RESOLUTION)
         self._critic = Critic(self._arena, CAR)
 
     def paint(self, row: Row) -> tuple[bytes, str]:

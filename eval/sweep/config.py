@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from vssm_gym.agents.base import ANY_TASK
-from vssm_gym.agents.policy.file import PREFIX as POLICY
-from vssm_gym.agents.policy.file import agent_label, policy_at
+from vssm_gym.agents.policy.policy_file import PREFIX as POLICY
+from vssm_gym.agents.policy.policy_file import agent_label, policy_at
 from vssm_gym.agents.renamed import refuse_former
 from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError

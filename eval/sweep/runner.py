@@ -15,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.agents.policy.file import agent_label
+from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.agents.renamed import hashed_name
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.errors import InputError

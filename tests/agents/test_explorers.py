@@ -13,8 +13,8 @@ import pytest
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.agents.base import Agent, AgentContext, Decision
 from vssm_gym.agents.registry import AGENTS
-from vssm_gym.agents.shared.explorer import Explorer, ExploringConfig
-from vssm_gym.agents.shared.following import TRIES, Way, points_along
+from vssm_gym.agents.shared.explorer import ExplorationConfig, Explorer
+from vssm_gym.agents.shared.following import TRIES, PlannedPath, points_along
 from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.agents.shared.strategy import Choice, around
 from vssm_gym.envs.explore import ExploreEnv
@@ -156,7 +156,7 @@ def test_a_choice_is_made_anew_every_few_steps_on_the_way(world):
     decisions, _ = explore(Explorer(_Ahead()), world, 60)
     on_the_way = [decision.status for decision in decisions if decision.status.startswith("choice")]
     lengths = [len(list(same)) for _, same in itertools.groupby(on_the_way)]
-    assert lengths[:3] == [ExploringConfig().replan_steps] * 3  # then it is there, and is asked at every step
+    assert lengths[:3] == [ExplorationConfig().replan_steps] * 3  # then it is there, and is asked at every step
 
 
 @pytest.mark.parametrize(("strategy", "reason"), [(_Nothing(), "finished"), (_Into(), "boxed in")])
@@ -179,9 +179,9 @@ def test_a_robot_that_is_held_up_makes_room_and_gives_the_goal_up_in_the_end(wor
     dismissed, goal = len(explorer._dismissed), np.array([1.0, 2.0])
     for _ in range(TRIES):
         explorer._choice = Choice(goal, (), None, "somewhere")
-        explorer._held_up(Way(np.stack([planar[:2], goal]), near, 0.03), planar, near)
+        explorer._held_up(PlannedPath(np.stack([planar[:2], goal]), near, 0.03), planar, near)
     assert len(explorer._dismissed) == dismissed + 1
-    way = points_along(explorer._way.path, 1.0)
+    way = points_along(explorer._path.path, 1.0)
     assert (near.at(way) >= here - 1e-3).all()
     assert near.at(way[-1]) > here + 0.1
 

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from vssm_gym.agents.base import AgentContext
-from vssm_gym.agents.policy import features as policy_input
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.agent import PolicyAgent, body_std, stop_radius
-from vssm_gym.agents.policy.features import SIZES, features, relative, size_of
-from vssm_gym.agents.policy.file import Policy, PolicySpec
+from vssm_gym.agents.policy.features import SIZES, WAVES, features, relative, size_of
+from vssm_gym.agents.policy.policy_file import Policy, PolicySpec
 from vssm_gym.agents.registry import agent_type, make_agent
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.envs.robots import HolonomicRobot
@@ -112,7 +111,7 @@ def test_features_by_hand():
     assert vector[3] == 0.5 and (np.delete(vector[:64], 3) == 0.0).all()
     np.testing.assert_allclose(vector[64:68], [1.0, 0.0, 0.1, 1.0 / 3.0], atol=1e-6)
     np.testing.assert_allclose(vector[68:72], [0.0, 1.0, 0.0, 1.0], atol=1e-6)
-    phase = 2.0 * np.pi * np.array([[1.0], [2.0]]) / policy_input.WAVES
+    phase = 2.0 * np.pi * np.array([[1.0], [2.0]]) / WAVES
     np.testing.assert_allclose(vector[72:82], np.sin(phase).ravel(), atol=1e-6)
     np.testing.assert_allclose(vector[102:112], np.cos(phase * [[1.0], [1.5]]).ravel(), atol=1e-6)
 

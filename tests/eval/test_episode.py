@@ -146,7 +146,9 @@ def reason(**changes):
 
 
 def test_the_planner_is_blamed_only_where_the_robot_knew_where_it_was():
-    gave_up = ["driving"] * 29 + ["gave up: no path: every free way from the start was searched; localization: ok"]
+    gave_up = ["driving"] * 29 + [
+        "gave up: no path: everything that is free around the start was searched; localization: ok"
+    ]
     assert reason(statuses=gave_up).startswith("planner: gave up: no path")
     lost = np.linspace([0.0, 0.0], [0.0, 1.0], 31)
     assert reason(statuses=gave_up, estimates=lost).startswith("lost track: 1.00 m")

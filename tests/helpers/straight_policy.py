@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vssm_gym.agents.policy.file import Policy, PolicySpec
+from vssm_gym.agents.policy.policy_file import Policy, PolicySpec
 from vssm_gym.training.environment import BODY
 
 

@@ -16,8 +16,8 @@ from tests.helpers.planning_worlds import clearance_map, grids
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.astar import plan, search
-from vssm_gym.planning.grid_search.clearance_requirement import needed
-from vssm_gym.planning.grid_search.path_shortening import tighten
+from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
+from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.result import PlanStatus
 
 RADIUS = 0.1  # m
@@ -212,8 +212,8 @@ def test_leaving_a_wall(room_left, y):
     assert result.found
     assert result.cost <= np.linalg.norm(goal - start) + 0.05
     points = along(result.path)
-    need = needed(CUT, start, RADIUS + 0.03)
-    asked = np.minimum(need.limit, need.base + 0.3 * np.linalg.norm(points - start, axis=1))
+    required = requirement_from(CUT, start, RADIUS + 0.03)
+    asked = np.minimum(required.limit, required.base + 0.3 * np.linalg.norm(points - start, axis=1))
     assert np.all(CUT.at(points) >= asked - 0.003)
     assert np.all(points[:, 0] < 2.45)  # on the side of the wall where it stood
 
@@ -231,8 +231,8 @@ def test_following_a_plan(obstacles, seed, share):
     a, b = result.path[k], result.path[k + 1]
     here = b + (a - b) * (ends[k] - share * ends[-1]) / np.linalg.norm(b - a)
     left = np.concatenate([here[None], result.path[k + 1 :]])
-    need = needed(plan_map, left[0], RADIUS + 0.015)
-    followed = tighten(plan_map, left, goal, 0.4, need)
+    required = requirement_from(plan_map, left[0], RADIUS + 0.015)
+    followed = shorten_path(plan_map, left, goal, 0.4, required)
     assert followed is not None
     assert length(followed) <= length(left) + 1e-6
     assert np.allclose(followed[0], left[0])
@@ -242,9 +242,9 @@ def test_following_a_plan(obstacles, seed, share):
 def test_a_plan_out_of_sight_is_given_up():
     """Pushed to the other side of a wall, nothing of the old plan can be driven to."""
     old = np.array([[4.0, 1.0], [4.5, 2.0], [4.0, 3.0]])
-    assert tighten(CUT, old, np.array([4.0, 3.0]), 0.1, needed(CUT, old[0], RADIUS)) is not None
+    assert shorten_path(CUT, old, np.array([4.0, 3.0]), 0.1, requirement_from(CUT, old[0], RADIUS)) is not None
     old[0] = 1.0, 1.0
-    assert tighten(CUT, old, np.array([4.0, 3.0]), 0.1, needed(CUT, old[0], RADIUS)) is None
+    assert shorten_path(CUT, old, np.array([4.0, 3.0]), 0.1, requirement_from(CUT, old[0], RADIUS)) is None
 
 
 def test_same_question_same_answer():

@@ -17,9 +17,9 @@ from vssm_gym.agents.exploration.frontier_nearest import NearestFrontier
 from vssm_gym.agents.exploration.mi_explorer import NEAR, MiExplorerConfig, MutualInformation
 from vssm_gym.agents.exploration.random_viewpoint import RandomViewpoint, RandomViewpointConfig
 from vssm_gym.agents.registry import AGENTS
-from vssm_gym.agents.shared.explorer import ExploringConfig
+from vssm_gym.agents.shared.explorer import ExplorationConfig
 from vssm_gym.agents.shared.own_map import OwnMapConfig
-from vssm_gym.agents.shared.strategy import Choice, Situation, Strategy
+from vssm_gym.agents.shared.strategy import Choice, ExplorationStrategy, Situation
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -45,7 +45,7 @@ def believed(plan: FloorPlan, xy: tuple[float, float], **more: Any) -> Situation
     return replace(situation, **more)
 
 
-def chosen(strategy: Strategy, situation: Situation) -> Choice:
+def chosen(strategy: ExplorationStrategy, situation: Situation) -> Choice:
     """A strategy's first choice."""
     strategy.reset(0)
     choice = strategy.choose(situation)
@@ -166,5 +166,5 @@ def test_the_explorer_goes_to_the_place_that_its_mode_asks_for(config, niche, mo
 def test_all_explorers_choose_anew_at_the_same_rate(name):
     """A difference between their scores is one between their choices: driver, margins and map are the same."""
     explorer = AGENTS[name]()._explorer
-    assert explorer._config == ExploringConfig()
+    assert explorer._config == ExplorationConfig()
     assert explorer._own_config == OwnMapConfig()

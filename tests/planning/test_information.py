@@ -20,8 +20,13 @@ from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.maps.block_table import BLOCK
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
-from vssm_gym.planning.exploration.information import InformationConfig, entropy, expected_gain, gain_of_paths
-from vssm_gym.planning.exploration.information import information_sum as counting
+from vssm_gym.planning.exploration.information import (
+    InformationConfig,
+    entropy,
+    expected_gain,
+    gain_of_paths,
+    information_sum,
+)
 from vssm_gym.planning.exploration.information.gain import imagined_camera
 from vssm_gym.planning.exploration.information.imagined import draw, imagine
 from vssm_gym.planning.exploration.information.observed import Grid, Observed, heights, observed
@@ -265,10 +270,10 @@ def test_samples_of_a_map_agree_with_its_mean_where_all_is_known() -> None:
 def test_nothing_is_compiled_again_for_other_candidates() -> None:
     m, T = partial_map(0), random_poses(np.random.default_rng(0), 40)
     expected_gain(m, T[:4].reshape(2, 2, 4, 4), CAMERA)
-    counter, signatures = CompileCounter(), len(counting._count.signatures)
+    counter, signatures = CompileCounter(), len(information_sum._count.signatures)
     expected_gain(m, T[:21].reshape(7, 3, 4, 4), CAMERA)
     expected_gain(m, T.reshape(8, 5, 4, 4), CAMERA, valid=np.arange(40).reshape(8, 5) % 3 > 0)
-    assert (counter.count, len(counting._count.signatures)) == (0, signatures)
+    assert (counter.count, len(information_sum._count.signatures)) == (0, signatures)
 
 
 def test_an_imagined_image_shows_the_whole_view_in_at_least_the_pixels_asked_for() -> None:

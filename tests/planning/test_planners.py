@@ -12,7 +12,7 @@ from tests.helpers.box_rooms import ROOM, free_space
 from tests.helpers.planning_worlds import clearance_map, signed_depth, voxel_map
 from vssm_gym.agents.exploration.frontier_nearest import NearestFrontier
 from vssm_gym.agents.navigation.oracle import OracleAgent
-from vssm_gym.agents.shared.explorer import Explorer, ExploringConfig
+from vssm_gym.agents.shared.explorer import ExplorationConfig, Explorer
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
 from vssm_gym.envs.tasks.geodesic import Geodesics
@@ -242,7 +242,7 @@ def test_planners_by_name_or_as_they_are():
 def test_agents_take_their_planner_by_configuration(name):
     """The navigator and the explorers call the planner that their configuration names or holds, and no other."""
     assert Navigator(TruePose(), NavigationConfig(planner=name))._plan is PLANNERS[name]
-    explorer = Explorer(NearestFrontier(), config=ExploringConfig(planner=name))
+    explorer = Explorer(NearestFrontier(), config=ExplorationConfig(planner=name))
     assert explorer._plan_path is PLANNERS[name]
     assert OracleAgent(NavigationConfig(planner=PLANNERS[name])).name == "oracle"
 

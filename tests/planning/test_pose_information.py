@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import Room, camera_pose
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.planning.exploration.information.pose import READING_STD, pose_gain
+from vssm_gym.planning.exploration.information.pose import MEASUREMENT_STD, pose_gain
 
 CAMERA = Camera.from_hfov(40, 30, np.radians(75))
 WALL = Room(((-50.0, -50.0, -50.0), (2.0, 50.0, 50.0)))  # x = 2, all around it nothing near
@@ -26,7 +26,7 @@ def test_a_known_pose_learns_nothing() -> None:
 
 def test_a_wall_tells_the_way_to_it_and_nothing_of_the_way_along_it() -> None:
     T, pixels = camera_pose((0.0, 0.0, 0.4), 0.0), (CAMERA.width - 1) * (CAMERA.height - 1)
-    towards = 0.5 * np.log(1.0 + pixels * (0.1 / READING_STD) ** 2)
+    towards = 0.5 * np.log(1.0 + pixels * (0.1 / MEASUREMENT_STD) ** 2)
     assert gain(WALL, T, (0.1, 0.0, 0.0)) == pytest.approx(towards, rel=1e-4)
     assert gain(WALL, T, (0.0, 0.1, 0.0)) == pytest.approx(0.0, abs=1e-3)
 
@@ -36,7 +36,7 @@ def test_a_turn_is_told_by_the_lever() -> None:
     T = camera_pose((0.0, 0.0, 0.4), 0.0)
     u = np.arange(CAMERA.width - 1)
     y = -(u - CAMERA.cx) / CAMERA.fx * 2.0
-    fisher = (CAMERA.height - 1) * np.sum(y**2) / READING_STD**2
+    fisher = (CAMERA.height - 1) * np.sum(y**2) / MEASUREMENT_STD**2
     assert gain(WALL, T, (0.0, 0.0, 0.05)) == pytest.approx(0.5 * np.log(1.0 + 0.05**2 * fisher), rel=1e-3)
 
 

@@ -12,7 +12,7 @@ from tests.helpers.box_rooms import ROOM, layouts, seeds
 from tests.helpers.planning_worlds import clearance_map
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search import astar
-from vssm_gym.planning.grid_search.clearance_requirement import needed, segment_free
+from vssm_gym.planning.grid_search.clearance_requirement import requirement_from, segment_free
 from vssm_gym.planning.grid_search.theta_star import plan
 
 RADIUS = 0.1  # m
@@ -49,9 +49,9 @@ def test_bends_at_obstacles_only(obstacles, seed):
     """Every bend stands within four cells of where the disc may not be; between two bends nothing is in the way."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS)
-    path, need = plan_map.to_grid(result.path), needed(plan_map, start, RADIUS)
+    path, required = plan_map.to_grid(result.path), requirement_from(plan_map, start, RADIUS)
     for a, b in itertools.pairwise(path):
-        assert segment_free(plan_map.clearance, plan_map.resolution, *a, *b, need) or np.hypot(*(b - a)) < 2.3
+        assert segment_free(plan_map.clearance, plan_map.resolution, *a, *b, required) or np.hypot(*(b - a)) < 2.3
     for before, bend, after in zip(path[:-3], path[1:-2], path[2:-1], strict=True):  # the goal's cell is left out
         one, two = bend - before, after - bend
         if abs(math.atan2(one[0] * two[1] - one[1] * two[0], one @ two)) > 0.05:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.helpers.imagined_room import room, task
 from tests.helpers.straight_policy import straight
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.tasks.navigation import load
 from vssm_gym.eval.episodes.log import read_rows

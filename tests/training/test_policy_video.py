@@ -13,7 +13,7 @@ import pytest
 from tests.helpers.box_rooms import furniture, two_rooms
 from tests.helpers.imagined_room import room, task
 from tests.helpers.straight_policy import straight
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
 from vssm_gym.cli import main as main_module
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.eval.video.recording import CroppedPlan

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from tests.helpers.paths import CHECKOUT
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import features
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS

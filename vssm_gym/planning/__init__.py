@@ -1,1 +1,1 @@
-"""Planning on beliefs: clearance, A*, path following."""
+"""Plan paths, drives, control and exploration on the belief over the map."""

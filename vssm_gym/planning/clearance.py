@@ -1,8 +1,8 @@
-"""Clearance: ``c(xy) = `` signed Euclidean distance (m) from a point of the floor plan to the nearest place not free.
+"""Compute the clearance: the signed Euclidean distance (m) from a point to the nearest place not free (eq. P1).
 
-The map's field is a projective, truncated distance, so it says where surfaces are and not how far they are:
-the clearance is a distance transform of its zero level on a fine 2D grid. It is positive in free space and
-negative inside obstacles, so that a robot whose estimate touches a wall still sees which way leads out.
+The map's field is a projective, truncated distance. It says where surfaces are and not how far they are. The clearance
+is therefore a distance transform of its zero level on a fine 2D grid. It is positive in free space and negative inside
+obstacles, so that a robot whose pose estimate overlaps a wall still knows which direction leads out.
 """
 
 import math
@@ -18,13 +18,14 @@ from vssm_gym.errors import InputError
 from vssm_gym.maps.columns import OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
-OUTSIDE = -1.0  # m, clearance beyond the grid: nothing is known there
-ROUNDING = 1e-6  # cells: the world coordinates of a border cell, taken back to the grid, still lie on it
+OUTSIDE = -1.0  # m, clearance beyond the grid, where nothing is known; deep enough that no planner starts there
+ROUNDING = 1e-6  # cells; a border cell taken to world coordinates and back still lies on the grid
+BODY_HEIGHTS = (0.08, 0.5)  # m: above the noise of a learned floor, up to the top of the holonomic robot and its camera
 
 
 @dataclass(frozen=True)
 class ClearanceMap:
-    """Signed clearance on a uniform grid, bilinear between cell centres.
+    """Hold signed clearances on a uniform grid, bilinear between cell centres.
 
     Attributes:
         clearance: ``(nx, ny)`` float32, metres, indexed ``[ix, iy]`` along world x, y; C-contiguous.
@@ -38,22 +39,28 @@ class ClearanceMap:
 
     @classmethod
     def from_depth(cls, depth: np.ndarray, origin: np.ndarray, resolution: float) -> "ClearanceMap":
-        """Distance of every cell centre to the zero level of ``depth`` (m, positive inside obstacles, ``(nx, ny)``).
+        """Compute the distance of every cell centre to the zero level of ``depth`` ``(nx, ny)``, m.
 
-        The level crosses the grid's lines where the linear interpolation of two neighbours does; the distance to the
-        nearest such crossing is what a transform of whole cells misses by up to half a cell. Depths only place the
-        surface between two neighbours: they need not be distances further away.
+        ``depth`` is positive inside obstacles.
+
+        The level crosses the grid's lines where the linear interpolation of two neighbours does. The result is the
+        distance to the nearest such crossing, which a transform of whole cells misses by up to half a cell. Depths only
+        place the surface between two neighbours: further away they need not be distances.
         """
         clearance = level_distance(depth, resolution)
         return cls(np.ascontiguousarray(clearance), np.asarray(origin, dtype=np.float64), float(resolution))
 
     @classmethod
     def from_voxel_map(
-        cls, voxel_map: VoxelMap, z_min: float = 0.08, z_max: float = 0.5, resolution: float = 0.025
+        cls,
+        voxel_map: VoxelMap,
+        z_min: float = BODY_HEIGHTS[0],
+        z_max: float = BODY_HEIGHTS[1],
+        resolution: float = 0.025,
     ) -> "ClearanceMap":
-        """Clearance of a body that fills ``z_min..z_max`` (m) of a learned map; ``z_min`` lies above the floor's noise.
+        """Compute the clearance of a body that fills the heights ``z_min..z_max`` (m) of a learned map.
 
-        A column is occupied where the mean field exceeds zero at any height, and not free either where too few of its
+        A column is occupied where the mean field exceeds zero at any height. It is not free either where too few of its
         heights were ever observed. The grid covers the observed free columns with one cell around them.
         """
         low = voxel_map.bounds[0]
@@ -67,21 +74,21 @@ class ClearanceMap:
         return cls.from_depth(depth[window], low[:2] + start * resolution, resolution)
 
     def at(self, xy: np.ndarray) -> np.ndarray:
-        """Clearance (m) at world points ``(..., 2)``; :data:`OUTSIDE` beyond the grid."""
+        """Return the clearance (m) at world points ``(..., 2)``; :data:`OUTSIDE` beyond the grid."""
         g = np.atleast_2d(self.to_grid(xy)).reshape(-1, 2)
         values = np.array([bilinear(self.clearance, x, y) for x, y in g])
         return values.reshape(np.shape(xy)[:-1])
 
     def to_grid(self, xy: np.ndarray) -> np.ndarray:
-        """Continuous cell coordinates ``(..., 2)`` of world points; integers are cell centres."""
+        """Return the continuous cell coordinates ``(..., 2)`` of world points; integers are cell centres."""
         return (np.asarray(xy, dtype=np.float64) - self.origin) / self.resolution
 
     def to_world(self, cells: np.ndarray) -> np.ndarray:
-        """World points ``(..., 2)`` of continuous cell coordinates."""
+        """Return the world points ``(..., 2)`` of continuous cell coordinates."""
         return np.asarray(cells, dtype=np.float64) * self.resolution + self.origin
 
     def with_obstacle(self, centre: np.ndarray, radius: float) -> "ClearanceMap":
-        """``min(c(xy), |xy - centre| - radius)``: the same plan with one more disc that was felt but never seen."""
+        """Return ``min(c(xy), |xy - centre| - radius)``: the same plan with one more disc, such as one that was hit."""
         x, y = (self.origin[a] + self.resolution * np.arange(self.clearance.shape[a]) for a in (0, 1))
         disc = np.hypot(x[:, None] - centre[0], y[None, :] - centre[1]) - radius
         return ClearanceMap(
@@ -91,9 +98,9 @@ class ClearanceMap:
 
 @dataclass(frozen=True)
 class ClearanceField:
-    """Clearance as a function of the place, for planners: ``xy (n, 2) -> clearance (n,)``, m, within a rectangle.
+    """Describe clearance by a function ``xy (n, 2) -> clearance (n,)``, m, within a rectangle.
 
-    A planner samples it once, between the corners, and plans on the samples; beyond the rectangle nothing is free.
+    A planner samples it once between the corners and plans on the samples. Beyond the rectangle nothing is free.
 
     Attributes:
         at: ``(n, 2)`` world points to ``(n,)`` signed clearances, m; it may change by no more than the distance moved.
@@ -116,7 +123,7 @@ class ClearanceField:
 
     @cached_property
     def sampled(self) -> ClearanceMap:
-        """The field on a grid from ``low`` to at least ``high``, made at the first use."""
+        """Return the field on a grid from ``low`` to at least ``high``, computed at the first use."""
         low, extent = np.asarray(self.low, np.float64), np.subtract(self.high, self.low)
         nx, ny = (math.ceil(e / self.resolution - 1e-9) + 1 for e in extent)
         cells = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -129,7 +136,7 @@ class ClearanceField:
 
 
 Space: TypeAlias = ClearanceMap | ClearanceField
-"""Where a disc's centre has how much room, as planners take it: an array of clearances, or a function."""
+"""The space that planners take: an array of clearances, or a function of the place."""
 
 
 def on_grid(space: Space) -> ClearanceMap:
@@ -138,7 +145,7 @@ def on_grid(space: Space) -> ClearanceMap:
 
 
 def _window(free: np.ndarray) -> tuple[slice, slice]:
-    """The smallest box around the free cells with one more cell on each side; the whole grid where none is free."""
+    """Return the smallest box around the free cells with one more cell on each side; all where none is free."""
     if not free.any():
         return slice(0, free.shape[0]), slice(0, free.shape[1])
     spans = []
@@ -150,7 +157,7 @@ def _window(free: np.ndarray) -> tuple[slice, slice]:
 
 @njit(cache=True, nogil=True)
 def bilinear(clearance: np.ndarray, x: float, y: float) -> float:
-    """Clearance (m) at cell coordinates ``(x, y)``; :data:`OUTSIDE` beyond the outermost cell centres."""
+    """Return the clearance (m) at cell coordinates ``(x, y)``; :data:`OUTSIDE` beyond the outermost cell centres."""
     nx, ny = clearance.shape
     if not (-ROUNDING <= x <= nx - 1 + ROUNDING and -ROUNDING <= y <= ny - 1 + ROUNDING):
         return OUTSIDE

@@ -1,11 +1,11 @@
-"""The floor plan of a growing belief: each column of cells is free, occupied or unknown to a body of some height.
+"""Read a floor plan from a growing belief: each column of cells is free, occupied or unknown to a body of some height.
 
     occupied: the mean occupancy exceeds 0 in an observed cell        free: none does, and half of the heights were seen
 
-Read from the map's own cells without interpolation, in milliseconds, so that it can follow the map from step to step;
-:class:`~vssm_gym.planning.clearance.ClearanceMap` looks at a finished map more finely. What an explorer knows beside
-its map is added: where its body has been nothing stands, and what it saw close by is there although a thin leg
-averages away in cells wider than it.
+The plan is read from the map's own cells without interpolation, in milliseconds, so that it can follow the map from
+step to step; :class:`~vssm_gym.planning.clearance.ClearanceMap` reads a finished map more finely. Two things that an
+explorer knows besides its map are added. Where its body has been there is no obstacle. A thin leg that it saw nearby is
+an obstacle, although the leg averages away in cells wider than itself.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,17 @@ import numpy as np
 from numba import njit
 
 from vssm_gym.maps.block_table import BLOCK
+from vssm_gym.maps.columns import OBSERVED_SHARE
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
-from vssm_gym.planning.clearance import OBSERVED_SHARE, ClearanceMap
+from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
-PAD = 5.0  # m around what is known: unknown space to look into
+PAD = 5.0  # m of unknown space kept around what is known: as far as an explorer's camera sees (`frontier.REACH`)
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What a body would meet in each column of the map; see the module.
+    """Hold the state of each column of the map for a body of some height.
 
     Attributes:
         cells: ``(nx, ny)`` int8 of ``FREE``, ``OCCUPIED``, ``UNKNOWN``, indexed along world x, y.
@@ -47,14 +48,14 @@ class FloorPlan:
         near: np.ndarray | None = None,
         seen: np.ndarray | None = None,
     ) -> "FloorPlan":
-        """The plan of the heights ``z_min..z_max`` (m), cut to what is known with :data:`PAD` metres around it.
+        """Read the plan of the heights ``z_min..z_max`` (m), cut to what is known with :data:`PAD` metres around it.
 
         Args:
             voxel_map: the belief; not kept, so that its memory may be given to the next update.
             z_min: above the floor's noise.
             z_max: top of the body.
             body: ``(cells x, cells y)`` bool over the whole map: where the robot's body has been: free.
-            near: the same of a ring around it: free where it is unknown, since the camera looks over it.
+            near: the same of a ring around it: free where it is unknown, because the camera looks over it.
             seen: the same: where something was seen at the body's height: occupied.
         """
         origin, voxel = np.asarray(voxel_map.origin, np.float64), float(voxel_map.voxel_size)
@@ -84,9 +85,9 @@ class FloorPlan:
         return cls(cut_cells, cut_top, origin[:2] + start * voxel, voxel)
 
     def clearance(self, centre: np.ndarray | None = None, reach: float = 0.0) -> ClearanceMap:
-        """Signed distance to what is not free, occupied or unknown; with ``centre`` only within ``reach`` m of it.
+        """Compute the signed distance to what is not free; with ``centre`` only within ``reach`` m of it.
 
-        It covers what is known with one cell around it; beyond, a clearance map says that nothing is free.
+        The map covers what is known with one cell around it; beyond, a clearance map says that nothing is free.
         """
         window = _around(self.cells != UNKNOWN, 1)
         if centre is not None:
@@ -100,15 +101,15 @@ class FloorPlan:
         return ClearanceMap.from_depth(signed, self.origin + start * self.resolution, self.resolution)
 
     def index(self, xy: np.ndarray) -> np.ndarray:
-        """Cells ``(..., 2)`` int of world points; may lie outside."""
+        """Return the cells ``(..., 2)`` int of world points; they may lie outside."""
         return np.floor((np.asarray(xy, np.float64) - self.origin) / self.resolution + 0.5).astype(int)
 
     def centres(self, cells: np.ndarray) -> np.ndarray:
-        """World points ``(..., 2)`` of the middles of cells, m."""
+        """Return the centres ``(..., 2)`` of cells, world frame, m."""
         return self.origin + np.asarray(cells, np.float64) * self.resolution
 
     def state(self, xy: np.ndarray) -> np.ndarray:
-        """``FREE``, ``OCCUPIED`` or ``UNKNOWN`` at world points ``(..., 2)``; unknown beyond the plan."""
+        """Return ``FREE``, ``OCCUPIED`` or ``UNKNOWN`` at world points ``(..., 2)``; unknown beyond the plan."""
         cell = self.index(xy)
         inside = np.all((cell >= 0) & (cell < self.cells.shape), axis=-1)
         held = np.where(inside[..., None], cell, 0)
@@ -116,7 +117,7 @@ class FloorPlan:
 
 
 def _around(known: np.ndarray, pad: int) -> tuple[slice, slice]:
-    """The box around what is known with ``pad`` cells on each side; all of it where nothing is."""
+    """Return the box around what is known with ``pad`` cells on each side; the whole grid where nothing is known."""
     spans = []
     for axis in (0, 1):
         index = np.flatnonzero(known.any(axis=1 - axis))
@@ -127,7 +128,10 @@ def _around(known: np.ndarray, pad: int) -> tuple[slice, slice]:
 
 @njit(cache=True, nogil=True)
 def _columns(occupancy, precision, slot, stored, first, last):
-    """Highest observed occupancy (-inf where none) and number of observed cells, over heights ``first..last``."""
+    """Return the highest observed occupancy (-inf where none) and the number of observed cells per column.
+
+    Both are over the heights ``first..last``.
+    """
     bx, by, _ = slot.shape
     top = np.full((bx * BLOCK, by * BLOCK), -np.inf, np.float32)
     known = np.zeros((bx * BLOCK, by * BLOCK), np.int32)

@@ -1,7 +1,7 @@
-"""The floor plan of a learned map as free, occupied and unknown cells, and its files for ROS's ``map_server``.
+"""Read a learned map as free, occupied and unknown cells, and write them for ROS's ``map_server``.
 
-ROS's conventions: the origin is the lower left corner of the lower left cell, image rows run from the highest y down,
-white is free, black occupied, and what lies between the two thresholds unknown.
+ROS's conventions hold: the origin is the lower left corner of the lower left cell, image rows run from the highest y
+down, white is free, black is occupied, and what lies between the two thresholds is unknown.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
 from vssm_gym.maps.columns import OBSERVED_SHARE, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import BODY_HEIGHTS
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
 # Grey levels of map_saver and the thresholds that go with them: map_server reads a level v as the probability
 # (255 - v) / 255, and 205 is 0.19608, just above 0.196. With nav2's usual 0.25 unknown space would be free.
 GREY = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
-Z_MIN = 0.08  # m: above the floor's noise, as for clearance
 
 
 @dataclass(frozen=True)
 class OccupancyGrid:
-    """What a robot of some height would meet in each cell of the floor plan.
+    """Hold the state of each cell of the floor plan for a robot of some height.
 
     Attributes:
         cells: ``(nx, ny)`` int8 of :data:`FREE`, :data:`OCCUPIED`, :data:`UNKNOWN`, indexed ``[ix, iy]`` along world
@@ -39,11 +39,15 @@ class OccupancyGrid:
 
     @classmethod
     def from_voxel_map(
-        cls, voxel_map: VoxelMap, resolution: float = 0.05, height: float = 0.5, z_min: float = Z_MIN
+        cls,
+        voxel_map: VoxelMap,
+        resolution: float = 0.05,
+        height: float = BODY_HEIGHTS[1],
+        z_min: float = BODY_HEIGHTS[0],
     ) -> "OccupancyGrid":
-        """The cells that a robot as high as ``height`` (m) would touch something in, by the map's mean field.
+        """Find the cells in which a robot as high as ``height`` (m) would collide, by the map's mean field.
 
-        A cell is looked at in columns half a voxel apart: it is occupied where the field exceeds zero in any of them
+        A cell is sampled in columns half a voxel apart. It is occupied where the field exceeds zero in any of them
         between ``z_min`` and ``height``, else unknown where less than half of these heights were ever observed. The
         grid covers what is not unknown.
 
@@ -70,7 +74,7 @@ class OccupancyGrid:
         return cls(window, corner, float(resolution))
 
     def image(self) -> np.ndarray:
-        """The grid as ROS draws it: uint8 ``(ny, nx)``, the first row at the highest y."""
+        """Draw the grid as ROS does: uint8 ``(ny, nx)``, the first row at the highest y."""
         grey = np.full(self.cells.shape, GREY[UNKNOWN], np.uint8)
         grey[self.cells == FREE] = GREY[FREE]
         grey[self.cells == OCCUPIED] = GREY[OCCUPIED]
@@ -78,7 +82,7 @@ class OccupancyGrid:
 
 
 def _blocks(columns: np.ndarray, n: int) -> np.ndarray:
-    """``(nx, ny)`` columns as ``(cells x, n, cells y, n)``; what a cell at the rim lacks was not observed: zeros."""
+    """Group ``(nx, ny)`` columns as ``(cells x, n, cells y, n)``; a cell at the rim is filled with zeros."""
     nx, ny = (-(-size // n) for size in columns.shape)
     padded = np.zeros((nx * n, ny * n), columns.dtype)
     padded[: columns.shape[0], : columns.shape[1]] = columns

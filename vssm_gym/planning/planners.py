@@ -1,6 +1,6 @@
-"""Planners of a disc by name: ``(start, goal, space, radius, ...) -> PlanResult``.
+"""Plan paths of a disc, by a planner's name: ``(start, goal, space, radius, ...) -> PlanResult``.
 
-An agent takes one as an argument. A new planner is one file and one row of :data:`PLANNERS`;
+An agent takes a planner as an argument. A new planner is one file and one row of :data:`PLANNERS`;
 ``tests/planning/test_planners.py`` holds every row to the protocol on every kind of space.
 """
 
@@ -15,11 +15,11 @@ from vssm_gym.planning.result import PlanResult
 
 
 class Planner(Protocol):
-    """A path of a disc through a space, or the reason why there is none; metres, world frame.
+    """Plan a path of a disc through a space, or say why there is none; metres, world frame.
 
-    The path is a polyline from the start on which the space leaves the disc ``radius + margin`` everywhere. A start
-    that has less room is left along a ramp (:func:`vssm_gym.planning.grid_search.clearance_requirement.needed`). The
-    same question has the same answer.
+    The path is a polyline from the start. Everywhere on it the clearance is at least ``radius + margin``. A start with
+    less clearance is left along a ramp, see
+    :func:`vssm_gym.planning.grid_search.clearance_requirement.requirement_from`. Equal arguments give equal results.
     """
 
     def __call__(
@@ -38,11 +38,11 @@ class Planner(Protocol):
         Args:
             start: ``(2,)`` or planar pose ``(3,)``, of which the position counts.
             goal: ``(2,)``, likewise.
-            space: where the disc's centre has how much room: an array of clearances, or a function.
+            space: clearance of the disc's centre: an array, or a function of the place.
             radius: of the body.
             margin: extra clearance everywhere on the path; negative: less than the body's radius is enough.
-            goal_radius: reaching any point so near to the goal is enough; where it is smaller than the grid can
-                resolve, the path ends at the free node nearest to the goal or, in sight of it, at the goal.
+            goal_radius: the path may end at any point so near to the goal. Where it is smaller than the grid can
+                resolve, the path ends at the free node nearest to the goal or, if a free segment leads there, at it.
             max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
 
         Returns:

@@ -1,4 +1,4 @@
-"""Following a path: turn in place towards the next waypoint, then drive straight at it (TNP-SM controller).
+"""Follow a path: turn in place towards the next waypoint, then drive straight at it (the controller of TNP-SM, eq. P7).
 
 With ``e = bearing(waypoint) - heading``: where ``|e| > max_offset`` the robot turns, ``(clip(e), 0, 0)``; else it
 drives, ``(0, e, min(max_step, distance))``. Its direction offset ``o`` makes small corrections, because every turning
@@ -11,14 +11,17 @@ import numpy as np
 
 from vssm_gym.geometry.transforms import wrap_angle
 
-REACHED = 0.02  # m: a bend so near is passed; the path's end is driven to however near it is
+# m; a bend so near counts as passed, because a shorter step is not worth its noise. The end of the path is driven to
+# however near it is.
+REACHED = 0.02
 
 
 def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """The command that follows ``path`` from ``planar``.
+    """Return the command that follows ``path`` from ``planar``.
 
     A step never passes a waypoint, so the robot moves along the path's segments and cuts no corner. The step that
-    arrives at one already turns towards the next: a step saved, at no error more than turning later would make.
+    arrives at a waypoint already turns towards the next one. That saves a step, and turning later would add the same
+    error.
 
     Args:
         planar: ``(3,)`` the robot's x, y (m) and heading (rad).

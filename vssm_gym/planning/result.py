@@ -1,4 +1,4 @@
-"""What a planner returns: a status that is a value with a readable message, a path, its cost and the time it took."""
+"""Define what a planner returns: a status with a readable message, a path, its cost and the computing time."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -7,19 +7,19 @@ import numpy as np
 
 
 class Outcome(Enum):
-    """How something that plans ended, as a value; a planner's own outcomes are the members of one subclass."""
+    """Name the outcome of a planner or a solver as a value; each of them defines its outcomes in one subclass."""
 
     @property
     def message(self) -> str:
-        """Return the sentence that a person reads: the value."""
+        """Return the readable message, which is the value."""
         return str(self.value)
 
 
 class PlanStatus(Outcome):
-    """How a search ended; the value is the message that reports print."""
+    """Name the outcome of a search; the value is the message that reports print."""
 
     FOUND = "path found"
-    NO_PATH = "no path: every free way from the start was searched"
+    NO_PATH = "no path: everything that is free around the start was searched"
     START_BLOCKED = "no path: the start is inside an obstacle, too deep to leave it"
     GOAL_BLOCKED = "no path: no free place within the goal's radius"
     TIME_OUT = "time out: the path leads to the searched place nearest to the goal"
@@ -27,7 +27,7 @@ class PlanStatus(Outcome):
 
 @dataclass(frozen=True)
 class PlanResult:
-    """A polyline from the start to the goal region, or the reason why there is none.
+    """Hold a polyline from the start to the goal region, or the reason why there is none.
 
     Attributes:
         status: how the search ended.

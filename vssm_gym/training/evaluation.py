@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
 from vssm_gym.envs.tasks.navigation import load
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import scene_name

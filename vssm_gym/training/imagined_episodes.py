@@ -15,7 +15,7 @@ import numpy as np
 
 from vssm_gym.agents.policy.agent import stop_radius
 from vssm_gym.agents.policy.features import features, size_of
-from vssm_gym.agents.policy.file import Policy
+from vssm_gym.agents.policy.policy_file import Policy
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.tasks.navigation import Task

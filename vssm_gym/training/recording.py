@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from vssm_gym.agents.policy import file as policy_file
+from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.free_space import FreeSpace

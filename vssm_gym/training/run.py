@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vssm_gym.agents.policy.file import Policy, PolicySpec, save
+from vssm_gym.agents.policy.policy_file import Policy, PolicySpec, save
 from vssm_gym.errors import InputError
 from vssm_gym.training.config import TrainingConfig
 from vssm_gym.training.environment import BODY

@@ -219,7 +219,7 @@ def test_slices_show_the_least_over_headings_and_what_is_blocked(corridor, monke
 
 def test_a_target_without_a_way_is_told_of_instead_of_drawn(corridor, monkeypatch):
     arena, _ = corridor
-    monkeypatch.setattr(value_figures, "plan_of", lambda *_: arena)
+    monkeypatch.setattr(value_figures, "arena_from_map", lambda *_: arena)
     image, caption = value_figures.ValuePainter(box_map()).paint(
         episode("vi_mpc", "mujoco", 0, goal=[2.36, 0.6, 0.0])  # the car's front in the wall
     )

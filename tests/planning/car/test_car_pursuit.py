@@ -1,4 +1,4 @@
-"""Following a drive: exact on arcs, stable off them, through cusps in order, to the goal's heading."""
+"""PursuitCommand a drive: exact on arcs, stable off them, through cusps in order, to the goal's heading."""
 
 import math
 
@@ -10,18 +10,20 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import reeds_shepp
 from vssm_gym.planning.car.hybrid_astar import plan
-from vssm_gym.planning.car.pursuit import Drive, Following
+from vssm_gym.planning.car.pursuit import CarPath, PursuitCommand
 
 RADIUS = 0.5  # m
 START = np.array([0.3, -0.2, 0.4])
 
 
-def drive_of(lengths: list[float], steerings: list[int], step: float = 0.025) -> Drive:
+def drive_of(lengths: list[float], steerings: list[int], step: float = 0.025) -> CarPath:
     curve = reeds_shepp.ReedsSheppPath(START, np.array(lengths), np.array(steerings, np.int8), RADIUS)
-    return Drive(*reeds_shepp.sample(curve, step))
+    return CarPath(*reeds_shepp.sample(curve, step))
 
 
-def run(drive: Drive, planar: np.ndarray, lag: float = 0.0, slip: float = 0.0) -> tuple[np.ndarray, list[Following]]:
+def run(
+    drive: CarPath, planar: np.ndarray, lag: float = 0.0, slip: float = 0.0
+) -> tuple[np.ndarray, list[PursuitCommand]]:
     """Drive until done or for 60 s; commands are reached by a first-order lag (share kept a step), slip is m a step."""
     poses, steps, progress, executed = [planar], [], 0.0, np.zeros(2)
     rng = np.random.default_rng(0)
@@ -133,7 +135,7 @@ def test_how_far_it_has_strayed_is_reported():
 )
 def test_plans_of_hybrid_astar_are_driven_without_touching(grid, start, goal):
     result = plan(start, goal, levels(grid), CAR)
-    poses, steps = run(Drive(result.poses, result.gears), start)
+    poses, steps = run(CarPath(result.poses, result.gears), start)
     assert steps[-1].done
     assert math.hypot(*(poses[-1] - goal)[:2]) < 0.05
     assert abs(wrap_angle(poses[-1, 2] - np.array(goal[2]))) < math.radians(15.0)
@@ -141,7 +143,7 @@ def test_plans_of_hybrid_astar_are_driven_without_touching(grid, start, goal):
 
 
 def test_at_the_goal_already():
-    step = Drive(START[None], np.ones(1, np.int8)).follow(START, 0.0, CAR)
+    step = CarPath(START[None], np.ones(1, np.int8)).follow(START, 0.0, CAR)
     assert step.done
     np.testing.assert_array_equal(step.control, 0.0)
 
@@ -156,4 +158,4 @@ def test_at_the_goal_already():
 )
 def test_bad_input_is_named(poses, gears, field):
     with pytest.raises(InputError, match=field):
-        Drive(poses, gears)
+        CarPath(poses, gears)

@@ -10,7 +10,7 @@ import pytest
 from tests.helpers.car_worlds import CAR, DEAD_END, SEALED, levels, move, occupied, solid, touched
 from vssm_gym.errors import InputError
 from vssm_gym.planning.car.dwa import ACCELERATION, STEERING_RATE, DwaState, DwaStatus, DynamicWindow
-from vssm_gym.planning.car.footprint_levels import TOUCHING
+from vssm_gym.planning.car.footprint_levels import COLLIDING
 
 ROOM = occupied(4.0, 3.0)
 COLUMN = occupied(4.0, 3.0, (1.8, 1.2, 2.2, 1.8))
@@ -74,7 +74,7 @@ def test_a_goal_that_no_way_leads_to_is_refused_at_once():
     state = DynamicWindow(levels(SEALED), CAR, np.array([2.5, 1.0])).step(
         DwaState(np.zeros(2)), np.array([0.5, 0.5, 0.0])
     )
-    assert state.status is DwaStatus.NO_WAY
+    assert state.status is DwaStatus.NO_PATH
     np.testing.assert_array_equal(state.control, 0.0)
 
 
@@ -84,7 +84,7 @@ def test_boxed_in_it_stands():
     state = DynamicWindow(levels(grid), CAR, np.array([0.25, 0.22])).step(
         DwaState(np.zeros(2)), np.array([0.12, 0.22, 0.0])
     )
-    assert state.status in (DwaStatus.BLOCKED, DwaStatus.NO_WAY)
+    assert state.status in (DwaStatus.BLOCKED, DwaStatus.NO_PATH)
     np.testing.assert_array_equal(state.control, 0.0)
 
 
@@ -100,10 +100,10 @@ def test_where_no_arc_makes_progress_it_backs_up():
 def test_from_a_pose_in_touch_it_leaves_and_does_not_go_deeper():
     grid = occupied(3.0, 2.0)
     start, table = np.array([1.0, 0.125, 0.3]), levels(grid)
-    assert table.at(start) == TOUCHING
+    assert table.at(start) == COLLIDING
     poses, _ = run(grid, start, np.array([2.0, 1.0]))
     level = table.at(poses)
-    assert (level[8:] < TOUCHING).all()
+    assert (level[8:] < COLLIDING).all()
 
 
 def test_its_known_weakness_beside_the_goal():

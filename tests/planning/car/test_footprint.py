@@ -11,10 +11,10 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import (
     Arena,
+    arena_from_map,
     cells_under,
     dilate,
     heading_grid,
-    plan_of,
     rectangle_collisions,
 )
 
@@ -83,7 +83,9 @@ BOUNDS = np.array([[-0.1, -0.1], [2.1, 1.5]])
 
 
 def test_treatments_of_unknown_space(half_seen_room):
-    mean, optimistic, averse = (plan_of(half_seen_room, u, bounds=BOUNDS) for u in ("mean", "optimistic", "averse"))
+    mean, optimistic, averse = (
+        arena_from_map(half_seen_room, u, bounds=BOUNDS) for u in ("mean", "optimistic", "averse")
+    )
     for arena in (mean, optimistic, averse):
         assert at(arena, 0.6, 0.65)[0]  # the box
         assert at(arena, 0.6, 0.65)[1] < 0.0
@@ -99,7 +101,7 @@ def test_treatments_of_unknown_space(half_seen_room):
 
 
 def test_clearance_and_cells_agree(half_seen_room):
-    arena = plan_of(half_seen_room)
+    arena = arena_from_map(half_seen_room)
     centres = arena.origin + arena.resolution * np.argwhere(np.ones_like(arena.occupied))
     clearance = arena.clearance.at(centres).reshape(arena.occupied.shape)
     inside = clearance[1:-1, 1:-1]
@@ -108,7 +110,7 @@ def test_clearance_and_cells_agree(half_seen_room):
 
 
 def test_bounds_keep_the_grid(half_seen_room):
-    a, b = (plan_of(half_seen_room, u, bounds=BOUNDS) for u in ("mean", "averse"))
+    a, b = (arena_from_map(half_seen_room, u, bounds=BOUNDS) for u in ("mean", "averse"))
     assert a.occupied.shape == b.occupied.shape == (64, 47)
     assert np.allclose(a.origin, BOUNDS[0], atol=0.5 * a.resolution)
     assert np.array_equal(a.origin, b.origin)
@@ -124,11 +126,11 @@ def test_arena_of_cells():
 @pytest.mark.parametrize(
     "call",
     [
-        lambda m: plan_of(m, "hopeful"),
-        lambda m: plan_of(m, resolution=0.0),
-        lambda m: plan_of(m, z_min=0.3, z_max=0.2),
-        lambda m: plan_of(m, bounds=np.array([[5.0, 5.0], [6.0, 6.0]])),
-        lambda m: plan_of(m, z_min=5.0, z_max=6.0),
+        lambda m: arena_from_map(m, "hopeful"),
+        lambda m: arena_from_map(m, resolution=0.0),
+        lambda m: arena_from_map(m, z_min=0.3, z_max=0.2),
+        lambda m: arena_from_map(m, bounds=np.array([[5.0, 5.0], [6.0, 6.0]])),
+        lambda m: arena_from_map(m, z_min=5.0, z_max=6.0),
         lambda m: Arena.from_occupied(np.zeros((1, 5), bool), np.zeros(2), 0.1),
         lambda m: Arena.from_occupied(np.zeros((5, 5), bool), np.zeros(2), -0.1),
     ],

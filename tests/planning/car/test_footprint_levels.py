@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from tests.helpers.car_worlds import CAR, PARKING, RESOLUTION, levels, solid, touched
 from vssm_gym.errors import InputError
-from vssm_gym.planning.car.footprint_levels import FREE, TIGHT, TOUCHING
+from vssm_gym.planning.car.footprint_levels import COLLIDING, FREE, TIGHT
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 
 
@@ -19,14 +19,14 @@ def test_no_pose_below_touching_touches():
     poses = rng.uniform([0.0, 0.0, -7.0], [2.4, 1.6, 7.0], (5_000, 3))
     table, shape = levels(PARKING), solid(PARKING)
     level, touching = table.at(poses), touched(shape, poses)
-    assert not touching[level < TOUCHING].any()
-    needless = ~touched(shape.buffer(RESOLUTION + CAR.length * math.pi / 36), poses) & (level == TOUCHING)
+    assert not touching[level < COLLIDING].any()
+    needless = ~touched(shape.buffer(RESOLUTION + CAR.length * math.pi / 36), poses) & (level == COLLIDING)
     assert not needless.any()
-    assert {FREE, TIGHT, TOUCHING} == set(np.unique(level))
+    assert {FREE, TIGHT, COLLIDING} == set(np.unique(level))
 
 
 def test_beyond_the_grid_everything_is_touched():
-    assert levels(PARKING).at(np.array([[-3.0, 0.5, 0.0], [0.5, 9.0, 1.0]])).tolist() == [TOUCHING, TOUCHING]
+    assert levels(PARKING).at(np.array([[-3.0, 0.5, 0.0], [0.5, 9.0, 1.0]])).tolist() == [COLLIDING, COLLIDING]
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -10,7 +10,7 @@ from tests.helpers.car_worlds import CAR, DEAD_END, PARKED, PARKING, SEALED, lev
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import reeds_shepp
-from vssm_gym.planning.car.footprint_levels import FREE, TOUCHING, FootprintLevels
+from vssm_gym.planning.car.footprint_levels import COLLIDING, FREE, FootprintLevels
 from vssm_gym.planning.car.hybrid_astar import DEFAULT_COSTS, FULL_LOCK, CarPlan, arcs, plan
 from vssm_gym.planning.car.hybrid_search import Costs
 from vssm_gym.planning.result import PlanResult, PlanStatus
@@ -103,12 +103,12 @@ def test_a_goal_inside_an_obstacle_is_refused(goal):
 def test_a_start_in_touch_with_a_wall_leaves_it():
     start, goal = np.array([0.5, 0.42, 0.0]), np.array([1.8, 1.2, 0.0])
     table = levels(PARKING)
-    assert table.at(start) == TOUCHING
+    assert table.at(start) == COLLIDING
     result = plan(start, goal, table, CAR)
     assert result.found
     level = table.at(result.poses)
-    out = int(np.argmax(level < TOUCHING))
-    assert not (level[out:] == TOUCHING).any()  # once out it stays out
+    out = int(np.argmax(level < COLLIDING))
+    assert not (level[out:] == COLLIDING).any()  # once out it stays out
 
 
 def test_a_start_deep_inside_an_obstacle_is_refused():

@@ -130,5 +130,5 @@ def test_every_status_and_action_has_a_sentence() -> None:
 
 
 def test_judging_a_late_answer() -> None:
-    assert answer(MpcStatus.SOLVED).judged(0.001).status is MpcStatus.LATE
-    assert answer(MpcStatus.SOLVED).judged(0.1).status is MpcStatus.SOLVED
+    assert answer(MpcStatus.SOLVED).within_deadline(0.001).status is MpcStatus.LATE
+    assert answer(MpcStatus.SOLVED).within_deadline(0.1).status is MpcStatus.SOLVED

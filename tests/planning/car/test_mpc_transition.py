@@ -95,7 +95,7 @@ def test_a_body_that_can_turn_on_the_spot_does(make):
     assert warm.states[-1, 2] == pytest.approx(2.5, abs=0.1)
     expected = objective.rollout(problem, jnp.zeros(3), jnp.asarray(warm.controls, jnp.float32))
     np.testing.assert_allclose(warm.states[1:], expected, atol=1e-5)
-    _, action = safety.step(problem, safety.init(np.zeros(2)), warm.judged(0.0), np.zeros(3), clearance)
+    _, action = safety.step(problem, safety.init(np.zeros(2)), warm.within_deadline(0.0), np.zeros(3), clearance)
     assert action.kind is safety.SafeKind.HELD
 
 

@@ -24,7 +24,7 @@ from numba import njit
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.arc import pose_after, turn_of
 from vssm_gym.geometry.car import Car
-from vssm_gym.planning.car.footprint_levels import TIGHT, TOUCHING, FootprintLevels, level_at
+from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, FootprintLevels, level_at
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.result import Outcome
 
@@ -49,7 +49,7 @@ class DwaStatus(Outcome):
     DRIVING = "driving towards the goal"
     RECOVERING = "backing up: no command makes progress"
     BLOCKED = "standing: every command would touch something"
-    NO_WAY = "standing: no way leads to the goal"
+    NO_PATH = "standing: no way leads to the goal"
     ARRIVED = "at the goal"
 
 
@@ -84,7 +84,7 @@ class DynamicWindow:
             raise InputError("DynamicWindow", "goal", f"two finite coordinates; found {goal!r:.80}")
         self.obstacles, self.car, self.tolerance = obstacles, car, tolerance
         gx, gy = (float(v) for v in (self.goal - obstacles.origin) / obstacles.resolution)
-        passable = np.asarray((obstacles.levels < TOUCHING).any(axis=2))
+        passable = np.asarray((obstacles.levels < COLLIDING).any(axis=2))
         distance = goal_distance(passable, gx, gy) * np.float32(obstacles.resolution)
         reached = np.isfinite(distance)
         self.cut_off = passable & ~reached  # places that the car fits into and from which no way leads to the goal
@@ -107,7 +107,7 @@ class DynamicWindow:
         cell = np.floor((planar[:2] - self.obstacles.origin) / self.obstacles.resolution + 0.5).astype(int)
         cell = np.clip(cell, 0, np.array(self.cut_off.shape) - 1)
         if self.cut_off[cell[0], cell[1]]:
-            return replace(state, control=np.zeros(2), status=DwaStatus.NO_WAY, recovering=0)
+            return replace(state, control=np.zeros(2), status=DwaStatus.NO_PATH, recovering=0)
         here = float(_height(self.obstacles.lookup, self.distance, self.downhill, *planar)[0])
         if here < state.nearest - NEARER:
             state = replace(state, nearest=here, attempts=0)
@@ -188,7 +188,7 @@ def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, es
     n = curvatures.shape[0]
     progress, tight, free = np.zeros(n), np.zeros(n), np.zeros(n)
     _, start = _height(lookup, distance, downhill, planar[0], planar[1], planar[2])
-    touching = level_at(lookup, planar[0], planar[1], planar[2]) == TOUCHING
+    touching = level_at(lookup, planar[0], planar[1], planar[2]) == COLLIDING
     for k in range(n):
         x, y, heading = planar[0], planar[1], planar[2]
         turn = gear * _PART * curvatures[k]
@@ -196,9 +196,9 @@ def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, es
         for i in range(count):
             x, y, heading = pose_after(x, y, heading, gear * _PART, turn)
             level = level_at(lookup, x, y, heading)
-            if level == TOUCHING and not (leaving and i * _PART < escape):
+            if level == COLLIDING and not (leaving and i * _PART < escape):
                 break
-            leaving = leaving and level == TOUCHING
+            leaving = leaving and level == COLLIDING
             free[k] += _PART
             narrow += level == TIGHT
             least = min(least, _height(lookup, distance, downhill, x, y, heading)[1])

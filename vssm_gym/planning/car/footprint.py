@@ -19,7 +19,7 @@ from vssm_gym.planning.clearance import ClearanceMap
 
 Unknown = Literal["optimistic", "mean", "averse"]
 
-TOUCH = 1e-9  # m: what overlaps by less only touches
+OVERLAP = 1e-9  # m: what overlaps by less only touches
 AVERSE_DEVIATIONS = 2.0  # of a surface's standard deviation: occupied from P(occupied) = 2.3 % on
 Z_MIN, Z_MAX = 0.08, 0.2  # m: above the floor's noise, up to just above the car's roof
 
@@ -52,7 +52,7 @@ class Arena:
         return cls(occupied, ClearanceMap.from_depth(depth, origin, resolution), origin, float(resolution))
 
 
-def plan_of(
+def arena_from_map(
     voxel_map: VoxelMap,
     unknown: Unknown = "mean",
     resolution: float = 0.035,
@@ -86,11 +86,11 @@ def plan_of(
         InputError: an unknown treatment, no height, or a map that shows nothing at these heights and bounds.
     """
     if unknown not in get_args(Unknown):
-        raise InputError("plan_of", "unknown", f"one of {', '.join(get_args(Unknown))}; found {unknown!r}")
+        raise InputError("arena_from_map", "unknown", f"one of {', '.join(get_args(Unknown))}; found {unknown!r}")
     if not 0.0 < resolution <= 1.0:
-        raise InputError("plan_of", "resolution", f"a cell size up to 1 m; found {resolution!r}")
+        raise InputError("arena_from_map", "resolution", f"a cell size up to 1 m; found {resolution!r}")
     if not z_min < z_max:
-        raise InputError("plan_of", "z_max", f"a height above z_min = {z_min} m; found {z_max}")
+        raise InputError("arena_from_map", "z_max", f"a height above z_min = {z_min} m; found {z_max}")
     per_cell = max(1, int(np.ceil(resolution / (0.5 * float(voxel_map.voxel_size)) - 1e-6)))
     spacing = resolution / per_cell
     deviations = AVERSE_DEVIATIONS if unknown == "averse" else 0.0
@@ -103,14 +103,16 @@ def plan_of(
     low = voxel_map.bounds[0, :2] + 0.5 * (per_cell - 1) * spacing  # the centre of cell [0, 0]
     observed = np.argwhere(met | seen)
     if len(observed) == 0:
-        raise InputError("plan_of", "voxel_map", f"something observed between {z_min} and {z_max} m; found nothing")
+        raise InputError(
+            "arena_from_map", "voxel_map", f"something observed between {z_min} and {z_max} m; found nothing"
+        )
     if bounds is None:
         first, last = observed.min(axis=0) - 1, observed.max(axis=0) + 1
     else:
         first, last = np.round((np.asarray(bounds, dtype=np.float64) - low) / resolution).astype(int)
     first, last = np.maximum(first, 0), np.minimum(last, (nx - 1, ny - 1))
     if np.any(last <= first):
-        raise InputError("plan_of", "bounds", "a box of several cells that overlaps the map")
+        raise InputError("arena_from_map", "bounds", "a box of several cells that overlaps the map")
 
     fine = slice(first[0] * per_cell, (last[0] + 1) * per_cell), slice(first[1] * per_cell, (last[1] + 1) * per_cell)
     unseen = np.repeat(np.repeat(occupied & ~met, per_cell, 0), per_cell, 1)[fine]
@@ -172,12 +174,12 @@ def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) 
     c, s = c[:, None, None], s[:, None, None]
     dx, dy = cells[None, :, None] - x[:, None, None], cells[None, None, :] - y[:, None, None]
     # Coordinates of rows and columns overlap, and those along and across the car
-    wide = (np.abs(dx) < half + np.abs(c) * half_length + np.abs(s) * half_width - TOUCH) & (
-        np.abs(dy) < half + np.abs(s) * half_length + np.abs(c) * half_width - TOUCH
+    wide = (np.abs(dx) < half + np.abs(c) * half_length + np.abs(s) * half_width - OVERLAP) & (
+        np.abs(dy) < half + np.abs(s) * half_length + np.abs(c) * half_width - OVERLAP
     )
     across = half * (np.abs(c) + np.abs(s))
-    along = np.abs(c * dx + s * dy) < half_length + across - TOUCH
-    return (wide & along & (np.abs(c * dy - s * dx) < half_width + across - TOUCH)).any(axis=0)
+    along = np.abs(c * dx + s * dy) < half_length + across - OVERLAP
+    return (wide & along & (np.abs(c * dy - s * dx) < half_width + across - OVERLAP)).any(axis=0)
 
 
 def dilate(occupied: np.ndarray, kernels: list[np.ndarray]) -> list[np.ndarray]:

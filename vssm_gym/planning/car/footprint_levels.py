@@ -18,7 +18,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import cells_under, dilate, heading_grid, rectangle_collisions
 
-FREE, TIGHT, TOUCHING = 0, 1, 2
+FREE, TIGHT, COLLIDING = 0, 1, 2
 
 
 class Lookup(NamedTuple):
@@ -67,7 +67,7 @@ class FootprintLevels:
         poses = [corners + np.array([0.0, 0.0, heading]) for heading in grid]
         touching = np.stack(dilate(occupied, [cells_under(p, resolution, car, margin + bulge) for p in poses]), axis=-1)
         tight = rectangle_collisions(occupied, resolution, car, grid, comfort)
-        levels = np.where(touching, TOUCHING, np.where(tight, TIGHT, FREE)).astype(np.uint8)
+        levels = np.where(touching, COLLIDING, np.where(tight, TIGHT, FREE)).astype(np.uint8)
         return cls(np.ascontiguousarray(levels), np.asarray(origin, dtype=np.float64), float(resolution))
 
     @property
@@ -88,7 +88,7 @@ def level_at(lookup: Lookup, x: float, y: float, heading: float) -> int:
     i = int(np.floor((x - lookup.x) / lookup.resolution + 0.5))
     j = int(np.floor((y - lookup.y) / lookup.resolution + 0.5))
     if not (0 <= i < nx and 0 <= j < ny):
-        return TOUCHING
+        return COLLIDING
     return int(lookup.levels[i, j, int(np.floor(heading * nh / (2.0 * np.pi) + 0.5)) % nh])
 
 

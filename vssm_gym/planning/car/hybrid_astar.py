@@ -20,7 +20,7 @@ from vssm_gym.geometry.arc import poses_after
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import hybrid_search, reeds_shepp
-from vssm_gym.planning.car.footprint_levels import TOUCHING, FootprintLevels
+from vssm_gym.planning.car.footprint_levels import COLLIDING, FootprintLevels
 from vssm_gym.planning.car.hybrid_search import Costs, Goal, Moves, Tree
 from vssm_gym.planning.car.shortcuts import shortcut
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
@@ -123,15 +123,15 @@ def plan(
     lookup = obstacles.lookup
     gx, gy = (float(v) for v in (goal[:2] - obstacles.origin) / obstacles.resolution)
     # A point may go where some heading of the car fits.
-    passable = np.asarray((obstacles.levels < TOUCHING).any(axis=2))
+    passable = np.asarray((obstacles.levels < COLLIDING).any(axis=2))
     target = Goal(arrivals, goal_distance(passable, gx, gy) * np.float32(obstacles.resolution))
-    touching = bool(obstacles.at(start) == TOUCHING)
+    touching = bool(obstacles.at(start) == COLLIDING)
     closed, searching = 0, began
     # Coarsely first; where that finds no way, arcs half as long may still shuttle the car out of a tight place.
     for scale in (1.0, 0.5):
         moves = arcs(1.5 * scale * cell, radius, steerings, obstacles.resolution)
         tree = _tree(obstacles, scale * cell, round(headings / scale))
-        if not hybrid_search.enter(tree, lookup, target, radius, start, ESCAPE_LENGTH if touching else 0.0):
+        if not hybrid_search.open_start(tree, lookup, target, radius, start, ESCAPE_LENGTH if touching else 0.0):
             return result(PlanStatus.START_BLOCKED if touching else PlanStatus.NO_PATH, *nothing, 0)
         # No node at first: a process that has to compile the search does so before the clock of the limit starts.
         state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, 0)
@@ -177,7 +177,7 @@ def _arrivals(obstacles: FootprintLevels, goal: np.ndarray) -> np.ndarray:
     """Goal poses ``(g, 3)`` in which the car touches nothing."""
     heading = goal[2:] if len(goal) == 3 else 2.0 * np.pi * np.arange(ARRIVALS) / ARRIVALS
     poses = np.stack([np.full_like(heading, goal[0]), np.full_like(heading, goal[1]), heading], axis=-1)
-    return poses[obstacles.at(poses) < TOUCHING]
+    return poses[obstacles.at(poses) < COLLIDING]
 
 
 def _tree(obstacles: FootprintLevels, cell: float, headings: int) -> Tree:

@@ -12,13 +12,13 @@ import numpy as np
 from numba import njit
 
 from vssm_gym.geometry.arc import pose_after
-from vssm_gym.planning.car.footprint_levels import TIGHT, TOUCHING, Lookup, level_at
+from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, Lookup, level_at
 from vssm_gym.planning.car.reeds_shepp import CANDIDATES, relative, shortest, words
 from vssm_gym.planning.grid_search.heap import pop, sift_up
 
 OPEN, FOUND, EXHAUSTED = 0, 1, 2  # what `search` says: its budget is used up, the goal is reached, nothing is left
 SPACING = 0.25  # m
-TOUCH_COST = 10.0  # a metre, extra, while a start in touch with an obstacle leaves it
+COLLISION_COST = 10.0  # a metre, extra, while a start in touch with an obstacle leaves it
 
 
 class Costs(NamedTuple):
@@ -127,7 +127,7 @@ def curve_excess(
             turn = steerings[i] * s / radius
             x, y, heading = pose_after(x, y, heading, s * (1.0 - turn * turn / 24.0), turn)  # of an arc of one cell
             level = level_at(lookup, x, y, heading)
-            if level == TOUCHING:
+            if level == COLLIDING:
                 return np.inf
             if level == TIGHT:
                 excess += tight * abs(s)
@@ -167,7 +167,7 @@ def cheapest_curve(
 
 @njit(cache=True, nogil=True)
 def _lower(tree, node, cost, key):
-    """Enter a node into the heap, or raise it there."""
+    """Lower the cost and the key of a node and enter it into the heap, or move it up there."""
     tree.cost[node], tree.key[node] = cost, key
     if tree.place[node] == -1:
         tree.place[node] = tree.counts[0]
@@ -192,7 +192,7 @@ def _shoot(tree, lookup, goal, moves, radius, costs, node):
 
 
 @njit(cache=True, nogil=True)
-def enter(tree: Tree, lookup: Lookup, goal: Goal, radius: float, start: np.ndarray, escape: float) -> bool:
+def open_start(tree: Tree, lookup: Lookup, goal: Goal, radius: float, start: np.ndarray, escape: float) -> bool:
     """Put the start into the heap; false where no way leads to the goal even for a point."""
     node = node_of(tree, start[0], start[1], start[2])
     ahead = _still_to_come(lookup, goal, radius, start[0], start[1], start[2])
@@ -222,15 +222,15 @@ def _expand(tree, lookup, goal, moves, radius, costs, weight, node):
         escape, part, level = tree.escape[node], moves.step / moves.displacement.shape[1], 0
         for i in range(moves.displacement.shape[1]):
             level = level_at(lookup, *advance(pose, moves.displacement[m, i]))
-            if level == TOUCHING:
+            if level == COLLIDING:
                 escape -= part
                 if escape <= 0.0:
                     break
-                cost += TOUCH_COST * part
+                cost += COLLISION_COST * part
             else:
                 escape = 0.0  # out: from here on nothing is touched any more
                 cost += costs.tight * part if level == TIGHT else 0.0
-        if (level == TOUCHING and escape <= 0.0) or cost >= tree.cost[other]:
+        if (level == COLLIDING and escape <= 0.0) or cost >= tree.cost[other]:
             continue
         if np.isnan(tree.ahead[other]):
             tree.ahead[other] = _still_to_come(lookup, goal, radius, x, y, heading)

@@ -1,4 +1,4 @@
-"""Following a drive with a car: pure pursuit of the rear axle, forwards and backwards, one gear at a time.
+"""PursuitCommand a drive with a car: pure pursuit of the rear axle, forwards and backwards, one gear at a time.
 
     steering = atan(wheelbase (k + p(planar) - p(drive))),   p(pose) = 2 y / (x^2 + y^2)
 
@@ -30,7 +30,7 @@ _WINDOW = 0.5  # m of the drive, from the last progress on, in which the nearest
 
 
 @dataclass(frozen=True)
-class Following:
+class PursuitCommand:
     """What to do, and how it goes.
 
     Attributes:
@@ -48,16 +48,16 @@ class Following:
     done: bool
 
 
-class Drive:
+class CarPath:
     """A drive made ready for following: poses, gears and the length driven up to each pose."""
 
     def __init__(self, poses: np.ndarray, gears: np.ndarray) -> None:
         """Poses ``(n, 3)`` at most a few centimetres apart and gears ``(n,)``, as a ``CarPlan`` holds them."""
         self.poses, self.gears = np.asarray(poses, dtype=np.float64), np.asarray(gears)
         if self.poses.ndim != 2 or self.poses.shape[1:] != (3,) or len(self.poses) == 0:
-            raise InputError("Drive", "poses", f"shape (n, 3) with n > 0; found {self.poses.shape}")
+            raise InputError("CarPath", "poses", f"shape (n, 3) with n > 0; found {self.poses.shape}")
         if self.gears.shape != self.poses.shape[:1] or not np.isin(self.gears, (-1, 1)).all():
-            raise InputError("Drive", "gears", "1 or -1 for each pose")
+            raise InputError("CarPath", "gears", "1 or -1 for each pose")
         hops = np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
         self.along = np.concatenate([[0.0], np.cumsum(hops)])
         self._headings = np.unwrap(self.poses[:, 2])
@@ -71,7 +71,7 @@ class Drive:
         """Of the whole drive, m."""
         return float(self.along[-1])
 
-    def follow(self, planar: np.ndarray, progress: float, car: Car) -> Following:
+    def follow(self, planar: np.ndarray, progress: float, car: Car) -> PursuitCommand:
         """The command of a car at the pose ``planar`` ``(3,)`` that has come so far (m; 0 at first).
 
         Progress never falls, and passes a cusp only when the car is :data:`ARRIVED` there or beyond, so that where the
@@ -139,10 +139,10 @@ class Drive:
         beyond = gear * (aim - end)
         return np.array([x + beyond * math.cos(heading), y + beyond * math.sin(heading)])
 
-    def _report(self, planar: np.ndarray, progress: float, control: np.ndarray, done: bool) -> Following:
+    def _report(self, planar: np.ndarray, progress: float, control: np.ndarray, done: bool) -> PursuitCommand:
         x, y, heading = self._at(progress)
         deviation = math.hypot(planar[0] - x, planar[1] - y)
-        return Following(control, progress, deviation, float(wrap_angle(np.asarray(planar[2] - heading))), done)
+        return PursuitCommand(control, progress, deviation, float(wrap_angle(np.asarray(planar[2] - heading))), done)
 
 
 def _pursuit(planar: np.ndarray, aim: np.ndarray) -> float:

@@ -1,7 +1,7 @@
-"""A* over a uniform 2D grid: ``min sum |edges|`` to the goal's region, then pulled taut (TNP-SM's planner).
+"""Plan by A* over a uniform 2D grid: ``min sum |edges|`` to the goal's region, then shortened (eq. P3, P5).
 
-Nodes are the cells of a clearance grid, each joined to 16 neighbours. An edge needs its whole segment free and a
-minimum clearance at its end; its cost is its length; the heuristic is the Euclidean distance to the goal's disc.
+The planner of TNP-SM. Nodes are the cells of a clearance grid, each joined to 16 neighbours. All of an edge's segment
+must be free. The cost of an edge is its length, and the heuristic is the Euclidean distance to the goal's disc.
 """
 
 import math
@@ -12,7 +12,7 @@ from numba import njit
 from vssm_gym.geometry.grid_graph import LENGTHS, MOVES, edge_free
 from vssm_gym.planning.clearance import Space
 from vssm_gym.planning.grid_search.heap import pop, sift_up
-from vssm_gym.planning.grid_search.query import FOUND, NO_PATH, TIME_OUT, Query, answer
+from vssm_gym.planning.grid_search.query import FOUND, NO_PATH, TIME_OUT, Query, plan_by_search
 from vssm_gym.planning.result import PlanResult
 
 
@@ -29,20 +29,7 @@ def search(
         closed node with the least heuristic.
     """
     nx, ny = free.shape
-    cost = np.full(nx * ny, np.inf)
-    key = np.empty(nx * ny)
-    parent = np.full(nx * ny, -1, np.int32)
-    place = np.full(nx * ny, -1, np.int32)  # -1 unseen, -2 closed, else the position in the heap
-    heap = np.empty(nx * ny, np.int32)
-    size = 0
-    for k in range(seeds.shape[0]):
-        i, j = int(seeds[k, 0]), int(seeds[k, 1])
-        node = i * ny + j
-        cost[node] = seeds[k, 2]
-        key[node] = cost[node] + max(0.0, math.hypot(i - gx, j - gy) - radius)
-        heap[size] = node
-        size += 1
-        sift_up(heap, place, key, size - 1)
+    cost, key, parent, place, heap, size = opened(nx, ny, seeds, gx, gy, radius)
     closed, nearest, least, code = 0, -1, np.inf, NO_PATH
     while size > 0:
         node = pop(heap, place, key, size)
@@ -77,14 +64,45 @@ def search(
                 sift_up(heap, place, key, place[other])
     if code == NO_PATH:
         return code, np.empty((0, 2)), np.inf, closed
-    count, node = 0, nearest
+    return code, path_to(nearest, parent, ny), cost[nearest], closed
+
+
+@njit(cache=True, nogil=True)
+def opened(
+    nx: int, ny: int, seeds: np.ndarray, gx: float, gy: float, radius: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+    """Return the arrays of a search over ``nx * ny`` nodes, the seeds open: costs, keys, parents, places, heap, size.
+
+    The key of a node is its cost plus its distance to the disc of ``radius`` around ``(gx, gy)``; all in cells.
+    """
+    cost = np.full(nx * ny, np.inf)
+    key = np.empty(nx * ny)
+    parent = np.full(nx * ny, -1, np.int32)
+    place = np.full(nx * ny, -1, np.int32)
+    heap = np.empty(nx * ny, np.int32)
+    size = 0
+    for k in range(seeds.shape[0]):
+        i, j = int(seeds[k, 0]), int(seeds[k, 1])
+        node = i * ny + j
+        cost[node] = seeds[k, 2]
+        key[node] = cost[node] + max(0.0, math.hypot(i - gx, j - gy) - radius)
+        heap[size] = node
+        size += 1
+        sift_up(heap, place, key, size - 1)
+    return cost, key, parent, place, heap, size
+
+
+@njit(cache=True, nogil=True)
+def path_to(node: int, parent: np.ndarray, ny: int) -> np.ndarray:
+    """Return the cells ``(n, 2)`` from the search's root to ``node``, which follow from the parents of the nodes."""
+    count, last = 0, node
     while node >= 0:
         count, node = count + 1, parent[node]
-    path, node = np.empty((count, 2)), nearest
+    path, node = np.empty((count, 2)), last
     for k in range(count - 1, -1, -1):
         path[k, 0], path[k, 1] = node // ny, node % ny
         node = parent[node]
-    return code, path, cost[nearest], closed
+    return path
 
 
 def plan(
@@ -99,7 +117,7 @@ def plan(
     any_angle: bool = True,
 ) -> PlanResult:
     """Plan as :class:`vssm_gym.planning.planners.Planner` asks; without ``any_angle`` the path visits cell centres."""
-    return answer(
+    return plan_by_search(
         _search,
         start,
         goal,
@@ -108,7 +126,7 @@ def plan(
         margin=margin,
         goal_radius=goal_radius,
         max_expansions=max_expansions,
-        taut=any_angle,
+        shorten=any_angle,
     )
 
 

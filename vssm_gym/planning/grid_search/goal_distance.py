@@ -1,9 +1,9 @@
-"""Distance of every cell of a floor plan to a goal, around obstacles: Dijkstra over 16 neighbours from the goal on.
+"""Compute every cell's distance to a goal, around obstacles, by Dijkstra over 16 neighbours (eq. P6).
 
-    d(cell) = min over ways through passable cells of sum |edges|
+    d(cell) = min over paths through passable cells of sum |edges|
 
-Turns of the grid cost up to 2.7 % more than a straight line would; ends of edges must be passable, and what is between
-them is not looked at, because what is passable for a car's axle is bounded by obstacles much wider than an edge.
+Paths of the grid are up to 2.7 % longer than a straight line. The ends of an edge must be passable. The cells between
+them are not tested, because what is passable for a car's axle is bounded by obstacles much wider than an edge.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ from vssm_gym.planning.grid_search.heap import pop, sift_up
 
 @njit(cache=True, nogil=True)
 def goal_distance(passable: np.ndarray, gx: float, gy: float) -> np.ndarray:
-    """Distances ``(nx, ny)`` float32 in cells to the point ``(gx, gy)`` in cells; infinite where no way leads.
+    """Return distances ``(nx, ny)`` float32 in cells to the point ``(gx, gy)`` in cells; infinite where no path leads.
 
     The cells around the goal are its seeds, passable or not: their distance is the straight line.
     """
     nx, ny = passable.shape
     key = np.full(nx * ny, np.inf)
-    place = np.full(nx * ny, -1, np.int32)  # -1 unseen, -2 closed, else the position in the heap
+    place = np.full(nx * ny, -1, np.int32)
     heap = np.empty(nx * ny, np.int32)
     size = 0
     for i in range(int(np.floor(gx)), int(np.floor(gx)) + 2):

@@ -1,6 +1,7 @@
-"""A binary heap of node numbers with the least ``key`` on top, in arrays that the caller owns; for compiled searches.
+"""Keep the open nodes of a compiled search in a binary heap with the least ``key`` on top.
 
-``heap[:size]`` are nodes and ``place[node]`` is where a node stands in it, so that a key can be lowered in place.
+The caller owns the arrays. ``heap[:size]`` holds node numbers, and ``place[node]`` the position of a node in it, so
+that a key can be lowered in place; -1 marks a node that was never open, -2 one that is closed.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
-"""Any-angle paths: a grid path pulled taut, ``min sum |p_i+1 - p_i|`` with every segment and every bend clear enough.
+"""Shorten a grid path to an any-angle path: ``min sum |p_i+1 - p_i|`` with sufficient clearance everywhere (eq. P5).
 
-A path is feasible when all of every segment has the clearance that :class:`Need` asks for. Every move below keeps a
-path feasible and shortens it, so the result is never longer than what it started from. Coordinates are grid cells;
-clearances are metres.
+A path is feasible when every point of every segment has the clearance that :class:`ClearanceRequirement` asks for.
+Every move below keeps a path feasible and shortens it, so the result is never longer than the path it started from.
+Coordinates are grid cells; clearances are metres.
 """
 
 import math
@@ -11,24 +11,25 @@ import numpy as np
 from numba import njit
 
 from vssm_gym.planning.clearance import ClearanceMap, bilinear
-from vssm_gym.planning.grid_search.clearance_requirement import Need, need_at, segment_free
+from vssm_gym.planning.grid_search.clearance_requirement import ClearanceRequirement, required_at, segment_free
 
-SWEEPS = 12  # of all moves over all bends; a path of a furnished apartment is taut after 3 to 6
-GAIN = 0.02  # cells: a sweep that shortens the path by less ends the work
-SPACING = 6.0  # cells between the points of a segment that a shortcut may lead to
-SHARP = 0.6  # rad: a sharper bend is split in two, since one bend cuts a corner's arc worse than two
-
-
-@njit(cache=True, nogil=True)
-def _bend_free(clearance, px, py, need):
-    return bilinear(clearance, px, py) >= need_at(need, px, py)
+# Effort of the local search, chosen on furnished apartments with cells of 2.5 cm.
+SWEEPS = 12  # of all moves over all bends, at most; 3 to 6 are enough there
+GAIN = 0.02  # cells; a sweep that shortens the path by less is the last: 0.5 mm
+SPACING = 6.0  # cells between the points that are added to a segment as ends of shortcuts: 15 cm
+SHARP = 0.6  # rad; a sharper bend is split in two, because two bends follow the arc around a corner more closely
 
 
 @njit(cache=True, nogil=True)
-def _resample(clearance, path, need):
-    """The same path with more points on it where a bend would be allowed.
+def _bend_free(clearance, px, py, required):
+    return bilinear(clearance, px, py) >= required_at(required, px, py)
 
-    Two bends that hold each other in place, each in sight of the other only where it is, come free through them.
+
+@njit(cache=True, nogil=True)
+def _resample(clearance, path, required):
+    """Return the same path with more points on it where a bend would be allowed.
+
+    Two bends may block each other, when each can be reached from the other only where it is. The points free them.
     """
     count = 1
     for i in range(path.shape[0] - 1):
@@ -41,7 +42,7 @@ def _resample(clearance, path, need):
         pieces = 1 + int(math.hypot(dx, dy) / SPACING)
         for k in range(1, pieces):
             px, py = path[i, 0] + dx * k / pieces, path[i, 1] + dy * k / pieces
-            if _bend_free(clearance, px, py, need):
+            if _bend_free(clearance, px, py, required):
                 out[count, 0], out[count, 1] = px, py
                 count += 1
         out[count] = path[i + 1]
@@ -50,15 +51,15 @@ def _resample(clearance, path, need):
 
 
 @njit(cache=True, nogil=True)
-def _pull(clearance, resolution, path, need):
-    """From each kept bend go straight to the last point of the path that is in sight."""
+def _skip_bends(clearance, resolution, path, required):
+    """Connect each kept bend to the last point of the path that a free segment reaches."""
     n = path.shape[0]
     keep = np.empty(n, np.int64)
     keep[0], count, i = 0, 1, 0
     while i < n - 1:
         j = n - 1
         while j > i + 1 and not segment_free(
-            clearance, resolution, path[i, 0], path[i, 1], path[j, 0], path[j, 1], need
+            clearance, resolution, path[i, 0], path[i, 1], path[j, 0], path[j, 1], required
         ):
             j -= 1
         keep[count] = j
@@ -68,8 +69,8 @@ def _pull(clearance, resolution, path, need):
 
 
 @njit(cache=True, nogil=True)
-def _slide(clearance, resolution, path, i, need):
-    """Pattern search for the place of bend ``i`` that shortens the path most; the step halves from 4 to 1/8 cell."""
+def _move_bend(clearance, resolution, path, i, required):
+    """Move bend ``i`` by a pattern search to where the path is shortest; the step halves from 4 to 1/8 cell."""
     ax, ay, bx, by = path[i - 1, 0], path[i - 1, 1], path[i + 1, 0], path[i + 1, 1]
     x, y = path[i, 0], path[i, 1]
     best = math.hypot(x - ax, y - ay) + math.hypot(bx - x, by - y)
@@ -79,10 +80,10 @@ def _slide(clearance, resolution, path, i, need):
         for k in range(12):
             px, py = x + step * math.cos(k * math.pi / 6), y + step * math.sin(k * math.pi / 6)
             length = math.hypot(px - ax, py - ay) + math.hypot(bx - px, by - py)
-            if length < best - 1e-4 and _bend_free(clearance, px, py, need):
-                if not segment_free(clearance, resolution, ax, ay, px, py, need):
+            if length < best - 1e-4 and _bend_free(clearance, px, py, required):
+                if not segment_free(clearance, resolution, ax, ay, px, py, required):
                     continue
-                if segment_free(clearance, resolution, px, py, bx, by, need):
+                if segment_free(clearance, resolution, px, py, bx, by, required):
                     x, y, best, moved = px, py, length, True
                     break
         if not moved:
@@ -91,8 +92,8 @@ def _slide(clearance, resolution, path, i, need):
 
 
 @njit(cache=True, nogil=True)
-def _shorten_end(clearance, resolution, path, gx, gy, radius, need):
-    """Move the last point along the goal disc's rim (radius in cells) to where the last segment first touches it."""
+def _shorten_end(clearance, resolution, path, gx, gy, radius, required):
+    """Move the last point along the rim of the goal's disc (radius in cells) to where the last segment enters it."""
     n = path.shape[0]
     ax, ay = path[n - 2, 0], path[n - 2, 1]
     to_goal = math.hypot(gx - ax, gy - ay)
@@ -107,14 +108,14 @@ def _shorten_end(clearance, resolution, path, gx, gy, radius, need):
         px, py = gx + radius * math.cos(angle), gy + radius * math.sin(angle)
         if math.hypot(px - ax, py - ay) >= best:
             return
-        if _bend_free(clearance, px, py, need) and segment_free(clearance, resolution, ax, ay, px, py, need):
+        if _bend_free(clearance, px, py, required) and segment_free(clearance, resolution, ax, ay, px, py, required):
             path[n - 1, 0], path[n - 1, 1] = px, py
             return
 
 
 @njit(cache=True, nogil=True)
-def _split(clearance, resolution, path, need):
-    """Replace sharp bends by two on a circle around the corner, whose tangents keep ``need.limit`` from it."""
+def _split_sharp_bends(clearance, resolution, path, required):
+    """Replace each sharp bend by two on a circle around the corner, whose tangents keep ``required.limit`` from it."""
     n = path.shape[0]
     out = np.empty((2 * n, 2))
     out[0] = path[0]
@@ -133,7 +134,7 @@ def _split(clearance, resolution, path, need):
         bend = 2.0 * math.asin(0.5 * inward)
         reach = bilinear(clearance, v[0], v[1]) / resolution  # to the corner, which lies on the bend's inner side
         cx, cy = v[0] + reach * ix / inward, v[1] + reach * iy / inward
-        radius = need.limit / math.cos(0.25 * bend) / resolution
+        radius = required.limit / math.cos(0.25 * bend) / resolution
         outward = math.atan2(-iy, -ix)
         side = 1.0 if (a[0] - v[0]) * -iy + (a[1] - v[1]) * ix < 0.0 else -1.0
         one, two = outward + side * 0.25 * bend, outward - side * 0.25 * bend
@@ -142,12 +143,12 @@ def _split(clearance, resolution, path, need):
         length = math.hypot(px - a[0], py - a[1]) + math.hypot(qx - px, qy - py) + math.hypot(b[0] - qx, b[1] - qy)
         if length >= da + db - GAIN:
             continue
-        if not (_bend_free(clearance, px, py, need) and _bend_free(clearance, qx, qy, need)):
+        if not (_bend_free(clearance, px, py, required) and _bend_free(clearance, qx, qy, required)):
             continue
         if (
-            segment_free(clearance, resolution, a[0], a[1], px, py, need)
-            and segment_free(clearance, resolution, px, py, qx, qy, need)
-            and segment_free(clearance, resolution, qx, qy, b[0], b[1], need)
+            segment_free(clearance, resolution, a[0], a[1], px, py, required)
+            and segment_free(clearance, resolution, px, py, qx, qy, required)
+            and segment_free(clearance, resolution, qx, qy, b[0], b[1], required)
         ):
             out[count - 1, 0], out[count - 1, 1] = px, py
             out[count, 0], out[count, 1] = qx, qy
@@ -165,20 +166,26 @@ def _length(path):
 
 
 @njit(cache=True, nogil=True)
-def pull_taut(
-    clearance: np.ndarray, resolution: float, path: np.ndarray, gx: float, gy: float, radius: float, need: Need
+def shorten_cells(
+    clearance: np.ndarray,
+    resolution: float,
+    path: np.ndarray,
+    gx: float,
+    gy: float,
+    radius: float,
+    required: ClearanceRequirement,
 ) -> np.ndarray:
     """The taut form of a feasible path ``(n, 2)`` in cells; its end may move within the disc ``radius`` of the goal."""
-    path = _pull(clearance, resolution, path, need)
+    path = _skip_bends(clearance, resolution, path, required)
     length = _length(path)
     for _ in range(SWEEPS):
         if path.shape[0] < 2:
             break
         for i in range(1, path.shape[0] - 1):
-            _slide(clearance, resolution, path, i, need)
-        _shorten_end(clearance, resolution, path, gx, gy, radius, need)
-        path = _pull(clearance, resolution, _resample(clearance, path, need), need)
-        path = _split(clearance, resolution, path, need)
+            _move_bend(clearance, resolution, path, i, required)
+        _shorten_end(clearance, resolution, path, gx, gy, radius, required)
+        path = _skip_bends(clearance, resolution, _resample(clearance, path, required), required)
+        path = _split_sharp_bends(clearance, resolution, path, required)
         shorter = _length(path)
         if shorter > length - GAIN:
             break
@@ -186,18 +193,18 @@ def pull_taut(
     return path
 
 
-def tighten(
-    clearance_map: ClearanceMap, path: np.ndarray, goal: np.ndarray, goal_radius: float, need: Need
+def shorten_path(
+    clearance_map: ClearanceMap, path: np.ndarray, goal: np.ndarray, goal_radius: float, required: ClearanceRequirement
 ) -> np.ndarray | None:
-    """Pull a world-frame polyline ``(n, 2)`` taut, from its first point; None where no later point is in sight of it.
+    """Shorten a world-frame polyline ``(n, 2)`` (m) from its first point; None where no later point can be reached.
 
-    The robot's way of following: the first point is where it stands now, the others are what is left of its plan.
+    A robot follows its plan by this: the first point is its position now, the others are the rest of the plan.
     """
     cells = clearance_map.to_grid(path)
     c, r = clearance_map.clearance, clearance_map.resolution
     for k in range(len(cells) - 1, 0, -1):
-        if segment_free(c, r, cells[0, 0], cells[0, 1], cells[k, 0], cells[k, 1], need):
+        if segment_free(c, r, cells[0, 0], cells[0, 1], cells[k, 0], cells[k, 1], required):
             gx, gy = clearance_map.to_grid(goal)
             left = np.concatenate([cells[:1], cells[k:]])
-            return clearance_map.to_world(pull_taut(c, r, left, gx, gy, goal_radius / r, need))
+            return clearance_map.to_world(shorten_cells(c, r, left, gx, gy, goal_radius / r, required))
     return None

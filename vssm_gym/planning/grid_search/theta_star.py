@@ -1,10 +1,9 @@
-"""Theta*: A* over the grid's nodes, in which a node's parent may be any node, or the start, that sees it.
+"""Plan by Theta*: A* over the grid, in which the parent of a node is any node, or the start, that sees it (eq. P4).
 
     g(s') = g(p) + |s' - p|   where p, the parent of s, sees s';   otherwise g(s) + |s' - s|
 
-The path therefore bends at obstacles only and needs no smoothing afterwards (Nash, Daniel, Koenig and Felner,
-"Theta*: any-angle path planning on grids", AAAI 2007). It visits nodes, so each bend is up to about a cell off the
-corner that a taut path would touch.
+The path therefore bends at obstacles only and needs no shortening afterwards (Nash, Daniel, Koenig and Felner, "Theta*:
+any-angle path planning on grids", AAAI 2007). It visits nodes, so each bend is up to about a cell away from the corner.
 """
 
 import math
@@ -14,9 +13,10 @@ from numba import njit
 
 from vssm_gym.geometry.grid_graph import LENGTHS, MOVES, edge_free
 from vssm_gym.planning.clearance import Space
-from vssm_gym.planning.grid_search.clearance_requirement import Need, segment_free
+from vssm_gym.planning.grid_search.astar import opened, path_to
+from vssm_gym.planning.grid_search.clearance_requirement import ClearanceRequirement, segment_free
 from vssm_gym.planning.grid_search.heap import pop, sift_up
-from vssm_gym.planning.grid_search.query import FOUND, NO_PATH, TIME_OUT, answer
+from vssm_gym.planning.grid_search.query import FOUND, NO_PATH, TIME_OUT, plan_by_search
 from vssm_gym.planning.result import PlanResult
 
 
@@ -30,8 +30,11 @@ def plan(
     goal_radius: float = 0.0,
     max_expansions: int = 1_000_000,
 ) -> PlanResult:
-    """Plan as :class:`vssm_gym.planning.planners.Planner` asks."""
-    return answer(
+    """Plan as :class:`vssm_gym.planning.planners.Planner` asks.
+
+    The path visits nodes of the grid.
+    """
+    return plan_by_search(
         lambda query: search(*query),
         start,
         goal,
@@ -40,7 +43,7 @@ def plan(
         margin=margin,
         goal_radius=goal_radius,
         max_expansions=max_expansions,
-        taut=False,
+        shorten=False,
     )
 
 
@@ -53,25 +56,12 @@ def search(
     gx: float,
     gy: float,
     radius: float,
-    need: Need,
+    required: ClearanceRequirement,
     max_expansions: int,
 ) -> tuple[int, np.ndarray, int]:
     """Search by Theta* for the first node within ``radius`` of the goal; see ``query.Query`` and ``query.Search``."""
     nx, ny = free.shape
-    cost = np.full(nx * ny, np.inf)
-    key = np.empty(nx * ny)
-    parent = np.full(nx * ny, -1, np.int32)  # -1: the start, which is no node
-    place = np.full(nx * ny, -1, np.int32)  # -1 unseen, -2 closed, else the position in the heap
-    heap = np.empty(nx * ny, np.int32)
-    size = 0
-    for k in range(seeds.shape[0]):
-        i, j = int(seeds[k, 0]), int(seeds[k, 1])
-        node = i * ny + j
-        cost[node] = seeds[k, 2]
-        key[node] = cost[node] + max(0.0, math.hypot(i - gx, j - gy) - radius)
-        heap[size] = node
-        size += 1
-        sift_up(heap, place, key, size - 1)
+    cost, key, parent, place, heap, size = opened(nx, ny, seeds, gx, gy, radius)  # a parent of -1 is the start
     closed, nearest, least, code = 0, -1, np.inf, NO_PATH
     while size > 0:
         node = pop(heap, place, key, size)
@@ -89,7 +79,7 @@ def search(
             code = TIME_OUT
             break
         p = parent[node]
-        px, py, so_far = (float(p // ny), float(p % ny), cost[p]) if p >= 0 else (need.x, need.y, 0.0)
+        px, py, so_far = (float(p // ny), float(p % ny), cost[p]) if p >= 0 else (required.x, required.y, 0.0)
         for m in range(MOVES.shape[0]):
             di, dj = MOVES[m, 0], MOVES[m, 1]
             if not (0 <= i + di < nx and 0 <= j + dj < ny):
@@ -100,7 +90,7 @@ def search(
             # By the triangle inequality the line from the parent is the shorter one: where it is no gain, none is.
             if through >= cost[other] or place[other] == -2 or not edge_free(free, i, j, di, dj):
                 continue
-            if not segment_free(clearance, resolution, px, py, x, y, need):
+            if not segment_free(clearance, resolution, px, py, x, y, required):
                 through, before = cost[node] + LENGTHS[m], node
                 if through >= cost[other]:
                     continue
@@ -112,11 +102,4 @@ def search(
             sift_up(heap, place, key, place[other])
     if code == NO_PATH:
         return code, np.empty((0, 2)), closed
-    count, node = 0, nearest
-    while node >= 0:
-        count, node = count + 1, parent[node]
-    path, node = np.empty((count, 2)), nearest
-    for k in range(count - 1, -1, -1):
-        path[k, 0], path[k, 1] = node // ny, node % ny
-        node = parent[node]
-    return code, path, closed
+    return code, path_to(nearest, parent, ny), closed

@@ -12,11 +12,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.mpc.fields import FieldCache, Fields
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, checked_pose, last_control
-from vssm_gym.planning.mpc.verdict import Verdict, to_result
+from vssm_gym.planning.mpc.selection import Selection, to_result
 from vssm_gym.planning.value_iteration import CostToGo
 
 Search = Callable[
-    [Fields, Float[Array, "3"], Float[Array, "2"], Float[Array, "time 2"], PRNGKeyArray], tuple[Verdict, Array]
+    [Fields, Float[Array, "3"], Float[Array, "2"], Float[Array, "time 2"], PRNGKeyArray], tuple[Selection, Array]
 ]
 """``(tables, state, last command, last plan, key) -> (chosen plan, whether the solver converged to it)``."""
 
@@ -52,6 +52,6 @@ class CompiledSearch:
             jax.block_until_ready(self.search(*inputs))
             self._compiled.add(fields.shapes)
         began = time.perf_counter()
-        verdict, converged = jax.device_get(self.search(*inputs))
+        selection, converged = jax.device_get(self.search(*inputs))
         seconds = time.perf_counter() - began
-        return to_result(self.problem, verdict, bool(converged), seconds, self.iterations, step)
+        return to_result(self.problem, selection, bool(converged), seconds, self.iterations, step)

@@ -8,7 +8,7 @@ looked up by indices computed in the graph, so the solver is built once and no s
 
 Two smooth stand-ins: the spline takes the cost-to-go's table as coefficients, which blurs it by half a cell and cannot
 overshoot where it jumps, and ``min(s, J)`` is rounded over a tenth of ``s``. The clearance's spline interpolates. The
-plan that comes out is judged by the same tables as everybody else's.
+plan that comes out is within_deadline by the same tables as everybody else's.
 """
 
 import math
@@ -30,8 +30,8 @@ from vssm_gym.planning.mpc.lagrangian import RefineConfig, refine
 from vssm_gym.planning.mpc.objective import required_clearance, rollout, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, checked_pose, last_control
 from vssm_gym.planning.mpc.ranking import ranked
+from vssm_gym.planning.mpc.selection import Selection, select, to_result
 from vssm_gym.planning.mpc.symbols import bicycle_step, spline
-from vssm_gym.planning.mpc.verdict import Verdict, judge, to_result
 from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
 from vssm_gym.planning.value_iteration import CostToGo
 
@@ -68,7 +68,7 @@ class Ipopt:
         self._fields = FieldCache(self.problem.car)
         self._tables: tuple[Fields, ValueTable, ClearanceTable] | None = None
         self._solvers: dict[tuple[Any, ...], Any] = {}
-        self._begin, self._end = jax.jit(self._start), jax.jit(self._judge)
+        self._begin, self._end = jax.jit(self._start), jax.jit(self._select)
 
     def plan(
         self,
@@ -111,13 +111,13 @@ class Ipopt:
         answer = np.asarray(found["x"]).reshape(horizon, 5)[:, 3:]
         answer = answer if np.isfinite(answer).all() else start
         both = jnp.asarray(np.stack([answer, start]), jnp.float32)
-        verdict = jax.device_get(self._end(fields, inputs[0], inputs[1], both))
+        selection = jax.device_get(self._end(fields, inputs[0], inputs[1], both))
         seconds = time.perf_counter() - began
 
-        own = int(verdict.chosen) == 0
+        own = int(selection.chosen) == 0
         kept = tuple(_a_step_later(found[name], horizon) for name in ("lam_x", "lam_g")) if own else ()
         converged = own and bool(statistics["success"])
-        result = to_result(problem, verdict, converged, seconds, int(statistics["iter_count"]), step, kept)
+        result = to_result(problem, selection, converged, seconds, int(statistics["iter_count"]), step, kept)
         if result.status is MpcStatus.INFEASIBLE and statistics["return_status"] == "Maximum_WallTime_Exceeded":
             return replace(result, status=MpcStatus.LATE)  # nothing is known of what more time would have found
         return result
@@ -131,12 +131,12 @@ class Ipopt:
         starts = jnp.concatenate([candidates[:1], best])
         least = required_clearance(problem, fields, state)
         mended = refine(problem, MEND, fields, state, last, least, starts)
-        verdict = judge(problem, fields, state, last, jnp.concatenate([mended, starts]), STARTS)
-        is_warm = verdict.chosen % STARTS == 0
-        return verdict.controls, rollout(problem, state, verdict.controls), is_warm, least
+        selection = select(problem, fields, state, last, jnp.concatenate([mended, starts]), STARTS)
+        is_warm = selection.chosen % STARTS == 0
+        return selection.controls, rollout(problem, state, selection.controls), is_warm, least
 
-    def _judge(self, fields: Fields, state: Array, last: Array, plans: Array) -> Verdict:
-        return judge(self.problem, fields, state, last, within_rates(self.problem, last, plans), 1)
+    def _select(self, fields: Fields, state: Array, last: Array, plans: Array) -> Selection:
+        return select(self.problem, fields, state, last, within_rates(self.problem, last, plans), 1)
 
     def _prepared(self, fields: Fields, values: ValueTable, clearances: ClearanceTable, inputs: list[Array]) -> Any:
         """The solver for tables of these sizes; builds and compiles what is seen for the first time."""

@@ -25,7 +25,7 @@ from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.objective import evaluate
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult
 from vssm_gym.planning.mpc.ranking import SHORTFALL_COST, shortfall
-from vssm_gym.planning.mpc.verdict import Verdict, judge
+from vssm_gym.planning.mpc.selection import Selection, select
 from vssm_gym.planning.value_iteration import CostToGo
 
 
@@ -70,7 +70,7 @@ class Mppi:
         """See :meth:`~vssm_gym.planning.mpc.problem.MpcSolver.plan`."""
         return self._compiled.plan(state, value, clearance, warm, control)
 
-    def _search(self, fields: Fields, state: Array, last: Array, plan: Array, key: Array) -> tuple[Verdict, Array]:
+    def _search(self, fields: Fields, state: Array, last: Array, plan: Array, key: Array) -> tuple[Selection, Array]:
         problem, config = self.problem, self.config
         keys = jax.random.split(key, config.rounds)
         samples = propose(problem, keys[0], last, plan, config.samples)
@@ -84,8 +84,8 @@ class Mppi:
 
         scales = jnp.asarray(config.shrink ** np.arange(1, config.rounds))
         (mean, best), _ = jax.lax.scan(later, (mean, best), (keys[1:], scales))
-        verdict = judge(problem, fields, state, last, jnp.stack([mean, best]), 1)
-        return verdict, verdict.chosen == 0
+        selection = select(problem, fields, state, last, jnp.stack([mean, best]), 1)
+        return selection, selection.chosen == 0
 
     def _average(
         self, fields: Fields, state: Array, last: Array, samples: Float[Array, "samples time 2"]

@@ -167,7 +167,7 @@ class MpcResult:
         """Whether the first control may be executed."""
         return self.status.usable
 
-    def judged(self, deadline: float) -> "MpcResult":
+    def within_deadline(self, deadline: float) -> "MpcResult":
         """The same, :attr:`MpcStatus.LATE` where it took longer than ``deadline`` seconds."""
         return replace(self, status=MpcStatus.LATE) if self.seconds > deadline else self
 

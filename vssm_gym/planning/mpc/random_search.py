@@ -18,7 +18,7 @@ from vssm_gym.planning.mpc.lagrangian import RefineConfig, refine
 from vssm_gym.planning.mpc.objective import required_clearance
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult
 from vssm_gym.planning.mpc.ranking import ranked
-from vssm_gym.planning.mpc.verdict import Verdict, judge
+from vssm_gym.planning.mpc.selection import Selection, select
 from vssm_gym.planning.value_iteration import CostToGo
 
 
@@ -58,12 +58,12 @@ class RandomSearch:
         """See :meth:`~vssm_gym.planning.mpc.problem.MpcSolver.plan`."""
         return self._compiled.plan(state, value, clearance, warm, control)
 
-    def _search(self, fields: Fields, state: Array, last: Array, plan: Array, key: Array) -> tuple[Verdict, Array]:
+    def _search(self, fields: Fields, state: Array, last: Array, plan: Array, key: Array) -> tuple[Selection, Array]:
         candidates = propose(self.problem, key, last, plan, self.config.candidates)
         best, _ = ranked(self.problem, fields, state, last, candidates, self.config.refined)
         # After a step with noise the last plan may miss the margin by a millimetre: it is repaired, never dropped.
         best = best.at[-1].set(candidates[0])
         least = required_clearance(self.problem, fields, state)
         refined = refine(self.problem, self.config.refine, fields, state, last, least, best)
-        verdict = judge(self.problem, fields, state, last, jnp.concatenate([refined, best]), self.config.refined)
-        return verdict, verdict.chosen < self.config.refined
+        selection = select(self.problem, fields, state, last, jnp.concatenate([refined, best]), self.config.refined)
+        return selection, selection.chosen < self.config.refined

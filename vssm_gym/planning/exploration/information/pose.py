@@ -10,8 +10,8 @@ import numpy as np
 
 from vssm_gym.geometry.camera import Camera
 
-READING_STD = 0.1  # m, of READINGS readings an image: wide, since neighbouring ones err together
-READINGS = 1200  # however many pixels the image has: more of them tell the same again
+MEASUREMENT_STD = 0.1  # m, of MEASUREMENTS readings an image: wide, since neighbouring ones err together
+MEASUREMENTS = 1200  # however many pixels the image has: more of them tell the same again
 EDGE = 0.15  # of the depth: neighbours further apart lie on different surfaces
 
 
@@ -45,6 +45,6 @@ def pose_gain(
     n = np.where(whole[..., None], n / np.maximum(length, 1e-12)[..., None], 0.0)
     turn = n[..., 1] * here[..., 0] - n[..., 0] * here[..., 1]
     J = np.stack([n[..., 0], n[..., 1], turn], axis=-1).reshape(len(depth), -1, 3)
-    F = np.einsum("vni,vnj->vij", J, J) * (READINGS / (camera.width * camera.height)) / READING_STD**2
+    F = np.einsum("vni,vnj->vij", J, J) * (MEASUREMENTS / (camera.width * camera.height)) / MEASUREMENT_STD**2
     scaled = np.eye(3) + std[:, None] * F * std
     return 0.5 * np.linalg.slogdet(scaled)[1]

@@ -17,7 +17,7 @@ from vssm_gym.planning.mpc.ranking import shortfall
 CHEAPER = 0.02  # step costs: below it two plans are the same drive
 
 
-class Verdict(NamedTuple):
+class Selection(NamedTuple):
     """The chosen plan, on the device."""
 
     controls: Float[Array, "time 2"]
@@ -29,14 +29,14 @@ class Verdict(NamedTuple):
     chosen: Array  # which of the plans it is
 
 
-def judge(
+def select(
     problem: MpcProblem,
     fields: Fields,
     state: Float[Array, "3"],
     last: Float[Array, "2"],
     controls: Float[Array, "plans time 2"],
     own: int,
-) -> Verdict:
+) -> Selection:
     """The best of ``controls``, all of them within limits and rates.
 
     The first ``own`` are the solver's, the others what it started from: those must be cheaper by :data:`CHEAPER`.
@@ -47,7 +47,7 @@ def judge(
     handicap = jnp.where(jnp.arange(controls.shape[0]) < own, 0.0, CHEAPER)
     cheapest = jnp.argmin(jnp.where(feasible, plans.cost + handicap, jnp.inf))
     index = jnp.where(jnp.any(feasible), cheapest, jnp.argmin(violation))
-    return Verdict(
+    return Selection(
         controls[index],
         with_start(state, plans.states[index]),
         plans.cost[index],
@@ -60,16 +60,16 @@ def judge(
 
 def to_result(
     problem: MpcProblem,
-    verdict: Verdict,
+    selection: Selection,
     converged: bool,
     seconds: float,
     iterations: int,
     step: int,
     multipliers: tuple[np.ndarray, ...] = (),
 ) -> MpcResult:
-    """The host's view of a verdict, with its status; a late answer is late whatever it says."""
-    violation = float(verdict.violation)
-    if float(verdict.start_clearance) < -problem.config.tolerance:
+    """The host's view of a selection, with its status; a late answer is late whatever it says."""
+    violation = float(selection.violation)
+    if float(selection.start_clearance) < -problem.config.tolerance:
         status = MpcStatus.BLOCKED
     elif violation > problem.config.tolerance:
         status = MpcStatus.INFEASIBLE
@@ -77,13 +77,13 @@ def to_result(
         status = MpcStatus.SOLVED if converged else MpcStatus.ACCEPTABLE
     return MpcResult(
         status,
-        np.asarray(verdict.controls, np.float64),
-        np.asarray(verdict.states, np.float64),
-        float(verdict.cost),
+        np.asarray(selection.controls, np.float64),
+        np.asarray(selection.states, np.float64),
+        float(selection.cost),
         violation,
-        float(verdict.clearance_min),
+        float(selection.clearance_min),
         seconds,
         iterations,
         step,
         multipliers,
-    ).judged(problem.config.deadline)
+    ).within_deadline(problem.config.deadline)
