@@ -1,7 +1,7 @@
-"""The protocol of an agent: ``reset(context, observation, seed)``, then ``act(observation) -> Decision`` once a step.
+"""Define the protocol of an agent: ``reset(context, observation, seed)``, then ``act(observation) -> Decision``.
 
-An agent sees its observations, remembers its own commands, and is told a static :class:`AgentContext`. It holds no
-reference to the environment and never receives ``info``, so that no ground truth can reach it (DESIGN, Environments).
+An agent sees its observations, remembers its own commands, and knows a static :class:`AgentContext`. It holds no
+reference to the environment and never receives ``info``, so that no ground truth can reach it.
 """
 
 from collections.abc import Mapping
@@ -36,8 +36,8 @@ class AgentContext:
         body_length: diameter of the robot's footprint, or length of the car's, metres.
         success_radius: a stop within this distance of the goal succeeds, metres; a car only has to come so near.
         noise: standard deviations of a holonomic robot's execution noise: turn (rad), step (m); zeros of another's,
-            which only ``transition`` tells.
-        transition: how the robot believes that it moves; its controls are the agent's commands.
+            whose noise only ``transition`` holds.
+        transition: the robot's model of its own motion; its controls are the agent's commands.
         car: the car's measures; None for another robot.
     """
 
@@ -57,7 +57,7 @@ class AgentContext:
 
 @dataclass(frozen=True)
 class Decision:
-    """One action and what the agent believed when it chose it.
+    """Hold one action and what the agent believed when it chose it.
 
     Attributes:
         action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task. Of a car ``(2,)``
@@ -66,7 +66,7 @@ class Decision:
         status: one readable line on the agent's state; reports print it where a run fails.
         latency: seconds by stage: "tracking", "planning", "control".
         plan: ``(n, 2)`` waypoints still to be driven, world frame, metres; None without a plan.
-        gives_up: that the task cannot be done, for the reason in ``status``; only a robot without a stop says it so.
+        gives_up: True where the task cannot be done, for the reason in ``status``; used by robots without a stop.
     """
 
     action: np.ndarray
@@ -79,24 +79,24 @@ class Decision:
 
 @runtime_checkable
 class Agent(Protocol):
-    """An agent; `reset` opens an episode, `act` answers the newest observation.
+    """Act in an environment: `reset` opens an episode, `act` chooses an action for the newest observation.
 
     The observation given to `reset` is given to the first `act` again. A goal that changes between two calls of `act`
     is a new task that starts where the robot stands (chained tasks).
     """
 
     name: str
-    robot: str  # which it drives: "holonomic", "car", or "disc" with a laser scanner
+    robot: str  # that it controls: "holonomic", "car", or "disc" with a laser scanner
     # "pointgoal": drive to observation["goal"]; "imagegoal": to where observation["goal_rgb"] was taken; "explore": map
     # what is there, no goal is observed; ANY_TASK: all of these.
     task: str
-    needs_pose: bool  # whether it reads observation["pose"]: oracles only
-    needs_map: bool  # whether context.map must be there
+    needs_pose: bool  # True: it reads observation["pose"]; oracles and the agents of an observed pose
+    needs_map: bool  # True: context.map must be given
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Forget the last episode; all randomness of the next one follows from ``seed``."""
         ...
 
     def act(self, observation: Observation) -> Decision:
-        """The action for this observation, always within the context's limits."""
+        """Return the action for this observation, always within the context's limits."""
         ...

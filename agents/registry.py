@@ -1,4 +1,4 @@
-"""Every agent by name; the command line, sweeps and tests read this table and nothing else."""
+"""List every agent by name; the command line, sweeps and tests read this table and nothing else."""
 
 from dataclasses import replace
 from typing import Any
@@ -65,7 +65,7 @@ WITH = "+"  # between a navigating agent and its planner: ``astar+theta_star``
 
 
 def agent_type(name: str) -> type[Agent]:
-    """The class of an agent of the table, whichever planner it has, or of ``policy:FILE``.
+    """Return the class of an agent of the table, with any planner, or of ``policy:FILE``.
 
     Raises:
         InputError: an agent or a planner that nobody registered, a former name, a planner for an agent that takes none.

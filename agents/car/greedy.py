@@ -1,6 +1,8 @@
-"""``greedy``: descends the cost-to-go of ``vi_mpc`` by single arcs, without a horizon: what the critic alone is worth.
+"""Descend the cost-to-go of ``vi_mpc`` by single arcs: the value of the critic without a horizon (eq. P22).
 
 u = argmin_u |s| / l + gamma^(|s| / l) J(z exp(arc(u)))       s: length of the arc, l: of one motion of J
+
+Described in ``docs/agents/car.md``.
 """
 
 from typing import Any
@@ -8,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import CarCommand, Driver
+from vssm_gym.agents.shared.driver import SURFACE_ERROR, CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
@@ -16,15 +18,14 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import Arena, collides
 from vssm_gym.planning.value_iteration import CostToGo
 
-STEERINGS = 11
-LENGTHS = (0.06, 0.12, 0.24)  # m, of the arcs
-PARTS = 4  # poses of an arc that are tested for collision
-PACE = 0.5  # of the greatest speed
-MARGIN = 0.01  # m around the footprint: the map's surfaces err
+STEERINGS = 11  # from full lock to full lock
+LENGTHS = (0.06, 0.12, 0.24)  # m, of the arcs, forwards and backwards
+PARTS = 4  # poses of an arc that are tested for collision, at most 6 cm apart
+PACE = 0.5  # fraction of the greatest speed at which it drives
 
 
 class GreedyDescent:
-    """:class:`~vssm_gym.agents.shared.driver.CarController`: the best arc, one step of it, and again."""
+    """Drive one step of the best arc, then choose again."""
 
     def __init__(self, arena: Arena, car: Car) -> None:
         self._arena, self._car, self._critic = arena, car, Critic(arena, car)
@@ -35,7 +36,7 @@ class GreedyDescent:
         self._value: CostToGo
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
-        """Value iteration to the target; the reason where the car cannot get there."""
+        """Run value iteration to the target; return the reason where the car cannot get there."""
         result = self._critic.aim(planar, goal)
         if result.cost_to_go is None:
             return result.status.message
@@ -43,7 +44,7 @@ class GreedyDescent:
         return None
 
     def step(self, planar: Any) -> CarCommand:
-        """The free arc whose end is worth most, at half speed."""
+        """Return the free arc with the least cost, at half speed."""
         poses = self._along(planar)
         motions = np.abs(self._length) / self._value.motion_length
         cost = motions + self._value.gamma**motions * np.asarray(self._value.at(poses[:, -1]))
@@ -51,15 +52,15 @@ class GreedyDescent:
         if here <= 0.0:
             return CarCommand(np.zeros(2), "at the target")
         for best in np.argsort(cost):
-            if not any(collides(self._arena, pose, self._car, MARGIN) for pose in poses[best]):
+            if not any(collides(self._arena, pose, self._car, SURFACE_ERROR) for pose in poses[best]):
                 speed = np.sign(self._length[best]) * min(
                     PACE * self._car.max_speed, abs(self._length[best]) / self._car.dt
                 )
                 return CarCommand(np.array([speed, self._steering[best]]), "descends", poses[best, :, :2])
-        return CarCommand(np.zeros(2), "stands: every arc touches something")
+        return CarCommand(np.zeros(2), "stands: every arc collides")
 
     def _along(self, planar: np.ndarray) -> Any:
-        """Poses of every arc, ``(arcs, PARTS, 3)``."""
+        """Return the poses of every arc, ``(arcs, PARTS, 3)``."""
         s = self._length[:, None] * np.arange(1, PARTS + 1) / PARTS
         turn = turn_of(s, self._steering[:, None], self._car.wheelbase)
         poses = poses_after(planar[2], s, turn, planar[0], planar[1])
@@ -68,7 +69,7 @@ class GreedyDescent:
 
 
 class GreedyAgent:
-    """Greedy descent on the cost-to-go; the pose is observed."""
+    """Descend the cost-to-go greedily; the pose is observed."""
 
     name = "greedy"
     robot = "car"

@@ -1,6 +1,7 @@
-"""``hybrid_astar``: the classical way. Hybrid A* with Reeds-Shepp curves on the learned map, then pure pursuit.
+"""Plan by Hybrid A* with Reeds-Shepp curves on the learned map, then follow the drive by pure pursuit.
 
-Plans once a target, and again where the car has left its plan or ended beside the target; reads the true pose.
+``hybrid_astar`` plans once per target, and again where the car has left its plan or ended beside the target. It reads
+the true pose. Described in ``docs/agents/car.md``.
 """
 
 import itertools
@@ -18,15 +19,15 @@ from vssm_gym.planning.car.pursuit import CarPath
 from vssm_gym.planning.result import PlanStatus
 
 EXPANSIONS = 300_000  # of a search: a count, not a time, so that runs repeat exactly on any machine
-MARGINS = (0.02, 0.0)  # m around the footprint, tried in turn
-ASTRAY = 0.08  # m from the plan
-TURNED = 0.4  # rad off the plan's heading
-# Around the target, inside its region, where the car fits by a map that is rounded to cells: m, m, rad.
+MARGINS = (0.02, 0.0)  # m around the footprint, tried in turn: with room for an error of the map, then without
+ASTRAY, TURNED = 0.08, 0.4  # m from the plan and rad off its heading from which on the car plans again
+# Offsets from the target (m, m, rad) that stay inside its region; in a map rounded to cells the car may fit at one
+# only.
 OFFSETS = np.array([[0.0, 0.0, 0.0], *itertools.product((-0.04, 0.0, 0.04), (-0.04, 0.0, 0.04), (-0.1, 0.0, 0.1))])
 
 
 class HybridPursuit:
-    """:class:`~vssm_gym.agents.shared.driver.CarController`: plan a drive, follow it, plan again where that fails."""
+    """Plan a drive, follow it, and plan again where that fails."""
 
     def __init__(self, arena: Arena, car: Car) -> None:
         grid = arena.occupied, arena.origin, arena.resolution
@@ -34,13 +35,13 @@ class HybridPursuit:
         self._levels = [FootprintLevels.from_occupied(*grid, car, margin=margin) for margin in MARGINS]
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
-        """Plan; the planner's reason where it finds no drive."""
+        """Plan; return the planner's reason where it finds no drive."""
         self._goal = goal
         result = self._plan(planar)
         return None if result.found else result.status.message
 
     def step(self, planar: np.ndarray) -> CarCommand:
-        """Follow the drive, from a new plan where the old one was left or ended elsewhere."""
+        """Follow the drive, after a new plan where the car left the old one or ended elsewhere."""
         following = self._drive.follow(planar, self._progress, self._car)
         astray = following.deviation > ASTRAY or abs(following.heading_error) > TURNED
         if following.done or astray:
@@ -52,7 +53,7 @@ class HybridPursuit:
         return CarCommand(following.control, "follows its drive", self._drive.poses[:, :2])
 
     def _plan(self, planar: np.ndarray) -> CarPlan:
-        """The first drive found: to the target with room to spare, without, then to poses around it."""
+        """Return the first drive found: to the target with a margin, without one, then to poses around it."""
         for goal in self._goal + OFFSETS[:, : len(self._goal)]:
             for levels in self._levels:
                 result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=EXPANSIONS)
@@ -65,7 +66,7 @@ class HybridPursuit:
 
 
 class HybridAStarAgent:
-    """Hybrid A* and pure pursuit; the pose is observed."""
+    """Drive by Hybrid A* and pure pursuit; the pose is observed."""
 
     name = "hybrid_astar"
     robot = "car"

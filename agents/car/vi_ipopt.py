@@ -1,4 +1,7 @@
-"""``vi_ipopt``: the critic of ``vi_mpc``, and an interior-point method (CasADi, IPOPT) as actor."""
+"""Drive a car by the critic of ``vi_mpc`` and an interior-point method (CasADi, IPOPT) as actor.
+
+Described in ``docs/agents/car.md``.
+"""
 
 from vssm_gym.agents.car.vi_mpc import PROBLEM, ValueMpc
 from vssm_gym.agents.shared.driver import Driver
@@ -7,7 +10,7 @@ from vssm_gym.planning.mpc.ipopt import Ipopt
 
 
 class ViIpoptAgent:
-    """Value iteration and an interior-point method (CasADi, IPOPT); the pose is observed."""
+    """Drive by value iteration and an interior-point method (CasADi, IPOPT); the pose is observed."""
 
     name = "vi_ipopt"
     robot = "car"

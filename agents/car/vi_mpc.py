@@ -1,7 +1,8 @@
-"""``vi_mpc``: value iteration as critic, model-predictive control as actor, on the learned map.
+"""Drive a car by value iteration as critic and model-predictive control as actor, on the learned map.
 
-The cost-to-go of the target is computed once; every step then solves a short-horizon problem that ends in it. The
-solver here is random search refined by an augmented Lagrangian, as published; reads the true pose (an MDP).
+The cost-to-go of the target is computed once; every step of ``vi_mpc`` then solves a short-horizon problem with it as
+terminal cost (thesis, section 5.6.1). The solver is random search refined by an augmented Lagrangian, as published. The
+true pose is read, so the problem is a Markov decision process. Described in ``docs/agents/car.md``.
 """
 
 import numpy as np
@@ -16,8 +17,8 @@ from vssm_gym.planning.mpc.problem import MpcConfig, MpcProblem, MpcSolver
 from vssm_gym.planning.mpc.random_search import RandomSearch
 from vssm_gym.planning.value_iteration import CostToGo
 
-# Latencies are reported; simulation waits, so that runs repeat exactly.
-# Learned surfaces are off by up to 2 cm, and the car strays from its plan by as much in a second or two.
+# No deadline: latencies are reported, and the simulation waits, so that runs repeat exactly. The margin covers the
+# error of learned surfaces, up to 2 cm, and what the car strays from its plan in a second or two, about as much.
 PROBLEM = MpcProblem(Car(), MpcConfig(margin=0.03, comfort=0.08, deadline=np.inf))
 
 
@@ -31,7 +32,7 @@ class ValueMpc:
         safety.prepare(solver.problem)
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
-        """Value iteration to the target; the reason where the car cannot get there."""
+        """Run value iteration to the target; return the reason where the car cannot get there."""
         self._memory = safety.init(control)
         result = self._critic.aim(planar, goal)
         if result.cost_to_go is None:
@@ -40,7 +41,7 @@ class ValueMpc:
         return None
 
     def step(self, planar: np.ndarray) -> CarCommand:
-        """Plan over the horizon; what is safe where there is no plan."""
+        """Plan over the horizon; return a safe command where there is no plan."""
         problem, clearance, memory = self._solver.problem, self._arena.clearance, self._memory
         result = self._solver.plan(planar, self._value, clearance, memory.resume, memory.control)
         self._memory, action = safety.step(problem, memory, result, planar, clearance)
@@ -49,7 +50,7 @@ class ValueMpc:
 
 
 class ViMpcAgent:
-    """Value iteration and random search with an augmented Lagrangian; the pose is observed."""
+    """Drive by value iteration and random search with an augmented Lagrangian; the pose is observed."""
 
     name = "vi_mpc"
     robot = "car"

@@ -11,7 +11,7 @@ from vssm_gym.planning.mpc.random_search import RandomSearch
 
 
 class ViMpcEstimatedPoseAgent:
-    """Localises against the map; value iteration and random search with an augmented Lagrangian."""
+    """Localise against the map; drive by value iteration and random search with an augmented Lagrangian."""
 
     name = "vi_mpc_estimated_pose"
     robot = "car"

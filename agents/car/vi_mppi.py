@@ -1,4 +1,7 @@
-"""``vi_mppi``: the critic of ``vi_mpc``, and path-integral control (MPPI) as actor."""
+"""Drive a car by the critic of ``vi_mpc`` and path-integral control (MPPI) as actor.
+
+Described in ``docs/agents/car.md``.
+"""
 
 from vssm_gym.agents.car.vi_mpc import PROBLEM, ValueMpc
 from vssm_gym.agents.shared.driver import Driver
@@ -7,7 +10,7 @@ from vssm_gym.planning.mpc.mppi import Mppi
 
 
 class ViMppiAgent:
-    """Value iteration and path-integral control (MPPI); the pose is observed."""
+    """Drive by value iteration and path-integral control (MPPI); the pose is observed."""
 
     name = "vi_mppi"
     robot = "car"

@@ -1,6 +1,8 @@
-"""``frontier_gain``: drives to the frontier that shows most for the way (Gonzalez-Banos and Latombe 2002).
+"""Explore by the frontier with most unknown area in sight for its path length (Gonzalez-Banos and Latombe 2002).
 
-goal = argmax_f A(f) exp(-lambda d(f))          A: unknown area in sight of the goal, m^2; d: length of the way, m
+goal = argmax_f A(f) exp(-lambda d(f))          A: unknown area in sight of the goal, m^2; d: path length, m
+
+``frontier_gain`` reads the true pose. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -16,23 +18,23 @@ from vssm_gym.planning.exploration.frontier import frontiers, seen_unknown
 
 @dataclass(frozen=True)
 class FrontierGainConfig:
-    """Settings of ``frontier_gain``."""
+    """Configure ``frontier_gain``."""
 
     decay: float = 0.2  # lambda, 1/m, as published
     hazard: float = 0.0  # 1/m, of surfaces in unknown space
 
 
 class FrontierGain:
-    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: gain against cost."""
+    """Choose the frontier of the greatest utility."""
 
     def __init__(self, config: FrontierGainConfig) -> None:
         self._config = config
 
     def reset(self, seed: int) -> None:
-        """Nothing here is random."""
+        """Open an episode; nothing here is random, so ``seed`` changes nothing."""
 
     def choose(self, situation: Situation) -> Choice | None:
-        """The frontier of the greatest utility."""
+        """Return the goal of the frontier with the greatest utility, and a full turn there."""
         plan = situation.roadmap.plan
         found = frontiers(plan, situation.roadmap.distance, dismissed=situation.dismissed)
         if not found:
@@ -49,7 +51,7 @@ class FrontierGain:
 
 
 class FrontierGainAgent:
-    """Frontier exploration by gain and cost; the pose is observed."""
+    """Explore frontiers by gain and cost; the pose is observed."""
 
     name = "frontier_gain"
     robot = "holonomic"
@@ -63,5 +65,5 @@ class FrontierGainAgent:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

@@ -1,7 +1,9 @@
-"""``frontier_gain_scan``: ``frontier_gain`` that also turns around on its way, once in every metre.
+"""Explore as ``frontier_gain`` does, with a full turn in every metre.
 
-goal = argmax_f A(f) exp(-lambda d(f)), and a whole turn wherever the last one was ``every`` metres away. Turning costs
-time and no way: what an explorer gains by looking aside as it goes, without any idea of what there is to see.
+goal = argmax_f A(f) exp(-lambda d(f)), and a full turn wherever the last one was ``every`` metres away.
+
+A turn costs time and no path length. ``frontier_gain_scan`` shows what an explorer gains by looking aside as it goes,
+without any model of what there is to see. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -17,35 +19,35 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 @dataclass(frozen=True)
 class FrontierGainScanConfig:
-    """Settings of ``frontier_gain_scan``."""
+    """Configure ``frontier_gain_scan``."""
 
     every: float = 1.0  # m between turns
     frontiers: FrontierGainConfig = field(default_factory=FrontierGainConfig)
 
 
 class FrontierGainScan:
-    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: gain against cost, and turns on the way."""
+    """Choose the frontier of the greatest utility, with full turns on the path."""
 
     def __init__(self, config: FrontierGainScanConfig) -> None:
         self._config, self._frontiers = config, FrontierGain(config.frontiers)
 
     def reset(self, seed: int) -> None:
-        """Nothing here is random."""
+        """Open an episode; nothing here is random, so ``seed`` changes nothing."""
         self._turned: np.ndarray | None = None
 
     def choose(self, situation: Situation) -> Choice | None:
-        """A turn where one is due, else the frontier of the greatest utility."""
+        """Return a full turn where one is due, else the frontier of the greatest utility."""
         choice, xy = self._frontiers.choose(situation), situation.planar[:2]
         if self._turned is None or situation.arrived:  # a look around has just ended
             self._turned = xy.copy()
         if choice is None or math.hypot(*(xy - self._turned)) < self._config.every:
             return choice
         self._turned = xy.copy()
-        return Choice(None, around(float(situation.planar[2])), None, "turns around on its way")
+        return Choice(None, around(float(situation.planar[2])), None, "turns around on its path")
 
 
 class FrontierGainScanAgent:
-    """Frontier exploration by gain and cost with turns on the way; the pose is observed."""
+    """Explore frontiers by gain and cost with full turns on the path; the pose is observed."""
 
     name = "frontier_gain_scan"
     robot = "holonomic"
@@ -59,5 +61,5 @@ class FrontierGainScanAgent:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

@@ -12,7 +12,7 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 
 class FrontierGainScanEstimatedPoseAgent:
-    """Frontier exploration by gain and cost with turns on the way; map and pose are estimated together."""
+    """Explore frontiers by gain and cost with full turns on the path; map and pose are estimated together."""
 
     name = "frontier_gain_scan_estimated_pose"
     robot = "holonomic"
@@ -26,5 +26,5 @@ class FrontierGainScanEstimatedPoseAgent:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

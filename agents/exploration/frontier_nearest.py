@@ -1,6 +1,8 @@
-"""``frontier_nearest``: drives to the nearest frontier, again and again (Yamauchi 1997).
+"""Explore by the nearest frontier (Yamauchi 1997).
 
-goal = argmin_f d(f)          d: length of the way to the reachable place nearest to the middle of frontier f
+goal = argmin_f d(f)          d: path length to the reachable place nearest to the middle of frontier f
+
+``frontier_nearest`` reads the true pose. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -15,10 +17,10 @@ class NearestFrontier:
     """Choose the nearest frontier, with a full turn at each goal that is reached."""
 
     def reset(self, seed: int) -> None:
-        """Nothing here is random."""
+        """Open an episode; nothing here is random, so ``seed`` changes nothing."""
 
     def choose(self, situation: Situation) -> Choice | None:
-        """The nearest frontier."""
+        """Return the goal of the nearest frontier, and a full turn there."""
         found = frontiers(situation.roadmap.plan, situation.roadmap.distance, dismissed=situation.dismissed)
         if not found:
             return None
@@ -29,7 +31,7 @@ class NearestFrontier:
 
 
 class FrontierNearestAgent:
-    """Frontier exploration by distance; the pose is observed."""
+    """Explore frontiers by distance; the pose is observed."""
 
     name = "frontier_nearest"
     robot = "holonomic"
@@ -43,5 +45,5 @@ class FrontierNearestAgent:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

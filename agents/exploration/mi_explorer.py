@@ -1,12 +1,12 @@
-"""``mi_explorer``: goes and looks where imagined images teach its map most, in the order that leaves least undone.
+"""Explore where imagined images are most informative about the map, in the order that leaves least undone (eq. P33).
 
-    I(M; x | z) = sum_cells 1/2 log(1 + n lambda_u / lambda)     gain of looks z together; what they share is in n
-    order = argmin sum_legs |leg| (gain not yet made)            ``mode`` "coverage": a tour that leaves nothing behind
-    goal = argmax gain / way,  or  gain - price way              ``mode`` "rate", "difference": greedy, as published
+    I(M; x | z) = sum_cells 1/2 log(1 + n lambda_u / lambda)     gain of views z together; n counts shared views
+    order = argmin sum_legs |leg| (gain not yet made)            ``mode`` "coverage": a minimum-latency tour (eq. P42)
+    goal = argmax gain / d,  or  gain - price d                  ``mode`` "rate", "difference": greedy, as published
 
-At every choice it first asks what a look in another direction from where it stands would teach: that costs time and no
-way. Else it takes up to ``places`` candidates that see different parts of the unknown, imagines a look around at each,
-and goes to the first of the best order.
+At every choice ``mi_explorer`` first computes the gain of views in other directions from where it stands: they cost
+time and no path length. Otherwise it takes up to ``places`` candidates that see different parts of the unknown,
+imagines a full turn at each, and goes to the first of the best order. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -29,31 +29,31 @@ from vssm_gym.planning.exploration.information import Gain, InformationConfig, g
 from vssm_gym.planning.exploration.minimum_latency_tour import MOST, best_order
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
-NEAR = 0.2  # m: as good as the same place
-AROUND = 4  # looks of a quarter turn make a look around
+SAME_PLACE = 0.2  # m; a place so near to one that was visited counts as visited: it sees the same
+AROUND = 4  # views of a full turn, a quarter turn apart
 
 
 @dataclass(frozen=True)
 class MiExplorerConfig:
-    """What is a candidate, what gain is worth, and what of it is too little."""
+    """Configure the candidates, the weights of gains, and the least gains that count."""
 
     mode: Literal["coverage", "rate", "difference"] = "coverage"
-    price: float = 5000.0  # nats a metre, of the mode "difference"
+    price: float = 5000.0  # nats per metre of path, of the mode "difference"
     spacing: float = 0.5  # m between candidates
     hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
-    least_share: float = 0.1  # of the greatest gain, below which a place waits
+    least_share: float = 0.1  # fraction of the greatest gain, below which a place is left for later
     least_area: float = 0.05  # m^2 of unknown space that a candidate sees
-    places: int = 10  # candidates that are imagined, at most
-    decay: float = 0.2  # 1/m, by which nearer ones are taken for them
-    least_gain: float = 1000.0  # nats, of a place that is worth going to
-    headings: int = 8  # of looks from here
-    least_look: float = 600.0  # nats, of one of them less the turn's price
-    look_share: float = 0.003  # the same on the way, of the whole tour's gain
-    turn_price: float = 600.0  # nats a radian, of the time that it takes: a small part of what driving gains in it
-    pose_weight: float = 1000.0  # nats of the map that a nat about the own pose is worth: without it the map is spoilt
-    repeat: tuple[float, float] = (0.3, 0.5)  # m and rad: looks so close to one that was made are not made again
-    strip: float = 1.0 / 3.0  # of the image's height, around the horizon: see `_strip`
-    # A cell that was observed is known to 3 cm: looking again would outweigh, by the number of known cells, a small
+    places: int = 10  # candidates whose views are imagined, at most
+    decay: float = 0.2  # 1/m, discount of the area by distance when these are selected
+    least_gain: float = 1000.0  # nats, least gain of a place that is worth going to
+    headings: int = 8  # of the views from where the robot stands
+    least_look: float = 600.0  # nats, least gain of such a view less the turn's price
+    look_share: float = 0.003  # the same on the path to a goal, as a fraction of the whole tour's gain
+    turn_price: float = 600.0  # nats per radian, for the time of a turn: a small part of what driving gains in it
+    pose_weight: float = 1000.0  # nats of the map per nat of the own pose: a wrong pose spoils the map
+    repeat: tuple[float, float] = (0.3, 0.5)  # m and rad; a view so close to one that was taken is not taken again
+    strip: float = 1.0 / 3.0  # fraction of the image's rows, around the horizon: see `_strip`
+    # A cell that was observed is known to 3 cm. Without ``known`` the gains of many known cells would outweigh a small
     # place that nobody has seen.
     information: InformationConfig = field(
         default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, ground=0.0)
@@ -70,13 +70,13 @@ class MiExplorerConfig:
 
 @dataclass(frozen=True)
 class Tour:
-    """What a choice of place was made from.
+    """Hold the gains from which a viewpoint was chosen.
 
     Attributes:
         xy: ``(n, 2)`` places, m.
-        nats: ``(n,)`` what each would teach beside those before it, less its price: ``least_gain``, and what the robot
-            would know less of its own pose there than at the best of them.
-        first: the one that was chosen.
+        nats: ``(n,)`` gain of each place after those before it, less ``least_gain``, less the information about the
+            pose by which its views fall short of the best place's.
+        first: number of the place that was chosen.
     """
 
     xy: np.ndarray
@@ -85,13 +85,13 @@ class Tour:
 
 
 class MutualInformation:
-    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: expected information; see the module."""
+    """Choose viewpoints by expected information; see the module."""
 
     def __init__(self, config: MiExplorerConfig) -> None:
         self._config = config
 
     def reset(self, seed: int) -> None:
-        """Nothing here is random."""
+        """Open an episode; nothing here is random, so ``seed`` changes nothing."""
         self.tour: Tour | None = None  # of the last choice of a place
         self._left = 0.0  # nats of the last tour
         self._looks: list[tuple[float, float, float]] = []  # poses (m, rad) of the looks that were made
@@ -99,8 +99,12 @@ class MutualInformation:
         self._visited: list[np.ndarray] = []  # goals that were reached, m
 
     def choose(self, situation: Situation) -> Choice | None:
-        """A look from here, or the first place of a tour."""
-        if situation.arrived and self._goal is not None and math.hypot(*(self._goal - situation.planar[:2])) < NEAR:
+        """Return a view from here, or the first place of a tour."""
+        if (
+            situation.arrived
+            and self._goal is not None
+            and math.hypot(*(self._goal - situation.planar[:2])) < SAME_PLACE
+        ):
             self._visited.append(self._goal)
             self._goal = None
         c, plan = self._config, situation.roadmap.plan
@@ -114,7 +118,7 @@ class MutualInformation:
         return self._look(situation, gain) or self._tour(situation, hazard, gain)
 
     def _look(self, situation: Situation, gain: Gains) -> Choice | None:
-        """The look from here that teaches most for the turn, where that is enough."""
+        """Return the view from here with the greatest gain less the turn's price, where that is enough."""
         c, (x, y, heading) = self._config, situation.planar
         within, apart = c.repeat
         made = [h for a, b, h in self._looks if math.hypot(a - x, b - y) < within]
@@ -124,18 +128,18 @@ class MutualInformation:
             return None
         planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
         found = gain(np.concatenate([planar, situation.planar[None]]), np.arange(len(fresh))[:, None])
-        nats = found.total + c.pose_weight * (found.pose[:-1] - found.pose[-1])  # beside what is seen from here anyway
+        nats = found.total + c.pose_weight * (found.pose[:-1] - found.pose[-1])  # more than the present view tells
         value = nats - c.turn_price * np.abs(wrap_angle(fresh - heading))
         k = int(np.argmax(value))
-        # On the way only what is worth a stop; where it came to look, all there is to see.
-        on_the_way = 0.0 if self._is_visited(situation.planar[:2]) else c.look_share * self._left
-        if value[k] < max(c.least_look, on_the_way):
+        # On the path only views that are worth a stop; at a goal, all views there are.
+        on_the_path = 0.0 if self._is_visited(situation.planar[:2]) else c.look_share * self._left
+        if value[k] < max(c.least_look, on_the_path):
             return None
         self._looks.append((x, y, float(fresh[k])))
         return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
 
     def _tour(self, situation: Situation, hazard: np.ndarray, gain: Gains) -> Choice | None:
-        """Where to go first; None where no place is worth it."""
+        """Return where to go first; None where no place has the least gain."""
         c, roadmap = self._config, situation.roadmap
         found = candidates(
             roadmap, spacing=c.spacing, hazard=hazard, least_area=c.least_area, dismissed=situation.dismissed
@@ -148,11 +152,11 @@ class MutualInformation:
         xy, away = found.xy[chosen], found.distance[chosen]
         turns = np.arange(AROUND) * 2.0 * math.pi / AROUND
         planar = np.column_stack([np.repeat(xy, AROUND, axis=0), np.tile(turns, len(xy))])
-        # One trajectory through all of them: what a place adds to those before it.
+        # One trajectory through all of them gives what a place adds to those before it.
         looked = gain(planar, np.arange(len(planar))[None])
         held = looked.pose.reshape(-1, AROUND).mean(axis=1)
         worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) - c.least_gain
-        worth += c.pose_weight * (held - held.max())  # where the robot would see nothing to tell its place by
+        worth += c.pose_weight * (held - held.max())  # less where the views tell little about the pose
         kept = np.flatnonzero(worth > max(0.0, c.least_share * float(worth.max(initial=0.0))))
         if len(kept) == 0:
             return None
@@ -165,7 +169,7 @@ class MutualInformation:
         return Choice(xy[first], (), None, status)
 
     def _first(self, roadmap: Roadmap, xy: np.ndarray, away: np.ndarray, worth: np.ndarray) -> int:
-        """The place to go to first, by the configuration's mode."""
+        """Return the number of the place to go to first, by the configuration's mode."""
         if self._config.mode == "rate":
             return int(np.argmax(worth / np.maximum(away, 0.1)))
         if self._config.mode == "difference":
@@ -176,21 +180,21 @@ class MutualInformation:
         return int(order[0])
 
     def _is_visited(self, xy: np.ndarray) -> bool:
-        """Whether this place was a goal that was reached: what it still promises is not there."""
-        return any(math.hypot(*(place - xy)) < NEAR for place in self._visited)
+        """Return True where this place was a reached goal: what it still promises is not there."""
+        return any(math.hypot(*(place - xy)) < SAME_PLACE for place in self._visited)
 
 
 def _strip(camera: Camera, share: float) -> Camera:
-    """The camera with the middle ``share`` of its rows.
+    """Return the camera with the middle ``share`` of its rows.
 
-    Walls are known up to where they were seen. The rows above would look over them into an unknown that is not there.
+    Walls are known up to where they were seen. Rows above would see over them into unknown space that is not there.
     """
     rows = max(1, round(share * camera.height))
     return Camera(camera.width, rows, camera.fx, camera.fy, camera.cx, camera.cy - 0.5 * (camera.height - rows))
 
 
 class MiExplorerAgent:
-    """Exploration by mutual information; the pose is observed."""
+    """Explore by mutual information; the pose is observed."""
 
     name = "mi_explorer"
     robot = "holonomic"
@@ -205,10 +209,10 @@ class MiExplorerAgent:
 
     @property
     def tour(self) -> Tour | None:
-        """What the last choice of a place was made from; None before there was one."""
+        """Return the gains from which the last viewpoint was chosen; None before the first choice."""
         return self._strategy.tour
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

@@ -12,7 +12,7 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 
 class MiExplorerEstimatedPoseAgent:
-    """Exploration by mutual information; map and pose are estimated together."""
+    """Explore by mutual information; map and pose are estimated together."""
 
     name = "mi_explorer_estimated_pose"
     robot = "holonomic"
@@ -27,10 +27,10 @@ class MiExplorerEstimatedPoseAgent:
 
     @property
     def tour(self) -> Tour | None:
-        """What the last choice of a place was made from; None before there was one."""
+        """Return the gains from which the last viewpoint was chosen; None before the first choice."""
         return self._strategy.tour
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

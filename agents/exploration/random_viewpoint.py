@@ -1,6 +1,8 @@
-"""``random_viewpoint``: the candidates of ``mi_explorer``, one of them at random: what choosing by information adds.
+"""Explore by a random one of the candidate viewpoints of ``mi_explorer``: the ablation of choosing by information.
 
 goal ~ U({q : A(q) >= least area, q not visited})          A: expected unknown area in sight of a candidate, m^2
+
+``random_viewpoint`` reads the true pose. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -8,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vssm_gym.agents.exploration.mi_explorer import NEAR
+from vssm_gym.agents.exploration.mi_explorer import SAME_PLACE
 from vssm_gym.agents.shared.explorer import Explorer
 from vssm_gym.agents.shared.strategy import Choice, Situation, around
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -18,7 +20,7 @@ from vssm_gym.planning.exploration.candidates import candidates
 
 @dataclass(frozen=True)
 class RandomViewpointConfig:
-    """Settings of ``random_viewpoint``: the candidates are those of ``mi_explorer``."""
+    """Configure ``random_viewpoint``; the candidates are those of ``mi_explorer``."""
 
     spacing: float = 0.5  # m between candidates
     hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
@@ -32,15 +34,15 @@ class RandomViewpoint:
         self._config = config
 
     def reset(self, seed: int) -> None:
-        """Draws follow from ``seed``."""
+        """Open an episode whose draws follow from ``seed``."""
         self._rng = np.random.default_rng(seed)
         self._goal: np.ndarray | None = None
         self._visited: list[np.ndarray] = []  # goals that were reached, m
 
     def choose(self, situation: Situation) -> Choice | None:
-        """The goal of before until it is reached, then another; None where there is none."""
+        """Return the goal of before until it is reached, then another; None where there is none."""
         if situation.arrived and self._goal is not None:
-            if math.hypot(*(self._goal - situation.planar[:2])) < NEAR:
+            if math.hypot(*(self._goal - situation.planar[:2])) < SAME_PLACE:
                 self._visited.append(self._goal)
             self._goal = None
         c = self._config
@@ -50,7 +52,8 @@ class RandomViewpoint:
         )
         visited = np.reshape(self._visited, (-1, 2))
         gap = np.linalg.norm(found.xy[:, None] - visited[None], axis=-1)
-        xy = found.xy[gap.min(axis=1, initial=np.inf) >= NEAR]  # what those still promise is not to be seen from there
+        # What a visited place still promises cannot be seen from it.
+        xy = found.xy[gap.min(axis=1, initial=np.inf) >= SAME_PLACE]
         if not len(xy):
             return None
         if self._goal is None or not situation.roadmap.reaches(self._goal):
@@ -59,7 +62,7 @@ class RandomViewpoint:
 
 
 class RandomViewpointAgent:
-    """Random candidates; the pose is observed."""
+    """Explore by random candidate viewpoints; the pose is observed."""
 
     name = "random_viewpoint"
     robot = "holonomic"
@@ -73,5 +76,5 @@ class RandomViewpointAgent:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

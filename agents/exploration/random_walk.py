@@ -1,6 +1,8 @@
-"""``random_walk``: straight on in a random direction as far as it is free, and again: the floor of every comparison.
+"""Explore by a random walk: straight in a random direction as far as it is free, again and again; the lower bound.
 
 goal = xy + s (cos a, sin a),  a ~ U(-pi, pi),  s ~ U(least, most), shortened to what is free
+
+``random_walk`` reads the true pose. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -15,7 +17,7 @@ from vssm_gym.maps.voxel_map import VoxelMap
 
 @dataclass(frozen=True)
 class RandomWalkConfig:
-    """Settings of ``random_walk``."""
+    """Configure ``random_walk``."""
 
     least: float = 0.5  # m, of a leg as it is drawn
     most: float = 3.0
@@ -23,18 +25,18 @@ class RandomWalkConfig:
 
 
 class RandomLegs:
-    """:class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy`: leg after leg, as long as one leads anywhere."""
+    """Choose legs at random, as long as one leads anywhere."""
 
     def __init__(self, config: RandomWalkConfig) -> None:
         self._config = config
 
     def reset(self, seed: int) -> None:
-        """Draws follow from ``seed``."""
+        """Open an episode whose draws follow from ``seed``."""
         self._rng = np.random.default_rng(seed)
         self._goal: np.ndarray | None = None
 
     def choose(self, situation: Situation) -> Choice | None:
-        """The end of the leg that is being driven, or of a new one; None where no leg leads anywhere."""
+        """Return the end of the present leg, or of a new one; None where no leg leads anywhere."""
         if self._goal is None or situation.arrived or not situation.roadmap.reaches(self._goal):
             self._goal = self._drawn(situation)
         if self._goal is None:
@@ -48,7 +50,7 @@ class RandomLegs:
             s = np.arange(0.1, length + 1e-9, 0.05)
             leg = xy + s[:, None] * np.array([math.cos(angle), math.sin(angle)])
             free = np.isfinite(situation.roadmap.at(situation.roadmap.distance, leg))
-            # Near an obstacle the first steps may have less room than a way needs.
+            # Near an obstacle the first steps may have less clearance than a path needs.
             blocked = np.flatnonzero(~free & (s > 0.3))
             n = int(blocked[0]) if len(blocked) else len(s)
             if n and free[n - 1] and s[n - 1] > longest:
@@ -59,7 +61,7 @@ class RandomLegs:
 
 
 class RandomWalkAgent:
-    """A random walk; the pose is observed."""
+    """Explore by a random walk; the pose is observed."""
 
     name = "random_walk"
     robot = "holonomic"
@@ -73,5 +75,5 @@ class RandomWalkAgent:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._explorer.map

@@ -1,1 +1,1 @@
-"""Agents of PointNav and ImageNav."""
+"""Agents of PointNav, ImageNav and LidarMaze."""

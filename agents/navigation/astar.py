@@ -1,6 +1,6 @@
-"""``astar``: track the pose in the learned map, plan with A* on it, drive (TNP-SM, "ours").
+"""Track the pose in the learned map, plan with A* on it, and drive (TNP-SM, "ours").
 
-Reads RGB-D, its own commands and the map; never the true pose.
+``astar`` reads RGB-D, its own commands and the map, never the true pose. Described in ``docs/agents/navigation.md``.
 """
 
 from vssm_gym.agents.shared.localization import FilteredPose
@@ -10,7 +10,7 @@ CONFIG = NavigationConfig()
 
 
 class AStarAgent:
-    """Localises against the map, plans in the map."""
+    """Localise against the map, plan in the map."""
 
     name = "astar"
     robot = "holonomic"

@@ -1,6 +1,6 @@
-"""``dead_reckoning``: integrate the commands, plan with A* on the learned map (TNP-SM, "dynamics").
+"""Integrate the commands, and plan with A* on the learned map (TNP-SM, "dynamics").
 
-It plans in the same map as ``astar`` and looks at no image at all.
+``dead_reckoning`` plans in the same map as ``astar`` and reads no image. Described in ``docs/agents/navigation.md``.
 """
 
 from vssm_gym.agents.shared.localization import FilteredPose
@@ -10,7 +10,7 @@ CONFIG = NavigationConfig()
 
 
 class DeadReckoningAgent:
-    """Localises by its own commands, plans in the map."""
+    """Localise by the own commands, plan in the map."""
 
     name = "dead_reckoning"
     robot = "holonomic"

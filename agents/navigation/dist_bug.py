@@ -1,7 +1,8 @@
-"""``dist_bug``: drive at the goal, follow walls around what is in the way, leave them nearer to the goal than before.
+"""Drive at the goal, follow walls around obstacles, and leave them nearer to the goal than they were met.
 
-DistBug (Kamon and Rivlin, 1997), for a disc with a laser scanner: it sees ranges and knows its start, the goal and its
-own commands. Where it is it reckons from those, so that its error grows with the noise of every step. It has no map.
+``dist_bug`` is DistBug (Kamon and Rivlin, 1997) for a disc with a laser scanner. It reads ranges and knows its start,
+the goal and its own commands, from which it integrates its pose: the error grows with the noise of every step. It has
+no map. Described in ``docs/agents/navigation.md``.
 """
 
 import math
@@ -15,17 +16,17 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 @dataclass(frozen=True)
 class DistBugConfig:
-    """Settings of ``dist_bug``; lengths in metres."""
+    """Configure ``dist_bug``; lengths in metres."""
 
-    margin: float = 0.003  # beyond the robot's radius that a direction must be free
+    margin: float = 0.003  # beyond the robot's radius by which a direction must be free
     steps_free: float = 2.0  # full steps that a direction must be free to be taken
-    aligned: float = math.radians(12.0)  # from a direction within which the robot drives, and does not only turn
-    back: float = math.radians(120.0)  # towards the wall, from the last direction, where the search along it begins
-    arrived: float = 0.3  # of the success radius: nearer to the goal it stops
+    aligned: float = math.radians(12.0)  # heading error up to which the robot drives while it turns
+    back: float = math.radians(120.0)  # from the last direction towards the wall, where the next search begins
+    arrived: float = 0.3  # fraction of the success radius within which it stops
 
 
 class DistBugAgent:
-    """Two modes: ``to the goal`` while the way there is free, ``along a wall`` from where it is not."""
+    """Drive in two modes: ``to the goal`` while that direction is free, ``along a wall`` while it is not."""
 
     name = "dist_bug"
     robot = "disc"
@@ -66,34 +67,34 @@ class DistBugAgent:
         )
 
     def _direction(self, scan: np.ndarray, to_goal: np.ndarray, distance: float) -> float | None:
-        """The world direction (rad) to drive in; None where none is free."""
+        """Return the world direction (rad) to drive in; None where none is free."""
         bearing = math.atan2(to_goal[1], to_goal[0])
         need = self._config.steps_free * self._limits[1]
         open_to_goal = self._free(scan, bearing) >= min(distance, need)
         if self._side == 0:
             if open_to_goal:
                 return bearing
-            ways = {side: self._sweep(scan, bearing, side, need) for side in (1, -1)}
-            known = {side: abs(wrap_angle(way - bearing)) for side, way in ways.items() if way is not None}
-            if not known:
+            found = {side: self._sweep(scan, bearing, side, need) for side in (1, -1)}
+            turns = {side: abs(wrap_angle(angle - bearing)) for side, angle in found.items() if angle is not None}
+            if not turns:
                 return None
-            self._side, self._hit = min(known, key=lambda side: known[side]), distance
-            return ways[self._side]
+            self._side, self._hit = min(turns, key=lambda side: turns[side]), distance
+            return found[self._side]
         if open_to_goal and distance < self._hit - self._limits[1]:
             self._side = 0
             return bearing
         return self._sweep(scan, self._heading - self._side * self._config.back, self._side, need)
 
     def _sweep(self, scan: np.ndarray, start: float, side: int, need: float) -> float | None:
-        """The first direction from ``start`` on, counter-clockwise for side 1, that is free for ``need`` m."""
+        """Return the first direction from ``start`` on, counter-clockwise for side 1, that is free for ``need`` m."""
         for angle in np.arange(0.0, 2.0 * math.pi, math.radians(5.0)):
             if self._free(scan, start + side * angle) >= need:
                 return float(wrap_angle(start + side * angle))
         return None
 
     def _free(self, scan: np.ndarray, direction: float) -> float:
-        """Metres that the disc could drive in a world direction before one of the readings is in its way."""
-        read = scan > 0.0  # 0: no reading
+        """Return the length (m) that the disc can drive in a world direction before it meets a measured point."""
+        read = scan > 0.0  # 0: no measurement
         angles = self._planar[2] + 2.0 * np.pi * np.arange(len(scan))[read] / len(scan) - direction
         ahead, beside = scan[read] * np.cos(angles), np.abs(scan[read] * np.sin(angles))
         met = (beside < self._half_width) & (ahead > 0.0)
@@ -101,7 +102,7 @@ class DistBugAgent:
         return float(reach.min(initial=np.inf))
 
     def _decision(self, turn: float, step: float, *, stop: bool, status: str) -> Decision:
-        """The command, and where the robot believes to be before it; the next belief follows from the command."""
+        """Return the command with the estimate before it, and advance the estimate by the command."""
         believed = self._planar.copy()
         self._planar[:2] += step * np.array([math.cos(believed[2]), math.sin(believed[2])])
         self._planar[2] = wrap_angle(believed[2] + turn)

@@ -1,6 +1,7 @@
-"""``no_map``: align each image to the one before, plan with A* on the learned map (TNP-SM, "no map").
+"""Align each image to the one before, and plan with A* on the learned map (TNP-SM, "no map").
 
-It plans in the same map as ``astar`` but never compares an image with it, so its errors add up.
+``no_map`` plans in the same map as ``astar`` but never compares an image with it, so its errors add up. Described in
+``docs/agents/navigation.md``.
 """
 
 from vssm_gym.agents.shared.localization import FilteredPose
@@ -10,7 +11,7 @@ CONFIG = NavigationConfig()
 
 
 class NoMapAgent:
-    """Localises against the previous image, plans in the map."""
+    """Localise against the previous image, plan in the map."""
 
     name = "no_map"
     robot = "holonomic"

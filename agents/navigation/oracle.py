@@ -1,17 +1,18 @@
-"""``oracle``: the true pose, and A* on the learned map: what perfect localisation would reach.
+"""Drive by the true pose and A* on the learned map: the upper bound of perfect localisation.
 
-The only agent that reads ``observation["pose"]``; map, planner and controller are those of ``astar``.
+``oracle`` reads ``observation["pose"]``; map, planner and controller are those of ``astar``. Described in
+``docs/agents/navigation.md``.
 """
 
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
 
-# The pose is certain but for its rounding to float32, so it stops at the very rim.
+# The pose is certain but for its rounding to float32, so the robot may stop 2 mm inside the success radius.
 CONFIG = NavigationConfig(stop_margin=0.002)
 
 
 class OracleAgent:
-    """Knows the true pose, plans in the map."""
+    """Read the true pose, plan in the map."""
 
     name = "oracle"
     robot = "holonomic"

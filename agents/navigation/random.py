@@ -1,4 +1,7 @@
-"""``random``: uniform commands within the limits and a rare stop: the floor that every agent is measured from."""
+"""Draw uniform commands within the limits and a rare stop: the lower bound of every comparison.
+
+``random`` reads no observation. Described in ``docs/agents/navigation.md``.
+"""
 
 from dataclasses import dataclass
 
@@ -9,13 +12,13 @@ from vssm_gym.agents.base import ANY_TASK, AgentContext, Decision, Observation
 
 @dataclass(frozen=True)
 class RandomConfig:
-    """Settings of the ``random`` agent."""
+    """Configure the ``random`` agent."""
 
-    stop_probability: float = 0.005  # a step: 200 steps an episode on average, time to leave the room
+    stop_probability: float = 0.005  # per step: 200 steps per episode on average, enough to leave the room
 
 
 class RandomAgent:
-    """``turn ~ U(-max, max)``, ``o ~ U(-max, max)``, ``s ~ U(0, max)``; sees nothing, knows nothing."""
+    """``turn ~ U(-max, max)``, ``o ~ U(-max, max)``, ``s ~ U(0, max)``, whatever is observed."""
 
     name = "random"
     robot = "holonomic"
@@ -33,7 +36,7 @@ class RandomAgent:
         self._rng = np.random.default_rng(seed)
 
     def act(self, observation: Observation) -> Decision:
-        """One draw."""
+        """Draw a command."""
         command = self._rng.uniform(self._low, self._high)
         stop = self._rng.random() < self._config.stop_probability
         return Decision(np.array([*command, float(stop)], np.float32), None, "stopping" if stop else "wandering")

@@ -1,1 +1,1 @@
-"""Trained policies as agents: the agent, its files and its features."""
+"""Run trained policies as agents: the agent, its files and its features."""

@@ -1,9 +1,10 @@
-"""``policy:FILE``: a trained policy drives; its pose is tracked in the learned map (SPEC 10). Docs: ``docs/rl.md``.
+"""Drive by a trained policy, ``policy:FILE``; the pose is tracked in the learned map.
 
     z_t by the tracker of ``astar``;   command = policy(scan of the depth image, goal and pose as z_t has them)
 
-It stops where ``astar`` would: within the success radius, less a margin for the estimate's uncertainty. Training ends
-episodes on arrival instead, so the goal is shown farther by that margin: the rim it learned to reach is where it stops.
+The agent stops where ``astar`` would: within the success radius, less a margin for the estimate's uncertainty. Training
+ends episodes on arrival instead. The goal is therefore shown farther by that margin, so that the radius at which the
+policy learned to arrive is where the agent stops. Described in ``docs/agents/policies.md``.
 """
 
 import math
@@ -19,12 +20,12 @@ from vssm_gym.agents.shared.navigator import NavigationConfig
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, scan_of
 
-CONFIG = NavigationConfig()  # of stopping
-SAME_ANGLE = 0.01  # rad, by which the camera's angle may differ from the scan's in training
+CONFIG = NavigationConfig()  # its rule for stopping is that of ``astar``
+SAME_ANGLE = 0.01  # rad by which the camera's angle of view may differ from that of training: half a beam of the scan
 
 
 class PolicyAgent:
-    """Localises against the map and does what a policy file says; deterministic.
+    """Localise against the map and command by a policy file; deterministic.
 
     Args:
         policy: of a file, or the file's path.
@@ -55,7 +56,7 @@ class PolicyAgent:
         self._seen = np.zeros((spec.frames, size_of(spec.parts)), np.float32)
 
     def act(self, observation: Observation) -> Decision:
-        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        """Return the next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
         if self._command is not None:
             self._estimate = self._localizer.update(self._command, observation)
@@ -98,13 +99,13 @@ class PolicyAgent:
 
 
 def body_std(estimate: Localization) -> np.ndarray:
-    """``(3,)`` standard deviations forward, to the left (m) and of the turn (rad), x and y taken as independent."""
+    """Return ``(3,)`` standard deviations forward, left (m) and of the turn (rad); x and y count as independent."""
     c, s = math.cos(estimate.planar[2]), math.sin(estimate.planar[2])
     x, y, turn = estimate.std
     return np.array([math.hypot(c * x, s * y), math.hypot(s * x, c * y), turn])
 
 
 def stop_radius(success_radius: float, estimate: Localization) -> float:
-    """Distance to the goal (m) at which a stop is safe for the uncertainty of the estimate, as ``astar`` judges it."""
+    """Return the distance to the goal (m) at which a stop is safe for the estimate's uncertainty, as for ``astar``."""
     spread = float(np.max(estimate.std[:2]))
     return max(CONFIG.least_radius, success_radius - CONFIG.stop_margin - CONFIG.stop_sigmas * spread)

@@ -1,14 +1,14 @@
-"""What a policy's network is shown of an observation: one vector of numbers of the order of one, the same in training,
-in imagination and on the robot.
+"""Turn an observation into the vector that a policy's network reads: numbers of the order of one.
 
-    scan   64: n(d) = h / (h + d), h = 0.5 m: 1 at a wall, 0 where nothing was read
+    scan   64: n(d) = h / (h + d), h = 0.5 m: 1 at a wall, 0 where nothing was measured
     goal    4: cos, sin of the bearing; d / 10 m; n(d)
     pose   44: cos, sin of the heading; cos, sin of the goal's direction in the map frame; waves of (x, y), of the goal
                waves(p) = [sin, cos](2 pi p / L) for L = 32, 16, 8, 4, 2 m, along x and along y
     pose_std 3: of the estimate's error, forward and to the left in decimetres, turn in tenths of a radian
 
-The pose is the estimated one. Waves let a small network draw fine distinctions between places ("random Fourier
-features", Tancik et al., 2020; here with fixed lengths), which from x and y alone takes it far longer to learn.
+The vector is the same in training, in imagination and on the robot. The pose is the estimated one. Waves let a small
+network distinguish places finely ("random Fourier features", Tancik et al., 2020; here with fixed lengths), which it
+learns far more slowly from x and y alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,25 +18,27 @@ from jaxtyping import Float
 
 from vssm_gym.geometry.scan import BEAMS
 
-NEAR = 0.5  # m, where a distance counts half
+# These numbers are part of the policies on disk.
+HALF_DISTANCE = 0.5  # m, at which the nearness of a distance is one half
 FAR = 10.0  # m, of the order of an apartment
-WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m
+WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m, from the size of a house to that of a passage
 SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3}
-"""Numbers that each part of an observation becomes; their order is that of the vector."""
+"""Length of each part of the vector, in the order of the vector."""
 
 
 def size_of(parts: Sequence[str]) -> int:
-    """Length of the vector."""
+    """Return the length of the vector."""
     return sum(SIZES[part] for part in parts)
 
 
 def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Float[np.ndarray, "*batch features"]:
-    """The vector of an observation, float32.
+    """Return the vector of an observation, float32.
 
     Args:
-        observation: ``scan (*batch, 64)`` z-depths in m, 0 = no reading; ``goal (*batch, 3)`` distance in m, cos and
+        observation: ``scan (*batch, 64)`` z-depths in m, 0 = no measurement; ``goal (*batch, 3)`` distance in m, cos
+        and
             sin of the bearing; ``pose (*batch, 3)`` x, y (m), heading (rad), map frame; ``pose_std (*batch, 3)``
-            forward, left (m), turn (rad). Those of ``parts`` are read, and with the pose the goal, too.
+            forward, left (m), turn (rad). The entries of ``parts`` are read, and with the pose also the goal.
         parts: some of SIZES, in any order.
     """
     makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std}
@@ -45,14 +47,14 @@ def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Flo
 
 
 def relative(pose: Float[np.ndarray, "3"], goal: Float[np.ndarray, "2"], farther: float = 0.0) -> np.ndarray:
-    """``(distance + farther, cos, sin of the bearing)`` float64 of a point from a pose, both in the map frame."""
+    """Return ``(distance + farther, cos, sin of the bearing)`` of a point from a pose, both in the map frame."""
     away = np.asarray(goal, np.float64) - pose[:2]
     bearing = np.arctan2(away[1], away[0]) - pose[2]
     return np.array([np.hypot(away[0], away[1]) + farther, np.cos(bearing), np.sin(bearing)])
 
 
 def _nearness(distance: np.ndarray) -> np.ndarray:
-    return NEAR / (NEAR + distance)
+    return HALF_DISTANCE / (HALF_DISTANCE + distance)
 
 
 def _scan(observation: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""Policy files: a deterministic policy's network as numbers and JSON, in an ``.npz`` without pickle.
+"""Store policies in files: a deterministic policy's network as numbers and JSON, in an ``.npz`` without pickle.
 
     h_0 = features,   h_i = f(W_i h_i-1 + b_i),   a = squash(W_n h_n-1 + b_n) in [-1, 1]^3,
     command = low + (a + 1) / 2 (high - low) = (turn rad, o rad, s m)
 
-``f`` is tanh or ReLU, ``squash`` clips (PPO, cloning) or is tanh (SAC). Reading one executes nothing that it holds, and
-needs NumPy only: neither torch nor stable-baselines3. A file is written whole or not at all, and named in results by
-its policy's name and the first hex digits of its SHA-256.
+``f`` is tanh or ReLU; ``squash`` clips (PPO, cloning) or is tanh (SAC). Reading a file executes nothing that it holds,
+and needs NumPy only: neither torch nor stable-baselines3. A file is written whole or not at all. Results name it by its
+policy's name and the first hex digits of its SHA-256.
 """
 
 import hashlib
@@ -36,20 +36,20 @@ SQUASHES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"clip": lambda x: np.
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What a policy's numbers mean.
+    """Describe the numbers of a policy.
 
     Attributes:
-        name: what tables call it.
-        parts: of the observation that it sees (:mod:`vssm_gym.agents.policy.features`).
-        frames: vectors of the last steps that it sees at once, oldest first, zeros before the first.
+        name: in tables.
+        parts: of the observation that it reads (:mod:`vssm_gym.agents.policy.features`).
+        frames: vectors of the last steps that it reads at once, oldest first, zeros before the first.
         hidden: widths of the hidden layers.
         activation: ``f``.
         squash: of the last layer.
         low, high: commands at a = -1 and a = 1: turn (rad), direction (rad), step (m).
-        max_depth: m, beyond which a scan reads nothing.
+        max_depth: m, beyond which a scan has no measurement.
         hfov: rad, angle of the scan.
         success_radius: m, of the task that it was trained for.
-        trained: how: algorithm, environment, steps, seconds, hashes. Only shown.
+        trained: algorithm, environment, steps, seconds, hashes of the training; only shown.
     """
 
     name: str
@@ -67,20 +67,20 @@ class PolicySpec:
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
-        """(outputs, inputs) of each layer."""
+        """Return (outputs, inputs) of each layer."""
         widths = [self.frames * size_of(self.parts), *self.hidden, len(self.low)]
         return [(n, m) for m, n in pairwise(widths)]
 
 
 @dataclass(frozen=True)
 class Policy:
-    """A specification and its layers ``(W_i, b_i)``, float32."""
+    """Hold a specification and its layers ``(W_i, b_i)``, float32."""
 
     spec: PolicySpec
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     def __call__(self, vectors: Float[np.ndarray, "*batch frames_features"]) -> Float[np.ndarray, "*batch 3"]:
-        """Commands for stacked feature vectors."""
+        """Return commands for stacked feature vectors."""
         x = vectors
         for i, (weight, bias) in enumerate(self.layers):
             x = x @ weight.T + bias
@@ -110,23 +110,23 @@ def load(path: str | Path) -> Policy:
 
 
 def loaded(path: str) -> Policy:
-    """The same, read once a process: what is driven is what rows are signed with, whatever is written meanwhile."""
+    """Read a policy file once per process, so that rows name the policy that was run, whatever is written meanwhile."""
     return _read(path)[0]
 
 
 def label(path: str | Path) -> str:
-    """``NAME@HASH``: what rows, tables and reports call the policy of a file."""
+    """Return ``NAME@HASH``, the name of a file's policy in rows, tables and reports."""
     policy, digest = _read(str(path))
     return f"{policy.spec.name}@{digest[:HASH_DIGITS]}"
 
 
 def agent_label(agent: str) -> str:
-    """The label of ``policy:PATH``; another agent's name as it is."""
+    """Return the label of ``policy:PATH``; another agent's name as it is."""
     return label(agent.removeprefix(PREFIX)) if agent.startswith(PREFIX) else agent
 
 
 def policy_at(agent: str, folder: Path) -> str:
-    """``policy:PATH`` with a relative path taken from ``folder``; another agent's name as it is."""
+    """Return ``policy:PATH`` with a relative path taken from ``folder``; another agent's name as it is."""
     if not agent.startswith(PREFIX):
         return agent
     return PREFIX + str((folder / agent.removeprefix(PREFIX)).resolve())

@@ -18,12 +18,13 @@ from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car.footprint import Arena, Unknown, arena_from_map
 
-RESOLUTION = 0.035  # m, cells of the floor plan
+RESOLUTION = 0.035  # m, cells of the floor plan, as `arena_from_map` has them by default
+SURFACE_ERROR = 0.01  # m around the footprint that controllers keep free, because learned surfaces have an error
 
 
 @dataclass(frozen=True)
 class CarCommand:
-    """What a strategy does now.
+    """Hold what a controller does now.
 
     Attributes:
         control: ``(2,)`` speed (m/s) and steering (rad).
@@ -37,27 +38,27 @@ class CarCommand:
 
 
 class CarController(Protocol):
-    """How a car gets to targets in one floor plan."""
+    """Control a car to targets in one floor plan."""
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
-        """Turn to a new target, ``(x, y)`` or ``(x, y, heading)``; the reason where no way leads there, else None.
+        """Take a new target, ``(x, y)`` or ``(x, y, heading)``; return the reason where no path leads there, else None.
 
         ``control`` is what the car executes as the target changes: it may be moving.
         """
         ...
 
     def step(self, planar: np.ndarray) -> CarCommand:
-        """The command of this step, from the newest estimate ``(x, y, heading)``."""
+        """Return the command of this step, from the newest estimate ``(x, y, heading)``."""
         ...
 
 
 class Driver:
-    """Drives to ``observation["goal"]`` by the pose that a localizer estimates.
+    """Drive to ``observation["goal"]`` by the pose that a localizer estimates.
 
     Args:
-        localizer: where the car is.
-        make: a strategy for a floor plan and a car.
-        unknown: what of the map's unseen space counts as occupied: see :func:`arena_from_map`.
+        localizer: estimates the pose.
+        make: returns a controller for a floor plan and a car.
+        unknown: treatment of the map's unseen space: see :func:`arena_from_map`.
     """
 
     def __init__(
@@ -68,10 +69,10 @@ class Driver:
         self._controller: CarController  # for that map, kept over episodes
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
-        """Open an episode; all that is random in a strategy is seeded by itself, so ``seed`` changes nothing."""
+        """Open an episode; a controller seeds its own random draws, so ``seed`` changes nothing."""
         if context.map is None or context.car is None:
             missing = "map" if context.map is None else "car"
-            raise InputError("AgentContext", missing, "a learned map and a car: this agent plans a car's way in a map")
+            raise InputError("AgentContext", missing, "a learned map and a car: this agent plans a car's path in a map")
         if context.map is not self._map:
             arena = arena_from_map(context.map, self._unknown, RESOLUTION)
             self._controller, self._map = self._make(arena, context.car), context.map
@@ -85,7 +86,7 @@ class Driver:
             self._begin(observation["goal"])
 
     def act(self, observation: Observation) -> Decision:
-        """The next command from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        """Return the next command from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
         if not self._fresh:
             self._estimate = self._localizer.update(self._command, observation)

@@ -27,27 +27,27 @@ from vssm_gym.planning.exploration.frontier import frontier_cells
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.planners import Planner, find_planner
 
-ARRIVED = 0.1  # m: closer to a goal it is not worth going, a step errs by as much
-ALIGNED = 0.12  # rad, the same of a look
-HELD_STEPS = 8  # that making room may take beyond the usual, half a turn included
 FULL = "finished: the map has no room for more"
 
 
 @dataclass(frozen=True)
 class ExplorationConfig:
-    """How ways are planned, how often to choose, and when to stop; lengths in metres."""
+    """Configure how paths are planned, how often to choose, and when to stop; lengths in metres."""
 
     planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
-    margins: tuple[float, ...] = (0.08, 0.03)  # clearance of a way beyond the robot's radius: the first that leads on
+    margins: tuple[float, ...] = (0.08, 0.03)  # clearance beyond the robot's radius; the first with a choice is taken
     replan_steps: int = 5
-    known_share: float = 0.8  # of a target's frontier cells, after which it is pointless to go there
-    max_failures: int = 25  # steps in a row without a way or a step to take, after which the robot is boxed in
-    max_lost: int = 64  # steps in a row without an image that fits: two whole turns
+    known_share: float = 0.8  # fraction of a target's frontier cells that are known, from which on it is obsolete
+    max_failures: int = 25  # steps in a row without a path or a step to take, after which the robot is boxed in
+    max_lost: int = 64  # steps in a row without an accepted image: two full turns
+    arrival: float = 0.1  # distance at which a goal is reached: the execution error of a step is as large
+    aligned: float = 0.12  # rad, at which a heading is reached: the same for a turn
+    retreat_steps: int = 8  # steps beyond ``replan_steps`` that a retreat may take, half a turn included
     following: FollowingConfig = field(default_factory=FollowingConfig)
 
 
 class Explorer:
-    """Drives where its strategy chooses until that finds nothing left, then stops."""
+    """Drive where the strategy chooses until it finds nothing left, then stop."""
 
     def __init__(
         self,
@@ -63,13 +63,13 @@ class Explorer:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief over the apartment, world frame."""
+        """Return the belief over the apartment, world frame."""
         return self._own.map
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
-        """Open an episode in a world of which nothing is known.
+        """Open an episode in an unknown world.
 
-        A step and a choice are made and dropped, so that compiling is no part of any step's latency.
+        A step and a choice are made and dropped, so that no step's latency includes compilation.
         """
         self._context, self._follower = context, Follower.of(context, self._config.following)
         self._begin(observation, seed)
@@ -86,11 +86,11 @@ class Explorer:
         self._path: PlannedPath | None = None  # to the choice's goal; None at it
         self._arrived, self._failed = True, ""
         self._age = self._failures = self._lost = 0
-        self._blocked_steps = BlockedSteps()
+        self._blocked_steps = BlockedSteps(self._config.following)
         self._dismissed: list[np.ndarray] = []
 
     def act(self, observation: Observation) -> Decision:
-        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        """Return the next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
         if self._sent is not None:
             self._own.take(self._sent, observation)
@@ -112,20 +112,20 @@ class Explorer:
         return Decision(action, estimate.planar.copy(), activity, latency, path)
 
     def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
-        """A turn on the spot, where the last image did not fit: command, activity, whether to stop."""
+        """Turn in place where the last image was not accepted; return command, activity, and True to stop."""
         self._choice = self._path = None
         if self._lost > self._config.max_lost:
             return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
         return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
 
     def _plan(self, estimate: Localization) -> str | None:
-        """Keep to the choice or choose anew; the reason where nothing is left to do."""
+        """Keep the choice or choose anew; return the reason where nothing is left to do."""
         planar, floor = estimate.planar, self._own.plan()
         self._age += 1
         self._near = floor.clearance(planar[:2], 1.2)
         if self._done(planar):
             self._close(self._left(floor))
-        if self._pointless(floor) or self._stale(planar, self._near):
+        if self._obsolete(floor) or self._stale(planar, self._near):
             self._choice = None
         if self._choice is not None and self._path is not None:
             self._path = self._follower.shortened(self._path, planar)
@@ -134,7 +134,7 @@ class Explorer:
         return self._choose(estimate, floor) if self._choice is None else None
 
     def _drive(self, planar: np.ndarray, finished: str | None) -> tuple[np.ndarray, str, bool]:
-        """The next command of the choice, the activity and whether to stop."""
+        """Return the next command of the choice, the activity, and True to stop."""
         if finished:
             return np.array(STOP_COMMAND), finished, True
         command, activity = self._command(planar, self._near)
@@ -143,40 +143,40 @@ class Explorer:
         return command, activity, False
 
     def _done(self, planar: np.ndarray) -> bool:
-        """Whether the choice is carried out: the robot is there and has looked where it wanted to."""
+        """Return True where the robot is at the chosen goal and has looked in all chosen headings."""
         if self._choice is None:
             return False
-        if self._path is not None and math.hypot(*(self._path.path[-1] - planar[:2])) <= ARRIVED:
+        if self._path is not None and math.hypot(*(self._path.path[-1] - planar[:2])) <= self._config.arrival:
             self._path = None
         looks = list(self._choice.looks)
-        while looks and self._path is None and abs(float(wrap_angle(looks[0] - planar[2]))) < ALIGNED:
+        while looks and self._path is None and abs(float(wrap_angle(looks[0] - planar[2]))) < self._config.aligned:
             looks.pop(0)
         self._choice = replace(self._choice, looks=tuple(looks))
         return self._path is None and not looks
 
     def _left(self, floor: FloorPlan) -> np.ndarray:
-        """Which cells of the choice's target are frontiers still, ``(n, 2)`` m."""
+        """Return the cells of the choice's target that are still frontiers, ``(n, 2)`` m."""
         target = None if self._choice is None else self._choice.target
         if target is None:
             return np.empty((0, 2))
         cell = np.clip(floor.index(target), 0, np.array(floor.cells.shape) - 1)
         return target[frontier_cells(floor.cells)[cell[:, 0], cell[:, 1]]]
 
-    def _pointless(self, floor: FloorPlan) -> bool:
-        """Whether what the choice is about has been seen meanwhile."""
+    def _obsolete(self, floor: FloorPlan) -> bool:
+        """Return True where the target of the choice has been seen meanwhile."""
         choice = self._choice
         if choice is None or choice.target is None:
             return False
         return len(self._left(floor)) <= (1.0 - self._config.known_share) * len(choice.target)
 
     def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
-        """Whether the way is to be chosen anew: by the clock, or because it is not free any more."""
+        """Return True where the choice is due to be made anew, or its path is not free any more."""
         if self._choice is None or self._path is None:
-            return False  # looks are carried out to their end
+            return False  # all headings of a choice are looked in
         return self._age >= self._config.replan_steps or self._follower.blocked(self._path, planar, near)
 
     def _choose(self, estimate: Localization, floor: FloorPlan) -> str | None:
-        """Choose and plan the way; the reason where nothing is left to do."""
+        """Choose and plan the path; return the reason where nothing is left to do."""
         self._age, self._path = 0, None
         radius, planar, std = self._follower.radius, estimate.planar, self._ahead(estimate.std)
         reached, failed, least = 0, "", 0.5 * self._config.margins[-1]
@@ -192,10 +192,10 @@ class Explorer:
             self._choice, self._arrived = choice, False
             if choice.goal is None:
                 return None
-            # The roadmap's edges are looked at less closely than a planner's: a way may need less room than was asked.
+            # The roadmap tests its edges less closely than a planner, so a path may need a smaller margin.
             for tight in (margin, max(0.5 * margin, least), least):
                 result = self._plan_path(
-                    planar, choice.goal, roadmap.clearance, radius, margin=tight, goal_radius=ARRIVED
+                    planar, choice.goal, roadmap.clearance, radius, margin=tight, goal_radius=self._config.arrival
                 )
                 if result.found:
                     self._path = PlannedPath(result.path, roadmap.clearance, tight) if len(result.path) > 1 else None
@@ -209,46 +209,46 @@ class Explorer:
         return "finished: nothing left to gain" if room > math.pi * radius**2 else "boxed in: no free place to go"
 
     def _ahead(self, std: np.ndarray) -> np.ndarray:
-        """The pose's standard deviations after as many steps as there are between choices; zeros where it is seen."""
+        """Predict the pose's standard deviations at the next choice; zeros where the pose is observed."""
         turn, step = self._context.noise
         grown = np.sqrt(std**2 + self._config.replan_steps * np.array([step, step, turn]) ** 2)
         return np.where(std > 0.0, grown, 0.0)
 
     def _close(self, vain: np.ndarray) -> None:
-        """The choice is done with; ``vain`` ``(n, 2)``, m, is what is unknown still: not to be seen from there."""
+        """End the choice; ``vain`` ``(n, 2)``, m, are cells that are still unknown and cannot be seen from there."""
         if len(vain):
             self._dismissed.append(vain)
         self._choice, self._arrived = None, True
 
     def _give_up(self) -> None:
-        """The robot does not get to where it wanted to."""
+        """Give up the choice, which the robot cannot reach."""
         choice = self._choice
         parts = [] if choice is None else [a.reshape(-1, 2) for a in (choice.goal, choice.target) if a is not None]
         self._close(np.concatenate(parts) if parts else np.empty((0, 2)))
 
     def _command(self, planar: np.ndarray, near: ClearanceMap) -> tuple[np.ndarray, str]:
-        """One step along the path, or one turn towards the next look."""
+        """Return one step along the path, or one turn towards the next heading, and the activity."""
         limits = self._context.limits
         choice = self._choice
-        if choice is None:  # no way after all
+        if choice is None:  # no path was found
             return np.array([limits[0], 0.0, 0.0]), self._failed
         if self._path is not None:
             command = self._follower.step(self._path, planar, near, self._failures)
             if np.any(command != 0.0):
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
-            self._held_up(self._path, planar, near)
+            self._make_room(self._path, planar, near)
             return np.array([limits[0], 0.0, 0.0]), "held up"
         if not choice.looks:
             return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 
-    def _held_up(self, way: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:
-        """No step may be taken along the way: make room for another one, or choose anew from here."""
+    def _make_room(self, planned: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:
+        """Handle a path along which no step may be taken: retreat, or choose anew from here."""
         self._failures += 1
         if self._blocked_steps.add(planar[:2]):
             self._give_up()
-        self._choice, self._path = None, retreat(way, planar, near)
+        self._choice, self._path = None, retreat(planned, planar, near, self._config.following.retreat)
         if self._path is not None:
-            self._choice, self._age = Choice(self._path.path[-1], (), None, "makes room"), -HELD_STEPS
+            self._choice, self._age = Choice(self._path.path[-1], (), None, "makes room"), -self._config.retreat_steps

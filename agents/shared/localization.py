@@ -1,7 +1,8 @@
-"""Localizers: what an agent believes about where it is, ``update(command, observation) -> Localization``.
+"""Localise an agent: ``update(command, observation) -> Localization``.
 
-The true pose (oracles only), or the belief of any filter over the pose: integrated commands, alignment to the learned
-map, alignment to the previous camera image (TNP-SM: its tracker and the baselines it is compared with).
+The pose is the true one (oracles only), or the belief of any filter over the pose: integrated commands, alignment to
+the learned map, alignment to the previous camera image (the tracker of TNP-SM and the baselines that it is compared
+with).
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from vssm_gym.model.transition import GaussianBelief, planar_belief, world_covar
 
 @dataclass(frozen=True)
 class Localization:
-    """A Gaussian belief over the planar pose, as agents use it.
+    """Hold a Gaussian belief over the planar pose, as agents use it.
 
     Attributes:
         planar: ``(3,)`` mean x, y (m), heading (rad), float64, map frame.
@@ -38,26 +39,26 @@ class Localization:
 
 
 class Localizer(Protocol):
-    """Estimates the pose from the agent's own commands and observations."""
+    """Estimate the pose from the agent's own commands and observations."""
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Start at ``context.start_pose``, with the first observation seen from there."""
         ...
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """The belief after ``command`` ``(turn, o, s)`` was sent and ``observation`` came back."""
+        """Return the belief after ``command`` ``(turn, o, s)`` was sent and ``observation`` came back."""
         ...
 
 
 class TruePose:
-    """The simulator's pose, read from ``observation["pose"]``: for the oracle only."""
+    """Read the simulator's pose from ``observation["pose"]``; for agents whose pose is observed."""
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
-        """The true pose of the first observation."""
+        """Return the true pose of the first observation."""
         return self._read(observation)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """The true pose, whatever was commanded."""
+        """Return the true pose; the command is not used."""
         return self._read(observation)
 
     def _read(self, observation: Observation) -> Localization:
@@ -67,7 +68,7 @@ class TruePose:
 
 
 class FilteredPose:
-    """The belief of a filter over the pose, with the filter's own motion model and camera (TNP-SM).
+    """Estimate the pose by a filter with the robot's transition and camera (TNP-SM).
 
     Args:
         name: of a filter of :data:`vssm_gym.inference.registry.FILTERS`: ``tracker`` in the learned map, ``frames``
@@ -93,13 +94,13 @@ class FilteredPose:
         return localization(start, Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One step of the filter."""
+        """Run one step of the filter."""
         control = jnp.asarray(command, jnp.float32)
         self._state, info = self._filter.step(self._state, control, self._image(observation), self._dt)
         return localization(info.belief, info.status)
 
     def _image(self, observation: Observation) -> Any:
-        """What the filter looks at; None for one that looks at nothing."""
+        """Return the image that the filter reads; None for a filter that reads none."""
         return None if self._entry.blind else RGBD.from_camera(observation["rgb"], observation["depth"])
 
 

@@ -1,6 +1,7 @@
-"""Mappers: how an explorer's images get into its own map, and where it believes to be meanwhile.
+"""Build an explorer's own map from its images, and say where the robot is in it.
 
-Two settings, one interface: the pose is observed (thesis 5.6.2), or PRISM estimates it together with the map.
+There are two settings with one interface: the pose is observed (thesis, section 5.6.2), or PRISM estimates it together
+with the map.
 """
 
 from dataclasses import replace
@@ -26,11 +27,11 @@ from vssm_gym.model.transition import GaussianBelief, planar_belief
 
 
 class Mapper(Protocol):
-    """Builds the map and says where the robot is in it."""
+    """Build the map and say where the robot is in it."""
 
     @property
     def map(self) -> VoxelMap:
-        """The belief, world frame; valid until the next image."""
+        """Return the belief, world frame; it is valid until the next image."""
         ...
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
@@ -38,25 +39,25 @@ class Mapper(Protocol):
         ...
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """The belief after ``command`` ``(turn, o, s)`` was sent and ``observation`` came back."""
+        """Return the belief after ``command`` ``(turn, o, s)`` was sent and ``observation`` came back."""
         ...
 
 
 class MapAtObservedPose:
-    """``q(M | x_<=t, z_<=t)``: the closed-form update at ``observation["pose"]``."""
+    """``q(M | x_<=t, z_<=t)`` by the closed-form update at ``observation["pose"]``."""
 
     def __init__(self) -> None:
         self._pose, self._config = TruePose(), MapUpdateConfig()
         self.map: VoxelMap
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
-        """The first image in the empty map."""
+        """Put the first image into the empty map."""
         self.map, self._T_body_cam = prior, np.asarray(context.T_body_cam, np.float64)
         self._camera = Camera.from_matrix(context.K, *context.camera)
         return self._take(self._pose.reset(context, observation), observation)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One more image, whatever was commanded."""
+        """Put one more image into the map; the command is not used."""
         return self._take(self._pose.update(command, observation), observation)
 
     def _take(self, at: Localization, observation: Observation) -> Localization:
@@ -68,13 +69,16 @@ class MapAtObservedPose:
 
 
 class MapAndPose:
-    """``q(M, z_t | x_<=t, u_<t)`` by PRISM with the robot's motion model; nothing but the start is known.
+    """``q(M, z_t | x_<=t, u_<t)`` by PRISM with the robot's transition; only the start pose is known.
 
-    An image that does not fit is not put into the map; the status says so until one fits again.
+    An image that is not accepted is not put into the map; the status says so until one is accepted again.
     """
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
-        """The first image at the known start; what a lost robot does is compiled here, so that it delays no step."""
+        """Put the first image into the map at the known start.
+
+        The step of a lost robot is compiled here, so that it delays no later step.
+        """
         rig = rig_of(context)
         image = RGBD.from_camera(observation["rgb"], observation["depth"])
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), KNOWN_START_STD**2 * jnp.eye(3))
@@ -88,11 +92,11 @@ class MapAndPose:
 
     @property
     def map(self) -> VoxelMap:
-        """``q_t(M)``."""
+        """Return ``q_t(M)``."""
         return self._state.map
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """One step of the filter; the pose is against the map, whose own frame may have drifted."""
+        """Run one step of the filter; the pose is relative to the map, whose own frame may have drifted."""
         image = RGBD.from_camera(observation["rgb"], observation["depth"])
         control = jnp.asarray(command, jnp.float32)
         self._state, info = self._filter.step(self._state, control, image, self._dt)

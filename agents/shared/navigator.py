@@ -1,9 +1,9 @@
-"""The navigator that the planning agents share: localise -> plan -> steer -> decide to stop.
+"""Navigate to a goal: localise, plan, steer, and decide when to stop.
 
-Agents differ in how they localise and in nothing else, as published (TNP-SM): each gives its localizer to a
-:class:`Navigator`. The planner is any of :mod:`vssm_gym.planning.planners`, A* by default. The map is static, so its
-clearance is computed once a map, and the planner runs once a goal; after that each step pulls what is left of the plan
-taut from the newest estimate, and the planner runs again only where that fails.
+The planning agents share this navigator and differ only in their localizer, as published (TNP-SM). The planner is any
+of :mod:`vssm_gym.planning.planners`, A* by default. The map is static: its clearance is computed once per map, and the
+planner runs once per goal. After that each step shortens what is left of the plan from the newest estimate, and the
+planner runs again only where that fails.
 """
 
 import math
@@ -17,7 +17,7 @@ from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observati
 from vssm_gym.agents.shared.localization import Localization, Localizer
 from vssm_gym.errors import InputError
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.clearance import BODY_HEIGHTS, ClearanceMap
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.planners import Planner, find_planner
@@ -27,28 +27,28 @@ from vssm_gym.planning.result import PlanResult
 
 @dataclass(frozen=True)
 class NavigationConfig:
-    """How carefully to plan, when to stop, when to call the robot stuck; lengths in metres."""
+    """Configure how carefully to plan, when to stop, and when the robot is stuck; lengths in metres."""
 
     planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
-    heights: tuple[float, float] = (0.08, 0.5)  # of the robot's body above the floor, whose noise stays below
+    heights: tuple[float, float] = BODY_HEIGHTS  # of the robot's body above the floor
     resolution: float = 0.025  # of the clearance grid
-    # Extra clearance of a plan: with room to spare; as the robot fits; tighter, since walls are learned with an error.
+    # Extra clearance of a plan: a comfortable one; none; less than the radius, because learned walls have an error.
     margins: tuple[float, float, float] = (0.03, 0.0, -0.03)
-    tight_share: float = 0.9  # the tight plan is taken where it is shorter than this share of the one with room
-    slack: float = 0.015  # less clearance is asked while following than while planning: small errors replan nothing
-    stop_margin: float = 0.01  # inside the success radius: what the estimate's covariance does not know of
+    tight_share: float = 0.9  # the plan without margin is taken where its length is below this fraction of the other's
+    slack: float = 0.015  # clearance that following asks less than planning, so that small errors cause no new plan
+    stop_margin: float = 0.01  # inside the success radius, for errors that the estimate's covariance leaves out
     stop_sigmas: float = 2.5  # further inside, in standard deviations of the estimated position
-    least_radius: float = 0.05  # never drive closer to the goal than this, however uncertain
-    landing: float = 0.002  # the path ends so far inside the stop radius: a step that falls short costs another one
-    stuck_way: float = 0.4  # of driving commands, over which progress is judged
-    stuck_share: float = 0.35  # of it that the estimate moved; less means that something holds the robot
-    felt_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
+    least_radius: float = 0.05  # the robot stops so near to the goal, however uncertain its estimate is
+    landing: float = 0.002  # the path ends so far inside the stop radius; a step that ended short would cost another
+    stuck_length: float = 0.4  # length of driving commands over which progress is measured
+    stuck_share: float = 0.35  # fraction of it that the estimate must have moved; less means that the robot is stuck
+    obstacle_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
     max_failures: int = 12  # steps without any plan after which the robot stops and says why
 
 
 @dataclass
 class _Task:
-    """What the navigator remembers about the present goal."""
+    """Hold what the navigator remembers about the present goal."""
 
     goal: np.ndarray
     path: np.ndarray | None = None  # (n, 2) what is left of the plan, from the last estimate
@@ -56,11 +56,11 @@ class _Task:
     rim: float = 0.0  # m, radius of the goal region where the plan could not lead to a safer one
     failures: int = 0  # steps in a row without a plan
     before: np.ndarray | None = None  # xy where the last driving command was given
-    driven: deque[tuple[float, float]] = field(default_factory=deque)  # m asked and m moved, by the last such commands
+    driven: deque[tuple[float, float]] = field(default_factory=deque)  # m commanded and m moved, of recent commands
 
 
 class Navigator:
-    """Drives to ``observation["goal"]`` by the pose that a localizer estimates, then stops."""
+    """Drive to ``observation["goal"]`` by the pose that a localizer estimates, then stop."""
 
     def __init__(self, localizer: Localizer, config: NavigationConfig) -> None:
         self._localizer, self._config = localizer, config
@@ -71,7 +71,7 @@ class Navigator:
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode; nothing here is random, so ``seed`` changes nothing.
 
-        A plan is made and dropped, so that compiling is no part of any latency and the first step's own plan is.
+        A plan is made and dropped: the latencies include the first step's plan and no compilation.
         """
         if context.map is None:
             raise InputError("AgentContext", "map", "a learned map: this agent plans in one")
@@ -88,7 +88,7 @@ class Navigator:
         self._begin(observation["goal"])
 
     def act(self, observation: Observation) -> Decision:
-        """The next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        """Return the next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
         if self._command is not None:
             self._estimate = self._localizer.update(self._command, observation)
@@ -109,15 +109,15 @@ class Navigator:
         return Decision(action, estimate.planar.copy(), status, latency, self._task.path)
 
     def _begin(self, goal: np.ndarray) -> None:
-        """A new task: nothing planned, and nothing felt on the way."""
+        """Begin a task, with no plan and without the obstacles that were assumed before."""
         self._task, self._clearance = _Task(np.array(goal, np.float64)), self._static
 
     def _decide(self, estimate: Localization) -> tuple[str, bool, np.ndarray | None]:
-        """What to do now: the activity's name, whether to stop, and the command where it is not to follow the path."""
+        """Return the activity, True to stop, and the command where it is not to follow the path."""
         task, still = self._task, np.array(STOP_COMMAND)
         stuck = self._stuck(estimate)
         if stuck:
-            self._feel_obstacle(estimate)
+            self._assume_obstacle(estimate)
         distance = math.hypot(*(estimate.planar[:2] - task.goal))
         if distance <= self._stop_radius(estimate):
             return "arrived", True, still
@@ -129,17 +129,17 @@ class Navigator:
         task.failures += 1
         if task.failures > self._config.max_failures:
             return f"gave up: {failure.status.message}", True, still
-        # Nothing new is learned by standing still: looking around may correct the estimate that no path starts from.
+        # Standing still changes nothing: turning may correct the estimate from which no path starts.
         return f"looking around: {failure.status.message}", False, np.array([self._context.limits[0], 0.0, 0.0])
 
     def _stop_radius(self, estimate: Localization) -> float:
-        """Distance to the goal (m) at which a stop is safe for the uncertainty of the estimate."""
+        """Return the distance to the goal (m) at which a stop is safe for the uncertainty of the estimate."""
         c = self._config
         spread = float(np.max(estimate.std[:2]))
         return max(c.least_radius, self._context.success_radius - c.stop_margin - c.stop_sigmas * spread)
 
     def _follow(self, estimate: Localization) -> PlanResult | None:
-        """Bring the task's path up to date; None, or the planner's last answer where there is no path."""
+        """Update the task's path; return None, or the planner's last result where there is no path."""
         task, c = self._task, self._config
         target = self._stop_radius(estimate) - c.landing
         if task.path is not None:
@@ -153,7 +153,7 @@ class Navigator:
         return self._replan(estimate, target) if task.path is None else None
 
     def _extended(self, path: np.ndarray, radius: float) -> np.ndarray | None:
-        """The path, led on straight to the goal's disc where that has shrunk since; None where it cannot be."""
+        """Extend the path straight to the goal's disc where that has shrunk since; None where that is not free."""
         offset = path[-1] - self._task.goal
         away = math.hypot(*offset)
         if away <= radius + 1e-9:
@@ -164,10 +164,10 @@ class Navigator:
         return np.concatenate([path, [end]]) if self._clearance.at(between).min() >= asked else None
 
     def _replan(self, estimate: Localization, target: float) -> PlanResult | None:
-        """Plan with room to spare, and as tightly as the robot fits: the tight path is taken where it is much shorter.
+        """Plan with a margin and without one; the path without is taken where it is much shorter.
 
-        Where neither exists: tighter than it fits, since a learned wall may stand too far out; then to all of the
-        success region; then without the obstacles that were felt.
+        Where neither exists, plan with less than the radius, because a learned wall may stand too far out; then to all
+        of the success region; then without the assumed obstacles.
         """
         c, task = self._config, self._task
         rim = self._context.success_radius - 2.0 * c.landing
@@ -211,21 +211,21 @@ class Navigator:
         self._task.before = estimate.planar[:2].copy() if command[2] > 0.0 else None
 
     def _stuck(self, estimate: Localization) -> bool:
-        """Whether the last driving commands moved the estimate by much less than they asked."""
+        """Return True where the last driving commands moved the estimate by much less than they commanded."""
         task, c = self._task, self._config
         if task.before is not None and self._command is not None:
             task.driven.append((float(self._command[2]), math.hypot(*(estimate.planar[:2] - task.before))))
         asked, moved = (sum(values) for values in zip(*task.driven, strict=True)) if task.driven else (0.0, 0.0)
-        while task.driven and asked - task.driven[0][0] >= c.stuck_way:
+        while task.driven and asked - task.driven[0][0] >= c.stuck_length:
             asked, moved = asked - task.driven[0][0], moved - task.driven[0][1]
             task.driven.popleft()
-        return asked >= c.stuck_way and moved < c.stuck_share * asked
+        return asked >= c.stuck_length and moved < c.stuck_share * asked
 
-    def _feel_obstacle(self, estimate: Localization) -> None:
-        """Assume an obstacle where the robot's front touches; the plan is made anew around it."""
+    def _assume_obstacle(self, estimate: Localization) -> None:
+        """Assume an obstacle at the robot's front; the plan is made anew around it."""
         heading = estimate.planar[2]
-        front = self._radius + self._config.felt_radius
+        front = self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
-        self._clearance = self._clearance.with_obstacle(centre, self._config.felt_radius)
+        self._clearance = self._clearance.with_obstacle(centre, self._config.obstacle_radius)
         self._task.path = None
         self._task.driven.clear()

@@ -1,8 +1,8 @@
-"""What an explorer knows of its surroundings: the map that it builds, where its body has been, what it saw close by.
+"""Keep what an explorer knows of its surroundings: its map, where its body has been, and what it saw close by.
 
 The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Three masks over its
-columns stand beside it: a body disproves whatever is believed to stand where it is; the ring around it, which the
-camera looks over, is free where nothing was seen; and a thin leg, which averages away in cells wider than it, is
+columns are kept with it. A body disproves any obstacle that is believed to stand where it is. The ring around it, over
+which the camera looks, is free where nothing was seen. A thin leg, which averages away in cells wider than itself, is
 remembered as it was seen from nearby.
 """
 
@@ -15,28 +15,29 @@ from vssm_gym.agents.shared.mapping import Mapper
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import BODY_HEIGHTS
 from vssm_gym.planning.floor_plan import FloorPlan
 
 
 @dataclass(frozen=True)
 class OwnMapConfig:
-    """Extent of the map and heights of the body; lengths in metres."""
+    """Configure the extent of the map and the heights of the body; lengths in metres."""
 
     voxel: float = 0.07
     extent: float = 36.0  # along x and y, the start in its middle: the apartment's size is not known
     levels: tuple[float, float] = (-0.35, 3.2)  # heights that the map covers
     slots: int = 8000  # blocks with storage, 100 MB: five apartments of 100 m^2
-    heights: tuple[float, float] = (0.08, 0.5)  # of the body above the floor, whose noise stays below
-    ring: float = 0.08  # around where the body has been: free where nothing was seen, since the camera looks above it
-    close_range: float = 2.0  # within which what is seen at the body's height is remembered as it is
-    close_low: float = 0.025  # above the floor: where that begins
+    heights: tuple[float, float] = BODY_HEIGHTS  # of the body above the floor
+    ring: float = 0.08  # around where the body has been; free where nothing was seen, for the camera looks over it
+    close_range: float = 2.0  # within which measurements at the body's height are remembered one by one
+    close_low: float = 0.025  # lowest height of these above the floor
 
 
 class OwnMap:
-    """The belief of one episode; see the module."""
+    """Hold the belief of one episode; see the module."""
 
     def __init__(self, context: AgentContext, mapper: Mapper, config: OwnMapConfig, observation: Observation) -> None:
-        """From the first observation, seen from ``context.start_pose``."""
+        """Begin with the first observation, seen from ``context.start_pose``."""
         self.config, self._mapper = config, mapper
         self.camera = Camera.from_matrix(context.K, *context.camera)
         self.T_body_cam = np.asarray(context.T_body_cam, np.float64)
@@ -55,35 +56,35 @@ class OwnMap:
 
     @property
     def map(self) -> VoxelMap:
-        """The belief, world frame; valid until the next observation."""
+        """Return the belief, world frame; it is valid until the next observation."""
         return self._mapper.map
 
     @property
     def is_full(self) -> bool:
-        """Whether something was seen that found no room in the map any more."""
+        """Return True where something was seen that the map had no storage left for."""
         table = self.map.table
         return table is not None and int(table.refused) > 0
 
     def take(self, command: np.ndarray, observation: Observation) -> None:
-        """Take up what was seen after ``command`` ``(turn, o, s)``; ``estimate`` says from where."""
+        """Update the map with what was seen after ``command`` ``(turn, o, s)``; ``estimate`` is the new pose."""
         self.estimate = self._mapper.update(command, observation)
         if self.estimate.status.accepted:
             self._mark(observation)
 
     def _mark(self, observation: Observation) -> None:
-        """What the body and a look from close by say."""
+        """Update the masks with the body's place and with what is seen close by."""
         planar = self.estimate.planar
         depth = np.asarray(observation["depth"], np.float32)
         self._stand(planar[:2])
         self._notice(depth[::2, ::2], planar_to_matrix(planar) @ self.T_body_cam)
 
     def plan(self) -> FloorPlan:
-        """The floor plan of the present belief."""
+        """Read the floor plan of the present belief."""
         low, high = self.config.heights
         return FloorPlan.of(self.map, low, high, self._body, self._near, self._seen >= 2)
 
     def _stand(self, xy: np.ndarray) -> None:
-        """The body is here."""
+        """Mark the columns of the body at ``xy`` (m) and of the ring around it."""
         reach = self.radius + self.config.ring
         first = np.floor((xy - reach - self._corner) / self.config.voxel).astype(int)
         size = int(2.0 * reach / self.config.voxel) + 2
@@ -94,7 +95,7 @@ class OwnMap:
         self._near[window] |= away <= reach
 
     def _notice(self, depth: np.ndarray, T_world_cam: np.ndarray) -> None:
-        """Count readings at the body's height nearby; readings of a noisy camera err with the square of the depth."""
+        """Count measurements at the body's height nearby; a camera's errors grow with the square of the depth."""
         c = self.config
         p_world = (self._rays * depth[..., None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
         floor = c.close_low + 0.01 * depth**2

@@ -14,17 +14,17 @@ from vssm_gym.planning.exploration.candidates import Roadmap
 
 @dataclass(frozen=True)
 class Situation:
-    """What a strategy chooses by.
+    """Hold what a strategy chooses by.
 
     Attributes:
         map: the belief over the apartment, world frame; valid until the next step.
-        roadmap: free space and ways in it.
+        roadmap: free space and distances in it.
         planar: ``(3,)`` x, y (m), heading (rad).
         std: ``(3,)`` of the same, as they will be known when the next choice is made; zeros where they are observed.
-        camera: what will be seen,
-        T_body_cam: and from where on the body, ``(4, 4)``.
-        dismissed: ``(n, 2)`` places, m, that were looked at in vain.
-        arrived: whether the last choice was carried out, or cannot be.
+        camera: intrinsics of the robot's camera.
+        T_body_cam: ``(4, 4)`` pose of the camera in the body frame, metres.
+        dismissed: ``(n, 2)`` places, m, from which or at which nothing new was seen.
+        arrived: True where the last choice was carried out, or cannot be.
     """
 
     map: VoxelMap
@@ -39,12 +39,12 @@ class Situation:
 
 @dataclass(frozen=True)
 class Choice:
-    """Where to go and where to look.
+    """Hold a viewpoint: where to go and which headings to look in.
 
     Attributes:
         goal: ``(2,)`` m; None: stay here.
         looks: headings (rad) to turn to at the goal, one after the other.
-        target: ``(n, 2)`` m, the frontier cells that this is about: when they are known it is pointless; None: none.
+        target: ``(n, 2)`` m, frontier cells to be seen: once they are known the choice is obsolete; None: none.
         status: one readable line.
     """
 
@@ -55,17 +55,17 @@ class Choice:
 
 
 class ExplorationStrategy(Protocol):
-    """What makes explorers differ."""
+    """Choose viewpoints; explorers differ in their strategy."""
 
     def reset(self, seed: int) -> None:
         """Open an episode whose random choices follow from ``seed``."""
         ...
 
     def choose(self, situation: Situation) -> Choice | None:
-        """What to do next; None where nothing is left to gain."""
+        """Choose what to do next; None where nothing is left to gain."""
         ...
 
 
 def around(heading: float) -> tuple[float, ...]:
-    """Three looks that make a whole turn, back to ``heading`` (rad); every turn takes the shorter way."""
+    """Return three headings (rad) that make a full turn, back to ``heading``; each turn is the shorter one."""
     return tuple(float(wrap_angle(heading + turn)) for turn in (2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0, 0.0))

@@ -14,7 +14,7 @@ from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.agents.base import Agent, AgentContext, Decision
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.agents.shared.explorer import ExplorationConfig, Explorer
-from vssm_gym.agents.shared.following import TRIES, PlannedPath, points_along
+from vssm_gym.agents.shared.following import FollowingConfig, PlannedPath, points_along
 from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.agents.shared.strategy import Choice, around
 from vssm_gym.envs.explore import ExploreEnv
@@ -177,13 +177,13 @@ def test_a_robot_that_is_held_up_makes_room_and_gives_the_goal_up_in_the_end(wor
     here = float(near.at(planar[:2]))
     assert here < 0.14
     dismissed, goal = len(explorer._dismissed), np.array([1.0, 2.0])
-    for _ in range(TRIES):
+    for _ in range(FollowingConfig().tries):
         explorer._choice = Choice(goal, (), None, "somewhere")
-        explorer._held_up(PlannedPath(np.stack([planar[:2], goal]), near, 0.03), planar, near)
+        explorer._make_room(PlannedPath(np.stack([planar[:2], goal]), near, 0.03), planar, near)
     assert len(explorer._dismissed) == dismissed + 1
-    way = points_along(explorer._path.path, 1.0)
-    assert (near.at(way) >= here - 1e-3).all()
-    assert near.at(way[-1]) > here + 0.1
+    path = points_along(explorer._path.path, 1.0)
+    assert (near.at(path) >= here - 1e-3).all()
+    assert near.at(path[-1]) > here + 0.1
 
 
 def test_the_map_is_as_large_as_configured(world):

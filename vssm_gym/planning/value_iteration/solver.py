@@ -21,7 +21,8 @@ from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
 from vssm_gym.planning.value_iteration.motions import Motions
 from vssm_gym.planning.value_iteration.reachability import flood
 
-WARM_SWEEPS = 64  # a warm start that takes longer has too far to climb: from scratch it is faster
+WARM_SWEEPS = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
+GOAL_RADIUS, GOAL_HEADING_TOLERANCE = 0.1, np.radians(15.0)  # m and rad from the target: CarNav's success criterion
 
 
 class ValueStatus(Outcome):
@@ -145,8 +146,8 @@ class PoseGrid:
 def solve(
     grid: PoseGrid,
     goal: np.ndarray,
-    radius: float = 0.1,
-    heading_tolerance: float = np.radians(15.0),
+    radius: float = GOAL_RADIUS,
+    heading_tolerance: float = GOAL_HEADING_TOLERANCE,
     start: np.ndarray | None = None,
     warm: CostToGo | None = None,
 ) -> ValueResult:
