@@ -33,7 +33,7 @@ from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import PrismState, _draw_poses
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter, process_noise
-from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingConfig
+from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingConfig, TrackingInput
 from vssm_gym.model import emission
 from vssm_gym.model.transition import RIGID, Rigid, RigidNoise, Transition, rigid_belief
 
@@ -70,8 +70,9 @@ def track(
 ) -> Tracked:
     """Track image ``k`` from the state's past, with some of its fields replaced."""
     before = replace(state.past, **past)
-    moved = transition, jnp.zeros(6) if control is None else control, jnp.float32(DT)
-    return camera_filter.track(before, *moved, state.reference, image(k), RIG, state.key, CONFIG.tracking)
+    control = jnp.zeros(6) if control is None else control
+    given = TrackingInput(before, transition, control, jnp.float32(DT), state.reference, image(k), RIG, state.key)
+    return camera_filter.track(given, CONFIG.tracking)
 
 
 @pytest.mark.parametrize("seed", range(4))

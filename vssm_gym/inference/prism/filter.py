@@ -35,7 +35,7 @@ from vssm_gym.inference.prism import drift
 from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import keyframes
-from vssm_gym.inference.tracking.camera_filter import Past, begin, expected_pose
+from vssm_gym.inference.tracking.camera_filter import Past, TrackingInput, begin, expected_pose
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, seconds, shrunk
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -88,10 +88,10 @@ class Prism:
             settings = config.recovery.keyframe
             none = keyframes.empty(view.camera, settings)
             kept = keyframes.remember(none, T, luminance(small.rgb), view.camera, settings)
-        against = clock(
+        reference = clock(
             "anchor", reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1)
         )
-        return PrismState(m, past, against, kept, jnp.zeros((6, 6)), False, key, prior.measurement_noise)
+        return PrismState(m, past, reference, kept, jnp.zeros((6, 6)), False, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -115,28 +115,16 @@ class Prism:
         small, view = self._shrunk(image)
         key, solving, mapping = jax.random.split(state.key, 3)
         state = eqx.tree_at(lambda s: s.key, state, key)
-        against, relocalisation = state.reference, None
+        reference, relocalisation = state.reference, None
         alone = state.lost and config.recovery is None  # no recovery: the image must fit at the predicted pose
         max_depth = config.update.max_depth
         if alone:
             T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
-            against = reference_view.from_map(state.map, T_expected, view.camera, max_depth)
+            reference = reference_view.from_map(state.map, T_expected, view.camera, max_depth)
         if config.recovery is not None and state.keyframes is not None:
             relocalisation = Relocalisation(state.map, state.keyframes, max_depth, config.recovery)
-        located = localise(
-            state.past,
-            self.transition,
-            control,
-            seconds(dt),
-            against,
-            small,
-            view,
-            solving,
-            config.tracking,
-            state.lost,
-            relocalisation,
-            clock,
-        )
+        given = TrackingInput(state.past, self.transition, control, seconds(dt), reference, small, view, solving)
+        located = localise(given, config.tracking, state.lost, relocalisation, clock)
         past, status = located.past, located.status
         if not status.accepted:
             lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
@@ -155,16 +143,16 @@ class Prism:
         drifted = drift.grow(
             state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small, config.correlated_images
         )
-        kept, against = state.keyframes, state.reference
+        kept, reference = state.keyframes, state.reference
         if kept is not None and config.recovery is not None:
             kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera, config.recovery.keyframe)
-        moved_on = reference_view.has_left(against, T, config.reference_distance, config.reference_angle)
+        moved_on = reference_view.has_left(reference, T, config.reference_distance, config.reference_angle)
         if alone or status is Status.RECOVERED or moved_on:
-            against = clock(
+            reference = clock(
                 "anchor", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
             )
         info = FilterInfo(status, drift.in_world(past.belief, drifted), located.fit_quality, dropped)
-        return PrismState(m, past, against, kept, drifted, False, key, state.measurement_noise), info
+        return PrismState(m, past, reference, kept, drifted, False, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``, the state in the map's frame: without that frame's drift in the world."""

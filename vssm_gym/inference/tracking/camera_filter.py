@@ -6,6 +6,7 @@ closed form. The filters update the map, and decide how to proceed after an imag
 
 from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -73,13 +74,15 @@ class TrackingConfig:
 
 
 def _by_gauss_newton(
-    problem: Problem, against: ReferenceView, config: "TrackingConfig", key: Array
+    problem: Problem, reference: ReferenceView, config: "TrackingConfig", key: Array
 ) -> tuple[Array, AlignInfo]:
-    return gauss_newton.align(*problem, config=config.align, seen=against.seen, spread=against.spread)
+    return gauss_newton.align(*problem, config=config.align, seen=reference.seen, spread=reference.spread)
 
 
-def _by_adam(problem: Problem, against: ReferenceView, config: "TrackingConfig", key: Array) -> tuple[Array, AlignInfo]:
-    return align_adam(*problem, config=config.align, key=key, adam=config.adam, spread=against.spread)
+def _by_adam(
+    problem: Problem, reference: ReferenceView, config: "TrackingConfig", key: Array
+) -> tuple[Array, AlignInfo]:
+    return align_adam(*problem, config=config.align, key=key, adam=config.adam, spread=reference.spread)
 
 
 SOLVERS = {"gauss_newton": _by_gauss_newton, "adam": _by_adam}
@@ -170,31 +173,23 @@ def expected_pose(
     return transition.manifold.pose(transition.mean(belief.mean, control, dt)) @ rig.T_body_cam
 
 
-@partial(jax.jit, static_argnums=8)
-def track(
-    past: Past,
-    transition: Transition,
-    control: Float[Array, "m"],
-    dt: Float[Array, ""],
-    against: ReferenceView,
-    image: RGBD,
-    rig: Rig,
-    key: PRNGKeyArray,
-    config: TrackingConfig,
-) -> Tracked:
-    """Return the belief over the state given an image.
+class TrackingInput(NamedTuple):
+    """Hold an image and everything that it is filtered with."""
 
-    Args:
-        past: Belief and image before.
-        transition: What moved the body.
-        control: Of the transition.
-        dt: Seconds since then, above 0.
-        against: What the image is aligned to.
-        image: At tracking size.
-        rig: The camera, at that size, and its place on the body.
-        key: Of a solver that draws.
-        config: Solver, effort and gates.
-    """
+    past: Past  # belief and image before
+    transition: Transition  # of the body since then
+    control: Float[Array, "m"]  # of the transition
+    dt: Float[Array, ""]  # s, above 0
+    reference: ReferenceView  # that the image is aligned to
+    image: RGBD  # at tracking size
+    rig: Rig  # the camera, at that size, and its pose on the body
+    key: PRNGKeyArray  # of a solver that draws
+
+
+@partial(jax.jit, static_argnums=1)
+def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
+    """Return the belief over the state given an image; ``config`` has solver, effort and gates."""
+    past, transition, control, dt, reference, image, rig, key = given
     manifold = transition.manifold
     possible = predicted = transition.predict(past.belief, control, dt)
     if config.adaptation is not None:
@@ -203,12 +198,12 @@ def track(
     p = past.laplace.shape[0]
     pose_covariance = predicted.covariance[:p, :p]
     basis = camera_twists(manifold, rig)
-    T_ref_world = inverse(against.T_world_cam)
+    T_ref_world = inverse(reference.T_world_cam)
     T_prior = T_ref_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
-    start, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, against, image, rig.camera, config)
+    start, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, reference, image, rig.camera, config)
     precision = jnp.linalg.inv(pose_covariance)
-    problem = (T_prior, precision, start, basis, against.image, image, rig.camera)
-    T, fit_quality = SOLVERS[config.solver](problem, against, config, key)
+    problem = (T_prior, precision, start, basis, reference.image, image, rig.camera)
+    T, fit_quality = SOLVERS[config.solver](problem, reference, config, key)
     laplace = jnp.linalg.inv(2.0 * fit_quality.information + precision)
     kept = config.smoothing * (jnp.trace(past.laplace) > 0.0)
     smoothed = kept * past.laplace + (1.0 - kept) * laplace
@@ -242,7 +237,7 @@ def _start(
     past: Past,
     T_prior: Float[Array, "4 4"],
     T_ref_world: Float[Array, "4 4"],
-    against: ReferenceView,
+    reference: ReferenceView,
     image: RGBD,
     camera: Camera,
     config: TrackingConfig,
@@ -264,7 +259,7 @@ def _start(
     factor = align.levels[-1]
     observed = lambda image: make_observed(image, camera, factor, stride(camera, factor, align))
     if config.exposure or len(starts) > 1:
-        ref, obs = make_reference(against.image, camera, align, factor), observed(image)
+        ref, obs = make_reference(reference.image, camera, align, factor), observed(image)
     if config.exposure:
         _, rgb, *_ = linearise(starts[0], ref, obs, camera, factor, align)
         brightness = gain(obs.luminance + align.rgb_sigma * rgb.residual, obs.luminance, rgb.usable)

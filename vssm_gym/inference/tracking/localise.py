@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse
 from vssm_gym.inference.alignment.exposure import expose
-from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
 from vssm_gym.inference.filter import Clock, Rig
 from vssm_gym.inference.status import Status
@@ -23,6 +22,7 @@ from vssm_gym.inference.tracking.camera_filter import (
     Past,
     Tracked,
     TrackingConfig,
+    TrackingInput,
     at_rest,
     camera_pose,
     camera_twists,
@@ -58,36 +58,19 @@ class Located:
 
 
 def localise(
-    past: Past,
-    transition: Transition,
-    control: Float[Array, "m"],
-    dt: Float[Array, ""],
-    against: ReferenceView,
-    image: RGBD,
-    rig: Rig,
-    key: PRNGKeyArray,
-    config: TrackingConfig,
-    lost: bool,
-    relocalisation: Relocalisation | None,
-    clock: Clock,
+    given: TrackingInput, config: TrackingConfig, lost: bool, relocalisation: Relocalisation | None, clock: Clock
 ) -> Located:
     """Locate an image: by tracking, by recovery where that fails, else by prediction.
 
     Args:
-        past: Belief and image before.
-        transition: What moved the body.
-        control: Of the transition.
-        dt: Seconds since the image before; see :func:`seconds`.
-        against: What the image is aligned to.
-        image: At tracking size.
-        rig: The camera, at that size, and its place on the body.
-        key: Of a solver that draws.
+        given: The image and everything that it is filtered with.
         config: Solver, effort and gates.
         lost: Whether the previous image was not accepted.
         relocalisation: Map and keyframes for recovery; None: no recovery.
         clock: Of the stages "track" and "recover".
     """
-    tracked = clock("track", track(past, transition, control, dt, against, image, rig, key, config))
+    tracked = clock("track", track(given, config))
+    past, transition, image, rig = given.past, given.transition, given.image, given.rig
     if tracked.accepted:
         if config.exposure:
             image = _expose(image, tracked.gain)

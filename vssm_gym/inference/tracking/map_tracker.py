@@ -26,6 +26,7 @@ from vssm_gym.inference.tracking.camera_filter import (
     Past,
     Tracked,
     TrackingConfig,
+    TrackingInput,
     begin,
     camera_pose,
     expected_pose,
@@ -100,14 +101,12 @@ class MapTracker:
         image, rig = shrunk(image, self.rig, self.track_width)
         camera = rig.camera
         T_expected = expected_pose(self.transition, state.past.belief, control, h, rig)
-        against = reference_view.from_map(state.map, T_expected, camera, self.max_depth)
+        reference = reference_view.from_map(state.map, T_expected, camera, self.max_depth)
         relocalisation = None
         if kept is not None and self.recovery is not None:
             relocalisation = Relocalisation(state.map, kept, self.max_depth, self.recovery)
-        moved = (self.transition, control, h)
-        located = localise(
-            state.past, *moved, against, image, rig, state.key, self.config, state.lost, relocalisation, clock
-        )
+        given = TrackingInput(state.past, self.transition, control, h, reference, image, rig, state.key)
+        located = localise(given, self.config, state.lost, relocalisation, clock)
         past, status = located.past, located.status
         if relocalisation is not None and status.accepted:
             settings = relocalisation.config.keyframe
@@ -208,8 +207,8 @@ def _track_from_frame(
     """Track as if the pose before were known, and return the belief with both covariances added."""
     belief = past.belief
     known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
-    against = ReferenceView(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
-    tracked = track(known, transition, control, dt, against, image, rig, key, config)
+    reference = ReferenceView(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
+    tracked = track(TrackingInput(known, transition, control, dt, reference, image, rig, key), config)
     step = tracked.belief
     carried = transition.predict(belief, control, dt, 0.0).covariance
     return tracked, replace(step, covariance=carried + step.covariance)
