@@ -44,7 +44,7 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.model.transition.bicycle import Bicycle as Bicycle
     from vssm_gym.model.transition.bicycle import BicycleNoise as BicycleNoise
     from vssm_gym.model.transition.differential import DifferentialDrive as DifferentialDrive
-    from vssm_gym.model.transition.differential import WheelNoise as WheelNoise
+    from vssm_gym.model.transition.differential import DifferentialNoise as DifferentialNoise
     from vssm_gym.model.transition.imu import Imu as Imu
     from vssm_gym.model.transition.imu import ImuNoise as ImuNoise
     from vssm_gym.model.transition.planar import MotionNoise as MotionNoise
@@ -73,7 +73,7 @@ PUBLIC: dict[str, str] = {
     "Bicycle": "vssm_gym.model.transition.bicycle",
     "BicycleNoise": "vssm_gym.model.transition.bicycle",
     "DifferentialDrive": "vssm_gym.model.transition.differential",
-    "WheelNoise": "vssm_gym.model.transition.differential",
+    "DifferentialNoise": "vssm_gym.model.transition.differential",
     "Rigid": "vssm_gym.model.transition.rigid",
     "RigidNoise": "vssm_gym.model.transition.rigid",
     "Imu": "vssm_gym.model.transition.imu",

@@ -12,7 +12,7 @@ from vssm_gym.envs.tasks.car import REACHED
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
-from vssm_gym.model.transition.differential import DifferentialDrive, WheelNoise
+from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 
 SCANNER_COMMANDS = (0, 2)  # of the robot's limits: with a laser scanner it turns and drives, and never sideways
 
@@ -52,7 +52,7 @@ def transition_of(body: Any, noise: tuple[float, float]) -> Transition:
 
 
 transition_of.register(Car, lambda body, noise: Bicycle(CAR_MODEL_ERROR, body.wheelbase))
-transition_of.register(DifferentialRobot, lambda body, noise: DifferentialDrive(WheelNoise(*noise), body.track))
+transition_of.register(DifferentialRobot, lambda body, noise: DifferentialDrive(DifferentialNoise(*noise), body.track))
 
 
 def context_of(

@@ -20,7 +20,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study
 from vssm_gym.inference.mapping import map_learning
-from vssm_gym.inference.mapping.map_learning import RefineConfig
+from vssm_gym.inference.mapping.map_learning import MapLearningConfig
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
 from vssm_gym.inference.mapping.views import Views, fit_scales, held_out
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -32,7 +32,7 @@ STEPS = (1, 4, 16, 64)  # of gradient descent a frame
 FACTORS = (1.0, 0.2, 0.04)  # on the rates of gradient descent; the best counts
 HELD_OUT = 10  # one frame in so many is held out
 # On-line rates: a cell has few steps to move from the prior to its value, a truncation band away.
-GRADIENT = RefineConfig(images=1, pixels=1024, occupancy_rate=0.02, colour_rate=0.1)
+GRADIENT = MapLearningConfig(images=1, pixels=1024, occupancy_rate=0.02, colour_rate=0.1)
 
 
 def run(

@@ -10,13 +10,13 @@ import pytest
 from tests.helpers.analytic_room import camera_pose
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM
 from vssm_gym.inference.mapping import map_learning, map_update
-from vssm_gym.inference.mapping.map_learning import RefineConfig
+from vssm_gym.inference.mapping.map_learning import MapLearningConfig
 from vssm_gym.inference.mapping.views import Views, fit_scales, held_out
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import EmissionScales
 
-CONFIG = RefineConfig(images=2, pixels=256, steps=200, refresh=50)
+CONFIG = MapLearningConfig(images=2, pixels=256, steps=200, refresh=50)
 SCALES = EmissionScales(0.05, 0.05)
 
 
@@ -93,7 +93,7 @@ def test_the_index_follows(refined) -> None:
 def test_a_step_is_the_gradient_of_the_renderer() -> None:
     """One step from rays that hit = ``-rate s d(-log p)/dM`` by automatic differentiation through the whole map."""
     config, known = (
-        RefineConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0),
+        MapLearningConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0),
         known_map(),
     )
     key, views = jax.random.key(3), train()[2:3]
@@ -125,7 +125,7 @@ def test_a_step_is_the_gradient_of_the_renderer() -> None:
 
 def test_a_missing_surface_grows() -> None:
     """In an empty map only the first-order term acts; it makes the surface that the images show."""
-    config = RefineConfig(images=1, pixels=512, occupancy_rate=0.03, colour_rate=0.1)
+    config = MapLearningConfig(images=1, pixels=512, occupancy_rate=0.03, colour_rate=0.1)
     m, key = VoxelMap.prior(*GRID), jax.random.key(0)
     state = map_learning.init(m, SCALES)
     for i in range(60):
@@ -140,7 +140,7 @@ def test_a_missing_surface_grows() -> None:
 
 def test_scales_are_learned() -> None:
     """Towards the mean absolute residual, from both sides."""
-    config = RefineConfig(images=2, pixels=256, occupancy_rate=0.0, colour_rate=0.0, scale_rate=0.05)
+    config = MapLearningConfig(images=2, pixels=256, occupancy_rate=0.0, colour_rate=0.0, scale_rate=0.05)
     for start in (EmissionScales(1.0, 1.0), EmissionScales(1e-3, 1e-3)):
         state, key = map_learning.init(known_map(), start), jax.random.key(0)
         for i in range(150):

@@ -21,7 +21,7 @@ from vssm_gym.envs.robots.differential import WheelNoise as Noise
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.inference.registry import filters_for
-from vssm_gym.model.transition import PLANAR, DifferentialDrive, GaussianBelief, WheelNoise
+from vssm_gym.model.transition import PLANAR, DifferentialDrive, DifferentialNoise, GaussianBelief
 
 ROBOT = DifferentialRobot()
 START = np.array([0.4, -0.7, 2.9])  # near pi: turning left wraps
@@ -118,7 +118,7 @@ def test_the_robot_is_the_twin_of_the_models_law(planar, command, noise, seed) -
     """The same normals give the same pose in NumPy and in JAX, rectified noise included."""
     twin, normal = executed(planar, command, noise, seed), np.random.default_rng(seed).standard_normal(2)
     with jax.enable_x64(True):
-        drive = DifferentialDrive(WheelNoise(noise.slip, noise.play), ROBOT.track)
+        drive = DifferentialDrive(DifferentialNoise(noise.slip, noise.play), ROBOT.track)
         law = np.asarray(drive.executed(*map(jnp.asarray, (planar, command, normal))))
     np.testing.assert_allclose(law[:2], twin[:2], atol=1e-9)
     assert differs(law[2], twin[2]) < 1e-9
@@ -127,7 +127,7 @@ def test_the_robot_is_the_twin_of_the_models_law(planar, command, noise, seed) -
 @pytest.mark.parametrize("command", [(0.12, 0.12), (0.16, 0.10), (-0.08, 0.08), (0.0, 0.1), (-0.15, -0.14), (0.0, 0.0)])
 def test_its_prediction_agrees_with_the_simulators_robot(command: tuple[float, float]) -> None:
     noise, u = Noise(slip=0.04, play=0.0005), np.array(command)  # small against every command: nothing is rectified
-    drive = DifferentialDrive(WheelNoise(noise.slip, noise.play), ROBOT.track, skid=(0.0, 0.0, 0.0))
+    drive = DifferentialDrive(DifferentialNoise(noise.slip, noise.play), ROBOT.track, skid=(0.0, 0.0, 0.0))
     rng = np.random.default_rng(3)
     samples = np.array([ROBOT.execute(START, u, noise, rng) for _ in range(8000)])
     known = GaussianBelief(jnp.asarray(START, jnp.float32), jnp.zeros((3, 3)), PLANAR)
@@ -142,7 +142,7 @@ def test_its_prediction_agrees_with_the_simulators_robot(command: tuple[float, f
 @pytest.mark.parametrize("command", [(0.12, 0.10), (-0.05, 0.08), (0.0, 0.1), (0.1, 0.1)])
 def test_samples_follow_the_density(command: tuple[float, float]) -> None:
     """``E[log p]`` over samples is minus the entropy of the Gaussian, and the mean is the likeliest pose nearby."""
-    drive = DifferentialDrive(WheelNoise(0.05, 0.001), ROBOT.track)
+    drive = DifferentialDrive(DifferentialNoise(0.05, 0.001), ROBOT.track)
     states, u = jnp.tile(jnp.asarray(START, jnp.float32), (20_000, 1)), jnp.asarray(command, jnp.float32)
     controls = jnp.tile(u, (20_000, 1))
     samples = drive.sample(jax.random.PRNGKey(0), states, controls, ROBOT.dt)
@@ -159,7 +159,7 @@ def test_samples_follow_the_density(command: tuple[float, float]) -> None:
 def test_the_transition_is_smooth_at_rest_too(control: tuple[float, float]) -> None:
     """Derivatives are finite, and those of the mean are finite differences."""
     with jax.enable_x64(True):
-        drive, u = DifferentialDrive(WheelNoise(0.05, 0.001), ROBOT.track), jnp.array(control)
+        drive, u = DifferentialDrive(DifferentialNoise(0.05, 0.001), ROBOT.track), jnp.array(control)
         state = jnp.asarray(START)
         J = np.asarray(jax.jacfwd(drive.mean, argnums=1)(state, u, ROBOT.dt))
         h = 1e-6
@@ -241,10 +241,10 @@ def test_an_unknown_robot_names_those_there_are() -> None:
         make(robot="tracked")
 
 
-@pytest.mark.parametrize("name", filters_for(DifferentialDrive(WheelNoise(0.05, 0.004))))
+@pytest.mark.parametrize("name", filters_for(DifferentialDrive(DifferentialNoise(0.05, 0.004))))
 def test_every_filter_takes_it(name: str) -> None:
     """The arc of the filters' room, driven on two wheels."""
-    drive = DifferentialDrive(WheelNoise(0.05, 0.004))
+    drive = DifferentialDrive(DifferentialNoise(0.05, 0.004))
     outer = 0.5 * test_filters.TURN * drive.track
     travel = jnp.array([test_filters.STEP - outer, test_filters.STEP + outer])
     test_filters.follow(name, drive, lambda k: travel)

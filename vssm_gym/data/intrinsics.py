@@ -21,7 +21,7 @@ MIDDLE = (0.3, 0.7)  # where a principal point lies, as a share of width and hei
 
 
 @dataclass(frozen=True)
-class Calibration:
+class CameraCalibration:
     """Hold the camera's calibration and the storage of depth."""
 
     camera: Camera  # of the images as recorded (before undistortion)
@@ -30,7 +30,7 @@ class Calibration:
     T_body_cam: np.ndarray | None  # (4, 4)
 
 
-def read_calibration(root: Path, width: int, height: int, given: tuple[float, ...] | None) -> Calibration:
+def read_calibration(root: Path, width: int, height: int, given: tuple[float, ...] | None) -> CameraCalibration:
     """Read the calibration of images of ``width x height`` pixels.
 
     Args:
@@ -56,17 +56,17 @@ def read_calibration(root: Path, width: int, height: int, given: tuple[float, ..
     for names, (pinhole, lens) in TUM_CAMERAS.items():
         if any(name in root.resolve().name for name in names):
             camera = Camera(640, 480, *pinhole).resized(width, height)
-            return Calibration(camera, np.array(lens), DEPTH_SCALE, None)
+            return CameraCalibration(camera, np.array(lens), DEPTH_SCALE, None)
     raise InputError(path, "file", "camera.json, a TUM folder name (fr1, fr2, fr3), or --intrinsics")
 
 
-def _as_given(given: tuple[float, ...], width: int, height: int) -> Calibration:
+def _as_given(given: tuple[float, ...], width: int, height: int) -> CameraCalibration:
     if len(given) not in (4, 9) or not np.isfinite(given).all() or min(given[:2]) <= 0.0:
         raise InputError("--intrinsics", "values", "fx,fy,cx,cy or fx,fy,cx,cy,k1,k2,p1,p2,k3; fx and fy positive")
     fx, fy, cx, cy = map(float, given[:4])
     camera = Camera(width, height, fx, fy, cx, cy)
     _check_middle(camera, "--intrinsics", "values")
-    return Calibration(camera, np.array(given[4:] or (0.0,) * 5, dtype=float), DEPTH_SCALE, None)
+    return CameraCalibration(camera, np.array(given[4:] or (0.0,) * 5, dtype=float), DEPTH_SCALE, None)
 
 
 def _check_middle(camera: Camera, source: object, field: str) -> None:
@@ -77,7 +77,7 @@ def _check_middle(camera: Camera, source: object, field: str) -> None:
         raise InputError(source, field, f"a principal point near the middle of the {size} images; {found}")
 
 
-def _from_json(path: Path) -> Calibration:
+def _from_json(path: Path) -> CameraCalibration:
     try:
         stored = json.loads(path.read_text())
         K = np.asarray(stored["K"], dtype=float).reshape(3, 3)
@@ -94,4 +94,4 @@ def _from_json(path: Path) -> Calibration:
     except (KeyError, TypeError, ValueError) as error:
         fields = "width, height, K (3x3)[, distortion (5), depth_scale, T_body_cam (4x4)]"
         raise InputError(path, "content", f"{fields} ({error})") from error
-    return Calibration(camera, distortion, depth_scale, T_body_cam)
+    return CameraCalibration(camera, distortion, depth_scale, T_body_cam)

@@ -23,8 +23,8 @@ from vssm_gym.geometry.transforms import inverse, se3_exp, se3_log
 from vssm_gym.inference.alignment.residuals import (
     AlignConfig,
     AlignInfo,
-    Observed,
-    Reference,
+    ObservedPixels,
+    ReferencePixels,
     fit_quality,
     make_observed,
     make_reference,
@@ -51,7 +51,7 @@ class AdamConfig:
     averaged: float = 0.25  # share of the iterations, the last ones, whose mean is the result; ours, see minimise
 
 
-def _rows(ref: Reference, obs: Observed) -> tuple[Array, Array, Array, Array]:
+def _rows(ref: ReferencePixels, obs: ObservedPixels) -> tuple[Array, Array, Array, Array]:
     """Stack the values of each pixel of reference and observation, so that one gather reads them all.
 
     Returns:

@@ -42,7 +42,7 @@ class AlignConfig:
     edge: float = 0.05  # relative depth jump to a neighbour that makes a reference pixel unusable
 
 
-class Reference(eqx.Module):
+class ReferencePixels(eqx.Module):
     """Hold a plane and a linear approximation of the image for each reference pixel; zeros where there is none."""
 
     plane: Float[Array, "4 pixels"]  # unit normal and its offset <n, p>, camera frame; all 0 where unknown
@@ -52,7 +52,7 @@ class Reference(eqx.Module):
     spread: Float[Array, "pixels"] | None = None  # m, std of the planes under the map belief, without sensor noise
 
 
-class Observed(eqx.Module):
+class ObservedPixels(eqx.Module):
     """Hold points and luminance of the observed image."""
 
     points: Float[Array, "3 pixels"]  # camera frame, m
@@ -147,7 +147,7 @@ def make_reference(
     factor: int = 1,
     seen: Array | None = None,
     spread: Array | None = None,
-) -> Reference:
+) -> ReferencePixels:
     """Compute planes and image derivatives of an RGB-D image, shrunk by ``factor``.
 
     Args:
@@ -184,7 +184,7 @@ def make_reference(
     textured = known & inner
     for neighbour in (*sides(known, 0), *sides(known, 1)):
         textured &= neighbour
-    return Reference(
+    return ReferencePixels(
         plane=jnp.moveaxis(plane, -1, 0).reshape(4, -1),
         image=_linear(grey),
         textured=textured.reshape(-1),
@@ -199,13 +199,13 @@ def stride(camera: Camera, factor: int, config: AlignConfig) -> int:
     return max(1, round((pixels / config.pixels) ** 0.5))
 
 
-def make_observed(image: RGBD, camera: Camera, factor: int = 1, every: int = 1) -> Observed:
+def make_observed(image: RGBD, camera: Camera, factor: int = 1, every: int = 1) -> ObservedPixels:
     """Compute points and luminance of an image, shrunk by ``factor``, at every ``every``-th row and column."""
     depth = shrink_depth(jnp.where(image.hit, image.depth, 0.0), factor)
     p = jnp.moveaxis(shrink_camera(camera, factor).backproject(depth), -1, 0)
     grey = shrink_image(luminance(image.rgb), factor)
     grid = (..., slice(every // 2, None, every), slice(every // 2, None, every))
-    return Observed(p[grid].reshape(3, -1), grey[grid].reshape(-1), (depth[grid] > 0.0).reshape(-1))
+    return ObservedPixels(p[grid].reshape(3, -1), grey[grid].reshape(-1), (depth[grid] > 0.0).reshape(-1))
 
 
 class Term(NamedTuple):
@@ -218,7 +218,7 @@ class Term(NamedTuple):
 
 
 def linearise(
-    T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
+    T: Float[Array, "4 4"], ref: ReferencePixels, obs: ObservedPixels, camera: Camera, factor: int, config: AlignConfig
 ) -> tuple[Term, ...]:
     """Linearise geometry, photometry and, where the reference has it, photometry against the camera image seen there.
 
@@ -277,7 +277,7 @@ def linearise(
 
 
 def alignment_cost(
-    T: Float[Array, "4 4"], ref: Reference, obs: Observed, camera: Camera, factor: int, config: AlignConfig
+    T: Float[Array, "4 4"], ref: ReferencePixels, obs: ObservedPixels, camera: Camera, factor: int, config: AlignConfig
 ) -> Float[Array, ""]:
     """Return the alignment cost: the mean of ``min(|r|, cost_limit)`` in standard deviations over all observed pixels.
 
@@ -302,8 +302,8 @@ def normal_equations(*terms: Term) -> tuple[Float[Array, "6 6"], Float[Array, "6
 def fit_quality(
     T: Float[Array, "4 4"],
     basis: Float[Array, "6 dof"],
-    ref: Reference,
-    obs: Observed,
+    ref: ReferencePixels,
+    obs: ObservedPixels,
     camera: Camera,
     config: AlignConfig,
     iterations: Array | int,

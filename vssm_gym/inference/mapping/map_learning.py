@@ -37,7 +37,7 @@ BAND = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray w
 
 
 @dataclass(frozen=True)
-class RefineConfig:
+class MapLearningConfig:
     """Configure batch, rates and effort."""
 
     images: int = 2  # drawn a step
@@ -51,14 +51,14 @@ class RefineConfig:
     max_depth: float = MAX_DEPTH  # m; farther readings are left out
 
 
-class RefineState(eqx.Module):
+class MapLearningState(eqx.Module):
     """Hold map and scales between steps. The map's empty-space index follows only at :func:`refresh`."""
 
     map: VoxelMap
     log_scales: Float[Array, "2"]  # of depth (m) and colour
 
 
-class RefineInfo(eqx.Module):
+class MapLearningInfo(eqx.Module):
     """Report means over the drawn pixels with a reading."""
 
     loss: Float[Array, ""]  # -log p a pixel, of those with a surface
@@ -67,7 +67,7 @@ class RefineInfo(eqx.Module):
     hit_share: Float[Array, ""]
 
 
-class _Rays(NamedTuple):
+class _DrawnRays(NamedTuple):
     """Hold drawn rays ``(rays,)`` and their observations."""
 
     centre: Array  # (rays, 3) world, m
@@ -117,19 +117,19 @@ class _Values(NamedTuple):
     colour: tuple[Array, ...]  # (8, rays) of each channel
 
 
-def init(m: VoxelMap, scales: EmissionScales) -> RefineState:
+def init(m: VoxelMap, scales: EmissionScales) -> MapLearningState:
     """Start the refinement of ``m`` (not consumed) from emission scales such as those of :func:`views.fit_scales`."""
     start = jnp.log(jnp.asarray([scales.depth, scales.rgb], jnp.float32))
-    return RefineState(jax.tree.map(jnp.copy, m), start)
+    return MapLearningState(jax.tree.map(jnp.copy, m), start)
 
 
-def scales(state: RefineState) -> EmissionScales:
+def scales(state: MapLearningState) -> EmissionScales:
     """Return the emission scales learned so far."""
     depth, rgb = jnp.exp(state.log_scales)
     return EmissionScales(depth, rgb)
 
 
-def _draw(m: VoxelMap, views: Views, config: RefineConfig, key: PRNGKeyArray) -> _Rays:
+def _draw(m: VoxelMap, views: Views, config: MapLearningConfig, key: PRNGKeyArray) -> _DrawnRays:
     """Draw random pixels of random images, and search the map's surface along their rays."""
     of_image, of_pixel = jax.random.split(key)
     n, height, width = views.depth.shape
@@ -149,10 +149,10 @@ def _draw(m: VoxelMap, views: Views, config: RefineConfig, key: PRNGKeyArray) ->
     centre, direction, depth, rgb, k, hit = (a.reshape(-1, *a.shape[2:]) for a in drawn)
     read = (depth > 0.0) & (depth <= config.max_depth)
     near = read & hit & (k * (STEP * m.voxel_size) - depth < config.truncation * m.voxel_size)
-    return _Rays(centre, direction, depth, rgb.astype(jnp.float32) / 255.0, jnp.where(near, k, 2), near, read)
+    return _DrawnRays(centre, direction, depth, rgb.astype(jnp.float32) / 255.0, jnp.where(near, k, 2), near, read)
 
 
-def _crossing(m: VoxelMap, rays: _Rays, occupancy: Array) -> Array:
+def _crossing(m: VoxelMap, rays: _DrawnRays, occupancy: Array) -> Array:
     """Return ``d*`` from the occupancies (2 rays,) before and behind the crossing, as :func:`emission.intersect`."""
     before, behind = jnp.split(occupancy, 2)
     e = STEP * m.voxel_size
@@ -164,8 +164,8 @@ def _crossing(m: VoxelMap, rays: _Rays, occupancy: Array) -> Array:
 
 
 def _step(
-    state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, rate: float | Array
-) -> tuple[RefineState, RefineInfo]:
+    state: MapLearningState, views: Views, config: MapLearningConfig, key: PRNGKeyArray, rate: float | Array
+) -> tuple[MapLearningState, MapLearningInfo]:
     m = state.map
     rays = _draw(m, views, config, key)
     occupancy, colours = m.occupancy.reshape(-1), m.colour.reshape(-1)
@@ -206,14 +206,14 @@ def _step(
     nats = ratio[0] + 3.0 * ratio[1] + jnp.log(2.0 * s_depth) + 3.0 * jnp.log(2.0 * s_rgb)
     # s <- s + rate (mean |r| - s): the running mean of the maximum-likelihood scale; a bounded step of log s.
     log_scales = state.log_scales + jnp.log1p(rate * config.scale_rate * (ratio - 1.0))
-    info = RefineInfo(nats, depth_l1, colour_l1, jnp.sum(rays.near) / jnp.maximum(jnp.sum(rays.read), 1))
-    return RefineState(m, log_scales), info
+    info = MapLearningInfo(nats, depth_l1, colour_l1, jnp.sum(rays.near) / jnp.maximum(jnp.sum(rays.read), 1))
+    return MapLearningState(m, log_scales), info
 
 
 @partial(jax.jit, static_argnums=2, donate_argnums=0)
 def step(
-    state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, rate: float | Array = 1.0
-) -> tuple[RefineState, RefineInfo]:
+    state: MapLearningState, views: Views, config: MapLearningConfig, key: PRNGKeyArray, rate: float | Array = 1.0
+) -> tuple[MapLearningState, MapLearningInfo]:
     """Make one step of gradient descent on ``-log p(x | z, M)`` of drawn pixels. The state passed in is consumed.
 
     Args:
@@ -228,8 +228,13 @@ def step(
 
 @partial(jax.jit, static_argnums=(2, 5), donate_argnums=0)
 def _steps(
-    state: RefineState, views: Views, config: RefineConfig, key: PRNGKeyArray, first: Int[Array, ""], count: int
-) -> tuple[RefineState, RefineInfo]:
+    state: MapLearningState,
+    views: Views,
+    config: MapLearningConfig,
+    key: PRNGKeyArray,
+    first: Int[Array, ""],
+    count: int,
+) -> tuple[MapLearningState, MapLearningInfo]:
     """Make ``count`` steps from number ``first`` of ``config.steps`` on; return the info of the last."""
 
     def body(i, carry):
@@ -238,18 +243,18 @@ def _steps(
         return _step(state, views, config, jax.random.fold_in(key, first + i), rate)
 
     zero = jnp.zeros(())
-    return jax.lax.fori_loop(0, count, body, (state, RefineInfo(zero, zero, zero, zero)))
+    return jax.lax.fori_loop(0, count, body, (state, MapLearningInfo(zero, zero, zero, zero)))
 
 
-def refresh(state: RefineState) -> RefineState:
+def refresh(state: MapLearningState) -> MapLearningState:
     """Rebuild the empty-space index, so that rays find surfaces that grew in boxes marked empty before."""
-    return RefineState(state.map.with_occupancy(state.map.occupancy), state.log_scales)
+    return MapLearningState(state.map.with_occupancy(state.map.occupancy), state.log_scales)
 
 
 def refine(
     m: VoxelMap,
     views: Views,
-    config: RefineConfig,
+    config: MapLearningConfig,
     key: PRNGKeyArray,
     start: EmissionScales | None = None,
     on_progress: OnProgress | None = None,

@@ -3,7 +3,7 @@
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.bicycle import Bicycle, BicycleNoise
-from vssm_gym.model.transition.differential import DifferentialDrive, WheelNoise
+from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 from vssm_gym.model.transition.imu import Imu, ImuNoise
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold, RigidState
 from vssm_gym.model.transition.planar import MotionNoise, Planar, planar_belief, world_covariance
@@ -16,6 +16,7 @@ __all__ = [
     "Bicycle",
     "BicycleNoise",
     "DifferentialDrive",
+    "DifferentialNoise",
     "GaussianBelief",
     "Imu",
     "ImuNoise",
@@ -26,7 +27,6 @@ __all__ = [
     "RigidNoise",
     "RigidState",
     "Transition",
-    "WheelNoise",
     "planar_belief",
     "rigid_belief",
     "world_covariance",

@@ -19,7 +19,7 @@ from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.manifold import PLANAR
 
 
-class WheelNoise(eqx.Module):
+class DifferentialNoise(eqx.Module):
     """Hold the noise of each wheel's travel in a step, as the robot believes it."""
 
     slip: Float[Array, ""] | float  # share of the travel, standard deviation
@@ -39,7 +39,7 @@ class DifferentialDrive(Transition):
     motion model misses (contacts), makes the covariance regular.
     """
 
-    noise: WheelNoise
+    noise: DifferentialNoise
     track: Float[Array, ""] | float = 0.16  # m between the wheels
     skid: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
 
