@@ -20,8 +20,9 @@ OBSERVATIONS = 20.0  # precision of an observed cell, 1/m^2
 
 def signed_depth(solid: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return signed distance to the border of ``solid``, positive inside; float64, the shape of ``x``."""
-    points = shapely.points(x, y)
-    distance = shapely.distance(solid.boundary, points)
+    points, boundary = shapely.points(x, y), solid.boundary
+    shapely.prepare([solid, boundary])  # an index over the edges: thousands of points are asked
+    distance = shapely.distance(boundary, points)
     return np.where(shapely.covers(solid, points), distance, -distance)
 
 
