@@ -16,8 +16,9 @@ import numpy as np
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
 from vssm_gym.agents.shared.localization import Localization, Localizer
 from vssm_gym.errors import InputError
+from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.clearance import BODY_HEIGHTS, ClearanceMap
+from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.planners import Planner, find_planner

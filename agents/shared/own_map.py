@@ -14,8 +14,8 @@ from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.agents.shared.mapping import Mapper
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.clearance import BODY_HEIGHTS
 from vssm_gym.planning.floor_plan import FloorPlan
 
 

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 
+BODY_HEIGHTS = (0.08, 0.5)  # m: above the noise of a learned floor, up to the top of the holonomic robot and its camera
 OBSERVED_SHARE = 0.5  # of a column's heights that must be observed; below a visible table top they are unobserved
 
 

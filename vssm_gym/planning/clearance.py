@@ -15,12 +15,11 @@ import numpy as np
 from numba import njit
 
 from vssm_gym.errors import InputError
-from vssm_gym.maps.columns import OBSERVED_SHARE, level_distance, observed_columns
+from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid, where nothing is known; deep enough that no planner starts there
 ROUNDING = 1e-6  # cells; a border cell taken to world coordinates and back still lies on the grid
-BODY_HEIGHTS = (0.08, 0.5)  # m: above the noise of a learned floor, up to the top of the holonomic robot and its camera
 
 
 @dataclass(frozen=True)

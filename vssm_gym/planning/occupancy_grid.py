@@ -11,9 +11,8 @@ import numpy as np
 
 from vssm_gym.errors import InputError
 from vssm_gym.files import atomic_write
-from vssm_gym.maps.columns import OBSERVED_SHARE, observed_columns
+from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.clearance import BODY_HEIGHTS
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
 # Grey levels of map_saver and the thresholds that go with them: map_server reads a level v as the probability
