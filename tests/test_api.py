@@ -16,7 +16,8 @@ import pytest
 import vssm_gym as vg
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-SNIPPETS = re.findall(r"```python\n(.*?)```", (CHECKOUT / "docs" / "library.md").read_text(), re.DOTALL)
+PAGE = (CHECKOUT / "docs" / "library.md").read_text()
+SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 TITLES = ["map", "prism", "futures", "agent"]
 OPENERS = ("Whether", "What", "How", "Of", "Where")  # no sentence that documents something starts so
 
@@ -129,6 +130,11 @@ def test_the_page_uses_public_names_alone():
         assert used <= vg.PUBLIC.keys()
         assert "from vssm_gym" not in snippet
         assert len([line for line in snippet.splitlines() if line]) <= 40
+
+
+def test_the_page_lists_every_name():
+    rows = [line.split("|")[1] for line in PAGE.partition("## All names")[2].splitlines() if line.startswith("| `")]
+    assert sorted(name for row in rows for name in re.findall(r"`(\w+)`", row)) == sorted(vg.PUBLIC)
 
 
 def test_the_page_maps_posed_images_and_plans_in_the_map():
