@@ -44,7 +44,7 @@ class Walk:
 
     times: Float[np.ndarray, "n"]  # s, from 0
     T_world_cam: Float[np.ndarray, "n 4 4"]  # m
-    body: float  # m, radius of the upright cylinder around the camera that touches nothing
+    body: float  # m, radius of the collision-free upright cylinder around the camera
 
 
 def walk(apartment: Apartment, metres: float, rate: float, seed: int = 0) -> Walk:

@@ -143,7 +143,7 @@ def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
         try:
             first, second = (iio.improps(root / words[i], plugin="pillow") for i in (1, 3))
         except (OSError, ValueError, SyntaxError):
-            continue  # missing or damaged: the next pair tells
+            continue  # missing or damaged: try the next pair
         return len(first.shape) == 2 and first.dtype != np.uint8 and len(second.shape) == 3
     return False
 

@@ -37,7 +37,7 @@ def read_calibration(root: Path, width: int, height: int, given: tuple[float, ..
         root: the sequence's folder.
         width: of the images, as found in them.
         height: of the images.
-        given: ``fx fy cx cy [k1 k2 p1 p2 k3]`` of the recorded images, in place of what the folder says.
+        given: ``fx fy cx cy [k1 k2 p1 p2 k3]`` of the recorded images, in place of the folder's calibration.
 
     Raises:
         InputError: no calibration, a malformed one, or one of images of another size.

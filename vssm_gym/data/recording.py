@@ -128,7 +128,7 @@ def recorded_episode(
     """Yield a function that records each ``(observation, info)`` of an episode to ``out``.
 
     Args:
-        simulation: whose robot is driven by whoever calls the function.
+        simulation: of the robot, which the caller drives.
         out: new or empty folder; it appears where the block ends without an error.
         about: further fields of ``recording.json``.
     """

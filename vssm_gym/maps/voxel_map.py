@@ -55,7 +55,7 @@ class VoxelMap(eqx.Module):
 
     Consumers use the queries, not the arrays.
 
-    A *dense* map has a row for every block. A *block-sparse* map has as many rows as it was given slots; a table says
+    A *dense* map has a row for every block. A *block-sparse* map has as many rows as it was given slots; a table lists
     which blocks have one, and all others are at the prior (:mod:`vssm_gym.maps.block_table`). Queries do not differ.
     """
 

@@ -79,7 +79,7 @@ def page(
             figures.slices(run, display, MapUpdateConfig().std), "image/webp", "slices of mean and std of occupancy"
         ),
         "<h2>Fit</h2>",
-        "<p class=note>What the loss test looks at, and its limits (dashed). The score is the share of pixels that "
+        "<p class=note>The values of the loss test, and their limits (dashed). The score is the share of pixels that "
         "agree with the model's geometry, times min(1, coverage / 0.4).</p>",
         _image(figures.fit(run, config), "image/svg+xml", "fit over time"),
         "<h2>Latency</h2>",

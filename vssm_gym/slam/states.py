@@ -41,7 +41,7 @@ class Truth:
     def of(cls, run: SlamRun, sequence: Sequence) -> "Truth | None":
         """Align the truth to a run.
 
-        None without truth, or where alignment is impossible (``stats["errors"]`` says why).
+        None without truth, or where alignment is impossible (see ``stats["errors"]``).
         """
         if sequence.truth is None:
             return None

@@ -76,8 +76,8 @@ def _revise(
         if table is None:
             row = block  # past the last: dropped
         else:
-            touched = jnp.any(o.weight > 0.0, axis=-1) & (block < blocks)
-            table, row, new = table.allocate(block, touched)
+            observed = jnp.any(o.weight > 0.0, axis=-1) & (block < blocks)
+            table, row, new = table.allocate(block, observed)
             # The row of a new block is "empty" until the index is refreshed; it may lie beside a surface.
             changed = (changed & (row < slots)) | (new & (m.empty.rings.reshape(-1)[known] == 0))
         belief = (

@@ -63,7 +63,7 @@ def move(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[Arra
     else:
         moved, table, dropped = _release(m, table, source, leaving)
         near = table.slot != PRIOR_SLOT
-        for axis in range(3):  # only blocks that store cells or touch one that does can have a surface
+        for axis in range(3):  # only blocks with stored cells, and their neighbours, can have a surface
             following = jnp.pad(near, [(0, int(a == axis)) for a in range(3)])
             near = near | jax.lax.slice_in_dim(following, 1, m.blocks[axis] + 1, axis=axis)
         edge &= near

@@ -69,8 +69,8 @@ class EmissionTracker:
     ) -> tuple[TrackerState, FilterInfo]:
         """Follow the gradient through the renderer; see :class:`Filter`."""
         assert state.map is not None
-        told = checked(self.transition, control), seconds(dt)
-        predicted = _predict(self.transition, state.past.belief, *told)
+        control, h = checked(self.transition, control), seconds(dt)
+        predicted = _predict(self.transition, state.past.belief, control, h)
         T_world_cam = _descend(predicted, image, state.map, self.rig, state.key, self.config)
         rendered = emission.render(state.map, T_world_cam, self.rig.camera)
         belief, accepted, fit_quality = clock(
