@@ -61,7 +61,7 @@ class Camera(eqx.Module):
         return self.rays() * depth[..., None]
 
     def project(self, p_cam: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-        """Return pixel ``(u, v)`` and z-depth of camera-frame points.
+        """Return pixel ``(u, v)`` and z-depth of camera-frame points (eq. M7).
 
         Pixels of points at or behind the camera are far outside.
 

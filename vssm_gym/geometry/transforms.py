@@ -82,10 +82,10 @@ def se3_exp(delta: Float[Array, "*batch 6"]) -> Float[Array, "*batch 4 4"]:
 
 
 def se3_log(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6"]:
-    """``log(T)``: the tangent (translation, rotation) of a rigid motion, the inverse of :func:`se3_exp`."""
+    """``log(T)``: the tangent (translation, rotation) of a rigid motion, the inverse of :func:`se3_exp` (eq. M15)."""
     return jaxlie.SE3.from_matrix(T).log()
 
 
 def se3_adjoint(T: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 6 6"]:
-    """``T exp(delta) T^-1 = exp(Ad_T delta)``: the adjoint, which transforms covariances between frames."""
+    """``T exp(delta) T^-1 = exp(Ad_T delta)``: the adjoint, which transforms covariances between frames (eq. M17)."""
     return jaxlie.SE3.from_matrix(T).adjoint()

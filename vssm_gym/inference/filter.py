@@ -68,7 +68,7 @@ class Filter(Protocol):
     def step(
         self, state: Any, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[Any, FilterInfo]:
-        """Return the state after one more image, ``dt`` seconds later, and a report of the step.
+        """Return the state after one more image, ``dt`` seconds later, and a report of the step (eq. I1).
 
         Raises:
             InputError: ``dt`` is not above 0.

@@ -40,14 +40,14 @@ def joint(p_z: Gaussian, p_x_given_z: LinearGaussian) -> Gaussian:
 
 
 def marginal(p_z: Gaussian, p_x_given_z: LinearGaussian) -> Gaussian:
-    """``p(x) = N(A mu + a, S + A Sigma A^T)`` (C.10, C.11): the prediction step of a Kalman filter."""
+    """``p(x) = N(A mu + a, S + A Sigma A^T)`` (C.10, C.11): the prediction step of a Kalman filter (eq. I5)."""
     A = p_x_given_z.A
     covariance = p_x_given_z.covariance + A @ p_z.covariance @ A.T
     return Gaussian(A @ p_z.mean + p_x_given_z.a, _symmetric(covariance))
 
 
 def invert(p_z: Gaussian, p_x_given_z: LinearGaussian) -> LinearGaussian:
-    """``p(z | x) = N(K x + (1 - K A) mu - K a, (1 - K A) Sigma)``, ``K`` the Kalman gain (C.7 to C.9).
+    """``p(z | x) = N(K x + (1 - K A) mu - K a, (1 - K A) Sigma)``, ``K`` the Kalman gain (C.7 to C.9; eq. I5).
 
     ``p(x)`` must have full rank; ``p(x | z)`` need not, so an exact observation is allowed.
     """

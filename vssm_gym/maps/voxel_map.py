@@ -44,7 +44,7 @@ def _cube(
 
 
 def trilinear(corners: list[Array], x: Array, y: Array, z: Array) -> Array:
-    """Interpolate between eight corner values (x slowest, z fastest) at fractions ``x, y, z`` in [0, 1]."""
+    """Interpolate between eight corner values (x slowest, z fastest) at fractions ``x, y, z`` in [0, 1] (eq. M4)."""
     edges = [a + z * (b - a) for a, b in zip(corners[0::2], corners[1::2], strict=True)]
     faces = [a + y * (b - a) for a, b in zip(edges[0::2], edges[1::2], strict=True)]
     return faces[0] + x * (faces[1] - faces[0])
@@ -172,7 +172,7 @@ class VoxelMap(eqx.Module):
         return jnp.concatenate([self.occupancy_at(p_world)[..., None], self.colour_at(p_world)], axis=-1)
 
     def precision(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
-        """Interpolate the precision of occupancy and of each colour channel; the prior's outside the grid."""
+        """Interpolate the precision of occupancy and of each colour channel; the prior's outside the grid (eq. M5)."""
         occupancy = self._interpolate(p_world, self.occupancy_precision, PRIOR_OCCUPANCY_STD**-2)
         colour = self._interpolate(p_world, self.colour_precision, PRIOR_COLOUR_STD**-2)
         return jnp.stack([occupancy, colour, colour, colour], axis=-1)

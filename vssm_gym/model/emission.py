@@ -180,7 +180,7 @@ def _look(m: VoxelMap, rays: _Rays) -> _Rays:
 
 
 def search(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
-    """Find the first sample above the threshold, as :func:`march` does, but skip certified empty boxes.
+    """Find the first sample above the threshold, as :func:`march` does, but skip certified empty boxes (eq. M10).
 
     The two compute positions in different units. Where a sample equals the threshold to the last bits (one ray in 10^5
     of a learned map) they may differ by one sample; the crossing between samples, hence the depth, is continuous there.
@@ -222,7 +222,7 @@ def _along(centre: Array, directions: Array, depth: Array) -> Array:
 
 
 def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays"]) -> Float[Array, "rays"]:
-    """``d* = a d_k + (1 - a) d_k-1``: the z-depth of the crossing before sample ``k``; differentiable."""
+    """``d* = a d_k + (1 - a) d_k-1``: the z-depth of the crossing before sample ``k``; differentiable (eq. M9)."""
     e = STEP * m.voxel_size
     d_k = k.astype(jnp.float32) * e
     d_before = d_k - e
@@ -257,7 +257,7 @@ def render_with(
 
 @jax.jit
 def render(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float | Array = MAX_DEPTH) -> RGBD:
-    """Render ``mu_rgbd(z, M)``, the RGB-D image of the mean map from a pose.
+    """Render ``mu_rgbd(z, M)``, the RGB-D image of the mean map from a pose (eq. M9).
 
     Args:
         m: The map.

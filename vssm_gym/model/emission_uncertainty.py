@@ -37,12 +37,12 @@ class MeasurementNoise(eqx.Module):
     counted: Float[Array, ""] | float = 1.0  # MapUpdateConfig.std
 
     def occupancy_variance(self, mean: Array, precision: Array, voxel_size: Array) -> Array:
-        """Return the variance of cells' occupancy, m^2, any shape; 0 where the cell keeps its mean."""
+        """Return the variance of cells' occupancy, m^2, any shape; 0 where the cell keeps its mean (eq. M12)."""
         measured = (precision > OBSERVED_PRECISION) & (jnp.abs(mean) < TRUNCATION * voxel_size * (1.0 - 1e-4))
         return jnp.where(measured, self.depth**2 / (precision * self.counted**2), 0.0)
 
     def colour_variance(self, precision: Array) -> Array:
-        """Return the variance of cells' colour channels, any shape; 0 where the cell keeps its mean."""
+        """Return the variance of cells' colour channels, any shape; 0 where the cell keeps its mean (eq. M12)."""
         return jnp.where(precision > OBSERVED_PRECISION, self.rgb**2 / (precision * self.counted**2), 0.0)
 
 
@@ -57,7 +57,7 @@ def image_std(
     image: RGBD,
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
 ) -> tuple[Float[Array, "height width"], Float[Array, "height width 3"]]:
-    """Return the std of a rendered image under ``q(M)``, to first order at the hit.
+    """Return the std of a rendered image under ``q(M)``, to first order at the hit (eq. M13).
 
     With ``d* = d_k-1 + a e``, ``a = -o_k-1 / (o_k - o_k-1)`` as rendered and ``g = (o_k - o_k-1) / e``,
     ``var d = var(a o_k + (1 - a) o_k-1) / g^2`` and ``var c = var(colour(p)) + (dc/dd)^2 var d``: sums over cells of
@@ -111,7 +111,7 @@ def _hat(g: Array, cell: list[Array]) -> Array:
 
 @jax.jit
 def sample_map(key: PRNGKeyArray, m: VoxelMap, measurement_noise: MeasurementNoise = MEASUREMENT_NOISE) -> VoxelMap:
-    """Draw ``M ~ q(M)``: a map whose means are drawn cell by cell; precisions stay those of the belief.
+    """Draw ``M ~ q(M)``: a map whose means are drawn cell by cell; precisions stay those of the belief (eq. M14).
 
     The empty-space index is built anew, which costs more than the draw.
     """
@@ -133,7 +133,7 @@ def sample_images(
     max_depth: float | Array = MAX_DEPTH,
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
 ) -> RGBD:
-    """Render ``mu_rgbd(z, M_k)``, ``M_k ~ q(M)``: the same view of ``samples`` maps, one after the other.
+    """Render ``mu_rgbd(z, M_k)``, ``M_k ~ q(M)``: the same view of ``samples`` maps, one after the other (eq. M14).
 
     Returns:
         An image whose arrays have ``samples`` as first axis.

@@ -40,7 +40,7 @@ class ImageSummary(eqx.Module):
 
 @partial(jax.jit, static_argnames=("manifold", "level", "coordinates"))
 def envelope(manifold: Manifold, states: Any, level: float = 0.95, coordinates: int | None = None) -> Envelope:
-    """Compute the region that holds a share ``level`` of the futures at each step.
+    """Compute the region that holds a share ``level`` of the futures at each step (eq. M28).
 
     Args:
         manifold: Of the states.
@@ -73,7 +73,7 @@ def distance2(manifold: Manifold, region: Envelope, states: Any) -> Float[Array,
 
 @partial(jax.jit, static_argnames="manifold")
 def inside(manifold: Manifold, region: Envelope, states: Any) -> Bool[Array, "*batch time"]:
-    """Return which states (..., time) lie in the region of their step."""
+    """Return which states (..., time) lie in the region of their step (eq. M28)."""
     return distance2(manifold, region, states) <= region.radius2
 
 

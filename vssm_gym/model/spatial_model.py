@@ -74,7 +74,7 @@ def log_joint(
     M: VoxelMap,
     dt: float | Array,
 ) -> LogJoint:
-    """``log p(x_1:T, z_1:T, M | u_1:T-1)``; differentiable in states, map values, scales and intrinsics.
+    """``log p(x_1:T, z_1:T, M | u_1:T-1)``; differentiable in states, map values, scales and intrinsics (eq. M1).
 
     Args:
         model: The model; its map is the prior ``p(M)``.
@@ -105,7 +105,7 @@ def log_joint(
 
 
 def log_prob_map(M: VoxelMap, prior: VoxelMap) -> Float[Array, ""]:
-    """``log p(M) = sum_cells log N``, occupancy and three colours a cell; precisions as stored."""
+    """``log p(M) = sum_cells log N``, occupancy and three colours a cell; precisions as stored (eq. M3)."""
     occupancy = _log_normal(M.occupancy, prior.occupancy, prior.occupancy_precision)
     colour = _log_normal(M.colour, prior.colour, prior.colour_precision[:, None])
     return occupancy + colour

@@ -69,7 +69,7 @@ def _rows(ref: ReferencePixels, obs: ObservedPixels) -> tuple[Array, Array, Arra
 def data_loss(
     T: Float[Array, "4 4"], reference: Array, observed: Array, camera: Camera, config: AdamConfig
 ) -> Float[Array, ""]:
-    """``sum_k |r_geo| / hypot(s_geo, spread) + |r_rgb|_1 / s_rgb`` over observed rows ``(n, 4)``, gated.
+    """``sum_k |r_geo| / hypot(s_geo, spread) + |r_rgb|_1 / s_rgb`` over observed rows ``(n, 4)``, gated (eq. I12).
 
     Rows are those of :func:`_rows`.
 
@@ -95,7 +95,7 @@ def data_loss(
 def minimise(
     loss: Callable[[Array, Array], Array], xi: Float[Array, "dof"], basis: Float[Array, "6 dof"], config: AdamConfig
 ) -> Float[Array, "dof"]:
-    """Minimise ``loss(xi, i)`` by Adam without momentum, i the number of the step.
+    """Minimise ``loss(xi, i)`` by Adam without momentum, i the number of the step (eq. I12).
 
     Return the mean of the last iterates.
 
@@ -138,7 +138,7 @@ def align_adam(
     adam: AdamConfig = AdamConfig(),
     spread: Float[Array, "height width"] | None = None,
 ) -> tuple[Float[Array, "4 4"], AlignInfo]:
-    """``argmin_xi L_geo + L_rgb + 1/2 xi^T P xi``, ``T_ref_cam = T_prior exp(B xi)``, as published.
+    """``argmin_xi L_geo + L_rgb + 1/2 xi^T P xi``, ``T_ref_cam = T_prior exp(B xi)``, as published (eqs. I6 and I12).
 
     Args:
         T_prior: Mean of the prior on T_ref_cam.

@@ -25,5 +25,5 @@ def gain(
 
 
 def expose(image: RGBD, g: Float[Array, ""]) -> RGBD:
-    """Return the image at another exposure, saturated at white."""
+    """Return the image at another exposure, saturated at white (eq. I13)."""
     return eqx.tree_at(lambda i: i.rgb, image, jnp.clip(g * image.rgb, 0.0, 1.0))

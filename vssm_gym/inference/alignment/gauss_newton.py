@@ -35,7 +35,7 @@ def align(
     seen: Float[Array, "height width"] | None = None,
     spread: Float[Array, "height width"] | None = None,
 ) -> tuple[Float[Array, "4 4"], AlignInfo]:
-    """``argmin_xi  sum rho(r_geo) + rho(r_rgb) + 1/2 xi^T P xi``, ``T_ref_cam = T_prior exp(B xi)``.
+    """``argmin_xi  sum rho(r_geo) + rho(r_rgb) + 1/2 xi^T P xi``, ``T_ref_cam = T_prior exp(B xi)`` (eqs. I6 and I11).
 
     Args:
         T_prior: Mean of the prior on T_ref_cam.

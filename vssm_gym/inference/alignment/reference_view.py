@@ -45,7 +45,7 @@ _depth_std = jax.jit(lambda m, T, camera, image: emission_uncertainty.image_std(
 def from_image(
     m: VoxelMap, T_world_cam: Float[Array, "4 4"], taken: RGBD, camera: Camera, max_depth: float, expected: bool
 ) -> ReferenceView:
-    """Make the reference view at a pose whose image has just entered the map.
+    """Make the reference view at a pose whose image has just entered the map (eq. I25).
 
     Args:
         m: The map.

@@ -22,7 +22,7 @@ FULL_COVERAGE = 0.4  # share of the image that suffices for a full score; chosen
 
 @dataclass(frozen=True)
 class AlignConfig:
-    """Configure scales, gates and effort of the alignment."""
+    """Configure scales, gates and effort of the alignment (eq. I10)."""
 
     geo_sigma: float = 0.004  # m, of the point-to-plane residual at depth 0
     geo_sigma_quadratic: float = 0.0025  # 1/m: grows with depth squared, as a structured-light or stereo sensor's
@@ -61,7 +61,7 @@ class ObservedPixels(eqx.Module):
 
 
 class AlignInfo(eqx.Module):
-    """Measure the fit quality of an alignment at its solution."""
+    """Measure the fit quality of an alignment at its solution (eq. I15)."""
 
     inlier_share: Float[Array, ""]  # of the projected pixels with a plane: |r_geo| < AlignConfig.inlier sigma
     coverage: Float[Array, ""]  # share of observed pixels that fall on a reference plane
@@ -71,7 +71,7 @@ class AlignInfo(eqx.Module):
 
 
 def score(info: AlignInfo) -> Float[Array, ""]:
-    """``inlier_share min(1, coverage / FULL_COVERAGE)``: near 1 where an image fits its reference.
+    """``inlier_share min(1, coverage / FULL_COVERAGE)``: near 1 where an image fits its reference (eq. I27).
 
     Chosen on hand-held recordings.
 
@@ -83,7 +83,7 @@ def score(info: AlignInfo) -> Float[Array, ""]:
 
 
 def luminance(rgb: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
-    """Return the mean of the colour channels, [0, 1]."""
+    """Return the mean of the colour channels, [0, 1] (eq. I8)."""
     return jnp.mean(rgb, axis=-1)
 
 
@@ -148,7 +148,7 @@ def make_reference(
     seen: Array | None = None,
     spread: Array | None = None,
 ) -> ReferencePixels:
-    """Compute planes and image derivatives of an RGB-D image, shrunk by ``factor``.
+    """Compute planes and image derivatives of an RGB-D image, shrunk by ``factor`` (eq. I7).
 
     Args:
         image: Rendered from the map, or taken.
@@ -291,7 +291,7 @@ def alignment_cost(
 
 
 def normal_equations(*terms: Term) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
-    """Return ``sum w J J^T`` and ``sum w J r`` by twists in the reference's frame."""
+    """Return ``sum w J J^T`` and ``sum w J r`` by twists in the reference's frame (eq. I11)."""
     total = jnp.zeros((7, 7))
     for term in terms:
         rows = jnp.concatenate([term.jacobian, term.residual[None]])

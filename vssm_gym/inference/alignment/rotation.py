@@ -78,7 +78,7 @@ def camera_rotation(
     camera: Camera,
     config: RotationConfig = RotationConfig(),
 ) -> Float[Array, "3 3"]:
-    """Estimate R_last_cam of a pure rotation.
+    """Estimate R_last_cam of a pure rotation (eq. I14).
 
     Args:
         grey: Luminance of the image, [0, 1].

@@ -167,7 +167,7 @@ def update_expected(
     camera: Camera,
     config: MapUpdateConfig = DEFAULT,
 ) -> VoxelMap:
-    """``q(M) E_q(z)[q(M | x, z)]``: :func:`update` in expectation over pose samples (see :func:`expectation`).
+    """``q(M) E_q(z)[q(M | x, z)]``: :func:`update` in expectation over pose samples (see :func:`expectation`; eq. I21).
 
     Args:
         m: Map belief; donated.

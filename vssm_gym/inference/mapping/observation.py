@@ -56,7 +56,7 @@ class Pixels(NamedTuple):
 def observe_cells(
     p_cam: tuple[Array, Array, Array], voxel_size: Array, pixels: Pixels, camera: Camera, config: MapUpdateConfig
 ) -> Observation:
-    """Return the Gaussian observation of cells at camera-frame ``x, y, z``, each ``(blocks, cells)``."""
+    """Return the Gaussian observation of cells at camera-frame ``x, y, z``, each ``(blocks, cells)`` (eq. I19)."""
     x, y, z = p_cam
     ahead = z > config.min_depth
     inverse_z = 1.0 / jnp.where(ahead, z, 1.0)

@@ -37,7 +37,7 @@ def grow(
     image: RGBD,
     correlated_images: float | Array,
 ) -> Float[Array, "6 6"]:
-    """``P + k nu Ad_T Sigma Ad_T^T``, ``nu`` the share of the map in view that the image wrote.
+    """``P + k nu Ad_T Sigma Ad_T^T``, ``nu`` the share of the map in view that the image wrote (eq. I23).
 
     Args:
         drift: P, covariance of the map's frame in the world, in the world's tangent.
@@ -57,7 +57,7 @@ def grow(
 
 @jax.jit
 def in_world(relative: GaussianBelief, drift: Float[Array, "6 6"]) -> GaussianBelief:
-    """``Sigma + Ad_T^-1 P Ad_T^-T``: the belief in the world, from the belief against the map."""
+    """``Sigma + Ad_T^-1 P Ad_T^-T``: the belief in the world, from the belief against the map (eq. I24)."""
     twists = relative.manifold.twists
     p = twists.shape[1]
     # For a robot on a floor only drift within the floor's plane matters: twists are orthonormal.

@@ -126,7 +126,7 @@ def search(
     config: TrackingConfig,
     relocalisation: Relocalisation,
 ) -> Located | None:
-    """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose.
+    """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose (eq. I29).
 
     Args:
         T_world_starts: Camera poses to start from.

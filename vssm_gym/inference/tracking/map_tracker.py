@@ -93,7 +93,7 @@ class MapTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to one rendered from the map at the predicted pose; see :class:`Filter`."""
+        """Align the image to one rendered from the map at the predicted pose (eq. I30); see :class:`Filter`."""
         # The rendering is a separate compiled call: with the alignment in one call, the compiler would fuse the
         # renderer into each of the many places that read its image and compute it again there.
         assert state.map is not None
@@ -146,7 +146,7 @@ class FrameTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to the one before; see :class:`Filter`."""
+        """Align the image to the one before (eq. I31); see :class:`Filter`."""
         h, control = seconds(dt), checked(self.transition, control)
         tracked, carried = clock(
             "track",
@@ -184,7 +184,7 @@ class DeadReckoning:
     def step(
         self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
     ) -> tuple[GaussianBelief, FilterInfo]:
-        """Predict without an image; see :class:`Filter`."""
+        """Predict without an image (eq. I32); see :class:`Filter`."""
         belief = clock("track", _predicted(self.transition, state, checked(self.transition, control), seconds(dt)))
         return belief, FilterInfo(Status.OK, belief)
 

@@ -36,7 +36,7 @@ def full() -> NoiseScale:
 
 
 def scale(manifold: Manifold, noise_scale: NoiseScale) -> Float[Array, "n"]:
-    """Return the factor of the noise's standard deviation for each coordinate of a state's error."""
+    """Return the factor of the noise's standard deviation for each coordinate of a state's error (eq. I18)."""
     linear, angular = jnp.sqrt(noise_scale)
     return jnp.where(manifold.turns, angular, linear)
 
@@ -51,7 +51,7 @@ def adapt(
     manifold: Manifold,
     config: ProcessNoiseConfig,
 ) -> NoiseScale:
-    """Update the process-noise scale with an image.
+    """Update the process-noise scale with an image (eq. I18).
 
     Args:
         noise_scale: Before it.

@@ -73,7 +73,7 @@ def recover(
     max_depth: float,
     config: RecoveryConfig,
 ) -> Attempt:
-    """Align to the map rendered at every start; return the best accepted alignment.
+    """Align to the map rendered at every start; return the best accepted alignment (eq. I29).
 
     Each start is aligned twice, the second time to a rendering at the first result, so that distant starts converge.
 

@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 
 def arc_of(length: Float[Array, "*batch"], turn: Float[Array, "*batch"]) -> Float[Array, "*batch 3"]:
-    """Return displacement (forward, left, m) and turn (rad), in the body frame at the start of an arc.
+    """Return displacement (forward, left, m) and turn (rad), in the body frame at the start of an arc (eq. M24).
 
     Args:
         length: driven along the arc, m, negative backwards.

@@ -50,7 +50,7 @@ class Transition(eqx.Module):
         dt: float | Array,
         noise_scale: Float[Array, "n"] | float = 1.0,
     ) -> GaussianBelief:
-        """``int p(z' | z, u) q(z) dz`` to first order: ``N(mean(z), F P F^T + S Q S)``.
+        """``int p(z' | z, u) q(z) dz`` to first order: ``N(mean(z), F P F^T + S Q S)`` (eqs. M19 and I3).
 
         Args:
             belief: Over the state now.

@@ -30,7 +30,7 @@ class Belief(Protocol):
 
 
 class GaussianBelief(eqx.Module):
-    """``z = perturb(mean, xi)``, ``xi ~ N(0, covariance)``: a Gaussian in the tangent at the mean."""
+    """``z = perturb(mean, xi)``, ``xi ~ N(0, covariance)``: a Gaussian in the tangent at the mean (eq. M15)."""
 
     mean: Any  # a state of the manifold
     covariance: Float[Array, "n n"]  # of xi: m, rad (pose, body frame), then the rest

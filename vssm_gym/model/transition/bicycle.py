@@ -33,7 +33,7 @@ class BicycleNoise(eqx.Module):
         return jnp.stack([speed, jnp.full_like(speed, self.steering) * shrink], axis=-1)
 
     def slip_variances(self, dt: float | Array) -> Float[Array, "3"]:
-        """Return variances of slip (forward, left, turn) after ``dt`` seconds."""
+        """Return variances of slip (forward, left, turn) after ``dt`` seconds (eq. M20)."""
         return jnp.stack([jnp.asarray(s) for s in (self.slip_forward, self.slip_left, self.slip_turn)]) ** 2 * (
             dt / QUOTED_STEP
         )
@@ -65,7 +65,7 @@ class Bicycle(Transition):
     def mean(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """Return ``(x, y, heading)`` at the end of :func:`arc`, heading in [-pi, pi)."""
+        """Return ``(x, y, heading)`` at the end of :func:`arc`, heading in [-pi, pi; eq. M24)."""
         forward, left, turn = jnp.moveaxis(arc(control, dt, self.wheelbase), -1, 0)
         c, s = jnp.cos(state[..., 2]), jnp.sin(state[..., 2])
         x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left

@@ -50,7 +50,7 @@ class DifferentialDrive(Transition):
     def mean(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """Drive the arc of the two wheels, heading in [-pi, pi)."""
+        """Drive the arc of the two wheels, heading in [-pi, pi; eq. M25)."""
         forward, left, turn = jnp.moveaxis(self._arc(control), -1, 0)
         c, s = jnp.cos(state[..., 2]), jnp.sin(state[..., 2])
         x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left
@@ -59,7 +59,7 @@ class DifferentialDrive(Transition):
     def noise_covariance(
         self, state: Float[Array, "3"], control: Float[Array, "2"], dt: float | Array
     ) -> Float[Array, "3 3"]:
-        """``G Q G^T + skid`` in the body frame after the step, to first order in the errors of the wheels.
+        """``G Q G^T + skid`` in the body frame after the step, to first order in the errors of the wheels (eq. M26).
 
         The rectification (noise never reverses a wheel) is neglected: it matters only for steps shorter than the noise.
         """
@@ -80,7 +80,7 @@ class DifferentialDrive(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], normal: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after the executed command, given one standard normal a wheel."""
+        """Return the pose after the executed command, given one standard normal a wheel (eq. M25)."""
         rolled = jnp.sign(control) * jnp.maximum(0.0, jnp.abs(control) + self.noise.stds(control) * normal)
         return self.mean(state, rolled, 0.0)
 

@@ -29,7 +29,7 @@ class ImuNoise(eqx.Module):
     rate: Float[Array, ""] | float = 0.001  # rad/s, of the angular velocity read from the gyroscope
 
     def variances(self, dt: float | Array) -> Float[Array, "12"]:
-        """Return variances of ``(dt, dr, dv, dw)`` after ``dt`` seconds."""
+        """Return variances of ``(dt, dr, dv, dw)`` after ``dt`` seconds (eq. M20)."""
         stds = [jnp.full(3, std) for std in (self.location, self.orientation, self.velocity, self.rate)]
         return jnp.concatenate(stds) ** 2 * (dt / QUOTED_STEP)
 
@@ -44,7 +44,7 @@ class Imu(Transition):
     commanded = False  # velocity errors grow without bound: prediction needs images
 
     def mean(self, state: RigidState, control: Float[Array, "*batch 6"], dt: float | Array) -> RigidState:
-        """Integrate the readings; the gyroscope's rate replaces the old angular velocity."""
+        """Integrate the readings; the gyroscope's rate replaces the old angular velocity (eq. M22)."""
         R, t = state.T_world_body[..., :3, :3], state.T_world_body[..., :3, 3]
         v = state.velocity[..., :3]
         v_after = v + (_rotate(R, control[..., :3]) + jnp.asarray(GRAVITY)) * dt

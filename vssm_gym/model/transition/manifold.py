@@ -75,7 +75,7 @@ class PlanarPoses:
         return jnp.stack([twist[..., 0], twist[..., 1], twist[..., 5]], axis=-1)
 
     def log_volume(self, xi: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """``log |det Jr|`` of SE(2)."""
+        """``log |det Jr|`` of SE(2; eq. M16)."""
         return _turn_log_volume(xi[..., 2] ** 2)
 
     def pose(self, planar: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4 4"]:
@@ -108,7 +108,7 @@ class RigidMotions:
         return jnp.concatenate([delta, dv], axis=-1)
 
     def log_volume(self, xi: Float[Array, "*batch 12"]) -> Float[Array, "*batch"]:
-        """``log |det Jr|`` of SE(3) at the pose error; velocities are a vector space."""
+        """``log |det Jr|`` of SE(3) at the pose error; velocities are a vector space (eq. M16)."""
         return 2.0 * _turn_log_volume(jnp.sum(xi[..., 3:6] ** 2, axis=-1))
 
     def pose(self, state: RigidState) -> Float[Array, "*batch 4 4"]:

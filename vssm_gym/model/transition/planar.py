@@ -41,7 +41,7 @@ class Planar(Transition):
     def mean(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """Drive ``s`` along ``heading + o``, and turn."""
+        """Drive ``s`` along ``heading + o``, and turn (eq. M23)."""
         turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
         phi = state[..., 2] + offset
         x, y = state[..., 0] + step * jnp.cos(phi), state[..., 1] + step * jnp.sin(phi)
@@ -57,7 +57,7 @@ class Planar(Transition):
     def noise_covariance(
         self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array
     ) -> Float[Array, "3 3"]:
-        """Return the covariance of execution noise and slip in the body frame after the step.
+        """Return the covariance of execution noise and slip in the body frame after the step (eq. M23).
 
         The rectification in the execution (noise never reverses a motion) is neglected: it matters only for steps
         shorter than the noise. ``e_a`` moves both heading and direction, so that the two are correlated: positively
@@ -85,7 +85,7 @@ class Planar(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], normal: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after the executed command, given two standard normals a step for (e_a, e_s).
+        """Return the pose after the executed command, given two standard normals a step for (e_a, e_s; eq. M23).
 
         Noise acts only where the robot tries to move, and never reverses a motion.
         """

@@ -52,7 +52,7 @@ def nearest_rotation(R: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"
 def pose_jacobians(
     T_world_body: Float[Array, "4 4"], velocity: Float[Array, "6"], dt: float | Array
 ) -> tuple[Float[Array, "6 6"], Float[Array, "6 6"]]:
-    """``d(dt', dr') / d(dt, dr)`` and ``d(dt', dr') / d(dv, dw)`` of :func:`move`, at zero error."""
+    """``d(dt', dr') / d(dt, dr)`` and ``d(dt', dr') / d(dv, dw)`` of :func:`move`, at zero error (eq. M21)."""
     R = T_world_body[:3, :3]
     turn = velocity[3:] * dt
     R_after = jaxlie.SO3.exp(turn).as_matrix() @ R
@@ -79,7 +79,7 @@ class Rigid(Transition):
     commanded = False
 
     def mean(self, state: RigidState, control: Float[Array, "*batch 6"], dt: float | Array) -> RigidState:
-        """Integrate velocity and pose; a zero control keeps the velocity."""
+        """Integrate velocity and pose; a zero control keeps the velocity (eq. M21)."""
         velocity = state.velocity + control * dt
         return RigidState(move(state.T_world_body, velocity if self.velocity_first else state.velocity, dt), velocity)
 
