@@ -162,7 +162,7 @@ def median(values: Sequence[float], units: Sequence[Hashable], seed: int = 0) ->
 
 
 def _weighted_median(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The median of sorted ``x`` (n,) under each row of ``weights`` (m, n): of two in the middle their mean."""
+    """Return the median of sorted ``x`` (n,) under each row of ``weights`` (m, n); of two middle values the mean."""
     total = np.cumsum(weights, axis=1)
     lower, upper = (
         x[np.argmax(reached, axis=1)] for reached in (2 * total >= total[:, -1:], 2 * total > total[:, -1:])
@@ -171,7 +171,7 @@ def _weighted_median(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def median_to_level(rows: Sequence[Row], level: int, seed: int = 0, axis: Axis = "metres") -> Interval:
-    """The median metres (or seconds) to ``share`` %; a run that did not get there is longer than any that did."""
+    """Compute the median metres (or seconds) to ``level`` %; a run that did not reach it counts as longer than all."""
     values = [math.inf if row[f"{axis}_{level}"] is None else float(row[f"{axis}_{level}"]) for row in rows]
     return median(values, clusters(rows), seed)
 

@@ -26,7 +26,7 @@ def spl(success: ArrayLike, geodesic: ArrayLike, path_length: ArrayLike) -> Floa
 
 
 def soft_spl(remaining: ArrayLike, geodesic: ArrayLike, path_length: ArrayLike) -> Float[np.ndarray, "*batch"]:
-    """``max(0, 1 - r / l) l / max(p, l)``: SPL with the covered share of the distance in place of success.
+    """``max(0, 1 - r / l) l / max(p, l)``: SPL with the covered fraction of the distance in place of success.
 
     ``remaining`` r is the geodesic from the robot's last position to the success region (0 inside it, inf where it is
     out of reach), so that a successful episode has equal SoftSPL and SPL. Raises like :func:`spl`, and on r < 0.

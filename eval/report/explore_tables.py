@@ -101,7 +101,7 @@ class Rival:
 
     @property
     def verdict(self) -> str:
-        """Whether the reference's path is shorter or longer, by the interval over starts."""
+        """Return whether the reference's path is shorter or longer, by the interval over starts."""
         low, high = self.ratio.interval.low, self.ratio.interval.high
         if high < 1.0:
             return "shorter"
@@ -152,12 +152,12 @@ class PointComparison:
 
     @property
     def is_known(self) -> bool:
-        """Whether the entropy of enough pairs is known."""
+        """Return whether the entropy of enough pairs is known."""
         return self.entropy.episodes > 0 and self.entropy.episodes >= KNOWN_PAIRS * self.pairs
 
     @property
     def is_behind(self) -> bool:
-        """Whether the other's map has the lower entropy on average over the known pairs."""
+        """Return whether the other's map has the lower entropy on average over the known pairs."""
         return self.entropy.mean < -TIED  # False for NaN, the mean of no pairs
 
 

@@ -20,17 +20,17 @@ from vssm_gym.eval.video.recording import CroppedPlan
 from vssm_gym.eval.video.writer import HOLD, RATE
 from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
-from vssm_gym.training.imagined_episodes import Look, imagine
-from vssm_gym.training.recording import Both, Moment, Run, ray_ends, true_plan
+from vssm_gym.training.imagined_episodes import ImaginedStep, imagine
+from vssm_gym.training.recording import PolicyMoment, PolicyRun, PolicyRuns, ray_ends, true_plan
 from vssm_gym.training.video import Sheet, write_video
 
 TABLE = furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6))
 
 
-def run(n: int, success: bool, plan: CroppedPlan) -> Run:
+def run(n: int, success: bool, plan: CroppedPlan) -> PolicyRun:
     """Along x for n moments, from (1, 1)."""
     moments = tuple(
-        Moment(
+        PolicyMoment(
             0.2 * i,
             np.array([1.0 + 0.1 * i, 1.0, 0.0]),
             np.array([1.0 + 0.1 * i, 1.05, 0.0]),
@@ -41,7 +41,7 @@ def run(n: int, success: bool, plan: CroppedPlan) -> Run:
         )
         for i in range(n)
     )
-    return Run(moments, plan, success, "arrived" if success else "time out: 3.00 m from the goal")
+    return PolicyRun(moments, plan, success, "arrived" if success else "time out: 3.00 m from the goal")
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +53,10 @@ def rooms(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def both(rooms) -> Both:
+def both(rooms) -> PolicyRuns:
     plan = true_plan(str(rooms))
     real, imagined = run(4, True, plan), run(7, False, plan)
-    return Both("straight@0", "rooms", task((1.0, 1.0, 0.0), (2.0, 1.0)), 0.4, real, imagined)
+    return PolicyRuns("straight@0", "rooms", task((1.0, 1.0, 0.0), (2.0, 1.0)), 0.4, real, imagined)
 
 
 # what is recorded
@@ -97,16 +97,16 @@ def test_one_task_is_imagined_as_it_is_among_all(tmp_path):
     for one in tasks:
         object.__setattr__(one, "geodesic", 1.6)
     rows = imagine(straight(), tmp_path / "room.npz", tasks, "low", 7)
-    looks: list[Look] = []
-    (row,) = imagine(straight(), tmp_path / "room.npz", [tasks[1]], "low", 8, looks.append)
+    steps: list[ImaginedStep] = []
+    (row,) = imagine(straight(), tmp_path / "room.npz", [tasks[1]], "low", 8, steps.append)
     assert row == pytest.approx(rows[1], rel=1e-5)
     assert row["success"]
-    assert [look.number for look in looks] == list(range(row["steps"]))
-    np.testing.assert_allclose(looks[0].planar[0], tasks[1].start, atol=1e-6)
-    np.testing.assert_allclose(looks[0].observation["pose"][0], tasks[1].start, atol=1e-6)
-    assert [bool(look.stop[0]) for look in looks] == [False] * (len(looks) - 1) + [True]
-    assert np.hypot(*(looks[-1].planar[0, :2] - tasks[1].goal)) < 0.4
-    assert looks[0].observation["scan"].shape == (1, BEAMS)
+    assert [step.number for step in steps] == list(range(row["steps"]))
+    np.testing.assert_allclose(steps[0].planar[0], tasks[1].start, atol=1e-6)
+    np.testing.assert_allclose(steps[0].observation["pose"][0], tasks[1].start, atol=1e-6)
+    assert [bool(step.stop[0]) for step in steps] == [False] * (len(steps) - 1) + [True]
+    assert np.hypot(*(steps[-1].planar[0, :2] - tasks[1].goal)) < 0.4
+    assert steps[0].observation["scan"].shape == (1, BEAMS)
 
 
 # how it is drawn
@@ -126,9 +126,9 @@ def test_the_one_that_has_ended_waits_for_the_other(both):
 
 def test_a_video_has_a_frame_a_step_and_holds_the_last(both, tmp_path):
     pytest.importorskip("imageio_ffmpeg", reason="videos need the extra vssm-gym[viz]")
-    told: list[tuple[str, int, int]] = []
-    write_video(tmp_path / "task.mp4", both, lambda *how: told.append(how))
-    assert told[-1] == ("video", 7, 7)
+    reported: list[tuple[str, int, int]] = []
+    write_video(tmp_path / "task.mp4", both, lambda *how: reported.append(how))
+    assert reported[-1] == ("video", 7, 7)
     assert [path.name for path in tmp_path.iterdir()] == ["task.mp4"]
     with imageio.get_reader(tmp_path / "task.mp4") as video:
         frames = [np.asarray(frame) for frame in video]

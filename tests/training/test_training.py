@@ -194,10 +194,10 @@ def test_a_view_shows_features_and_says_who_arrived():
     np.testing.assert_array_equal(first, features(env.shown, ("scan", "goal")))
     assert env.single_observation_space.contains(first[0])
     actions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], np.float32)
-    told = [env.step(actions)[-1] for _ in range(12)]
-    assert told[0] == {}
-    assert told[3]["is_success"].tolist() == [True, False] and told[3]["_is_success"].tolist() == [True, False]
-    assert told[11]["_is_success"][1] and not told[11]["is_success"][1]
+    infos = [env.step(actions)[-1] for _ in range(12)]
+    assert infos[0] == {}
+    assert infos[3]["is_success"].tolist() == [True, False] and infos[3]["_is_success"].tolist() == [True, False]
+    assert infos[11]["_is_success"][1] and not infos[11]["is_success"][1]
 
 
 def test_contacts_cost_what_the_configuration_says():
@@ -255,7 +255,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_ends_it(corridor, tmp_path):
 
     long = config(steps=160)
     with pytest.raises(KeyboardInterrupt):
-        run_training(long, tmp_path, told=interrupt)
+        run_training(long, tmp_path, on_update=interrupt)
     rows = read_progress(tmp_path / "progress.jsonl")
     assert 64 <= rows[-1]["steps"] < 100 and (tmp_path / "policy.npz").is_file()
     run_training(long, tmp_path, resume=True)
@@ -348,7 +348,7 @@ def test_cloning_fits_what_it_is_shown():
     losses: list[float] = []
     layers = fit(
         x, a, (32,), "tanh", epochs=60, batch_size=64, learning_rate=0.01, seed=0,
-        told=lambda epoch, loss: losses.append(loss), stop=lambda: False,
+        on_epoch=lambda epoch, loss: losses.append(loss), stop=lambda: False,
     )  # fmt: skip
     assert losses[-1] < 0.05 * losses[0]
     hidden = np.tanh(x @ layers[0][0].T + layers[0][1])
@@ -369,7 +369,7 @@ def test_interrupted_cloning_writes_no_policy_and_goes_on(tmp_path):
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        run_training(wanted, tmp_path / "run", told=interrupt)
+        run_training(wanted, tmp_path / "run", on_update=interrupt)
     assert not (tmp_path / "run" / "policy.npz").exists()
     with np.load(tmp_path / "run" / "demonstrations.npz") as kept:
         assert int(kept["steps"]) == 200 and 100 < len(kept["vectors"]) == len(kept["actions"]) <= 200
@@ -386,16 +386,16 @@ def test_trackers_errors_are_added_to_the_simulators_poses():
     exact, tracked = (
         make_observing(EnvironmentSettings(**where, pose_std=std)) for std in ((0.0, 0.0, 0.0), (0.02, 0.04, 0.01))
     )
-    true, told = (env.reset(seed=0)[0] for env in (exact, tracked))
-    np.testing.assert_allclose(told["pose"], true["pose"], atol=1e-6)
+    true, tracked_ = (env.reset(seed=0)[0] for env in (exact, tracked))
+    np.testing.assert_allclose(tracked_["pose"], true["pose"], atol=1e-6)
     errors, action = [], np.tile(np.array([0.1, 0.0, 0.0, 0.0], np.float32), (4, 1))
     for _ in range(80):
-        true, told = (env.step(action)[0] for env in (exact, tracked))
+        true, tracked_ = (env.step(action)[0] for env in (exact, tracked))
         c, s = np.cos(true["pose"][:, 2]), np.sin(true["pose"][:, 2])
-        dx, dy, turn = (told["pose"] - true["pose"]).T
+        dx, dy, turn = (tracked_["pose"] - true["pose"]).T
         errors.append(np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(turn)], axis=-1))
     np.testing.assert_allclose(errors[40], 0.0, atol=1e-6)  # all episodes have begun anew
-    assert np.abs(told["goal"] - true["goal"]).max() > 1e-3
+    assert np.abs(tracked_["goal"] - true["goal"]).max() > 1e-3
     np.testing.assert_allclose(np.std(np.concatenate(errors), axis=0), [0.02, 0.04, 0.01], rtol=0.3)
     for env in (exact, tracked):
         env.close()

@@ -30,16 +30,16 @@ def curves(
     from rich.console import Console
     from rich.table import Table
 
-    from vssm_gym.training.learning_curves import SHARES, write_curves
+    from vssm_gym.training.learning_curves import SUCCESS_LEVELS, write_curves
 
     found = write_curves(runs, out, seed, minutes)
     table = Table(title="time until success, medians over seeds", title_justify="left", box=None)
     table.add_column("training", no_wrap=True)
-    numbers = [column for share in SHARES for column in (f"{share:.0%}: min", "steps")]
+    numbers = [column for level in SUCCESS_LEVELS for column in (f"{level:.0%}: min", "steps")]
     for name in ("seeds", *numbers, "in the end"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in found:
-        times = [text for i in range(len(SHARES)) for text in _times(one, i)]
+        times = [text for i in range(len(SUCCESS_LEVELS)) for text in _times(one, i)]
         table.add_row(one.name, str(one.seeds), *times, one.last.text())
     Console(highlight=False).print(table)
     print(out)

@@ -78,12 +78,12 @@ def evaluate(
     if found.notice:
         print(f"no imagined episodes: {found.notice}")
     if video is not None:
-        from vssm_gym.training.recording import record_both
+        from vssm_gym.training.recording import record_runs
         from vssm_gym.training.video import write_video
 
         path = out / f"task-{video}.mp4"
         with progress_bars() as progress:
-            both = record_both(
+            both = record_runs(
                 policy, out, scene=scene, task=video, noise=noise, map_file=map, seed=seed, on_progress=progress
             )
             write_video(path, both, progress)

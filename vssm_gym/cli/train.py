@@ -45,7 +45,7 @@ def train(
             progress.start()
             progress.update(bar, completed=done, description=_summary(row))
 
-        policy = run_training(checked, out, resume=resume, told=show)
+        policy = run_training(checked, out, resume=resume, on_update=show)
     print(f"progress: {out / PROGRESS}\npolicy: {policy}\nnext: vssm-gym evaluate {policy} --out DIR")
 
 

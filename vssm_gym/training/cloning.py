@@ -1,8 +1,8 @@
-"""Behaviour cloning of ``astar``: its planner drives imagined robots, and a policy's network learns to do the same.
+"""Clone the behaviour of ``astar``: its planner drives imagined robots, and a policy's network imitates it.
 
-The expert is ``astar``'s own navigator in the same map; where it is it reads from the observation, because imagination
-gives the estimate that its tracker would. It sees the whole map, the policy what any policy sees. What was collected
-is kept beside the policy until that is written, so that an interrupted training goes on.
+The expert is ``astar``'s own navigator in the same map. It reads its pose from the observation, because imagination
+simulates the estimate of its tracker. It sees the whole map, the policy only a policy's observations. Demonstrations
+are kept next to the policy until that is written, so that an interrupted training can be resumed.
 """
 
 import zipfile
@@ -24,11 +24,11 @@ from vssm_gym.training.environment import BODY, make_training_env, stream
 from vssm_gym.training.run import Run
 
 DEMONSTRATIONS = "demonstrations.npz"
-SHARE_COLLECTING = 0.8  # of the minutes; the rest is for fitting
+COLLECTING = 0.8  # fraction of the minutes; the rest is for fitting
 
 
 def clone(run: Run) -> None:
-    """Collect ``steps`` of the expert's, fit, and write the policy. Interrupted, it keeps what was collected."""
+    """Collect ``steps`` of the expert, fit, and write the policy; demonstrations survive an interruption."""
     from vssm_gym.training.sb3.cloning import fit
 
     config = run.config
@@ -36,7 +36,7 @@ def clone(run: Run) -> None:
     assert settings.name == "bc"
     kept = run.out / DEMONSTRATIONS
     if run.policy_file.is_file() and not kept.is_file():
-        return  # at its end already
+        return  # it has ended already
     vectors, actions = collect(run, *_restored(kept, run))
     with atomic_write(kept) as temporary, temporary.open("wb") as file:
         np.savez(file, vectors=vectors, actions=actions, steps=run.steps, seconds=run.seconds)
@@ -47,9 +47,9 @@ def clone(run: Run) -> None:
     epochs_done: list[int] = []
     row = {"steps": run.steps, "episodes": 0, "return": None, "length": None, "success": None}
 
-    def told(epoch: int, loss: float) -> None:
+    def on_epoch(epoch: int, loss: float) -> None:
         epochs_done.append(epoch)
-        run.tell({**row, "epoch": epoch, "loss": round(loss, 6)}, lambda: None)
+        run.report({**row, "epoch": epoch, "loss": round(loss, 6)}, lambda: None)
 
     layers = fit(
         vectors,
@@ -60,7 +60,7 @@ def clone(run: Run) -> None:
         batch_size=settings.batch_size,
         learning_rate=settings.learning_rate,
         seed=config.seed,
-        told=told,
+        on_epoch=on_epoch,
         stop=run.over,
     )
     if run.interrupted():
@@ -72,7 +72,7 @@ def clone(run: Run) -> None:
 
 
 def collect(run: Run, vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a policy would have seen ``(n, inputs)``, and what the expert did in [-1, 1] ``(n, 3)``, float32.
+    """Collect observations of a policy ``(n, inputs)`` and the expert's actions in [-1, 1] ``(n, 3)``, float32.
 
     The given ones, of an earlier session, come first.
     """
@@ -88,7 +88,7 @@ def collect(run: Run, vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndar
     experts.begin(view.shown, np.ones(n, bool))
     seen_by, done, steps = [vectors], [actions], run.steps
     while steps < config.steps and not run.over():
-        if minutes is not None and run.seconds > 60.0 * minutes * SHARE_COLLECTING:
+        if minutes is not None and run.seconds > 60.0 * minutes * COLLECTING:
             break
         action, drives = experts.act(view.shown)
         seen_by.append(seen[drives])
@@ -97,13 +97,13 @@ def collect(run: Run, vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndar
         if ended.any():
             experts.begin(view.shown, ended)
         steps += n
-        run.tell({"steps": steps, "episodes": 0, "return": None, "length": None, "success": None}, lambda: None)
+        run.report({"steps": steps, "episodes": 0, "return": None, "length": None, "success": None}, lambda: None)
     env.close()
     return np.concatenate(seen_by), np.concatenate(done)
 
 
 def _restored(kept: Path, run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """What was collected before, and its clock; nothing where there is no such file."""
+    """Restore the demonstrations and the clock of an earlier session; empty without such a file."""
     spec = run.config.policy
     if not kept.is_file():
         run.begin()
@@ -111,14 +111,14 @@ def _restored(kept: Path, run: Run) -> tuple[np.ndarray, np.ndarray]:
     try:
         with np.load(kept, allow_pickle=False) as stored:
             found = stored["vectors"], stored["actions"]
-            run.go_on(int(stored["steps"]), float(stored["seconds"]))
+            run.resume(int(stored["steps"]), float(stored["seconds"]))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(kept, "file", "what the training had collected; remove it to begin anew") from error
     return found
 
 
 class Experts:
-    """One navigator a robot, all in one map."""
+    """Hold one navigator a robot, all in one map."""
 
     def __init__(self, m: VoxelMap, n: int) -> None:
         robot = HolonomicRobot()
@@ -129,7 +129,7 @@ class Experts:
         self._goals = np.zeros((n, 2))
 
     def begin(self, shown: dict[str, np.ndarray], which: np.ndarray) -> None:
-        """New episodes of some robots; goals are taken from where the robots believe to be, once."""
+        """Begin episodes of some robots; their goals are computed once, from their pose estimates."""
         pose, goal = shown["pose"].astype(np.float64), shown["goal"].astype(np.float64)
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         direction = np.stack([c * goal[:, 1] - s * goal[:, 2], s * goal[:, 1] + c * goal[:, 2]], axis=-1)
@@ -138,10 +138,10 @@ class Experts:
             self._navigators[i].reset(self._context(pose[i]), self._observation(shown, i), 0)
 
     def act(self, shown: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Actions ``(n, 3)`` in [-1, 1], float32, and which of them drive: a stop is nothing that policies can do."""
-        told = np.array([one.act(self._observation(shown, i)).action for i, one in enumerate(self._navigators)])
-        actions = 2.0 * (told[:, :3] - BODY.low) / (BODY.high - BODY.low) - 1.0
-        return actions.astype(np.float32), told[:, 3] <= 0.5
+        """Return actions ``(n, 3)`` in [-1, 1], float32, and which of them drive, since policies cannot stop."""
+        decided = np.array([one.act(self._observation(shown, i)).action for i, one in enumerate(self._navigators)])
+        actions = 2.0 * (decided[:, :3] - BODY.low) / (BODY.high - BODY.low) - 1.0
+        return actions.astype(np.float32), decided[:, 3] <= 0.5
 
     def _observation(self, shown: dict[str, np.ndarray], i: int) -> dict[str, np.ndarray]:
         return {"pose": shown["pose"][i], "goal": self._goals[i]}

@@ -1,4 +1,4 @@
-"""A training's configuration: which policy learns what, where, by which algorithm, and for how long."""
+"""Read and check a training's configuration: environment, policy, algorithm and duration."""
 
 import hashlib
 import json
@@ -11,7 +11,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.yaml_file import as_tuple, distinct, read_yaml
 
 WORLD_MODEL, SIMULATOR = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"
-# Keywords that follow from what is trained
+# Keywords that training sets itself
 FIXED = (
     "camera",
     "end_on",
@@ -25,7 +25,7 @@ FIXED = (
 )
 
 Whole = Annotated[int, Field(ge=1)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Widths = Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], BeforeValidator(as_tuple), Field(max_length=8)]
 Inputs = Annotated[
@@ -41,7 +41,7 @@ class _Strict(BaseModel):
 
 
 class EnvironmentSettings(BaseModel):
-    """Where it learns: an environment's id, its map or scene, and any of its other keywords.
+    """Define where a policy learns: an environment's id, its map or scene, and any of its other keywords.
 
     Relative paths start at the folder of the YAML file.
     """
@@ -53,11 +53,11 @@ class EnvironmentSettings(BaseModel):
     scene: str | None = None  # of PointNav
     num_envs: Whole = 256
     max_episode_steps: Whole = 300
-    contact_cost: Annotated[float, Field(ge=0.0)] = 0.0  # of a step in contact, beside the environment's own reward
+    contact_cost: Annotated[float, Field(ge=0.0)] = 0.0  # of a step in contact, on top of the environment's reward
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """Of the environment's constructor, beside those of this class."""
+        """Keywords of the environment's constructor that are not fields of this class."""
         return dict(self.model_extra or {})
 
     @model_validator(mode="after")
@@ -71,7 +71,7 @@ class EnvironmentSettings(BaseModel):
 
 
 class PolicySettings(_Strict):
-    """What it sees and how its network is made; see :mod:`vssm_gym.agents.policy.features`."""
+    """Define the inputs and the network of a policy; see :mod:`vssm_gym.agents.policy.features`."""
 
     inputs: Inputs = ("scan", "goal", "pose")
     frames: Annotated[int, Field(ge=1, le=64)] = 1
@@ -81,20 +81,20 @@ class PolicySettings(_Strict):
     @model_validator(mode="after")
     def _goal_seen(self) -> "PolicySettings":
         if "goal" not in self.inputs:
-            raise ValueError("'goal' among the inputs: no policy finds what it is not told")
+            raise ValueError("'goal' among the inputs: no policy finds an unknown goal")
         return self
 
 
 class PPOSettings(_Strict):
-    """Proximal policy optimisation (Schulman et al., 2017), stable-baselines3's."""
+    """Set up proximal policy optimisation (Schulman et al., 2017) of stable-baselines3."""
 
     name: Literal["ppo"]
     learning_rate: Positive = 5e-4
     n_steps: Whole = 64
     batch_size: Whole = 4096
     n_epochs: Whole = 6
-    gamma: Share = 0.99
-    gae_lambda: Share = 0.95
+    gamma: Fraction = 0.99
+    gae_lambda: Fraction = 0.95
     clip_range: Positive = 0.2
     ent_coef: Annotated[float, Field(ge=0.0)] = 0.002
     vf_coef: Positive = 0.5
@@ -103,21 +103,21 @@ class PPOSettings(_Strict):
 
 
 class SACSettings(_Strict):
-    """Soft actor-critic (Haarnoja et al., 2018), stable-baselines3's."""
+    """Set up soft actor-critic (Haarnoja et al., 2018) of stable-baselines3."""
 
     name: Literal["sac"]
     learning_rate: Positive = 3e-4
     buffer_size: Whole = 400_000
     learning_starts: Whole = 10_000
     batch_size: Whole = 1024
-    gamma: Share = 0.99
-    tau: Share = 0.005
+    gamma: Fraction = 0.99
+    tau: Fraction = 0.005
     train_freq: Whole = 1
     gradient_steps: Whole = 2
 
 
 class BCSettings(_Strict):
-    """Behaviour cloning of A*: ``min sum |policy(x) - a|^2`` over what the expert did (Pomerleau, 1989)."""
+    """Set up behaviour cloning of A*: ``min sum |policy(x) - a|^2`` over demonstrations (Pomerleau, 1989)."""
 
     name: Literal["bc"]
     learning_rate: Positive = 1e-3
@@ -126,7 +126,7 @@ class BCSettings(_Strict):
 
 
 class TrainingConfig(_Strict):
-    """One training: it ends after ``steps`` of all robots together, or after ``minutes``, whichever is first."""
+    """Define a training: it ends after ``steps`` of all robots together or after ``minutes``, whichever is first."""
 
     name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")]
     environment: EnvironmentSettings
@@ -138,7 +138,7 @@ class TrainingConfig(_Strict):
 
 
 def load_training(path: Path, *, map_file: Path | None = None, seed: int | None = None) -> TrainingConfig:
-    """Read and check a training's YAML; ``map_file`` and ``seed`` replace what it says.
+    """Read and check a training's YAML; ``map_file`` and ``seed`` replace its own.
 
     Raises:
         InputError: no such file, not YAML, or a field that is unknown, missing or malformed.
@@ -162,7 +162,7 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
 
 
 def training_hash(config: TrainingConfig, world_hash: str) -> str:
-    """16 hex digits of what decides a training: the configuration, and the map or scene by content, not by path."""
+    """Hash what determines a training (configuration, content of map or scene); return 16 hex digits."""
     content = config.model_dump(mode="json")
     content["environment"] |= {"map": world_hash, "scene": None}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,8 +1,8 @@
-"""The vector environment that a training steps: observations as feature vectors, actions in [-1, 1], no stop.
+"""Build the vector environment of a training: observations as feature vectors, actions in [-1, 1], no stop.
 
-Imagined (WorldModelNav) or simulated (PointNav, wrapped to observe the same), chosen by the configuration. Episodes end
-on arrival: a policy that may stop by chance would end nearly all of its first ones at once, and learn nothing. On the
-robot the agent stops by its estimate (:mod:`vssm_gym.agents.policy.agent`).
+It is imagined (WorldModelNav) or simulated (PointNav, wrapped to observe the same), by the configuration. Episodes end
+on arrival: a policy that may stop by chance would end nearly all of its first episodes at once, and learn nothing. On
+the robot the agent stops by its estimate (:mod:`vssm_gym.agents.policy.agent`).
 """
 
 from collections.abc import Sequence
@@ -31,12 +31,12 @@ from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH
 from vssm_gym.slam.map_building import map_hash
 from vssm_gym.training.config import WORLD_MODEL, EnvironmentSettings
 
-SCAN_CAMERA = CameraConfig(BEAMS, 1)  # of PointNav: the scan's rays exactly, and no others
+SCAN_CAMERA = CameraConfig(BEAMS, 1)  # of PointNav: its pixels are the rays of a scan
 
 
 @dataclass(frozen=True)
 class Body:
-    """What a policy file says of robot and scan; SI units."""
+    """Hold what a policy file stores of robot and scan; SI units."""
 
     low: np.ndarray  # (3,) turn, direction, step
     high: np.ndarray
@@ -46,7 +46,7 @@ class Body:
 
     @classmethod
     def of(cls, robot: HolonomicRobot) -> "Body":
-        """The holonomic robot's."""
+        """Return the limits of the holonomic robot."""
         low = np.array([-robot.max_turn, -robot.max_offset, 0.0])
         return cls(low, robot.limits, SUCCESS * robot.body_length)
 
@@ -55,15 +55,15 @@ BODY = Body.of(HolonomicRobot())
 
 
 class PolicyView(VectorWrapper):
-    """``(n, features)`` instead of observations, ``(n, 3)`` in [-1, 1] instead of commands, ``is_success`` in infos.
+    """Convert observations to ``(n, features)`` and actions ``(n, 3)`` in [-1, 1] to commands; add ``is_success``.
 
     Args:
         env: observes ``scan``, ``goal`` from the robot, ``pose``; takes (turn, o, s, stop).
-        parts: of the observation that are shown.
-        contact_cost: that a step in contact takes from the reward: a tracker that bumps into things loses its way.
+        parts: of the observation that the policy sees.
+        contact_cost: subtracted from the reward of a step in contact, because trackers lose track in collisions.
 
     Attributes:
-        shown: the last observations of ``env`` as they are.
+        shown: the last observations of ``env``, unchanged.
     """
 
     def __init__(self, env: VectorEnv, parts: tuple[str, ...], contact_cost: float = 0.0) -> None:
@@ -77,39 +77,39 @@ class PolicyView(VectorWrapper):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin episodes; infos say nothing."""
+        """Begin episodes; infos are empty."""
         self.shown, _ = self.env.reset(seed=seed, options=options)
         return features(self.shown, self.parts), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, Any, Any, Any, dict[str, Any]]:
-        """Carry out actions in [-1, 1]; infos say of episodes that ended whether they succeeded."""
+        """Carry out actions in [-1, 1]; infos state whether ended episodes succeeded."""
         observations, rewards, terminated, truncated, infos = self.env.step(commands(actions))
         rewards = rewards - self.contact_cost * np.asarray(infos["collision"])
         self.shown, ended = observations, terminated | truncated
-        told = {"is_success": terminated.copy(), "_is_success": ended} if ended.any() else {}  # it ends on arrival
-        return features(observations, self.parts), rewards, terminated, truncated, told
+        success = {"is_success": terminated.copy(), "_is_success": ended} if ended.any() else {}  # it ends on arrival
+        return features(observations, self.parts), rewards, terminated, truncated, success
 
 
 def commands(actions: np.ndarray) -> np.ndarray:
-    """``(n, 4)`` float32 (turn, o, s, stop = 0) of actions ``(n, 3)`` in [-1, 1]."""
+    """Convert actions ``(n, 3)`` in [-1, 1] to commands ``(n, 4)`` float32 (turn, o, s, stop = 0)."""
     driven = BODY.low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (BODY.high - BODY.low)
     return np.concatenate([driven, np.zeros((len(driven), 1))], axis=-1).astype(np.float32)
 
 
 def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...], seed: int) -> PolicyView:
-    """The environment of a configuration; in a map each training ``seed`` draws a pool of tasks of its own.
+    """Make the environment of a configuration; in a map each training ``seed`` draws a pool of tasks of its own.
 
-    Raises :class:`InputError` for a map, a scene or a keyword that it does not take.
+    Raises :class:`InputError` for an invalid map, scene or keyword.
     """
     drawn = {"pool_seed": seed, "show_uncertainty": "pose_std" in parts} if settings.id == WORLD_MODEL else {}
     return PolicyView(make_observing(settings, **drawn), parts, settings.contact_cost)
 
 
 def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
-    """The same, observing ``scan, goal, pose`` as they are and taking SI commands; ``more`` keywords of it."""
+    """Make the environment with observations ``scan, goal, pose`` and SI commands; ``more`` are its keywords."""
     shared = {"num_envs": settings.num_envs, "max_episode_steps": settings.max_episode_steps, "end_on": "reach"}
     keywords: dict[str, Any] = shared | more | settings.keywords
-    # YAML knows lists only
+    # YAML has lists only, the constructors take tuples
     keywords = {name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()}
     if settings.id == WORLD_MODEL:
         return gym.make_vec(settings.id, map=settings.map, **keywords)
@@ -122,11 +122,11 @@ def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
 
 
 class EstimatedPose(VectorWrapper):
-    """Poses as a tracker would tell them, off by what they are off in the world model, from an exact start on.
+    """Add a tracker's error to observed poses, with the law of the world model, from an exact start on.
 
         e' = rho e + sqrt(1 - rho^2) n,  n ~ N(0, std^2)
 
-    What it is thought to err by is ``pose_std`` of the observations, as in the world model.
+    The standard deviation of the error is ``pose_std`` of the observations, as in the world model.
 
     Args:
         env: observes ``pose``.
@@ -147,17 +147,17 @@ class EstimatedPose(VectorWrapper):
         seeds = [one for one in np.atleast_1d(np.array(seed, object)) if one is not None]
         if seeds:
             self._rng = np.random.default_rng([int(one) for one in seeds])
-        return self._told(observations, infos), infos
+        return self._with_errors(observations, infos), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Carry out ``actions``; errors drift."""
+        """Carry out ``actions`` and advance the errors."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         rho, spread = self._memory, 1.0 - self._memory**2
         self._error = rho * self._error + np.sqrt(spread) * self._std * self._rng.standard_normal(self._error.shape)
         self._variance = rho**2 * self._variance + spread * self._std**2
-        return self._told(observations, infos), rewards, terminated, truncated, infos
+        return self._with_errors(observations, infos), rewards, terminated, truncated, infos
 
-    def _told(self, observations: dict[str, Any], infos: dict[str, Any]) -> dict[str, Any]:
+    def _with_errors(self, observations: dict[str, Any], infos: dict[str, Any]) -> dict[str, Any]:
         begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
         self._error[begun] = self._variance[begun] = 0.0
         pose = np.asarray(estimated_pose(jnp.asarray(observations["pose"]), jnp.asarray(self._error)))
@@ -165,7 +165,7 @@ class EstimatedPose(VectorWrapper):
 
 
 def world_hash(settings: EnvironmentSettings) -> str:
-    """16 hex digits of the map, or of the scene."""
+    """Return 16 hex digits of the content of the map, or of the scene."""
     if settings.id == WORLD_MODEL:
         path = Path(settings.map or "")
         if not path.is_file():
@@ -175,5 +175,5 @@ def world_hash(settings: EnvironmentSettings) -> str:
 
 
 def stream(seed: int, steps: int) -> int:
-    """The first robot's seed of a training that goes on after ``steps``; others' follow. Far apart for other seeds."""
+    """Return the first robot's seed after ``steps`` of a training; other robots' seeds follow consecutively."""
     return int(np.random.SeedSequence([seed, steps]).generate_state(1)[0] // 2)

@@ -1,4 +1,4 @@
-"""``evaluate POLICY``: a trained policy in the simulator, through the ordinary sweep, and beside it in imagination."""
+"""Evaluate a trained policy in the simulator, through the ordinary sweep, and in imagination: ``evaluate POLICY``."""
 
 import json
 import math
@@ -26,14 +26,14 @@ METRICS = ("spl", "success", "collisions", "return")
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Means over tasks with 95 % intervals, by metric.
+    """Hold means over tasks with 95 % intervals, by metric.
 
     Attributes:
         label: the policy's name and hash.
         real: in the simulator.
         imagined: in the learned map; None where a task does not fit that map.
         gap: imagined - real, paired by task; None likewise.
-        notice: why there is no imagined part; empty with one.
+        notice: why there is no imagined part, else empty.
     """
 
     label: str
@@ -56,7 +56,7 @@ def evaluate_policy(
     seed: int = 0,
     on_progress: OnProgress | None = None,
 ) -> Evaluation:
-    """Run the sweep and the imagined episodes; writes ``evaluation.json`` beside the sweep's own files.
+    """Run the sweep and the imagined episodes; write ``evaluation.json`` into the sweep's folder.
 
     Args:
         policy: file of `vssm-gym train`.
@@ -64,14 +64,14 @@ def evaluate_policy(
         scene: built-in name or path of a scene file.
         tasks: the first so many test tasks.
         noise: of execution.
-        map_file: to imagine in, such as the one trained in; None: the one that the sweep's agents are given.
+        map_file: to imagine in, such as the one trained in; None: the map of the sweep's agents.
         resume: continue.
         workers: processes.
         seed: of the drive that the map is learned from, and of imagination.
         on_progress: called as by :func:`vssm_gym.eval.sweep.runner.run_sweep`.
 
     Raises:
-        InputError: what the sweep says, or a file that is no policy.
+        InputError: as :func:`run_sweep`, or for a file that is not a policy.
     """
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)))
@@ -96,7 +96,7 @@ def evaluate_policy(
 
 
 def files_of(out: Path, scene: str) -> tuple[Path, Path]:
-    """Where the sweep of an evaluation keeps its tasks, and the map that it gives to agents."""
+    """Return the files of an evaluation's tasks and of the map of its agents."""
     name = scene_name(scene)
     return out / "tasks" / f"{name}-holonomic.json", out / "maps" / f"{name}.npz"
 
@@ -106,7 +106,7 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, Interval]:
 
 
 def _plain(evaluation: Evaluation) -> dict[str, Any]:
-    """As JSON has it: [mean, low, high], null for what one task leaves unknown."""
+    """Convert to JSON values: [mean, low, high], null where one task gives no interval."""
     known = lambda value: value if math.isfinite(value) else None
     numbers = lambda means: means and {k: [known(v) for v in (i.mean, i.low, i.high)] for k, i in means.items()}
     return {

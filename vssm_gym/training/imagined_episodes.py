@@ -1,9 +1,9 @@
-"""A policy's episodes in imagination: the tasks of a sweep, driven in the learned map, judged by the same rules.
+"""Run a policy's episodes in imagination: the tasks of a sweep, driven in the learned map, evaluated by the same rules.
 
-    return = max(0, l - r) - 0.01 steps + 2.5 success,   l geodesic of the start, r what is left of it at the end
+    return = max(0, l - r) - 0.01 steps + 2.5 success,   l geodesic of the start, r remaining geodesic at the end
 
-That is PointNav's dense reward but for how it counts the last metres inside the success region, and both worlds' rows
-have it, so that ``imagined - real`` of a task is how much too well the model thinks of the policy.
+This is PointNav's dense reward except for the last metres inside the success region. Rows of both worlds have it, so
+that ``imagined - real`` of a task measures how much the model overestimates the policy.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,26 +19,27 @@ from vssm_gym.agents.policy.policy_file import Policy
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.tasks.navigation import Task
+from vssm_gym.envs.world_model.config import Imagination
 from vssm_gym.eval.metrics.navigation import spl
 from vssm_gym.inference.status import Status
 from vssm_gym.training.config import EnvironmentSettings
 from vssm_gym.training.environment import make_observing
 
 STEPS = 500  # PointNav's time limit
-POSE_STD = (0.02, 0.02, 0.01)  # m, m, rad: the estimate's error in imagination
+POSE_STD = Imagination.pose_std  # of the pose estimate in imagination: forward (m), left (m), turn (rad)
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Look:
-    """One step of n imagined robots as a spectator sees it: they have seen and decided, nothing has moved yet.
+class ImaginedStep:
+    """Hold one step of n imagined robots as a spectator sees it: they have decided, and nothing has moved yet.
 
     Attributes:
         number: steps before it.
-        planar: ``(n, 3)`` where they are in imagination: x, y (m), heading (rad).
-        observation: of n robots: ``scan``, ``goal`` and ``pose``, which is the estimate.
-        collision: ``(n,)`` whether they touched something in the step before.
+        planar: ``(n, 3)`` true poses in imagination: x, y (m), heading (rad).
+        observation: of n robots: ``scan``, ``goal`` and ``pose``, the pose estimate.
+        collision: ``(n,)`` whether they collided in the step before.
         stop: ``(n,)`` whether they stop.
     """
 
@@ -55,12 +56,12 @@ def imagine(
     tasks: Sequence[Task],
     noise: str,
     seed: int = 0,
-    spectator: Callable[[Look], None] | None = None,
+    spectator: Callable[[ImaginedStep], None] | None = None,
 ) -> list[Row]:
-    """One imagined episode of each task: ``task, success, spl, steps, collisions, path_length, return``.
+    """Imagine one episode of each task; return rows of ``task, success, spl, steps, collisions, path_length, return``.
 
-    Task number i draws from the stream of ``seed + i``, whatever the others are. The spectator is shown every step
-    until the last episode has ended; those that ended before have begun others.
+    Task number i draws from the stream of ``seed + i``, whatever the other tasks. The spectator is called with every
+    step until the last episode has ended; robots whose episode ended before have begun others.
 
     Raises :class:`InputError` where a task does not fit the map.
     """
@@ -75,10 +76,10 @@ def imagine(
     farther = radius - stop_radius(radius, Localization(np.zeros(3), np.array(POSE_STD), Status.OK))
     seen = np.zeros((n, spec.frames, size_of(spec.parts)), np.float32)
     at = env.planar[:, :2]
-    way, gained = np.zeros(n), np.zeros(n)
+    driven, gained = np.zeros(n), np.zeros(n)
     steps, collisions = np.zeros(n, int), np.zeros(n, int)
     success, running = np.zeros(n, bool), np.ones(n, bool)
-    touched, number = np.zeros(n, bool), 0
+    collided, number = np.zeros(n, bool), 0
     while running.any():
         goal = observation["goal"].astype(np.float64)
         goal[:, 0] += farther
@@ -87,11 +88,11 @@ def imagine(
         stop = goal[:, 0] <= radius
         action = np.concatenate([policy(seen.reshape(n, -1)), stop[:, None]], axis=1)
         if spectator is not None:
-            spectator(Look(number, env.planar, observation, touched, stop))
+            spectator(ImaginedStep(number, env.planar, observation, collided, stop))
         observation, reward, terminated, truncated, infos = env.step(action.astype(np.float32))
-        touched, number = np.asarray(infos["collision"]), number + 1
+        collided, number = np.asarray(infos["collision"]), number + 1
         now = env.planar[:, :2]
-        way += np.where(running, np.linalg.norm(now - at, axis=1), 0.0)
+        driven += np.where(running, np.linalg.norm(now - at, axis=1), 0.0)
         gained += np.where(running, reward, 0.0)
         steps += running
         collisions += running & infos["collision"]
@@ -106,10 +107,10 @@ def imagine(
         {
             "task": task.id,
             "success": bool(success[i]),
-            "spl": float(spl(success[i], geodesic[i], way[i])),
+            "spl": float(spl(success[i], geodesic[i], driven[i])),
             "steps": int(steps[i]),
             "collisions": int(collisions[i]),
-            "path_length": float(way[i]),
+            "path_length": float(driven[i]),
             "return": _return(geodesic[i] - remaining[i], int(steps[i]), bool(success[i])),
         }
         for i, task in enumerate(tasks)
@@ -117,7 +118,7 @@ def imagine(
 
 
 def real_return(row: Row) -> float:
-    """The return of an episode of a sweep: its SoftSPL is ``max(0, l - r) / max(p, l)``."""
+    """Compute the return of a sweep's episode from its SoftSPL, ``max(0, l - r) / max(p, l)``."""
     progress = row["soft_spl"] * max(row["path_length"], row["geodesic"])
     return _return(progress, row["steps"], row["success"])
 

@@ -1,10 +1,10 @@
-"""``curves RUN ...``: how fast trainings learn, by wall-clock time and by steps, with intervals over seeds (SPEC 10).
+"""Draw how fast trainings learn, by wall-clock time and by steps, with intervals over seeds: ``curves RUN ...``.
 
     c(t) = mean over seeds of y_seed(t),   y_seed linear between the lines of progress.jsonl
 
-Trainings of one name are one curve, and what is resampled for its 95 % interval is the seed. It is drawn where all of
-its seeds are known. A line counts from the step on at which every robot has had the time for one whole episode: before,
-only fast episodes have ended, and nearly all of those succeeded.
+Trainings of one name are one curve, whose 95 % interval resamples seeds. It is drawn where all of its seeds are known.
+A line counts from the step on at which every robot has had time for one whole episode: before, only short episodes have
+ended, and nearly all of those succeeded.
 """
 
 import io
@@ -29,8 +29,8 @@ from vssm_gym.training.run import read_progress
 from vssm_gym.training.train import MANIFEST, PROGRESS
 from vssm_gym.viz import pictures
 
-SHARES = (0.5, 0.9)  # of success, whose times are told
-POINTS = 121  # of a curve
+SUCCESS_LEVELS = (0.5, 0.9)  # success rates whose times the table shows
+POINTS = 121  # points of a curve
 KINDS = (".svg", ".png")
 DPI = 150
 MEASURES: dict[str, str] = {"success": "success rate", "returns": "return of an episode"}
@@ -41,15 +41,17 @@ Axis = Literal["minutes", "steps"]
 
 @dataclass(frozen=True)
 class Training:
-    """One folder of ``vssm-gym train``, its lines that count.
+    """Hold one folder of ``vssm-gym train``, with the lines that count.
 
     Attributes:
         folder: of the training.
         name: the configuration's.
         seed: the configuration's.
-        of: what else decided it, as JSON: the configuration without the seed, and the hash of map or scene.
-        minutes, steps: at each line, neither ever falling.
-        success, returns: means over the last episodes.
+        of: what else determined it, as JSON: the configuration without the seed, and the hash of map or scene.
+        minutes: at each line, not decreasing.
+        steps: at each line, not decreasing.
+        success: mean over the last episodes.
+        returns: mean over the last episodes.
     """
 
     folder: Path
@@ -64,7 +66,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Curve:
-    """``x`` is minutes or steps; ``low`` and ``high`` are NaN with one seed."""
+    """Hold a mean curve; ``x`` is minutes or steps, ``low`` and ``high`` are NaN with one seed."""
 
     x: Float[np.ndarray, "n"]
     mean: Float[np.ndarray, "n"]
@@ -74,14 +76,15 @@ class Curve:
 
 @dataclass(frozen=True)
 class Speed:
-    """What the table says of trainings of one name.
+    """Hold the table's row of the trainings of one name.
 
     Attributes:
-        name: theirs.
-        seeds: how many.
-        minutes, steps: medians over seeds until success first was each of SHARES; infinite where half never were.
-        reached: how many ever were.
-        last: success where the curve by minutes ends.
+        name: of the trainings.
+        seeds: number of trainings.
+        minutes: medians over seeds until success first was each of SUCCESS_LEVELS; infinite where half never were.
+        steps: likewise.
+        reached: number of seeds that reached each level.
+        last: success at the end of the curve by minutes.
     """
 
     name: str
@@ -99,11 +102,11 @@ def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: flo
         folders: of ``vssm-gym train``, finished or not.
         out: the picture.
         seed: of the resampling.
-        minutes: where that axis ends; None: with the longest training.
+        minutes: end of that axis; None: that of the longest training.
 
     Raises:
-        InputError: a folder that holds no training, nothing that counts in it, trainings of one name that are not
-            seeds of one configuration; a file that cannot be written.
+        InputError: a folder that holds no training or no line that counts; trainings of one name that are not seeds
+            of one configuration; a file that cannot be written.
     """
     if out.suffix.lower() not in KINDS:
         raise InputError(out, "file", f"a name that ends in {' or '.join(KINDS)}")
@@ -124,11 +127,11 @@ def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: flo
 
 
 def read_training(folder: Path) -> Training:
-    """The training of a folder, finished or not; raises like :func:`write_curves`."""
+    """Read the training of a folder, finished or not; raise like :func:`write_curves`."""
     manifest = folder / MANIFEST
     try:
-        told = json.loads(manifest.read_text(encoding="utf-8"))
-        config, world = dict(told["config"]), told["world_hash"]
+        stored = json.loads(manifest.read_text(encoding="utf-8"))
+        config, world = dict(stored["config"]), stored["world_hash"]
         name, number = str(config["name"]), int(config.pop("seed"))
         where = dict(config["environment"])
         whole = int(where["num_envs"]) * int(where["max_episode_steps"])
@@ -152,7 +155,7 @@ def read_training(folder: Path) -> Training:
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:
-    """All of ``progress.jsonl``, checked."""
+    """Read and check all lines of ``progress.jsonl``."""
     try:
         lines = read_progress(path)
     except OSError as error:
@@ -178,7 +181,7 @@ def _is_number(value: Any) -> bool:
 
 
 def grouped(trainings: Sequence[Training]) -> dict[str, list[Training]]:
-    """By name, in the order in which names first appear; raises :class:`InputError` where one is no set of seeds."""
+    """Group trainings by name, in order of appearance; raise :class:`InputError` where a group is no set of seeds."""
     groups: dict[str, list[Training]] = {}
     for one in trainings:
         groups.setdefault(one.name, []).append(one)
@@ -195,9 +198,9 @@ def grouped(trainings: Sequence[Training]) -> dict[str, list[Training]]:
 
 
 def curve(group: Sequence[Training], measure: str, axis: Axis, seed: int = 0) -> Curve:
-    """The mean of ``measure`` over the seeds of a group, where all of them are known.
+    """Compute the mean of ``measure`` over the seeds of a group, where all of them are known.
 
-    Raises :class:`InputError` where they never are at the same time.
+    Raises :class:`InputError` where no range is known for all.
     """
     low = max(float(getattr(one, axis)[0]) for one in group)
     high = min(float(getattr(one, axis)[-1]) for one in group)
@@ -212,8 +215,8 @@ def curve(group: Sequence[Training], measure: str, axis: Axis, seed: int = 0) ->
 
 
 def speed(name: str, group: Sequence[Training], seed: int = 0) -> Speed:
-    """How fast the trainings of a group were."""
-    times = np.array([[time_to(one, share) for share in SHARES] for one in group])  # (seeds, shares, 2)
+    """Summarise how fast the trainings of a group learned."""
+    times = np.array([[time_to(one, level) for level in SUCCESS_LEVELS] for one in group])  # (seeds, levels, 2)
     middle = np.median(times, axis=0)
     end = min(float(one.minutes[-1]) for one in group)
     last = [float(np.interp(end, one.minutes, one.success)) for one in group]
@@ -227,22 +230,22 @@ def speed(name: str, group: Sequence[Training], seed: int = 0) -> Speed:
     )
 
 
-def time_to(training: Training, share: float) -> tuple[float, float]:
-    """Minutes and steps until success first was ``share``, linear between lines; infinite where it never was."""
-    there = np.flatnonzero(training.success >= share)
+def time_to(training: Training, level: float) -> tuple[float, float]:
+    """Return minutes and steps until success first was ``level``, linear between lines; infinite where it never was."""
+    there = np.flatnonzero(training.success >= level)
     if len(there) == 0:
         return math.inf, math.inf
     i = int(there[0])
     if i == 0:
         return float(training.minutes[0]), float(training.steps[0])
     before, now = training.success[i - 1 : i + 1]
-    part = (share - before) / (now - before)
+    part = (level - before) / (now - before)
     minutes, steps = (float(a[i - 1] + part * (a[i] - a[i - 1])) for a in (training.minutes, training.steps))
     return minutes, steps
 
 
 def figure(groups: Mapping[str, Sequence[Training]], seed: int = 0, minutes: float | None = None) -> Figure:
-    """Success above return; against minutes on the left, against steps (logarithmic) on the right."""
+    """Draw success above return, over minutes on the left and over steps (logarithmic) on the right."""
     drawn = Figure(figsize=(11.5, 6.4), layout="constrained")
     panels = drawn.subplots(2, 2, sharex="col", sharey="row")
     for line, (measure, label) in zip(panels, MEASURES.items(), strict=True):
@@ -260,8 +263,8 @@ def figure(groups: Mapping[str, Sequence[Training]], seed: int = 0, minutes: flo
     panels[1, 0].set_xlim(0.0, minutes)
     panels[0, 0].set_ylim(-0.03, 1.03)
     for axes in panels[0]:
-        for share in SHARES:
-            axes.axhline(share, color="0.4", linewidth=0.6, linestyle=pictures.DASHES, zorder=1)
+        for level in SUCCESS_LEVELS:
+            axes.axhline(level, color="0.4", linewidth=0.6, linestyle=pictures.DASHES, zorder=1)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     drawn.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return drawn

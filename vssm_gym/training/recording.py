@@ -1,7 +1,7 @@
-"""One task driven twice by one policy, in the simulator and in the learned map: what a video shows beside each other.
+"""Record one task driven by one policy twice, in the simulator and in the learned map, for a video of both.
 
-Both begin at the task's start and end where the policy stops or time is out. The simulator's is the sweep's episode of
-that task over again; the imagined one has the random stream that ``evaluate`` gives it among all tasks.
+Both begin at the task's start and end where the policy stops or time is out. The simulator's run repeats the sweep's
+episode of that task; the imagined one has the random stream that ``evaluate`` gives it among all tasks.
 """
 
 import math
@@ -32,74 +32,74 @@ from vssm_gym.model.emission import render
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.evaluation import files_of
-from vssm_gym.training.imagined_episodes import STEPS, Look, imagine
+from vssm_gym.training.imagined_episodes import STEPS, ImaginedStep, imagine
 from vssm_gym.viz import pictures
 
 CELL = 0.025  # m, of the simulator's floor plan
-AROUND = 0.3  # m beside it
+AROUND = 0.3  # m, margin of that plan
 ROBOT = HolonomicRobot()
 
 
 @dataclass(frozen=True)
-class Moment:
-    """One moment of a run.
+class PolicyMoment:
+    """Hold one moment of a run.
 
     Attributes:
         seconds: since the start.
-        planar: where the robot is: x, y (m), heading (rad).
-        believed: where the policy is told that it is.
-        hits: where the rays of its scan end, world, m; those without a reading are left out.
-        image: what its camera sees; in imagination what the belief would look like from there.
-        touched: steps in contact so far.
-        status: what the agent says.
+        planar: the true pose: x, y (m), heading (rad).
+        estimate: the pose estimate that the policy receives.
+        hits: ends of the rays of its scan, world, m; rays without a reading are left out.
+        image: its camera's image; in imagination the belief rendered from there.
+        collisions: steps in contact so far.
+        status: the agent's status.
     """
 
     seconds: float
     planar: Float[np.ndarray, "3"]
-    believed: Float[np.ndarray, "3"]
+    estimate: Float[np.ndarray, "3"]
     hits: Float[np.ndarray, "n 2"]
     image: UInt8[np.ndarray, "height width 3"]
-    touched: int
+    collisions: int
     status: str
 
 
 @dataclass(frozen=True)
-class Run:
-    """One of the two.
+class PolicyRun:
+    """Hold one of the two runs.
 
     Attributes:
-        moments: one a step, the one of the stop among them.
-        plan: of the floor, at the heights of the robot's body.
+        moments: one a step, the stop included.
+        plan: floor plan at the heights of the robot's body.
         success: whether it stopped at the goal.
         ending: how it ended, in words.
     """
 
-    moments: tuple[Moment, ...]
+    moments: tuple[PolicyMoment, ...]
     plan: CroppedPlan
     success: bool
     ending: str
 
     def path(self, name: str, n: int) -> Float[np.ndarray, "n 2"]:
-        """``planar`` or ``believed`` of the first ``n`` moments, m."""
+        """Return xy of ``planar`` or ``estimate`` of the first ``n`` moments, m."""
         return np.array([getattr(moment, name)[:2] for moment in self.moments[:n]])
 
 
 @dataclass(frozen=True)
-class Both:
-    """One task, twice; ``label`` is the policy's name and hash, ``success_radius`` in m."""
+class PolicyRuns:
+    """Hold both runs of one task; ``label`` is the policy's name and hash, ``success_radius`` in m."""
 
     label: str
     scene: str
     task: Task
     success_radius: float
-    real: Run
-    imagined: Run
+    real: PolicyRun
+    imagined: PolicyRun
 
     def __len__(self) -> int:
         return max(len(self.real.moments), len(self.imagined.moments))
 
 
-def record_both(
+def record_runs(
     policy: Path,
     out: Path,
     *,
@@ -109,7 +109,7 @@ def record_both(
     map_file: Path | None = None,
     seed: int = 0,
     on_progress: OnProgress | None = None,
-) -> Both:
+) -> PolicyRuns:
     """Drive one task of an evaluation in both worlds.
 
     Args:
@@ -118,7 +118,7 @@ def record_both(
         scene: built-in name or path of a scene file.
         task: number of the test task.
         noise: of execution.
-        map_file: to imagine in; None: the one that the sweep's agents are given.
+        map_file: to imagine in; None: the map of the sweep's agents.
         seed: of imagination.
         on_progress: called with ("driving" | "imagining", done, total).
 
@@ -127,27 +127,27 @@ def record_both(
     """
     task_file, given_map = files_of(out, scene)
     wanted = load(task_file).tasks[task]
-    # First what may be refused
+    # First the run that may be refused
     imagined = _imagined(policy, map_file or given_map, wanted, noise, seed + task, on_progress)
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=(task,))
     real = _real(config, task_file, VoxelMap.load(given_map), on_progress)
     radius = policy_file.load(str(policy)).spec.success_radius
-    return Both(policy_file.agent_label(agent), scene_name(scene), wanted, radius, real, imagined)
+    return PolicyRuns(policy_file.agent_label(agent), scene_name(scene), wanted, radius, real, imagined)
 
 
-def _real(config: SweepConfig, task_file: Path, m: VoxelMap, on_progress: OnProgress | None) -> Run:
+def _real(config: SweepConfig, task_file: Path, m: VoxelMap, on_progress: OnProgress | None) -> PolicyRun:
     (episode,) = expand(config)
     agent: Any = make_agent(episode.agent)
-    spec, moments, touched = agent.policy.spec, [], 0
+    spec, moments, collisions = agent.policy.spec, [], 0
 
     def see(step: StepRecord) -> None:
-        nonlocal touched
-        touched += bool(step.info["collision"])
+        nonlocal collisions
+        collisions += bool(step.info["collision"])
         assert step.decision.pose is not None
         hits = ray_ends(step.planar, scan_of(step.observation["depth"], spec.max_depth), spec.hfov)
         image, status = np.array(step.observation["rgb"]), step.decision.status
-        moments.append(Moment(step.seconds, step.planar, step.decision.pose, hits, image, touched, status))
+        moments.append(PolicyMoment(step.seconds, step.planar, step.decision.pose, hits, image, collisions, status))
         if on_progress:
             on_progress("driving", step.number, STEPS)
 
@@ -155,35 +155,37 @@ def _real(config: SweepConfig, task_file: Path, m: VoxelMap, on_progress: OnProg
     if on_progress:
         on_progress("driving", STEPS, STEPS)
     ending = "arrived" if row["success"] else str(row["failure"])
-    return Run(tuple(moments), true_plan(episode.condition.scene), bool(row["success"]), ending)
+    return PolicyRun(tuple(moments), true_plan(episode.condition.scene), bool(row["success"]), ending)
 
 
-def _imagined(policy: Path, map_file: Path, task: Task, noise: str, seed: int, on_progress: OnProgress | None) -> Run:
-    network, moments, touched = policy_file.load(str(policy)), [], 0
-    m, looks, hfov = VoxelMap.load(map_file), [], network.spec.hfov
+def _imagined(
+    policy: Path, map_file: Path, task: Task, noise: str, seed: int, on_progress: OnProgress | None
+) -> PolicyRun:
+    network, moments, collisions = policy_file.load(str(policy)), [], 0
+    m, steps, hfov = VoxelMap.load(map_file), [], network.spec.hfov
 
-    def see(look: Look) -> None:
-        looks.append(look)
+    def see(step: ImaginedStep) -> None:
+        steps.append(step)
         if on_progress:
-            on_progress("imagining", look.number, STEPS)
+            on_progress("imagining", step.number, STEPS)
 
     (row,) = imagine(network, map_file, [task], noise, seed, see)
-    for look in looks:
-        planar, believed = (np.asarray(a[0], np.float64) for a in (look.planar, look.observation["pose"]))
-        touched += bool(look.collision[0])
-        hits = ray_ends(planar, look.observation["scan"][0], hfov)
-        status = "arrived" if look.stop[0] else "driving"
+    for step in steps:
+        planar, estimate = (np.asarray(a[0], np.float64) for a in (step.planar, step.observation["pose"]))
+        collisions += bool(step.collision[0])
+        hits = ray_ends(planar, step.observation["scan"][0], hfov)
+        status = "arrived" if step.stop[0] else "driving"
         image = _seen(m, planar, hfov)
-        moments.append(Moment(look.number * ROBOT.dt, planar, believed, hits, image, touched, status))
+        moments.append(PolicyMoment(step.number * ROBOT.dt, planar, estimate, hits, image, collisions, status))
     if on_progress:
         on_progress("imagining", STEPS, STEPS)
     away = float(np.linalg.norm(moments[-1].planar[:2] - task.goal))
-    failure = f"{'stopped outside' if looks[-1].stop[0] else 'time out'}: {away:.2f} m from the goal"
-    return Run(tuple(moments), CroppedPlan.of(m), row["success"], "arrived" if row["success"] else failure)
+    failure = f"{'stopped outside' if steps[-1].stop[0] else 'time out'}: {away:.2f} m from the goal"
+    return PolicyRun(tuple(moments), CroppedPlan.of(m), row["success"], "arrived" if row["success"] else failure)
 
 
 def ray_ends(planar: Float[np.ndarray, "3"], scan: Float[np.ndarray, "beams"], hfov: float) -> Float[np.ndarray, "n 2"]:
-    """World points, m, of a scan's readings; the camera stands on the robot's axis and looks ahead.
+    """Return the world points (m) of a scan's readings; the camera is on the robot's axis and looks ahead.
 
     Ray k is left of the middle by ``tan(hfov / 2) (1 - 2 (k + 1/2) / 64)`` a metre of depth
     (:mod:`vssm_gym.geometry.scan`).
@@ -196,7 +198,7 @@ def ray_ends(planar: Float[np.ndarray, "3"], scan: Float[np.ndarray, "beams"], h
 
 
 def true_plan(scene: str) -> CroppedPlan:
-    """The simulator's floor plan at the robot's height; what lies off the floor is UNKNOWN."""
+    """Compute the simulator's floor plan at the robot's height; cells off the floor are UNKNOWN."""
     space = FreeSpace.from_apartment(load_scene(scene), ROBOT.radius, ROBOT.height)
     low, high = (np.array(space.region.bounds[i : i + 2]) + sign * AROUND for i, sign in ((0, -1.0), (2, 1.0)))
     n = np.ceil((high - low) / CELL).astype(int)
@@ -208,7 +210,7 @@ def true_plan(scene: str) -> CroppedPlan:
 
 
 def _seen(m: VoxelMap, planar: np.ndarray, hfov: float) -> UInt8[np.ndarray, "height width 3"]:
-    """The mean map from the robot's camera; grey where nothing was observed."""
+    """Render the mean map from the robot's camera; grey where nothing was observed."""
     T_world_cam = planar_to_matrix(jnp.asarray(planar, jnp.float32)) @ jnp.asarray(ROBOT.T_body_cam, jnp.float32)
     seen = render(m, T_world_cam, Camera.from_hfov(160, 120, hfov))
     rgb = np.where(np.asarray(seen.known)[..., None], np.asarray(seen.rgb), pictures.UNKNOWN_COLOUR)

@@ -1,4 +1,4 @@
-"""One training under way: its clock, its limits, its log, and what it writes; whichever algorithm it is."""
+"""Hold a running training of any algorithm: its clock, its limits, its log, and its policy file."""
 
 import contextlib
 import fcntl
@@ -19,14 +19,14 @@ from vssm_gym.training.config import TrainingConfig
 from vssm_gym.training.environment import BODY
 
 POLICY = "policy.npz"
-ROW_SECONDS, CHECKPOINT_SECONDS = 5.0, 60.0
+ROW_SECONDS, CHECKPOINT_SECONDS = 5.0, 60.0  # s between lines of the log, and between checkpoints
 
 Row = dict[str, Any]  # of progress.jsonl: seconds, steps, episodes, return, length, success
-Told = Callable[[Row, float], None]  # a row, and the share of the training that is done
+OnUpdate = Callable[[Row, float], None]  # a row, and the fraction of the training that is done
 
 
 class Run:
-    """One training under way: its clock, its limits, and what it writes."""
+    """Hold a running training: its clock, its limits, and its files."""
 
     def __init__(
         self,
@@ -35,10 +35,10 @@ class Run:
         manifest: dict[str, Any],
         log: "ProgressLog",
         interrupted: Callable[[], bool],
-        told: Told,
+        on_update: OnUpdate,
     ) -> None:
         self.config, self.out = config, out
-        self._manifest, self._log, self._told = manifest, log, told
+        self._manifest, self._log, self._on_update = manifest, log, on_update
         self.interrupted = interrupted
         self.steps = 0  # of all robots together
         self._began = time.monotonic()
@@ -46,40 +46,40 @@ class Run:
 
     @property
     def policy_file(self) -> Path:
-        """Where :meth:`write_policy` writes."""
+        """The file of :meth:`write_policy`."""
         return self.out / POLICY
 
     @property
     def seconds(self) -> float:
-        """Trained so far, those of earlier sessions among them."""
+        """Seconds trained so far, those of earlier sessions included."""
         return time.monotonic() - self._began
 
     def begin(self) -> None:
-        """From nothing: what one that was killed before its first checkpoint has logged is dropped."""
+        """Begin anew; drop the log of a training that was killed before its first checkpoint."""
         self._log.drop_after(-1)
 
-    def go_on(self, steps: int, seconds: float) -> None:
-        """Count on from a checkpoint; what was logged after it is dropped."""
+    def resume(self, steps: int, seconds: float) -> None:
+        """Continue from a checkpoint; drop what was logged after it."""
         self.steps = steps
         self._began -= seconds
         self._row_at = self._kept_at = self.seconds
         self._log.drop_after(steps)
 
-    def share(self) -> float:
-        """Of the training that is done, in [0, 1]."""
+    def fraction_done(self) -> float:
+        """Return the fraction of the training that is done, in [0, 1]."""
         minutes = self.config.minutes
         return min(1.0, max(self.steps / self.config.steps, self.seconds / (60.0 * minutes) if minutes else 0.0))
 
     def over(self) -> bool:
-        """Whether to end now: interrupted, or out of time."""
+        """Return whether to end now: interrupted, or out of time."""
         minutes = self.config.minutes
         return self.interrupted() or (minutes is not None and self.seconds >= 60.0 * minutes)
 
-    def tell(self, row: Row, keep: Callable[[], None]) -> None:
-        """Note how it goes, and from time to time ``keep()`` what was learned."""
+    def report(self, row: Row, keep: Callable[[], None]) -> None:
+        """Log and report an update, and from time to time call ``keep()``, which writes a checkpoint."""
         self.steps = row["steps"]
         row = {"seconds": round(self.seconds, 2), **row}
-        self._told(row, self.share())
+        self._on_update(row, self.fraction_done())
         due = self.seconds - self._kept_at >= CHECKPOINT_SECONDS
         if due or self.seconds - self._row_at >= ROW_SECONDS:
             self._log.append(row)
@@ -89,15 +89,15 @@ class Run:
             self._kept_at = self.seconds
 
     def end(self, row: Row, keep: Callable[[], None]) -> None:
-        """The last row and the last checkpoint of this session."""
+        """Write the last row and the last checkpoint of this session."""
         self.steps = row["steps"]
         keep()
         row = {"seconds": round(self.seconds, 2), **row}
         self._log.append(row)
-        self._told(row, self.share())
+        self._on_update(row, self.fraction_done())
 
     def write_policy(self, layers: tuple[tuple[np.ndarray, np.ndarray], ...], squash: str) -> None:
-        """``policy.npz``: the network as it is now."""
+        """Write the present network to ``policy.npz``."""
         config = self.config
         trained = {
             "algorithm": config.algorithm.name,
@@ -125,7 +125,7 @@ class Run:
 
 
 class ProgressLog:
-    """``progress.jsonl`` and its one writer: a lock keeps a second training out of the folder."""
+    """Write ``progress.jsonl``; a lock keeps a second training out of the folder."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._file = path, path.open("ab")
@@ -142,7 +142,7 @@ class ProgressLog:
         os.fsync(self._file.fileno())
 
     def drop_after(self, steps: int) -> None:
-        """Forget lines later than ``steps``, and one that a crash left unfinished."""
+        """Drop lines after ``steps``, and an unfinished last line."""
         kept = [json.dumps(row) for row in read_progress(self._path) if row["steps"] <= steps]
         self._file.truncate(0)  # appending goes on at the new end
         self._file.write("".join(line + "\n" for line in kept).encode())
@@ -156,14 +156,14 @@ class ProgressLog:
 
 
 def read_progress(path: Path) -> list[Row]:
-    """The lines of a ``progress.jsonl``; an unfinished last one is left out."""
+    """Read the lines of a ``progress.jsonl``; an unfinished last one is left out."""
     data = path.read_bytes()
     return [json.loads(line) for line in data[: data.rfind(b"\n") + 1].splitlines()]
 
 
 @contextlib.contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Within, the first Ctrl-C is only remembered: whether there was one is what the value tells."""
+    """Defer the first Ctrl-C in this context; the value is a function that returns whether there was one."""
     seen: list[int] = []
 
     def remember(number: int, frame: FrameType | None) -> None:

@@ -1,8 +1,8 @@
-"""``train CONFIG --out DIR``: a policy learns until its steps or minutes are over, whatever interrupts it.
+"""Train a policy until its steps or minutes are over, and resume after interruptions: ``train CONFIG --out DIR``.
 
 The folder holds ``training.json`` (configuration, hashes, versions), ``progress.jsonl`` (one line every few seconds and
-at every checkpoint), ``checkpoint.pt`` (what ``--resume`` goes on from), ``policy.npz`` (what agents load) and
-``logs``. Seconds are of the whole training, the environment's construction and compilation among them.
+at every checkpoint), ``checkpoint.pt`` (for ``--resume``), ``policy.npz`` (for agents) and ``logs``. Seconds count
+the whole training, the environment's construction and compilation included.
 """
 
 import importlib.metadata
@@ -17,29 +17,29 @@ from vssm_gym.output_folders import check_folder
 from vssm_gym.training.cloning import DEMONSTRATIONS, clone
 from vssm_gym.training.config import TrainingConfig, training_hash
 from vssm_gym.training.environment import make_training_env, stream, world_hash
-from vssm_gym.training.run import POLICY, ProgressLog, Row, Run, Told, deferred_interrupt
+from vssm_gym.training.run import POLICY, OnUpdate, ProgressLog, Row, Run, deferred_interrupt
 from vssm_gym.version import package_version
 
 MANIFEST, PROGRESS, CHECKPOINT, LOGS = "training.json", "progress.jsonl", "checkpoint.pt", "logs"
-BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # any of them is worth keeping
+BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # files that mark a training that has begun
 LIBRARIES = ("stable_baselines3", "torch", "numpy", "jax", "gymnasium")
 
 
-def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, told: Told | None = None) -> Path:
-    """Train; returns the policy's file.
+def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_update: OnUpdate | None = None) -> Path:
+    """Train a policy and return its file.
 
-    Ctrl-C lets the rollout and the update under way end (seconds), keeps them and raises KeyboardInterrupt; a second
-    one does not wait.
+    Ctrl-C lets the current rollout and update end (seconds), keeps them and raises KeyboardInterrupt; a second one does
+    not wait.
 
     Args:
         config: checked by :func:`vssm_gym.training.config.load_training`.
         out: new or empty folder, or with ``resume`` that of a training of the same configuration.
-        resume: go on from the last checkpoint: parameters, optimiser, steps, seconds, random generators. Episodes that
-            were under way begin anew, so that a training which was interrupted is not the same to the last bit.
-        told: how it goes, after every update.
+        resume: continue from the last checkpoint: parameters, optimiser, steps, seconds, random generators. Running
+            episodes begin anew, so that an interrupted training is not the same to the last bit.
+        on_update: called after every update with a row of the log and the fraction that is done.
 
     Raises:
-        InputError: another training's folder, one that is running, a map, scene or keyword that does not fit.
+        InputError: the folder of another or of a running training, or an invalid map, scene or keyword.
     """
     _check_extra()
     check_folder(out)
@@ -47,7 +47,7 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, tol
     out.mkdir(parents=True, exist_ok=True)
     with ProgressLog(out / PROGRESS) as log, deferred_interrupt() as interrupted:
         _claim(out, manifest, resume)
-        run = Run(config, out, manifest, log, interrupted, told or (lambda row, share: None))
+        run = Run(config, out, manifest, log, interrupted, on_update or (lambda row, fraction: None))
         if config.algorithm.name == "bc":
             clone(run)
         else:
@@ -58,14 +58,14 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, tol
 
 
 def _reinforce(run: Run) -> None:
-    """PPO or SAC."""
+    """Train by PPO or SAC."""
     from vssm_gym.training.sb3.learner import (
         layers_of,
         learn,
         make_model,
         restore_checkpoint,
         save_checkpoint,
-        stage,
+        training_progress,
         wrapped,
     )
 
@@ -74,11 +74,11 @@ def _reinforce(run: Run) -> None:
     settings = config.algorithm.model_dump(exclude={"name"})
     network = config.policy.hidden, config.policy.activation
     logs = run.out / LOGS / str(len(list((run.out / LOGS).glob("*"))))
-    model = make_model(config.algorithm.name, env, *network, config.seed, settings, run.share, logs)
+    model = make_model(config.algorithm.name, env, *network, config.seed, settings, run.fraction_done, logs)
     checkpoint = run.out / CHECKPOINT
     if checkpoint.is_file():
         seconds = restore_checkpoint(checkpoint, model)
-        run.go_on(model.num_timesteps, seconds)
+        run.resume(model.num_timesteps, seconds)
     else:
         run.begin()
     env.seed(stream(config.seed, model.num_timesteps))
@@ -88,8 +88,8 @@ def _reinforce(run: Run) -> None:
         save_checkpoint(checkpoint, model, run.seconds)
 
     try:
-        learn(model, config.steps, lambda now: run.tell(_row(now), keep), run.over)
-        run.end(_row(stage(model)), keep)
+        learn(model, config.steps, lambda now: run.report(_row(now), keep), run.over)
+        run.end(_row(training_progress(model)), keep)
     finally:
         model.logger.close()
         env.close()
@@ -123,14 +123,14 @@ def _manifest(config: TrainingConfig) -> dict[str, Any]:
 
 
 def _claim(out: Path, manifest: dict[str, Any], resume: bool) -> None:
-    """Make ``out`` this training's folder, or say why it cannot be."""
+    """Make ``out`` this training's folder; raise :class:`InputError` where it cannot be."""
     path = out / MANIFEST
     others = [one.name for one in out.iterdir() if not one.name.startswith((PROGRESS, f".{MANIFEST}."))]
     if others and not path.is_file():
         raise InputError(out, "folder", f"a new or empty folder, or that of a training; it holds {others[0]}")
     if any((out / name).is_file() for name in BEGUN):
         if not resume:
-            raise InputError(out, "folder", "a folder without a training; --resume goes on with the one it holds")
+            raise InputError(out, "folder", "a folder without a training; --resume continues the one it holds")
         try:
             found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
         except (OSError, ValueError, KeyError, TypeError) as error:

@@ -1,7 +1,7 @@
-"""A video of a policy's run in the simulator beside what it imagined of the same task (SPEC 10).
+"""Write a video of a policy's run in the simulator next to its imagined run of the same task.
 
-On each side what the camera sees and the floor plan: the robot's path, where it believes to be, and its scan as rays.
-One that has ended waits for the other.
+Each side shows the camera's image and the floor plan with the robot's path, its pose estimate, and its scan as rays.
+The run that ends first is held until the other ends.
 """
 
 import textwrap
@@ -14,21 +14,21 @@ from matplotlib.colors import to_hex
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from vssm_gym.eval.video import pictures as explore_pictures
+from vssm_gym.eval.video import pictures as explorer_pictures
 from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
 from vssm_gym.files import atomic_write
 from vssm_gym.progress import OnProgress
-from vssm_gym.training.recording import ROBOT, Both, Run
+from vssm_gym.training.recording import ROBOT, PolicyRun, PolicyRuns
 from vssm_gym.viz import pictures
 
 RAY_COLOUR = "#3a8fd0"
-AROUND = 0.4  # m beside the plans, of which one corner has the scale
-LETTERS = 42  # of a line beside the image
+AROUND = 0.4  # m, margin of the plans, which holds the scale
+LETTERS = 42  # of a line next to the image
 HEADS = "in the simulator", "imagined in the learned map"
-SEEN = "what its camera sees", "what the map looks like from there; the policy sees the scan alone"
+SEEN = "its camera's image", "the map rendered from there; the policy sees the scan alone"
 
 
-def write_video(path: Path, both: Both, on_progress: OnProgress | None = None) -> None:
+def write_video(path: Path, both: PolicyRuns, on_progress: OnProgress | None = None) -> None:
     """Write the two runs as MP4 (H.264), one frame a step; the file appears whole or not at all.
 
     Args:
@@ -47,9 +47,9 @@ def write_video(path: Path, both: Both, on_progress: OnProgress | None = None) -
 
 
 class Sheet:
-    """The page of both; :meth:`draw` gives its frames."""
+    """Lay out the page of both runs; :meth:`draw` draws its frames."""
 
-    def __init__(self, both: Both) -> None:
+    def __init__(self, both: PolicyRuns) -> None:
         self._page = page = Page()
         figure = page.figure
         figure.text(0.02, 0.955, f"{both.label} in {both.scene}, task {both.task.id}", fontsize=15, weight="bold")
@@ -58,33 +58,33 @@ class Sheet:
         bounds = np.stack([corners[:, 0].min(axis=0) - AROUND, corners[:, 1].max(axis=0) + AROUND])
         runs = zip((both.real, both.imagined), HEADS, SEEN, (0.02, 0.515), strict=True)
         self._sides = [Side(page, both, run, bounds, head, caption, left) for run, head, caption, left in runs]
-        figure.legend(handles=_handles(), loc="lower center", **explore_pictures.KEY)
+        figure.legend(handles=_handles(), loc="lower center", **explorer_pictures.KEY)
 
     def draw(self, i: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Frame number ``i``."""
+        """Draw frame number ``i``."""
         return self._page.frame([side.set(i) for side in self._sides])
 
 
 class Side:
-    """One run's half of the page, whose left edge is at ``left``."""
+    """Lay out one run's half of the page, with its left edge at ``left``."""
 
     def __init__(
-        self, page: Page, both: Both, run: Run, bounds: np.ndarray, head: str, caption: str, left: float
+        self, page: Page, both: PolicyRuns, run: PolicyRun, bounds: np.ndarray, head: str, caption: str, left: float
     ) -> None:
         self._run, figure = run, page.figure
         image = run.moments[0].image
         axes = figure.add_axes((left, 0.665, 0.1875, 0.25), xlim=(0, image.shape[1]), ylim=(0, image.shape[0]))
-        explore_pictures.bare(axes)
+        explorer_pictures.bare(axes)
         self._window = Window(axes, image.shape, page.size, upwards=False)
-        beside = left + 0.2
-        figure.text(beside, 0.89, head, fontsize=13, weight="bold")
-        figure.text(beside, 0.667, textwrap.fill(caption, LETTERS), fontsize=9, color="0.35", va="bottom")
+        text_left = left + 0.2
+        figure.text(text_left, 0.89, head, fontsize=13, weight="bold")
+        figure.text(text_left, 0.667, textwrap.fill(caption, LETTERS), fontsize=9, color="0.35", va="bottom")
         axes = figure.add_axes((left, 0.055, 0.465, 0.595), xlim=bounds[:, 0], ylim=bounds[:, 1])
-        explore_pictures.bare(axes)
+        explorer_pictures.bare(axes)
         axes.imshow(
-            explore_pictures.plan_image(run.plan, run.plan.bounds),
+            explorer_pictures.plan_image(run.plan, run.plan.bounds),
             origin="lower",
-            extent=explore_pictures.extent(run.plan.bounds),
+            extent=explorer_pictures.extent(run.plan.bounds),
             interpolation="nearest",
         )
         axes.set(xlim=bounds[:, 0], ylim=bounds[:, 1])
@@ -92,34 +92,34 @@ class Side:
         goal = Circle(both.task.goal, both.success_radius, facecolor=pictures.GOAL_COLOUR, edgecolor="black", alpha=0.6)
         axes.add_patch(goal)
         axes.plot(*both.task.start[:2], "o", color=pictures.TRUE_COLOUR, markersize=5)
-        explore_pictures.draw_scale(axes, bounds)
+        explorer_pictures.draw_scale(axes, bounds)
         self._rays = page.moves(axes.add_collection(LineCollection([], colors=RAY_COLOUR, linewidths=0.6, alpha=0.55)))
-        halo = explore_pictures.HALO
+        halo = explorer_pictures.HALO
         self._path = page.moves(axes.plot([], [], color=pictures.TRUE_COLOUR, linewidth=1.8, path_effects=halo)[0])
         self._estimate = page.moves(
             axes.plot([], [], color=pictures.ESTIMATE_COLOUR, linewidth=1.2, linestyle=pictures.DASHES)[0]
         )
-        self._robot = page.moves(explore_pictures.draw_robot(axes, run.moments[0].planar))
+        self._robot = page.moves(explorer_pictures.draw_robot(axes, run.moments[0].planar))
         self._robot.set_facecolor(pictures.TRUE_COLOUR)
-        self._believed = page.moves(explore_pictures.draw_robot(axes, run.moments[0].believed))
-        self._believed.set(facecolor="none", edgecolor=pictures.ESTIMATE_COLOUR)
-        self._words = page.moves(figure.text(beside, 0.875, "", fontsize=11, va="top", linespacing=1.35))
+        self._estimated_robot = page.moves(explorer_pictures.draw_robot(axes, run.moments[0].estimate))
+        self._estimated_robot.set(facecolor="none", edgecolor=pictures.ESTIMATE_COLOUR)
+        self._words = page.moves(figure.text(text_left, 0.875, "", fontsize=11, va="top", linespacing=1.35))
 
     def set(self, i: int) -> tuple[Window, UInt8[np.ndarray, "rows columns 3"]]:
-        """Show moment ``i``, or the last one; the image and its place."""
+        """Show moment ``i``, or the last one; return the image and its place."""
         run = self._run
         i = min(i, len(run.moments) - 1)
         moment, path = run.moments[i], run.path("planar", i + 1)
         self._rays.set_segments([[moment.planar[:2], end] for end in moment.hits])
         self._path.set_data(*path.T)
-        self._estimate.set_data(*run.path("believed", i + 1).T)
-        self._robot.set_xy(explore_pictures.robot_outline(moment.planar))
-        self._believed.set_xy(explore_pictures.robot_outline(moment.believed))
+        self._estimate.set_data(*run.path("estimate", i + 1).T)
+        self._robot.set_xy(explorer_pictures.robot_outline(moment.planar))
+        self._estimated_robot.set_xy(explorer_pictures.robot_outline(moment.estimate))
         driven = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        off = float(np.linalg.norm(moment.believed[:2] - moment.planar[:2]))
+        off = float(np.linalg.norm(moment.estimate[:2] - moment.planar[:2]))
         ended = i == len(run.moments) - 1
         numbers = f"{moment.seconds:.1f} s, {driven:.1f} m driven\nestimate off by {100.0 * off:.0f} cm"
-        contact = f"{moment.touched} step{'' if moment.touched == 1 else 's'}"
+        contact = f"{moment.collisions} step{'' if moment.collisions == 1 else 's'}"
         said = textwrap.fill(run.ending if ended else moment.status, LETTERS)
         self._words.set_text(f"{numbers}\n{contact} in contact\n{said}")
         self._words.set_color("black" if not ended else "#0b6e4f" if run.success else "#b3261e")
@@ -127,8 +127,8 @@ class Side:
 
 
 def _handles() -> list:
-    """The key to both plans."""
-    plan = explore_pictures.plan_handles(with_gain=False)[:3]
+    """Return the key to both plans."""
+    plan = explorer_pictures.plan_handles(with_gain=False)[:3]
     dot = {"marker": "o", "linestyle": "", "markersize": 9, "alpha": 0.6}
     return [
         *plan,

@@ -154,7 +154,7 @@ def test_what_nobody_knows_is_said_and_does_not_count_as_a_lead():
     """Time was out for the other: of four pairs one is known at 10 m, none at 20 and 40 m."""
     rows = [run("mi_explorer", 30.0, task=task) for task in range(4)]
     rows += [run("frontier_gain", 60.0, ends=12.0 if task == 0 else 8.0, stopped=False, task=task) for task in range(4)]
-    assert "tell whose entropy is the lower one in: oak (frontier_gain at 10, 20, 40 m).</p>" in headline(rows)
+    assert "show whose entropy is lower in: oak (frontier_gain at 10, 20, 40 m).</p>" in headline(rows)
     page = EXPLORE_VIEW.comparison([measured(row) for row in rows], 0)
     points = {line["at"]: line for line in table(page, "pairs known")}
     assert [points[f"{x} m"]["pairs known"] for x in (5, 10, 20, 40)] == ["4 of 4", "1 of 4", "0 of 4", "0 of 4"]
@@ -170,7 +170,7 @@ def test_failures_and_collisions_come_first_and_final_maps_are_shown(page):
     assert shown.headings[1] == "Failures and collisions"
     assert "Final maps" in shown.headings
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", page)
-    assert captions[0].startswith("mi_explorer · oak · low · task 3")  # it fails the most rarely
+    assert captions[0].startswith("mi_explorer · oak · low · task 3")  # it fails least often
     assert sum("random_walk · elm" in caption for caption in captions) == 4
     assert [c for c in captions if c.startswith("oak · ")] == [
         c for c in captions if c.startswith(("oak · mi_explorer · start 0", "oak · frontier_nearest · start 0"))

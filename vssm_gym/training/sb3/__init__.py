@@ -1,9 +1,9 @@
-"""For policies trained with stable-baselines3 (the extra ``vssm-gym[rl]``): what they see with, step, and learn by.
+"""Connect environments to stable-baselines3 (the extra ``vssm-gym[rl]``): features, vector environment, learner.
 
     env = SB3VecEnv(gym.make_vec("vssm_gym/PointNav-v0", num_envs=8, observe_pose=True, end_on="reach"))
     PPO("MultiInputPolicy", env, policy_kwargs={"features_extractor_class": RGBDExtractor}).learn(1_000_000)
 
-``learner`` and ``cloning`` are what ``vssm-gym train`` does. This folder alone imports torch. Docs: ``docs/rl.md``.
+``learner`` and ``cloning`` are used by ``vssm-gym train``. This folder alone imports torch. Docs: ``docs/rl.md``.
 """
 
 from vssm_gym.training.sb3.extractor import RGBDExtractor

@@ -1,4 +1,4 @@
-"""Behaviour cloning: ``min_theta mean |policy_theta(x) - a|^2`` over what an expert did (Pomerleau, 1989)."""
+"""Clone behaviour: ``min_theta mean |policy_theta(x) - a|^2`` over an expert's demonstrations (Pomerleau, 1989)."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -22,22 +22,22 @@ def fit(
     batch_size: int,
     learning_rate: float,
     seed: int,
-    told: Callable[[int, float], None],
+    on_epoch: Callable[[int, float], None],
     stop: Callable[[], bool],
 ) -> Layers:
-    """Fit an MLP by Adam; the rate falls linearly. Ends early where ``stop()``.
+    """Fit an MLP by Adam with a linearly falling rate; end early when ``stop()`` is true.
 
     Args:
-        vectors: ``(n, inputs)`` what the policy sees.
+        vectors: ``(n, inputs)`` inputs of the policy.
         actions: ``(n, 3)`` in [-1, 1].
         hidden: widths of the hidden layers.
         activation: between them.
         epochs: passes over the data.
         batch_size: of a step.
-        learning_rate: at first.
+        learning_rate: the initial one.
         seed: of the initial network and the order.
-        told: the epoch and its mean loss.
-        stop: whether to end now.
+        on_epoch: called with the epoch and its mean loss.
+        stop: returns whether to end now.
 
     Returns:
         ``(weight, bias)`` of each layer, float32.
@@ -61,5 +61,5 @@ def fit(
             optimiser.step()
             losses.append(loss.item() * len(rows))
         falling.step()
-        told(epoch + 1, sum(losses) / len(x))
+        on_epoch(epoch + 1, sum(losses) / len(x))
     return tuple((one.weight.detach().numpy().copy(), one.bias.detach().numpy().copy()) for one in linear)

@@ -1,4 +1,4 @@
-"""What policies see RGB-D images with: a features extractor for stable-baselines3."""
+"""Extract features of RGB-D images, goals and poses for policies of stable-baselines3."""
 
 import gymnasium as gym
 import torch
@@ -7,22 +7,22 @@ from torch import nn
 
 from vssm_gym.errors import InputError
 
-METRES = 10.0  # lengths of goals and poses are divided by this: of the order of one inside an apartment
+METRES = 10.0  # m, unit of goals and poses: the size of an apartment
 
 
 class RGBDExtractor(BaseFeaturesExtractor):
     """``features = MLP([CNN(rgb, clip(depth / max_depth), depth > 0), MLP(goal[, pose])])``.
 
     The image has five channels, or two without ``rgb``: colour in [0, 1] as stable-baselines3 hands it over, depth in
-    [0, 1], and whether there was a reading at all, so that "nothing measured" is not mistaken for "touching". Four
+    [0, 1], and whether there was a reading, so that "no reading" is not mistaken for a depth of zero. Four
     convolutions of stride two take images of any size. The goal is ``(x, y)`` in m, or the ``(distance, cos, sin)`` of
     :class:`vssm_gym.envs.wrappers.RelativeGoal`; a pose enters as ``(x, y, cos, sin)``.
 
     Args:
         observation_space: ``Dict(depth[, rgb][, goal][, pose])``; ``rgb`` with channels first, as stable-baselines3's
             policies have it after their own transposition.
-        features_dim: length of the feature vector.
-        max_depth: m, shown as 1 and beyond; 1 for depth that :class:`vssm_gym.envs.wrappers.NormalizedDepth` scaled.
+        features_dim: length of the feature vector. max_depth: depth (m) that is scaled to 1; farther ones are clipped.
+        1 for depth that :class:`vssm_gym.envs.wrappers.NormalizedDepth` scaled.
     """
 
     def __init__(self, observation_space: gym.spaces.Dict, features_dim: int = 256, max_depth: float = 5.0) -> None:
@@ -44,14 +44,14 @@ class RGBDExtractor(BaseFeaturesExtractor):
         self.join = nn.Sequential(nn.Linear(seen + (64 if numbers else 0), features_dim), nn.ReLU())
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Features ``(batch, features_dim)`` of preprocessed observations."""
+        """Compute features ``(batch, features_dim)`` of preprocessed observations."""
         parts = [self.cnn(self.image(observations))]
         if self.mlp is not None:
             parts.append(self.mlp(self.numbers(observations)))
         return self.join(torch.cat(parts, dim=1))
 
     def image(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """``(batch, 5 or 2, height, width)``: colour where there is one, scaled depth, whether depth was read."""
+        """Stack ``(batch, 5 or 2, height, width)``: colour if there is one, scaled depth, validity of depth."""
         depth = observations["depth"][:, None]
         channels = [torch.clamp(depth / self.max_depth, 0.0, 1.0), (depth > 0.0).to(depth.dtype)]
         if "rgb" in observations:
@@ -60,7 +60,7 @@ class RGBDExtractor(BaseFeaturesExtractor):
 
     @staticmethod
     def numbers(observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """``(batch, n)``: goal and pose, lengths over :data:`METRES`, the heading as a point of the unit circle."""
+        """Stack ``(batch, n)``: goal and pose, lengths over :data:`METRES`, headings as cosine and sine."""
         parts = []
         if "goal" in observations:
             goal = observations["goal"]
@@ -73,7 +73,7 @@ class RGBDExtractor(BaseFeaturesExtractor):
 
 
 def _checked(space: gym.spaces.Dict) -> dict[str, tuple[int, ...]]:
-    """The shapes of an observation's parts, where :class:`RGBDExtractor` can read all of them."""
+    """Return the shapes of an observation's parts; raise :class:`InputError` for parts that cannot be read."""
     parts = space.spaces if isinstance(space, gym.spaces.Dict) else {}
     shapes = {key: part.shape or () for key, part in parts.items()}
     if len(shapes.get("depth", ())) != 2:

@@ -1,4 +1,4 @@
-"""PPO and SAC of stable-baselines3 on vectors of features: made, run, kept, and their networks taken out.
+"""Make, run, save and restore PPO and SAC of stable-baselines3 on feature vectors, and extract their networks.
 
 A checkpoint is written by ``torch.save`` and read with ``weights_only=True``: parameters, optimisers, counters and the
 states of the random generators, no code. stable-baselines3's own ``.zip`` files hold pickles and are not used.
@@ -28,20 +28,21 @@ from vssm_gym.files import atomic_write
 from vssm_gym.training.sb3.vec_env import SB3VecEnv
 
 WINDOW = 500  # episodes that means are taken over
-LEAST_RATE = 0.05  # of the learning rate, in the end
+LEAST_RATE = 0.05  # fraction of the learning rate at the end
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 @dataclass(frozen=True)
-class Stage:
-    """How far a training is.
+class TrainingProgress:
+    """Hold the progress of a training.
 
     Attributes:
         steps: of all robots together.
-        episodes: that the means are taken over, at most WINDOW; they are None with none.
-        mean_return, mean_length: of an episode.
-        success: share of them.
+        episodes: number of episodes in the means, at most WINDOW; the means are None without any.
+        mean_return: of an episode.
+        mean_length: of an episode, steps.
+        success: proportion of successful episodes.
     """
 
     steps: int
@@ -52,7 +53,7 @@ class Stage:
 
 
 def wrapped(env: VectorEnv, frames: int) -> VecEnv:
-    """A vector environment as stable-baselines3 steps it, the last ``frames`` observations at once."""
+    """Wrap a vector environment for stable-baselines3, with the last ``frames`` observations stacked."""
     monitored = VecMonitor(SB3VecEnv(env))
     return VecFrameStack(monitored, frames) if frames > 1 else monitored
 
@@ -64,10 +65,10 @@ def make_model(
     activation: str,
     seed: int,
     settings: Mapping[str, Any],
-    share: Callable[[], float],
+    fraction_done: Callable[[], float],
     log_folder: Path,
 ) -> BaseAlgorithm:
-    """``ppo`` or ``sac`` with an MLP for the policy and one like it for the values.
+    """Make ``ppo`` or ``sac`` with an MLP for the policy and one of the same size for the values.
 
     Args:
         algorithm: ``ppo`` or ``sac``.
@@ -77,7 +78,7 @@ def make_model(
         seed: of network, exploration and environments.
         settings: the algorithm's own arguments; the learning rate falls linearly to LEAST_RATE of it, and
             ``log_std_init`` is PPO's first standard deviation.
-        share: of the training that is done, in [0, 1].
+        fraction_done: returns the fraction of the training that is done, in [0, 1].
         log_folder: for TensorBoard's events where it is installed, else for ``progress.csv``.
     """
     arguments = dict(settings)
@@ -89,7 +90,8 @@ def make_model(
     model = {"ppo": PPO, "sac": SAC}[algorithm](
         "MlpPolicy",
         env,
-        learning_rate=lambda _: rate * max(LEAST_RATE, 1.0 - share()),  # its own argument knows steps only, not time
+        # The schedule's own argument counts steps only, not time
+        learning_rate=lambda _: rate * max(LEAST_RATE, 1.0 - fraction_done()),
         policy_kwargs=network,
         seed=seed,
         device="cpu",  # networks this small are slower anywhere else
@@ -102,15 +104,15 @@ def make_model(
 
 
 class _Watch(BaseCallback):
-    """Tells how far it is between updates, and ends the training there, so that no rollout is thrown away."""
+    """Report between updates, and end the training there, so that no rollout is discarded."""
 
-    def __init__(self, told: Callable[[Stage], None], stop: Callable[[], bool]) -> None:
+    def __init__(self, on_update: Callable[[TrainingProgress], None], stop: Callable[[], bool]) -> None:
         super().__init__()
-        self._told, self._stop, self._between = told, stop, True
+        self._on_update, self._stop, self._between = on_update, stop, True
 
     def _on_rollout_start(self) -> None:
         self._between = True
-        self._told(stage(self.model))
+        self._on_update(training_progress(self.model))
 
     def _on_step(self) -> bool:
         goes_on = not (self._between and self._stop())
@@ -118,23 +120,25 @@ class _Watch(BaseCallback):
         return goes_on
 
 
-def learn(model: BaseAlgorithm, steps: int, told: Callable[[Stage], None], stop: Callable[[], bool]) -> None:
-    """Train until ``steps`` in all, or until ``stop()``; ``told`` hears of every update."""
+def learn(
+    model: BaseAlgorithm, steps: int, on_update: Callable[[TrainingProgress], None], stop: Callable[[], bool]
+) -> None:
+    """Train until ``steps`` in all, or until ``stop()`` is true; call ``on_update`` after every update."""
     left = steps - model.num_timesteps
     if left > 0 and not stop():
-        model.learn(left, callback=_Watch(told, stop), reset_num_timesteps=False, log_interval=1)
+        model.learn(left, callback=_Watch(on_update, stop), reset_num_timesteps=False, log_interval=1)
 
 
-def stage(model: BaseAlgorithm) -> Stage:
-    """How far the training of ``model`` is."""
+def training_progress(model: BaseAlgorithm) -> TrainingProgress:
+    """Return the progress of the training of ``model``."""
     ended, successes = model.ep_info_buffer or (), model.ep_success_buffer or ()
     mean = lambda values: float(np.mean(values)) if len(values) else None
     returns, lengths = [one["r"] for one in ended], [one["l"] for one in ended]
-    return Stage(model.num_timesteps, len(ended), mean(returns), mean(lengths), mean(successes))
+    return TrainingProgress(model.num_timesteps, len(ended), mean(returns), mean(lengths), mean(successes))
 
 
 def save_checkpoint(path: Path, model: BaseAlgorithm, seconds: float) -> None:
-    """Everything that the training goes on from; whole or not at all."""
+    """Save everything that the training resumes from, whole or not at all."""
     names, variables = model._get_torch_save_params()
     kind, keys, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002  (stable-baselines3 draws from it)
     version, words, spare = random.getstate()
@@ -157,9 +161,9 @@ def save_checkpoint(path: Path, model: BaseAlgorithm, seconds: float) -> None:
 
 
 def restore_checkpoint(path: Path, model: BaseAlgorithm) -> float:
-    """Go on from a checkpoint of the same configuration; returns the seconds trained so far.
+    """Restore a checkpoint of the same configuration; return the seconds trained so far.
 
-    Raises :class:`InputError` for a file that is none, or another network's.
+    Raises :class:`InputError` for a file that is not a checkpoint, or one of another network.
     """
     try:
         content = torch.load(io.BytesIO(path.read_bytes()), weights_only=True)
@@ -185,7 +189,7 @@ def restore_checkpoint(path: Path, model: BaseAlgorithm) -> float:
 
 
 def layers_of(model: BaseAlgorithm) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """``(weight, bias)`` of each layer from observation to action, float32."""
+    """Return ``(weight, bias)`` of each layer from observation to action, float32."""
     network: Any = model.policy
     if isinstance(model, SAC):
         modules = [*network.actor.latent_pi, network.actor.mu]

@@ -1,4 +1,4 @@
-"""Gymnasium's vector environments as stable-baselines3 steps them."""
+"""Adapt Gymnasium's vector environments to stable-baselines3."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,12 +12,12 @@ from vssm_gym.errors import InputError
 
 
 class SB3VecEnv(VecEnv):
-    """A Gymnasium vector environment as stable-baselines3 expects one: an episode that ends starts anew in that step.
+    """Adapt a Gymnasium vector environment to stable-baselines3, which resets ended episodes within the same step.
 
-    Gymnasium's next-step autoreset hands out the first observation of the next episode one step later, in a step whose
-    action counts for nothing. stable-baselines3 has no such step: it expects that observation at once, and the last
-    one of the old episode in ``info["terminal_observation"]``, with ``info["TimeLimit.truncated"]`` where the episode
-    was cut off rather than finished (PPO adds the value of what was cut off). So what has ended is reset here, by
+    Gymnasium's next-step autoreset returns the first observation of the next episode one step later, in a step that
+    ignores its action. stable-baselines3 has no such step: it expects that observation at once, and the last one of the
+    old episode in ``info["terminal_observation"]``, with ``info["TimeLimit.truncated"]`` where the episode
+    was truncated (PPO adds the value of the last state). So ended episodes are reset here, by
     ``reset(options={"reset_mask": ended})``, before the vector environment would do it in its next step.
 
     Args:
@@ -35,7 +35,7 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Any:
-        """First observations of new episodes; seeds and options set before are used once."""
+        """Begin episodes and return their first observations; seeds and options set before are used once."""
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         if any(options != self._options[0] for options in self._options):
             raise InputError("SB3VecEnv", "set_options", "the same options for all environments")
@@ -46,11 +46,11 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Remember the actions ``(num_envs, ...)``; :meth:`step_wait` carries them out."""
+        """Store the actions ``(num_envs, ...)``; :meth:`step_wait` carries them out."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Observations (of new episodes where one ended), rewards, which ended, and an info for each environment."""
+        """Step; return observations (of new episodes where one ended), rewards, which ended, and one info each."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         ended = np.asarray(terminated | truncated, dtype=bool)
         rows = _rows(infos, self.num_envs)
@@ -70,11 +70,11 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """What each environment renders."""
+        """Render each environment."""
         return list(self.env.render() or [None] * self.num_envs)
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The vector environment's own attribute, the same for all, or that of each of its environments."""
+        """Return the vector environment's own attribute, the same for all, or that of each of its environments."""
         if hasattr(self.env, attr_name):
             values: Sequence[Any] = [getattr(self.env, attr_name)] * self.num_envs
         else:
@@ -92,7 +92,7 @@ class SB3VecEnv(VecEnv):
         return list(self.env.unwrapped.call(method_name, *method_args, **method_kwargs))
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
-        """False: vector environments are wrapped as a whole, by wrappers of their own."""
+        """Return False: vector environments are wrapped as a whole, by wrappers of their own."""
         return [False for _ in self._get_indices(indices)]
 
     def _of_all(self, indices: Any, method: str) -> None:
@@ -101,7 +101,7 @@ class SB3VecEnv(VecEnv):
 
 
 def _rows(infos: dict[str, Any], n: int) -> list[dict[str, Any]]:
-    """Gymnasium's dictionary of arrays, with a mask ``_key`` beside each ``key``, as a dictionary an environment."""
+    """Convert Gymnasium's dictionary of arrays, with masks ``_key`` for each ``key``, to one dictionary each."""
     rows: list[dict[str, Any]] = [{} for _ in range(n)]
     for key, values in infos.items():
         if key.startswith("_"):
@@ -113,7 +113,7 @@ def _rows(infos: dict[str, Any], n: int) -> list[dict[str, Any]]:
 
 
 def _row(observations: Any, i: int) -> Any:
-    """A copy of one environment's observation."""
+    """Copy one environment's observation."""
     if isinstance(observations, dict):
         return {key: _row(value, i) for key, value in observations.items()}
     return np.array(observations[i])
