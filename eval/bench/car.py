@@ -19,6 +19,7 @@ import shapely
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.agents.car.vi_mpc import PROBLEM
 from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.driver import RESOLUTION
 from vssm_gym.envs.physics import obstacles
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.scene import load_scene
@@ -43,7 +44,7 @@ from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, solve
 from vssm_gym.progress import OnProgress
 
 SCENE = "arena"
-CELL = 0.035  # m
+CELL = RESOLUTION  # m, as in the agents' floor plans
 AROUND = (0.2, 0.14)  # m beyond the floor along x, y: the car's arenas, 5.2 x 4.2 m, make 160 x 128 cells
 SEALED, THICK = 1.0, 0.05  # m: edge of the corner that is sealed off, and thickness of its fences
 GOALS = 5  # of value iteration

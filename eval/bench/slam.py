@@ -17,13 +17,13 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.open3d_process import run_open3d
 from vssm_gym.eval.bench.open3d_slam import STAGES
+from vssm_gym.model.emission import MAX_DEPTH
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
 
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
 OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}
-MAX_DEPTH = 8.0  # m, of Open3D's map and tracking
 RATE = 10.0  # frames a second
 OURS = ("track", "map", "anchor", "recover")  # stages of our step; Open3D's are in open3d_slam.STAGES
 LARGE = 0.05  # m: a frame with a larger error counts as astray

@@ -25,7 +25,7 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.exploration.information import entropy
 
 COMPLETENESS_POINTS = 4000  # of the surface, at which completeness is sampled along a run
-TRACE_POINTS = 300  # points of a path kept in a row: explorers drive far
+EXPLORE_TRACE_POINTS = 300  # points of a path kept in a row: explorers drive far
 
 
 def map_of(agent: Agent) -> VoxelMap | None:
@@ -114,7 +114,7 @@ def run_episode(
         "tracer": world.renderer_name,
         "trace": {
             **trace_of(path, None, contact),
-            "true": thinned(path, TRACE_POINTS),
+            "true": thinned(path, EXPLORE_TRACE_POINTS),
             "reached": {str(s): _place(path, at[0]) for s, at in recorder.reached.items()},
         },
     }

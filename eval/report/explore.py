@@ -174,7 +174,7 @@ def _plans(rows: Sequence[Row], maps: Mapping[str, VoxelMap], folder: Path) -> s
             )
     if not drawn:
         return ""
-    note = f"From above, cut at {explore_figures.CUT_HEIGHT:g} m; grey was never seen. The files are in explored/."
+    note = f"From above, cut at {pictures.CUT_HEIGHT:g} m; grey was never seen. The files are in explored/."
     return f"<h2>Final maps</h2><p class=note>{note}</p><div class=runs>{''.join(drawn)}</div>"
 
 
@@ -206,7 +206,7 @@ EXPLORE_VIEW = View(
     plans=_plans,
     backgrounds=_backgrounds,
     drawn_on="on the final map of widest coverage of that scene",
-    cut_height=explore_figures.CUT_HEIGHT,
+    cut_height=pictures.CUT_HEIGHT,
     failed=lambda row: bool(row["failure"] or row["collided"]),
     failures="Failures and collisions",
     such=f"runs that ended below {GOAL} % or collided",

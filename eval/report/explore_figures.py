@@ -17,7 +17,6 @@ from vssm_gym.eval.report.figures import colours
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 
-CUT_HEIGHT = pictures.CUT_HEIGHT
 PLAN_CELL = 0.07  # m, pixel of a plan; coarse, because an explorer's map is larger than the apartment
 AROUND = 0.3  # m of unknown space that a plan keeps around known space
 POINTS = 61  # points of a mean curve
@@ -111,7 +110,7 @@ def _key(figure: Figure, axes: Axes) -> None:
 
 def plan_of(m: VoxelMap) -> pictures.Background:
     """Draw a map from above, cropped to its known part."""
-    full = pictures.topdown(m, CUT_HEIGHT, PLAN_CELL)
+    full = pictures.topdown(m, pictures.CUT_HEIGHT, PLAN_CELL)
     known = (full.image != pictures.UNKNOWN_COLOUR).any(axis=2)
     if not known.any():
         return full

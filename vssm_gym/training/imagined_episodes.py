@@ -18,14 +18,15 @@ from vssm_gym.agents.policy.features import features, size_of
 from vssm_gym.agents.policy.policy_file import Policy
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.tasks.navigation import Task
 from vssm_gym.envs.world_model.config import Imagination
 from vssm_gym.eval.metrics.navigation import spl
 from vssm_gym.inference.status import Status
-from vssm_gym.training.config import EnvironmentSettings
+from vssm_gym.training.config import SIMULATOR, EnvironmentSettings
 from vssm_gym.training.environment import make_observing
 
-STEPS = 500  # PointNav's time limit
+STEPS = ENVIRONMENTS[SIMULATOR].max_episode_steps or 0  # PointNav's time limit
 POSE_STD = Imagination.pose_std  # of the pose estimate in imagination: forward (m), left (m), turn (rad)
 
 Row = dict[str, Any]

@@ -10,9 +10,9 @@ from vssm_gym.envs.robots.car_noise import CarNoise, car_noise
 from vssm_gym.envs.sensors import CameraConfig, camera_config
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.scan import MAX_DEPTH
 
 SOURCE = "WorldModelNav"
-BEAMS = 64  # of a scan
 # Keywords of the constructors that are not fields of Imagination
 OWN = ("map", "render_mode")
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -54,7 +54,7 @@ class Imagination:
     observation: Literal["scan", "depth", "rgbd"] = "scan"
     noise: Any = "low"
     camera: CameraConfig | Mapping[str, Any] | None = None
-    max_depth: float = 8.0
+    max_depth: float = MAX_DEPTH
     end_on: Literal["stop", "reach"] = "stop"
     reward: Literal["dense", "sparse"] = "dense"
     unknown: Literal["blocked", "free", "penalised"] = "blocked"

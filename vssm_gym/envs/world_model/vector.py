@@ -18,12 +18,13 @@ from gymnasium.vector.utils import batch_space
 from vssm_gym.envs.sensors.base import EXTENT
 from vssm_gym.envs.validation import choose
 from vssm_gym.envs.world_model.batch_slices import BatchSlices
-from vssm_gym.envs.world_model.config import BEAMS, SOURCE, Imagination
+from vssm_gym.envs.world_model.config import SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.world import build_world, robot_of
 from vssm_gym.envs.wrappers import FAR
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.scan import BEAMS
 
 
 class WorldModelVectorEnv(VectorEnv):

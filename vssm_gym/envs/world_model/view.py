@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from vssm_gym.envs.world_model.column_bounds import ColumnBounds
-from vssm_gym.envs.world_model.config import BEAMS
 from vssm_gym.envs.world_model.rays import Coordinates, RayField, Rays, crossing, narrowed, rays_of, surface
 from vssm_gym.envs.world_model.scan_table import ScanTable, scan_depths
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import STEP
 
