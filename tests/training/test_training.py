@@ -240,7 +240,7 @@ def test_a_run_is_resumed_where_it_was(corridor, tmp_path, algorithm, frames):
         theirs, _ = model.predict(x, deterministic=True)
     np.testing.assert_allclose(policy(x), commands(theirs)[:, :3], atol=1e-5)
 
-    with pytest.raises(InputError, match="--resume goes on"):
+    with pytest.raises(InputError, match="--resume continues"):
         run_training(wanted, tmp_path / "run")
     run_training(wanted, tmp_path / "run", resume=True)  # at its end already
     assert policy_file.load(str(path)).layers[0][0].shape == policy.layers[0][0].shape
@@ -306,7 +306,7 @@ def test_a_finished_policy_is_not_overwritten(corridor, tmp_path, changed):
     path = run_training(config(), tmp_path)
     (tmp_path / "checkpoint.pt").unlink()
     before = path.read_bytes()
-    with pytest.raises(InputError, match="--resume goes on"):
+    with pytest.raises(InputError, match="--resume continues"):
         run_training(config(**changed), tmp_path)
     assert path.read_bytes() == before
 

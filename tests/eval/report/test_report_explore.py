@@ -125,7 +125,7 @@ def test_a_leader_everywhere_is_not_contradicted():
     assert re.search(
         r"<p class=good>To 90 % coverage mi_explorer drives 0\.7\d+ \[0\.7\d+, 0\.7\d+\] of the path", text
     )
-    assert "tell whose entropy" not in text
+    assert "show whose entropy" not in text
 
 
 @pytest.mark.parametrize(
