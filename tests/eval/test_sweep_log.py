@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.episodes.log import FILE, KEY, EpisodeLog, episode_key, read_rows
+from vssm_gym.eval.episodes.row import FORMAT
 from vssm_gym.eval.sweep.config import expand, load_config
 
 
 def row(task):
     names = dict.fromkeys(KEY, "x") | {"scene": "ä\n", "task": task, "seed": 0}
-    return {"format": 1, **names, "success": True, "failure": None, "trace": {"true": [[0.5, float(task)]]}}
+    return {"format": FORMAT, **names, "success": True, "failure": None, "trace": {"true": [[0.5, float(task)]]}}
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -61,7 +62,7 @@ def test_zeros_that_a_power_cut_leaves_at_the_end_are_dropped(tmp_path):
         ([json.dumps(row(0)), "{", json.dumps(row(1))], "line 2: expected one episode as JSON"),
         ([json.dumps(row(0)), json.dumps({"task": 1})], "line 2: expected one episode as JSON with env, .*no env"),
         ([json.dumps(row(0) | {"steps": 2.5})], "line 1: expected one episode as JSON; steps: a valid integer"),
-        ([json.dumps(row(0) | {"format": 2})], "line 1: expected one episode as JSON; format: 1"),
+        ([json.dumps(row(0) | {"format": FORMAT + 1})], f"line 1: expected one episode as JSON; format: {FORMAT}"),
         ([json.dumps(row(0) | {"weather": "rain"})], "line 1: expected one episode as JSON; weather: "),
         (["[1]"], "line 1: expected one episode as JSON .found list"),
         ([json.dumps(row(0)), json.dumps(row(0))], "line 2: expected each episode once; it repeats line 1"),
