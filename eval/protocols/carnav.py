@@ -10,7 +10,7 @@ import numpy as np
 
 from vssm_gym.agents.base import Agent, Decision
 from vssm_gym.envs.scenes.scene import Apartment
-from vssm_gym.envs.tasks import car_sets as car_task_sets
+from vssm_gym.envs.tasks import car_sets
 from vssm_gym.envs.tasks.car import ALIGNED, REACHED, CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
@@ -29,8 +29,8 @@ MOVING = 0.05  # m/s: slower commands count as standing when direction changes a
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     """Write a chain of ``n`` test targets of a scene to a file; keep a file that already holds them."""
-    make = partial(car_task_sets.make_car_tasks, apartment, n)
-    keep_or_write(apartment, n, path, car_task_sets.load, make, car_task_sets.save)
+    make = partial(car_sets.make_car_tasks, apartment, n)
+    keep_or_write(apartment, n, path, car_sets.load, make, car_sets.save)
 
 
 def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:

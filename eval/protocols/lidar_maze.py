@@ -8,7 +8,7 @@ from typing import Any
 from vssm_gym.agents.base import Agent
 from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE
 from vssm_gym.envs.scenes.scene import Apartment
-from vssm_gym.envs.tasks import navigation as task_sets
+from vssm_gym.envs.tasks import navigation
 from vssm_gym.envs.tasks.mazes import MAZES, ROBOT, Maze, load_maze
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.errors import InputError
@@ -41,7 +41,7 @@ def notice(apartment: Apartment) -> str:
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     """Write the first ``n`` of a maze's tasks to a file; raise :class:`InputError` where the maze has fewer."""
-    keep_or_write(apartment, n, path, task_sets.load, partial(_first, apartment, n), task_sets.save)
+    keep_or_write(apartment, n, path, navigation.load, partial(_first, apartment, n), navigation.save)
 
 
 def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 from vssm_gym.agents.base import Agent
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
 from vssm_gym.envs.scenes.scene import Apartment
-from vssm_gym.envs.tasks import navigation as task_sets
+from vssm_gym.envs.tasks import navigation
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.protocols.episode import Spectator, run_episode
@@ -31,8 +31,8 @@ __all__ = ["conditions", "load", "notice", "run", "scene_names", "write_tasks"]
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     """Write the first ``n`` test tasks of a scene to a file; keep a file that already holds them."""
-    make = partial(task_sets.task_set, apartment, HolonomicRobot(), "test", n)
-    keep_or_write(apartment, n, path, task_sets.load, make, task_sets.save)
+    make = partial(navigation.task_set, apartment, HolonomicRobot(), "test", n)
+    keep_or_write(apartment, n, path, navigation.load, make, navigation.save)
 
 
 def run(

@@ -53,7 +53,7 @@ def record(
     """
     from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.data import flights, recording
-    from vssm_gym.envs.sensors import rgbd_noise as sensors
+    from vssm_gym.envs.sensors import rgbd_noise
     from vssm_gym.errors import InputError
     from vssm_gym.output_folders import check_at_least, check_folder
 
@@ -64,7 +64,7 @@ def record(
         if given[name] is not None and motion not in owners:
             raise InputError("record", name, f"none with --motion {motion}: it belongs to {' and '.join(owners)}")
     camera = camera_of("record", size)
-    sensors.sensor_noise(sensor_noise)  # an unknown name is refused before anything starts
+    rgbd_noise.sensor_noise(sensor_noise)  # an unknown name is refused before anything starts
     print_notices([scene])
     following = f"vssm-gym slam {out} --out slam"
     with progress_bars() as progress:

@@ -17,9 +17,8 @@ from vssm_gym.data.handheld import walk
 from vssm_gym.data.sequences import SequenceWriter
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
-from vssm_gym.envs.sensors import CameraConfig, make_camera
+from vssm_gym.envs.sensors import CameraConfig, make_camera, rgbd_noise
 from vssm_gym.envs.sensors.rgbd_noise import NoisySensor
-from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as noise_model
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.tasks.navigation import TaskSampler
@@ -99,7 +98,7 @@ def record_handheld(
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
     """
     check_new(out)
-    measured = noise_model(sensor_noise)
+    measured = rgbd_noise.sensor_noise(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
     eye = make_camera(apartment.boxes(), camera or CameraConfig())

@@ -19,14 +19,14 @@ from vssm_gym.envs.rendering.car_picture import draw_run
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.robots.car_body import PHYSICS, CarBody
 from vssm_gym.envs.robots.car_noise import CarActuators, CarNoise, car_noise
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
-from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
-from vssm_gym.envs.sensors.base import EXTENT, GroundBody, Sensor, SensorConfig
+from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, rgbd_noise
+from vssm_gym.envs.sensors.base import GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
-from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
@@ -38,8 +38,8 @@ from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.car import Car
 
 MAX_ACCELERATION = 2.0  # m/s^2, of control="acceleration"
-STEP_COST, COLLISION_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5
-ALIGNING = 0.1  # m that a radian between the car's heading and the target's is worth
+STEP_COST, COLLISION_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5  # of the dense reward, whose unit is a metre gained
+ALIGNING = 0.1  # m per radian of heading error, in the distance to a target pose
 
 
 class CarNavEnv(PhasedEnv):
@@ -95,14 +95,14 @@ class CarNavEnv(PhasedEnv):
         self.targets, self.control, self.chain = targets, control, chain
         self.reward, self.render_mode = reward, render_mode
         self.apartment: Apartment = load_scene(scene)
-        carried, seen = parse_sensors("CarNav", sensors), sensor_noise_of(sensor_noise)
+        carried, seen = parse_sensors("CarNav", sensors), rgbd_noise.sensor_noise(sensor_noise)
         shared = SharedRenderer.of(self.apartment, camera_config(camera), renderer)
         self.camera, self._images = shared.camera, images
         self._K = self.camera.K
         self.renderer_name = shared.name if images else "none"
         mounted: list[Sensor[GroundBody]] = [RGBDSensor(shared, seen)] if images else []
         mounted += [config.mount(shared) for config in carried]
-        far = np.array([EXTENT, EXTENT, np.pi], np.float32)
+        far = np.array([MAX_COORDINATE, MAX_COORDINATE, np.pi], np.float32)
         goal = far if targets == "poses" else far[:2]
         oracle: list[Sensor[GroundBody]] = [PoseSensor()] if observe_pose else []
         told = TaskObservation("goal", gym.spaces.Box(-goal, goal), self._goal)

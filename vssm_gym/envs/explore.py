@@ -18,7 +18,7 @@ from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-STEP_COST, COVERAGE_REWARD = 0.005, 10.0
+STEP_COST, COVERAGE_REWARD = 0.005, 10.0  # of a step, and of the whole coverage, in the dense reward
 
 
 class ExploreEnv(PhasedEnv):

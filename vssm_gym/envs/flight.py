@@ -16,16 +16,15 @@ from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flig
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.physics import FlightWorld
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
-from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
-from vssm_gym.envs.sensors.base import EXTENT, Sensor
+from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, imu, rgbd_noise
+from vssm_gym.envs.sensors.base import Sensor
 from vssm_gym.envs.sensors.flight import FlightPoseSensor, FlyingBody, ImuSensor
 from vssm_gym.envs.sensors.imu import GRAVITY, ImuSensorNoise
-from vssm_gym.envs.sensors.imu import imu_noise as imu_model
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
-from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as noise_model
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
@@ -40,7 +39,7 @@ SLOWEST, FASTEST = 0.2, 20.0  # m/s that may be asked for; where the rotors are 
 LONGEST = 600.0  # s, most of a reference, and so of an episode
 STRAYED = 2.0  # m from the reference, at which the flight is given up
 NEAR = 1.0  # m from the reference, beyond which a step earns nothing
-CRASH = 5.0  # what a collision costs
+CRASH = 5.0  # cost of a collision, in the dense reward
 HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
 
 
@@ -93,7 +92,11 @@ class FlightEnv(PhasedEnv):
             raise InputError("Flight", "speed", f"{SLOWEST:g} to {FASTEST:g} m/s, or None; found {speed!r:.80}")
         if not (_number(rate) and 5.0 <= rate <= 100.0):
             raise InputError("Flight", "rate", f"steps a second between 5 and 100, not {rate!r:.80}")
-        self.noise, felt, seen = flight_noise(noise), imu_model(imu_noise), noise_model(sensor_noise)
+        self.noise, inertial, seen = (
+            flight_noise(noise),
+            imu.imu_noise(imu_noise),
+            rgbd_noise.sensor_noise(sensor_noise),
+        )
         self.reward, self.render_mode = reward, render_mode
         self.flight, self.speed, self.yaw = flight, speed, yaw
         self.apartment: Apartment = load_scene(scene)
@@ -111,11 +114,12 @@ class FlightEnv(PhasedEnv):
 
         low, high = self.body.limits
         self.action_space = gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
-        reference = TaskObservation("reference", gym.spaces.Box(-EXTENT, EXTENT, (10,), np.float32), self._wanted)
+        wanted = gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (10,), np.float32)
+        reference = TaskObservation("reference", wanted, self._wanted)
         oracle: list[Sensor[FlyingBody]] = [FlightPoseSensor()] if observe_pose else []
         sensors: list[Sensor[FlyingBody]] = [
             RGBDSensor(self.renderer, seen),
-            ImuSensor(felt, self.substeps),
+            ImuSensor(inertial, self.substeps),
             reference,
             *oracle,
         ]

@@ -38,7 +38,7 @@ class ImageNavEnv(PhasedEnv):
         self.action_space = self.navigation.action_space
         size = (self.navigation.camera.height, self.navigation.camera.width, 3)
         sensors = self.simulation.sensors
-        sensors.remove("goal")  # its image is told in place of its position
+        sensors.remove("goal")  # its image replaces its position
         sensors.add(TaskObservation("goal_rgb", gym.spaces.Box(0, 255, size, np.uint8), self._goal))
         self.observation_space = gym.spaces.Dict(sensors.spaces())
         self._goal_rgb: np.ndarray | None = None

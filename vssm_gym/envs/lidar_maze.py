@@ -34,7 +34,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
 LONGEST = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
-STEP_COST, SUCCESS_REWARD = 0.001, 1.0
+STEP_COST, SUCCESS_REWARD = 0.001, 1.0  # of the dense reward, whose unit is a metre gained
 PICTURE = 480  # pixels, height and width of a rendered picture
 _RAY = (236, 140, 40)
 

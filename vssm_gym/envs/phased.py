@@ -21,7 +21,7 @@ from vssm_gym.errors import InputError
 Report = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 
 _SCANNER = 'sensors=["lidar"], or sensors=[{"sensor": "lidar", "beams": 64, "noise": "hokuyo"}]'
-_REPLACED = {"lidar": _SCANNER, "lidar_noise": _SCANNER}  # keywords of earlier versions, and what they are now
+_REPLACED = {"lidar": _SCANNER, "lidar_noise": _SCANNER}  # keywords of earlier versions, and their replacements
 
 
 class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
@@ -29,7 +29,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     passes_to: ClassVar[type | None] = None  # the class whose keywords the constructor accepts besides its own
     parallel: bool = False  # True if several environments may sense at once, in threads of one process
-    _running: bool = False  # whether an episode has begun by a reset and not ended by a step
+    _running: bool = False  # True from a reset to the step that ends the episode
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
         """Raise :class:`InputError`, which lists the keywords of the constructor, for any other keyword."""

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.phased import PhasedEnv
-from vssm_gym.envs.sensors.base import EXTENT
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
@@ -20,7 +20,7 @@ from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-STEP_COST, SUCCESS_REWARD = 0.01, 2.5
+STEP_COST, SUCCESS_REWARD = 0.01, 2.5  # of the dense reward, whose unit is a metre gained
 
 
 class PointNavEnv(PhasedEnv):
@@ -65,7 +65,7 @@ class PointNavEnv(PhasedEnv):
         self.tasks = None if tasks is None else checked_set("PointNav", tasks, self.apartment)
         self._goal_distance = self.simulation.scene_cache.goal_distance() if reward == "dense" else None
         self.action_space = self.simulation.action_space()
-        goal = gym.spaces.Box(-EXTENT, EXTENT, (2,), np.float32)
+        goal = gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (2,), np.float32)
         self.simulation.sensors.add(TaskObservation("goal", goal, self._goal))
         self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
 from vssm_gym.envs.rendering.raycast import RaycastCamera
-from vssm_gym.envs.rendering.topdown import TopDown
+from vssm_gym.envs.rendering.topdown import ROBOT, TopDown
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.free_space import FreeSpace
@@ -16,16 +16,15 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.mazes import is_maze
 from vssm_gym.geometry.axes import Matrix4
 
-EYE = 1.4  # m, height of the preview's camera
-DOWN = math.radians(12.0)  # its pitch: furniture stands below the eye
-HFOV = math.radians(78.0)
+CAMERA_HEIGHT = 1.4  # m
+DOWN = math.radians(12.0)  # rad, its pitch: furniture stands below the camera
+HFOV = math.radians(78.0)  # rad
 POSITIONS, HEADINGS = 48, 16  # viewpoints tried in a room
 ENOUGH = 4  # rays of the coarse image that must meet a thing for it to count as seen
 NEAR = 0.9  # m; things as close as this spoil a view
 FAR = 8.0  # m; beyond, distance makes a view no better
 APART = 1.5  # m between the two viewpoints
 _GAP = 4  # pixels between the pictures
-_INK = (24, 92, 196)
 
 
 def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "height width 3"]:
@@ -54,7 +53,7 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     coarse = RaycastCamera(boxes, CameraConfig(40, 30, HFOV).intrinsics())
     names = np.array([box.name if box.kind == "furniture" else "" for box in boxes])
 
-    # Floor far from walls makes a room large to the eye: corridors come last.
+    # A room is large by its floor far from walls: corridors come last.
     rooms = sorted(space.rooms.values(), key=lambda room: (room.buffer(-0.8).area, room.area), reverse=True)
     poses: list[Matrix4] = []
     seen: set[str] = set()
@@ -69,7 +68,7 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     aspect = float(np.clip((high[0] - low[0]) / (high[1] - low[1]), 0.5, 2.0))
     plan = TopDown(boxes, height, round(aspect * height))
     picture = np.full((height, round(aspect * height) + _GAP + config.width, 3), 255, dtype=np.uint8)
-    picture[:, : round(aspect * height)] = _with_eyes(plan, poses)
+    picture[:, : round(aspect * height)] = _with_cameras(plan, poses)
     picture[:view_height, -config.width :] = views[0]
     picture[height - view_height :, -config.width :] = views[1]
     return picture
@@ -107,7 +106,7 @@ def _best_view(
             depth, box = coarse.first_boxes(T_world_cam)
             met, count = np.unique(names[box[box >= 0]], return_counts=True)
             shown = set(met[count >= ENOUGH].tolist()) - {""}
-            # What stands right before the eye hides the room: distance counts as much as a handful of pieces.
+            # A near object hides the room: distance counts as much as a handful of pieces.
             score = len(shown - known) + 8.0 * float(np.clip(depth, 0.0, FAR).mean()) / FAR
             score -= 20.0 * float((depth < NEAR).mean())
             if score > best[0]:
@@ -116,16 +115,16 @@ def _best_view(
 
 
 def _look(x: float, y: float, heading: float) -> Matrix4:
-    """Return the camera pose at (x, y, EYE), looking along ``heading`` and DOWN below the horizon."""
+    """Return the camera pose at (x, y, CAMERA_HEIGHT), looking along ``heading`` and DOWN below the horizon."""
     c, s, cd, sd = math.cos(heading), math.sin(heading), math.cos(DOWN), math.sin(DOWN)
     right, down, forward = (s, -c, 0.0), (-c * sd, -s * sd, -cd), (c * cd, s * cd, -sd)
     T = np.eye(4)
     T[:3, :3] = np.column_stack([right, down, forward])
-    T[:3, 3] = (x, y, EYE)
+    T[:3, 3] = (x, y, CAMERA_HEIGHT)
     return T
 
 
-def _with_eyes(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "height width 3"]:
+def _with_cameras(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "height width 3"]:
     """Draw a dot at each camera and the borders of its field of view into the plan."""
     image = Image.fromarray(plan.background)
     pen = ImageDraw.Draw(image)
@@ -133,6 +132,6 @@ def _with_eyes(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "height
         edges = math.atan2(T[1, 2], T[0, 2]) + np.array([-0.5, 0.5]) * HFOV
         tips = T[:2, 3] + np.stack([np.cos(edges), np.sin(edges)], axis=-1)
         left, eye, right = (tuple(p) for p in plan.pixels(np.stack([tips[0], T[:2, 3], tips[1]])))
-        pen.line([left, eye, right], fill=_INK, width=2)
-        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=_INK)
+        pen.line([left, eye, right], fill=ROBOT, width=2)
+        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=ROBOT)
     return np.asarray(image)

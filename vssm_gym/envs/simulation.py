@@ -16,13 +16,12 @@ from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.robots.registry import ROBOTS
 from vssm_gym.envs.scenes.scene import load_scene
-from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config
+from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, rgbd_noise
 from vssm_gym.envs.sensors.base import NO_CONTACTS, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
-from vssm_gym.envs.sensors.rgbd_noise import sensor_noise as sensor_noise_of
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.streams import STREAMS, seeded_streams
@@ -74,7 +73,7 @@ class Simulation:
             raise InputError("environment", "observe_pose", f"True or False; found {observe_pose!r:.80}")
         self.robot, self.render_mode = ROBOTS[robot](), render_mode
         self.noise = self.robot.parse_noise(noise)
-        carried, seen = parse_sensors("environment", sensors), sensor_noise_of(sensor_noise)
+        carried, seen = parse_sensors("environment", sensors), rgbd_noise.sensor_noise(sensor_noise)
         self.renderer = SharedRenderer.of(load_scene(scene), camera_config(camera), renderer)
         self.scene_cache = SceneCache.of(self.renderer, self.robot)
         self.apartment, self.camera = self.renderer.apartment, self.renderer.camera

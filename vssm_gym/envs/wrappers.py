@@ -10,11 +10,12 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.robots import ExecutionNoise, execute
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-MAX_DEPTH = 5.0  # m: across most rooms; what is further away looks alike to a policy
-FAR = 2000.0 * np.sqrt(2.0)  # m: coordinates are bounded by 1000 m
+MAX_DEPTH = 5.0  # m: across most rooms; a policy needs no distinction beyond
+MAX_DISTANCE = 2.0 * MAX_COORDINATE * np.sqrt(2.0)  # m
 _EXACT = ExecutionNoise(0.0, 0.0)
 
 Observation = dict[str, np.ndarray]
@@ -128,7 +129,7 @@ def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.
     if "pose" not in found.spaces and action_space.shape != (4,):
         expected = f"an observed pose, or commands (turn, o, s, stop) to reckon with; found actions {action_space}"
         raise InputError("RelativeGoal", "env", expected)
-    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([FAR, 1.0, 1.0], np.float32)
+    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_DISTANCE, 1.0, 1.0], np.float32)
     return gym.spaces.Dict(dict(found) | {"goal": gym.spaces.Box(low, high)})
 
 

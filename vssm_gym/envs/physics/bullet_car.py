@@ -13,18 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.envs.physics import obstacles
-from vssm_gym.envs.robots.car_body import BUMPER, CHASSIS_MASS, CLEARANCE, PUSH, WHEEL_MASS, ackermann
+from vssm_gym.envs.robots.car_body import DYNAMICS, ackermann
 from vssm_gym.envs.robots.car_noise import TICK
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
-SUBSTEP = 0.005  # s
-SERVO = 4.0  # N m, of the steering
-TYRES, BODY, FLOOR, BOXES = 1, 2, 4, 8  # bits of what collides: tyres with the floor, the chassis with obstacles
-GAIN = 0.5  # share of the steering's error that its servo makes up for in a substep
-_HUB_MASS = 0.01  # kg, of what turns with the steering beside the wheel
+STEERING_TORQUE = 4.0  # N m, largest of the steering servo
+TYRES, BODY, FLOOR, BOXES = 1, 2, 4, 8  # collision bits: tyres with the floor, the chassis with obstacles
+STEERING_GAIN = 0.5  # fraction of the steering's error that its servo corrects in a substep
+_HUB_MASS = 0.01  # kg, of the part that turns with the steering, without the wheel
 _SETTLE = 20  # substeps at rest after which the tyres carry the car
 
 
@@ -36,7 +35,7 @@ class BulletCar:
     state.
     """
 
-    reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
+    reads_contacts = True  # keep contacts for :meth:`contact_bearings`
     _bearings: list[float]  # of obstacles hit in the last drive, rad
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
@@ -86,7 +85,10 @@ class BulletCar:
         self._bearings = []
         p.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         p.setPhysicsEngineParameter(
-            fixedTimeStep=SUBSTEP, numSolverIterations=60, deterministicOverlappingPairs=1, physicsClientId=client
+            fixedTimeStep=DYNAMICS.substep,
+            numSolverIterations=60,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
         )
         floor = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
         self._floor = p.createMultiBody(0.0, floor, physicsClientId=client)
@@ -114,10 +116,10 @@ class BulletCar:
         Hub and wheel of each front wheel (0 to 3), then the rear wheels (4, 5), left first.
         """
         p, client, car = self._bullet, self._client, self.car
-        tall = car.height - CLEARANCE
+        tall = car.height - DYNAMICS.clearance
         # The base's frame is its centre of mass, low between the axles as in MuJoCo.
-        self._centre = np.array([0.5 * car.wheelbase, 0.0, CLEARANCE + tall / 6.0])
-        middle = [car.center_forward - self._centre[0], 0.0, CLEARANCE + 0.5 * tall - self._centre[2]]
+        self._centre = np.array([0.5 * car.wheelbase, 0.0, DYNAMICS.clearance + tall / 6.0])
+        middle = [car.center_forward - self._centre[0], 0.0, DYNAMICS.clearance + 0.5 * tall - self._centre[2]]
         half = [0.5 * car.length, 0.5 * car.width, 0.5 * tall]
         shape = p.createCollisionShape(
             p.GEOM_BOX, halfExtents=half, collisionFramePosition=middle, physicsClientId=client
@@ -131,18 +133,18 @@ class BulletCar:
             positions += [at.tolist(), [0.0, 0.0, 0.0]]
             parents += [0, len(parents) + 1]  # counted from 1; 0 is the base
             axes += [[0, 0, 1], [0, 1, 0]]
-            masses += [_HUB_MASS, WHEEL_MASS - _HUB_MASS]
+            masses += [_HUB_MASS, DYNAMICS.wheel_mass - _HUB_MASS]
             shapes += [-1, wheel]
         for side in (1.0, -1.0):
             at = np.array([0.0, side * 0.5 * car.track, car.wheel_radius]) - self._centre
             positions.append(at.tolist())
             parents.append(0)
             axes.append([0, 1, 0])
-            masses.append(WHEEL_MASS)
+            masses.append(DYNAMICS.wheel_mass)
             shapes.append(wheel)
         n = len(positions)
         self._body = p.createMultiBody(
-            baseMass=CHASSIS_MASS,
+            baseMass=DYNAMICS.chassis_mass,
             baseCollisionShapeIndex=shape,
             basePosition=self._centre.tolist(),
             linkMasses=masses,
@@ -158,10 +160,12 @@ class BulletCar:
             physicsClientId=client,
         )
         x, y, z = car.length, car.width, tall / 3.0
-        inertia = [CHASSIS_MASS / 12.0 * moment for moment in (y * y + z * z, x * x + z * z, x * x + y * y)]
+        inertia = [DYNAMICS.chassis_mass / 12.0 * moment for moment in (y * y + z * z, x * x + z * z, x * x + y * y)]
         quiet = {"linearDamping": 0.0, "angularDamping": 0.0, "restitution": 0.0, "physicsClientId": client}
-        p.changeDynamics(self._body, -1, lateralFriction=BUMPER, localInertiaDiagonal=inertia, **quiet)
-        disc = 0.5 * WHEEL_MASS * car.wheel_radius**2
+        p.changeDynamics(
+            self._body, -1, lateralFriction=DYNAMICS.bumper_friction, localInertiaDiagonal=inertia, **quiet
+        )
+        disc = 0.5 * DYNAMICS.wheel_mass * car.wheel_radius**2
         for j in range(n):
             spin = [0.5 * disc, disc, 0.5 * disc]
             p.changeDynamics(self._body, j, localInertiaDiagonal=spin, jointDamping=0.0, **quiet)
@@ -169,7 +173,7 @@ class BulletCar:
         self._collides(self._body, -1, BODY, BOXES)
         for j in (1, 3):  # the front wheels roll freely
             p.setJointMotorControl2(self._body, j, p.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
-        self._torque = 0.5 * (CHASSIS_MASS + 4.0 * WHEEL_MASS) * PUSH * car.wheel_radius
+        self._torque = 0.5 * DYNAMICS.mass * DYNAMICS.max_acceleration * car.wheel_radius
         self._place(planar)
 
     def _collides(self, body: int, link: int, group: int, mask: int) -> None:
@@ -196,8 +200,8 @@ class BulletCar:
                 j,
                 p.POSITION_CONTROL,
                 targetPosition=angle,
-                positionGain=GAIN,
-                force=SERVO,
+                positionGain=STEERING_GAIN,
+                force=STEERING_TORQUE,
                 physicsClientId=client,
             )
         inward = 0.5 * car.track * math.tan(steering) / car.wheelbase
@@ -223,10 +227,10 @@ class BulletCar:
         self._bearings = []
         for speed, steering in points.tolist():
             self._hold(speed, steering)
-            for _ in range(round(TICK / SUBSTEP)):
+            for _ in range(round(TICK / DYNAMICS.substep)):
                 p.stepSimulation(physicsClientId=client)
                 for contact in p.getContactPoints(self._body, linkIndexA=-1, physicsClientId=client):
-                    if contact[8] <= 0.0:  # the distance: Bullet keeps points before they touch
+                    if contact[8] <= 0.0:  # the distance: Bullet keeps points before they are in contact
                         collided.add(contact[2])
                         if self.reads_contacts:
                             _, rotation = self._where()

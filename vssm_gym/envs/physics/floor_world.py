@@ -168,7 +168,7 @@ class FloorWorld:
         qvel, step = data.qvel, mujoco.mj_step
         pairs = set()  # of geoms in contact, a substep's as bytes: sliding along a wall they are the same ones
         for _ in range(substeps):
-            qvel[:] = velocity  # the drive pushes on, whatever the last contact did to the speed
+            qvel[:] = velocity  # the drive restores the speed after each contact
             step(model, data)
             if data.ncon:
                 met = data.contact.geom

@@ -123,7 +123,7 @@ class _Picture:
         """Return new colour and depth arrays of one pose."""
         position = T_world_cam[:3, 3]
         far = float(np.linalg.norm(position - self._center)) + self._radius + 1.0
-        for eye in self._scene.camera:  # one for each eye; both the same
+        for eye in self._scene.camera:  # one for each eye of a stereo view; both the same
             eye.pos[:], eye.forward[:], eye.up[:] = position, T_world_cam[:3, 2], -T_world_cam[:3, 1]
             eye.frustum_near, eye.frustum_far = NEAR, far
             eye.frustum_center = 0.5 * NEAR * (self._left + self._right)

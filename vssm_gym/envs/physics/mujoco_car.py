@@ -14,15 +14,14 @@ from jaxtyping import Float
 
 from vssm_gym.envs.physics.boxes import bearings, boxes_of_geoms, fixed_box
 from vssm_gym.envs.physics.floor_world import obstacles
-from vssm_gym.envs.robots.car_body import BUMPER, CHASSIS_MASS, CLEARANCE, PUSH, WHEEL_MASS, ackermann
+from vssm_gym.envs.robots.car_body import DYNAMICS, ackermann
 from vssm_gym.envs.robots.car_noise import TICK
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
-SUBSTEP = 0.005  # s
-SERVO = 0.005  # s, in which the motor reaches its set point where neither torque nor tyres limit it
-TYRES, BODY = 1, 2  # bits of what collides: tyres with the floor, the chassis with obstacles
+MOTOR_LAG = 0.005  # s, time constant of the motor where neither torque nor tyres limit it
+TYRES, BODY = 1, 2  # collision bits: tyres with the floor, the chassis with obstacles
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -35,7 +34,7 @@ def build_car_spec(apartment: Apartment, car: Car) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = apartment.name
     option = spec.option
-    option.timestep = SUBSTEP
+    option.timestep = DYNAMICS.substep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0  # tyres slip where friction ends, and hardly creep before
@@ -52,27 +51,27 @@ def build_car_spec(apartment: Apartment, car: Car) -> mujoco.MjSpec:
 
     body = spec.worldbody.add_body(name="car")
     body.add_freejoint(name="car")
-    tall = car.height - CLEARANCE
+    tall = car.height - DYNAMICS.clearance
     body.add_geom(
         name="chassis",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[car.center_forward, 0.0, CLEARANCE + 0.5 * tall],
+        pos=[car.center_forward, 0.0, DYNAMICS.clearance + 0.5 * tall],
         size=[0.5 * car.length, 0.5 * car.width, 0.5 * tall],
         contype=BODY,
         conaffinity=BODY,
         priority=1,
-        friction=[BUMPER, 0.005, 0.0001],
+        friction=[DYNAMICS.bumper_friction, 0.005, 0.0001],
         mass=0.0,
     )
     # Batteries and motors lie low: the box's mass is that of its lower third.
     body.add_geom(
         name="ballast",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[0.5 * car.wheelbase, 0.0, CLEARANCE + tall / 6.0],
+        pos=[0.5 * car.wheelbase, 0.0, DYNAMICS.clearance + tall / 6.0],
         size=[0.5 * car.length, 0.5 * car.width, tall / 6.0],
         contype=0,
         conaffinity=0,
-        mass=CHASSIS_MASS,
+        mass=DYNAMICS.chassis_mass,
     )
     for end, x in (("rear", 0.0), ("front", car.wheelbase)):
         for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -87,7 +86,7 @@ def _add_wheel(spec: mujoco.MjSpec, body: Any, car: Car, name: str, at: tuple[fl
         hub.add_joint(name=f"{name} steering", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=1e-3)
         servo = spec.add_actuator(name=f"{name} steering", target=f"{name} steering")
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.set_to_position(kp=20.0, kv=0.2)  # settles within two substeps, and stiffer than what contacts do to it
+        servo.set_to_position(kp=20.0, kv=0.2)  # settles within two substeps, and stiffer than contacts
     hub.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0], armature=1e-5)
     hub.add_geom(
         name=name,
@@ -97,8 +96,8 @@ def _add_wheel(spec: mujoco.MjSpec, body: Any, car: Car, name: str, at: tuple[fl
         conaffinity=TYRES,
         priority=1,
         condim=3,
-        solref=[2.0 * SUBSTEP, 1.0],
-        mass=WHEEL_MASS,
+        solref=[2.0 * DYNAMICS.substep, 1.0],
+        mass=DYNAMICS.wheel_mass,
     )
 
 
@@ -109,10 +108,13 @@ def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
         axle.wrap_joint(f"rear {side}", 0.5)
     motor = spec.add_actuator(name="motor", target="axle")
     motor.trntype = mujoco.mjtTrn.mjTRN_TENDON
-    mass = CHASSIS_MASS + 4.0 * WHEEL_MASS
-    motor.set_to_velocity(kv=mass * car.wheel_radius**2 / SERVO)
+    mass = DYNAMICS.mass
+    motor.set_to_velocity(kv=mass * car.wheel_radius**2 / MOTOR_LAG)
     motor.forcelimited = True
-    motor.forcerange = [-mass * PUSH * car.wheel_radius, mass * PUSH * car.wheel_radius]
+    motor.forcerange = [
+        -mass * DYNAMICS.max_acceleration * car.wheel_radius,
+        mass * DYNAMICS.max_acceleration * car.wheel_radius,
+    ]
 
 
 class MujocoCar:
@@ -121,7 +123,7 @@ class MujocoCar:
     One object is one simulation, for one thread.
     """
 
-    reads_contacts = True  # whether contacts are kept for :meth:`contact_bearings`
+    reads_contacts = True  # keep contacts for :meth:`contact_bearings`
     _bearings: list[np.ndarray]  # of obstacles hit in the last drive, rad, one array a substep
 
     def __init__(self, apartment: Apartment, car: Car) -> None:
@@ -173,7 +175,7 @@ class MujocoCar:
         self._bearings = []
         for speed, steering in points.tolist():
             data.ctrl[:] = self._controls(speed, steering)
-            for _ in range(round(TICK / SUBSTEP)):
+            for _ in range(round(TICK / DYNAMICS.substep)):
                 mujoco.mj_step(model, data)
                 if data.ncon:
                     boxes = self._box_of_geom[data.contact.geom]

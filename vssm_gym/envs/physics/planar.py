@@ -16,11 +16,11 @@ from numba import njit
 
 from vssm_gym.envs.scenes.solids import SolidBox
 
-# m: a disc is stopped this far from what it touches, so that rounding never puts it inside: what rounding adds up to
-# over a million steps is smaller by some orders of magnitude.
+# m: a disc is stopped this far from an obstacle, so that rounding never puts it inside: the rounding of a million steps
+# is smaller by some orders of magnitude.
 SKIN = 1e-6
-CONTACTS = 8  # walls that one step may slide along; what is left of the step after them is not driven
-_CONTACT = 1.0 + 1e-12  # squared distances up to this share of the squared radius touch: beyond it no rounding decides
+CONTACTS = 8  # walls that one step may slide along; the rest of the step is not driven
+_CONTACT = 1.0 + 1e-12  # squared distances up to this multiple of the squared radius are contacts, to rounding
 _LEAST = 1e-12  # m: a shorter push moves nothing, and none is so short that its square vanishes
 _PARALLEL = 1e-30  # a direction's smallest component: its inverse stays finite, and 0 times it is 0
 

@@ -27,7 +27,7 @@ class Tracer(Protocol):
     """
 
     name: str  # recorded with results
-    parallel: bool  # whether trace may run in several threads at once
+    parallel: bool  # True if trace may run in several threads at once
 
     def trace(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first hits of the rays ``origin + t direction``."""

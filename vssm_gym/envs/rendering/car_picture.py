@@ -5,12 +5,11 @@ import math
 import numpy as np
 from PIL import Image, ImageDraw
 
-from vssm_gym.envs.rendering.topdown import TopDown
+from vssm_gym.envs.rendering.topdown import GOAL, PATH, ROBOT, ZOOM, TopDown
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
-_PATH, _CAR, _NOSE, _GOAL = (214, 60, 48), (24, 92, 196), (245, 245, 250), (28, 150, 72)
-_SMOOTH = 2  # drawn this much larger, then reduced: smooth edges
+_NOSE = (245, 245, 250)  # RGB of the mark at the front of the footprint
 
 
 def draw_run(
@@ -32,23 +31,23 @@ def draw_run(
         uint8 image of the plan's size.
     """
     height, width = plan.background.shape[:2]
-    image = Image.fromarray(plan.background).resize((width * _SMOOTH, height * _SMOOTH), Image.Resampling.NEAREST)
+    image = Image.fromarray(plan.background).resize((width * ZOOM, height * ZOOM), Image.Resampling.NEAREST)
     pen = ImageDraw.Draw(image)
 
     def at(xy: np.ndarray) -> list[tuple[float, float]]:
-        return [(float(column), float(row)) for column, row in plan.pixels(xy).reshape(-1, 2) * _SMOOTH]
+        return [(float(column), float(row)) for column, row in plan.pixels(xy).reshape(-1, 2) * ZOOM]
 
     angle = np.linspace(0.0, 2.0 * math.pi, 33)
     circle = goal[:2] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    pen.line(at(circle), fill=_GOAL, width=2 * _SMOOTH)
+    pen.line(at(circle), fill=GOAL, width=2 * ZOOM)
     if len(goal) == 3:
         corners = car.corners(goal)
-        pen.line(at(np.concatenate([corners, corners[:1]])), fill=_GOAL, width=2 * _SMOOTH)
-        pen.line(at(_nose(car, goal)), fill=_GOAL, width=2 * _SMOOTH)
+        pen.line(at(np.concatenate([corners, corners[:1]])), fill=GOAL, width=2 * ZOOM)
+        pen.line(at(_nose(car, goal)), fill=GOAL, width=2 * ZOOM)
     if len(path) > 1:
-        pen.line(at(path), fill=_PATH, width=2 * _SMOOTH, joint="curve")
-    pen.polygon(at(car.corners(planar)), fill=_CAR)
-    pen.line(at(_nose(car, planar)), fill=_NOSE, width=2 * _SMOOTH)
+        pen.line(at(path), fill=PATH, width=2 * ZOOM, joint="curve")
+    pen.polygon(at(car.corners(planar)), fill=ROBOT)
+    pen.line(at(_nose(car, planar)), fill=_NOSE, width=2 * ZOOM)
     return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from vssm_gym.envs.scenes.solids import SolidBox
 
-NEAR = 1e-6  # m before the eye from which on something is seen
+NEAR = 1e-6  # m, least distance from the camera of a visible point
 _RIM = 1e-5  # pixels by which a face is drawn larger, so that no ray slips between two that share an edge
 _SAME = np.float32(1.0 + 2e-6)  # nearness of faces that coincide, but for rounding
 SIDES = 6  # faces a box
@@ -64,7 +64,7 @@ def draw(T, frames, fx, fy, cx, cy, nearness, face):
             or _beyond(center, spans, 1, 1.0, -lower)
         ):
             continue
-        cut = center[2] - reach < NEAR  # part of the box may be behind the eye
+        cut = center[2] - reach < NEAR  # part of the box may be behind the camera
         eye[0], eye[1], eye[2] = -(c * dx + s * dy), s * dx - c * dy, -dz  # the camera in the box's frame
         inside = abs(eye[0]) <= hx and abs(eye[1]) <= hy and abs(eye[2]) <= hz
         for axis in range(3):
@@ -72,7 +72,7 @@ def draw(T, frames, fx, fy, cx, cy, nearness, face):
             across, along = (axis + 1) % 3, (axis + 2) % 3
             for positive in range(2):
                 sign = 2.0 * positive - 1.0
-                away = sign * eye[axis] - half  # distance of the eye from the face's plane, on its outer side
+                away = sign * eye[axis] - half  # distance of the camera from the face's plane, on its outer side
                 if inside:
                     away = -away  # then the far sides are seen, from within
                 if not away > 0.0:
@@ -84,7 +84,7 @@ def draw(T, frames, fx, fy, cx, cy, nearness, face):
                 corners = _clip(corner, clipped, cut)
                 if corners < 3:
                     continue
-                # The face's plane: n . x = d with n towards the eye's other side, so that d = away > 0.
+                # The face's plane: n . x = d with n away from the camera, so that d = away > 0.
                 flip = (1.0 if inside else -1.0) * sign
                 n0, n1, n2 = flip * axes[axis, 0], flip * axes[axis, 1], flip * axes[axis, 2]
                 wx, wy = n0 / (fx * away), n1 / (fy * away)

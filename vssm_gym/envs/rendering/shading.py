@@ -49,7 +49,7 @@ def looks_of(boxes: Sequence[SolidBox]) -> Looks:
     names = sorted({box.material.texture for box in boxes})
     shifts = np.array([sum(texture_shifts(box), ()) for box in boxes], dtype=np.float64)
     colors = np.array([(*box.material.color, 1.0 / box.material.scale) for box in boxes], dtype=np.float32)
-    white = np.full((1, *texture_atlas(names).shape[1:]), 255, dtype=np.uint8)  # what the sky shows
+    white = np.full((1, *texture_atlas(names).shape[1:]), 255, dtype=np.uint8)  # of the sky
     texels, levels = _mips(np.concatenate([white, texture_atlas(names)]))
     assert levels > 1  # a pixel blends two of them
     textures = texels.shape[1] * np.array([1 + names.index(box.material.texture) for box in boxes], dtype=np.int64)
@@ -165,7 +165,7 @@ def shade(T, fx, fy, cx, cy, frames, shifts, colors, textures, texels, levels, l
     starts = np.zeros(sky + 1, dtype=np.uint64)  # of the faces' textures
     rows[sky], rows[sky, 9] = 0.0, 1.0
     rows[sky, 11], rows[sky, 12], rows[sky, 13] = SKY
-    # One row's work. Rows of a common array would do as well, but then the compiler cannot tell that they are apart.
+    # One row's work. They are no rows of a common array, so that the compiler knows that they do not overlap.
     u, v, level = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     away, steady, texel2 = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     light, shown, mixed = np.empty(width, np.float32), np.empty(width, np.uint64), np.empty(width, np.uint64)

@@ -13,9 +13,9 @@ from vssm_gym.geometry.axes import PlanarPose
 CUT = 1.2  # m: boxes that begin higher (wall cupboards, lintels) are left out
 PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 FLATTEST = 2  # width over height of a camera's picture at most
-_SMOOTH = 2  # the plan is drawn this much larger, then reduced: smooth edges
-_INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}
-_PATH, _ROBOT, _GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)
+ZOOM = 2  # pictures are drawn this many times larger, then reduced, for smooth edges
+_INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}  # RGB
+PATH, ROBOT, GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)  # RGB
 
 
 class TopDown:
@@ -32,7 +32,7 @@ class TopDown:
         self._left = centre[0] - 0.5 * width / self._scale
         self._top = centre[1] + 0.5 * height / self._scale
         self._size = (width, height)
-        image = Image.new("RGB", (width * _SMOOTH, height * _SMOOTH), "white")
+        image = Image.new("RGB", (width * ZOOM, height * ZOOM), "white")
         pen = ImageDraw.Draw(image)
         layers = {"floor": 0, "furniture": 1, "door": 2, "wall": 3, "window": 4}
         shown = [box for box in boxes if box.kind in layers and box.center[2] - 0.5 * box.size[2] < CUT]
@@ -41,7 +41,7 @@ class TopDown:
         self.background = np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
     def _box(self, pen: ImageDraw.ImageDraw, box: SolidBox) -> None:
-        outline = [tuple(p) for p in self.pixels(_corners(box)) * _SMOOTH]
+        outline = [tuple(p) for p in self.pixels(_corners(box)) * ZOOM]
         tint = tuple(int(255 * c) for c in box.material.color)
         if box.kind == "floor":
             pen.polygon(outline, fill=tuple(int(200 + 0.2 * c) for c in tint))
@@ -69,18 +69,18 @@ class TopDown:
             uint8 ``(height, width, 3)``.
         """
         width, height = self._size
-        image = Image.fromarray(self.background).resize((width * _SMOOTH, height * _SMOOTH), Image.Resampling.NEAREST)
+        image = Image.fromarray(self.background).resize((width * ZOOM, height * ZOOM), Image.Resampling.NEAREST)
         pen = ImageDraw.Draw(image)
         if goal is not None:
-            goal_at, radius = self.pixels(goal) * _SMOOTH, goal_radius * self._scale * _SMOOTH
-            pen.ellipse(_circle(goal_at, radius), outline=_GOAL, width=2 * _SMOOTH)
-            pen.ellipse(_circle(goal_at, 2.0 * _SMOOTH), fill=_GOAL)
+            goal_at, radius = self.pixels(goal) * ZOOM, goal_radius * self._scale * ZOOM
+            pen.ellipse(_circle(goal_at, radius), outline=GOAL, width=2 * ZOOM)
+            pen.ellipse(_circle(goal_at, 2.0 * ZOOM), fill=GOAL)
         if len(path) > 1:
-            pen.line([tuple(p) for p in self.pixels(path) * _SMOOTH], fill=_PATH, width=2 * _SMOOTH, joint="curve")
-        at, radius = self.pixels(robot[:2]) * _SMOOTH, max(robot_radius * self._scale, 4.0) * _SMOOTH
-        pen.ellipse(_circle(at, radius), fill=_ROBOT)
+            pen.line([tuple(p) for p in self.pixels(path) * ZOOM], fill=PATH, width=2 * ZOOM, joint="curve")
+        at, radius = self.pixels(robot[:2]) * ZOOM, max(robot_radius * self._scale, 4.0) * ZOOM
+        pen.ellipse(_circle(at, radius), fill=ROBOT)
         ahead = at + 2.2 * radius * np.array([math.cos(robot[2]), -math.sin(robot[2])])
-        pen.line([tuple(at), tuple(ahead)], fill=_ROBOT, width=2 * _SMOOTH)
+        pen.line([tuple(at), tuple(ahead)], fill=ROBOT, width=2 * ZOOM)
         return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
 

@@ -4,6 +4,7 @@ A body follows set points of its wheels (:class:`~vssm_gym.envs.robots.car_noise
 """
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,16 +14,32 @@ from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
 PHYSICS = ("mujoco", "bullet")
-CLEARANCE = 0.02  # m from the floor to the chassis
-CHASSIS_MASS, WHEEL_MASS = 2.3, 0.1  # kg, 2.7 in all: the QCar's
-PUSH = 4.0  # m/s^2, at which the motors at full torque accelerate the car; tyres of friction 1 transmit it
-BUMPER = 0.2  # friction of the chassis on obstacles
+
+
+@dataclass(frozen=True)
+class CarDynamics:
+    """Define the masses, forces and time step of the car that both simulators share, after the Quanser QCar."""
+
+    clearance: float = 0.02  # m, from the floor to the chassis
+    chassis_mass: float = 2.3  # kg; 2.7 with the wheels, as the QCar's
+    wheel_mass: float = 0.1  # kg, of each
+    max_acceleration: float = 4.0  # m/s^2, of the motors at full torque; tyres of friction 1 transmit it
+    bumper_friction: float = 0.2  # of the chassis on obstacles
+    substep: float = 0.005  # s, of the simulation
+
+    @property
+    def mass(self) -> float:
+        """Return the mass of the car with its four wheels, kg."""
+        return self.chassis_mass + 4.0 * self.wheel_mass
+
+
+DYNAMICS = CarDynamics()
 
 
 class CarBody(Protocol):
     """Simulate a car among a scene's boxes."""
 
-    reads_contacts: bool  # whether contacts are kept for :meth:`contact_bearings`
+    reads_contacts: bool  # keep contacts for :meth:`contact_bearings`
 
     def reset(self, planar: PlanarPose) -> None:
         """Place the rear axle at ``(x, y, heading)``, m and rad, at rest."""

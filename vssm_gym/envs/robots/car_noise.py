@@ -20,7 +20,7 @@ from jaxtyping import Float
 from vssm_gym.envs.presets import Presets
 from vssm_gym.errors import InputError
 
-BATTERY = 300.0  # s, after which the battery has lost 63 % of what it loses
+BATTERY = 300.0  # s, time constant of the battery's droop
 TICK = 0.01  # s between set points
 
 
@@ -32,12 +32,12 @@ class CarNoise:
     steering_lag: float = 0.0  # s
     steering_rate: float = math.inf  # rad/s, the servo's fastest
     backlash: float = 0.0  # rad, full play of the steering
-    calibration: float = 0.0  # share of the speed, standard deviation from car to car
+    calibration: float = 0.0  # fraction of the speed, standard deviation from car to car
     trim: float = 0.0  # rad, standard deviation of the steering's zero from car to car
-    droop: float = 0.0  # share of the speed that an empty battery costs
+    droop: float = 0.0  # fraction of the speed that an empty battery costs
     friction: float = 1.0  # of tyres on the floor
     patchiness: float = 0.0  # standard deviation of the friction's logarithm
-    speed_jitter: float = 0.0  # share of the speed, standard deviation of a step
+    speed_jitter: float = 0.0  # fraction of the speed, standard deviation of a step
     steering_jitter: float = 0.0  # rad, standard deviation of a step
 
     def __post_init__(self) -> None:

@@ -26,7 +26,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 class WheelNoise:
     """``e ~ N(0, (slip l)^2 + play^2)``: error of a wheel's travel in a step of commanded travel ``l``."""
 
-    slip: float  # share of the travel, standard deviation
+    slip: float  # fraction of the travel, standard deviation
     play: float  # m, standard deviation of a step however short
 
     def __post_init__(self) -> None:

@@ -85,12 +85,12 @@ class ExecutionNoise:
                 raise InputError("ExecutionNoise", field, f"a finite standard deviation >= 0, not {value!r}")
 
 
-# TNP-SM: 3, 6, 9 degrees a step and 10, 15, 30 % of a body length of 0.2 m.
+# TNP-SM: 3, 6, 9 degrees a step and 10, 15, 30 % of a body length.
 NOISE_LEVELS: dict[str, ExecutionNoise] = {
     "none": ExecutionNoise(0.0, 0.0),
-    "low": ExecutionNoise(math.radians(3.0), 0.10 * 0.2),
-    "mid": ExecutionNoise(math.radians(6.0), 0.15 * 0.2),
-    "high": ExecutionNoise(math.radians(9.0), 0.30 * 0.2),
+    "low": ExecutionNoise(math.radians(3.0), 0.10 * HolonomicRobot.body_length),
+    "mid": ExecutionNoise(math.radians(6.0), 0.15 * HolonomicRobot.body_length),
+    "high": ExecutionNoise(math.radians(9.0), 0.30 * HolonomicRobot.body_length),
 }
 
 

@@ -8,16 +8,14 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vssm_gym.envs.scenes.apartment_parts import Door, Furniture, Material, Positive, Room, Wall, Window
+from vssm_gym.envs.scenes.apartment_parts import ROUNDING, Door, Furniture, Material, Positive, Room, Wall, Window
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.solids import SolidBox, solid_boxes
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 
-EXTENT = 250.0  # m, largest apartment
+MAX_EXTENT = 250.0  # m, largest apartment
 ROOMS, WALLS, HOLES, PIECES = 1000, 20_000, 5000, 20_000  # most of one apartment
-
-_FIT = 1e-6  # metres of rounding allowed when a hole is checked against its wall
 
 
 class Apartment(StrictModel):
@@ -65,8 +63,8 @@ def _check_extent(apartment: Apartment) -> None:
     ):
         for axis in range(2):
             values = [point[axis] for shape in shapes for point in shape]
-            if max(values) - min(values) > EXTENT:
-                expected = f"at most {EXTENT:g} m across; found {max(values) - min(values):.1f}"
+            if max(values) - min(values) > MAX_EXTENT:
+                expected = f"at most {MAX_EXTENT:g} m across; found {max(values) - min(values):.1f}"
                 raise InputError(apartment.name, field, expected)
 
 
@@ -95,14 +93,14 @@ def _check_holes(apartment: Apartment) -> None:
             raise InputError(apartment.name, f"{field}.wall", expected)
         wall = apartment.walls[hole.wall]
         start, end = hole.offset, hole.offset + hole.width
-        if end > wall.length + _FIT:
+        if end > wall.length + ROUNDING:
             expected = f"offset + width within the wall's {wall.length:.3f} m; found {end:.3f}"
             raise InputError(apartment.name, f"{field}.offset", expected)
-        if hole.sill + hole.height > wall.height + _FIT:
+        if hole.sill + hole.height > wall.height + ROUNDING:
             expected = f"a top within the wall's {wall.height:.3f} m; found {hole.sill + hole.height:.3f}"
             raise InputError(apartment.name, f"{field}.height", expected)
         for other_start, other_end, other in taken.setdefault(hole.wall, []):
-            if start < other_end - _FIT and other_start < end - _FIT:
+            if start < other_end - ROUNDING and other_start < end - ROUNDING:
                 raise InputError(apartment.name, f"{field}.offset", f"a hole that does not overlap {other}")
         taken[hole.wall].append((start, end, field))
 

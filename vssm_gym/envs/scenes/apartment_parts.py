@@ -14,12 +14,15 @@ from vssm_gym.envs.textures.registry import TEXTURES
 from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError
 
-FAR = 1000.0  # m, largest coordinate
+MAX_COORDINATE = 1000.0  # m, bound of all coordinates and lengths, of sensors and policies too
+ROUNDING = 1e-6  # m, differences of coordinates that are rounding
+DOOR_HEIGHT = 2.05  # m, of doors and of doorways under their lintel, unless a file says otherwise
+CEILING_HEIGHT = 2.6  # m, unless a file says otherwise
 PIECES, CORNERS = 20_000, 20_000  # most boxes of a piece of furniture, most corners of a room
 
-Coordinate = Annotated[float, Field(ge=-FAR, le=FAR)]
-Positive = Annotated[float, Field(gt=0, le=FAR)]
-NonNegative = Annotated[float, Field(ge=0, le=FAR)]
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE)]
+NonNegative = Annotated[float, Field(ge=0, le=MAX_COORDINATE)]
 Unit = Annotated[float, Field(ge=0, le=1)]
 XY = tuple[Coordinate, Coordinate]
 XYZ = tuple[Coordinate, Coordinate, Coordinate]

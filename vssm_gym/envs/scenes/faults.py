@@ -10,15 +10,15 @@ from collections.abc import Callable
 import shapely
 
 from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.apartment_parts import ROUNDING
 from vssm_gym.envs.scenes.solids import Solid, footprint
 
 GAP = 0.05  # m; shorter gaps between walls let no robot through
 BODY = (0.1, 0.3)  # m above the floor that a wall, or furniture in its place, spans to close an edge; no higher than
 # the ceiling: mazes are a tenth of a metre high
-REACH = 0.02  # m that an edge may run beside its wall: files round
+REACH = 0.02  # m between an edge and its wall: files round
 TOUCH = 0.05  # m; nearer things hold each other
 LARGE = 0.5  # m; a smaller thing in the air stood on something that is no box: a chair's seat, a sink's rim
-_ROUNDING = 1e-6  # m
 MOST = 20  # sentences of one check; more are counted
 
 Check = Callable[[Apartment], list[str]]
@@ -43,7 +43,7 @@ def open_edges(apartment: Apartment) -> list[str]:
     Doors are holes in walls: their edges are closed. Robots leave the floor through an open edge at the outside, and
     rays the scene.
     """
-    low, high = min(BODY[0], 0.5 * apartment.ceiling_height), min(BODY[1], apartment.ceiling_height - _ROUNDING)
+    low, high = min(BODY[0], 0.5 * apartment.ceiling_height), min(BODY[1], apartment.ceiling_height - ROUNDING)
     closing = [
         shapely.LineString([wall.start, wall.end]).buffer(wall.thickness / 2 + REACH, cap_style="square")
         for wall in apartment.walls

@@ -21,7 +21,7 @@ from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.errors import InputError
 
-STEP_HEIGHT = 0.01  # m; what is lower (rugs, thresholds) does not stop the robot
+STEP_HEIGHT = 0.01  # m; lower objects (rugs, thresholds) do not stop the robot
 ROOM_AREA = 0.1  # m^2; a room with less of itself within reach is cut off
 _QUADRANT = 9  # chords a quarter circle of grown corners
 _SIMPLIFY = 1e-5  # m; removes the near-collinear vertices that unions leave behind

@@ -111,7 +111,7 @@ def _from_json(path: Path) -> Apartment:
     if is_houseexpo(data):
         return import_houseexpo(data, path.stem, path)
     apartment = parse_apartment(data, path)
-    # The built-in scenes hold in the tests; what others make is looked over.
+    # Tests check the built-in scenes; those of others are checked here.
     return apartment if ASSETS in path.parents else with_notes(apartment, open_edges, misplaced, floating)
 
 

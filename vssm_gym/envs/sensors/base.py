@@ -18,8 +18,6 @@ from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.transforms import planar_to_matrix
 
-EXTENT = 1000.0  # m, bound of depths and coordinates: the same for all scenes, so that a policy fits each
-
 NO_CONTACTS = np.zeros(0)  # no contact
 
 Body = TypeVar("Body", contravariant=True)
@@ -74,7 +72,7 @@ class GroundBody(NamedTuple):
     T_world_body: Matrix4  # on the floor
     T_world_cam: Matrix4
     dt: float  # s since the measurement before
-    contacts: Float[np.ndarray, "n"]  # bearings of obstacles that pressed against it in the last step, rad, where felt
+    contacts: Float[np.ndarray, "n"]  # bearings of the last step's obstacles in contact, rad, if read
 
     @classmethod
     def at(

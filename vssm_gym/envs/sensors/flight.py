@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vssm_gym.envs.sensors.base import EXTENT
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.sensors.imu import ImuSensorNoise, NoisyImu
 from vssm_gym.geometry.axes import Matrix4
 
@@ -22,8 +22,8 @@ class FlyingBody:
     velocity: Float[np.ndarray, "3"]  # m/s, world
     T_body_cam: Matrix4
     dt: float  # s since the measurement before
-    felt: Float[np.ndarray, "n 6"]  # exact specific force (m/s^2) and rate (rad/s) since then, body frame
-    imu_period: float  # s between the rows of `felt`
+    readings: Float[np.ndarray, "n 6"]  # exact specific force (m/s^2) and rate (rad/s) since then, body frame
+    imu_period: float  # s between the rows of `readings`
 
     @cached_property
     def T_world_cam(self) -> Matrix4:
@@ -47,7 +47,8 @@ class ImuSensor:
 
     def __init__(self, noise: ImuSensorNoise, substeps: int) -> None:
         self.noise = noise
-        self.spaces: dict[str, gym.Space[Any]] = {"imu": gym.spaces.Box(-EXTENT, EXTENT, (substeps, 6), np.float32)}
+        readings = gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (substeps, 6), np.float32)
+        self.spaces: dict[str, gym.Space[Any]] = {"imu": readings}
         self._rng: np.random.Generator | None = None
         self._imu: NoisyImu | None = None
 
@@ -63,7 +64,7 @@ class ImuSensor:
     def measure(self, body: FlyingBody) -> dict[str, np.ndarray]:
         """Return the readings since the last measurement."""
         assert self._imu is not None
-        return {"imu": self._imu(body.felt, body.imu_period).astype(np.float32)}
+        return {"imu": self._imu(body.readings, body.imu_period).astype(np.float32)}
 
 
 class FlightPoseSensor:
@@ -79,8 +80,8 @@ class FlightPoseSensor:
 
     def __init__(self) -> None:
         self.spaces: dict[str, gym.Space[Any]] = {
-            "pose": gym.spaces.Box(-EXTENT, EXTENT, (7,), np.float32),
-            "velocity": gym.spaces.Box(-EXTENT, EXTENT, (3,), np.float32),
+            "pose": gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (7,), np.float32),
+            "velocity": gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (3,), np.float32),
         }
 
     def seed(self, rng: np.random.Generator) -> None:

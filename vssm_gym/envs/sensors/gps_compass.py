@@ -20,13 +20,14 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorObservationWrapper
 
 from vssm_gym.envs.presets import Presets
-from vssm_gym.envs.sensors.base import EXTENT, GroundBody
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
+from vssm_gym.envs.sensors.base import GroundBody
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.transforms import wrap_angle
 
-FARTHEST = 4.0 * EXTENT  # m, bound of a coordinate: a scene's diagonal, in any direction, and its error
+FARTHEST = 4.0 * MAX_COORDINATE  # m, bound of a coordinate: a scene's diagonal, in any direction, and its error
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class LidarNoise:
 
     floor: float = 0.0  # m, standard deviation near by
     growth: float = 0.0  # of the standard deviation with the range
-    dropout: float = 0.0  # share of returns that are lost
+    dropout: float = 0.0  # fraction of returns that are lost
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -6,9 +6,11 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.envs.sensors.base import EXTENT, HasPlanar
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
+from vssm_gym.envs.sensors.base import HasPlanar
 
-ANYWHERE = np.array([[-EXTENT, -EXTENT, -np.pi], [EXTENT, EXTENT, np.pi]])  # m, m, rad
+_HIGHEST = np.array([MAX_COORDINATE, MAX_COORDINATE, np.pi])
+ANYWHERE = np.array([-_HIGHEST, _HIGHEST])  # m, m, rad: the bounds of all poses
 
 
 class PoseSensor:

@@ -9,7 +9,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.sensors.base import EXTENT, HasCamera
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
+from vssm_gym.envs.sensors.base import HasCamera
 from vssm_gym.envs.sensors.rgbd_noise import NoisySensor, SensorNoise
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 
@@ -30,7 +31,7 @@ class RGBDSensor:
         size = (renderer.camera.height, renderer.camera.width)
         self.spaces: dict[str, gym.Space[Any]] = {
             "rgb": gym.spaces.Box(0, 255, (*size, 3), np.uint8),
-            "depth": gym.spaces.Box(0.0, EXTENT, size, np.float32),
+            "depth": gym.spaces.Box(0.0, MAX_COORDINATE, size, np.float32),
         }
         self.parallel = renderer.parallel
         self._sensor: NoisySensor | None = None

@@ -9,7 +9,7 @@ import math
 import numba
 import numpy as np
 
-JUMP = 0.05  # an edge is where inverse depth leaves the straight line of a plane by this share of itself
+JUMP = 0.05  # an edge is where inverse depth leaves the straight line of a plane by this fraction of itself
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -156,7 +156,7 @@ def measure(z, cosine, lost, shift, normal, floor, growth, start, grazing, step_
                 angle = _acos(min(max(cosine[row, column], 1e-3), 1.0))
                 std += grazing / math.sqrt(max(true, 0.1)) * (angle / (0.5 * math.pi - angle)) ** 2
             if step_1m > 0.0:
-                # Rounding adds a uniform error of one step; what is left to the Gaussian makes the variance std^2.
+                # Rounding adds a uniform error of one step; the Gaussian supplies the rest of the variance std^2.
                 step = step_1m * true * true
                 std = math.sqrt(max(std * std - step * step / 12.0, 0.0))
             read = true + std * normal[i, j] if std > 0.0 else true

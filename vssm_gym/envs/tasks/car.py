@@ -10,7 +10,7 @@ import threading
 import weakref
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -26,7 +26,7 @@ from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 
 Targets = Literal["poses", "points"]
-TARGETS: tuple[Targets, ...] = ("poses", "points")
+TARGETS: tuple[Targets, ...] = get_args(Targets)
 REACHED = 0.10  # m from the target
 ALIGNED = math.radians(15.0)  # from the target's heading
 APART = 0.5  # m from start to target, more than
@@ -145,7 +145,7 @@ class CarTaskSampler:
                     continue
                 if self.space.part(pose) != part:
                     continue
-                # A target must be within reach by its own tolerances, tighter than what joins a pose to a part.
+                # A target must be reachable by its own tolerances, which are tighter than those of `part`.
                 if away_from is None or part in self.space.parts_within(pose, REACHED, ALIGNED):
                     return pose
         expected = f"room for a car to drive {APART} m; no target found that it can reach"

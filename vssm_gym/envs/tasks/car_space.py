@@ -27,7 +27,7 @@ from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 
 CELL = 0.05  # m between the lattice's poses
-HEADINGS = 64
+HEADINGS = 64  # of the lattice, evenly spread
 MARGIN = 0.03  # m that the lattice's poses keep from everything: room to err while manoeuvring
 TURNS = (3, 4)  # steps of heading that arcs turn: 0.13 and 0.18 m at full lock. Coprime: every heading can be had
 NEAR = 0.15  # m, and m of wheelbase times rad: less than lies between two cars with a fence between them

@@ -21,7 +21,7 @@ from vssm_gym.envs.scenes.free_space import FreeSpace
 
 CORNERS = 3000  # of free space that is taken as it is
 STRAIGHTEN = (0.01, 0.02, 0.04, 0.07, 0.1)  # m, tried in this order
-_SIDE = 1e-9  # m^2; tolerance of the taut test: it only filters, what it lets pass too much is never shorter
+_SIDE = 1e-9  # m^2; tolerance of the taut test: it only filters: a surplus edge never makes a path shorter
 _NUDGE = 1e-6  # rad; end points of free arcs of the goal's circle move this far inside free space
 _BATCH = 64  # candidate last segments tested for visibility at a time
 _NO_PATH = (np.inf, np.zeros((0, 2)))

@@ -16,7 +16,7 @@ from vssm_gym.envs.tasks.navigation import Task
 
 TILES = 10  # along each side of the unit square: coverage counts tiles, as the exploration ratio of DVBF-LM does
 TILE = 1.0 / TILES  # m
-OPEN = 0.5  # share of a tile that must be free for it to count
+OPEN = 0.5  # fraction of a tile that must be free for it to count
 
 
 class Objective(Protocol):

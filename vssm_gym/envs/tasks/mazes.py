@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from vssm_gym.envs.physics.planar import clearance, rectangles
 from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scenes.apartment_parts import ROUNDING
 from vssm_gym.envs.scenes.free_space import STEP_HEIGHT, FreeSpace
 from vssm_gym.envs.scenes.scene import ASSETS, Apartment, load_scene
 from vssm_gym.envs.tasks.navigation import Footprint, Split, Task, TaskSampler, TaskSet, load, save
@@ -31,7 +32,6 @@ ROBOT = HolonomicRobot(
 )
 GRID = 5  # starts and goals lie on a grid of 5 x 5 positions
 MOST_RECTANGLES = 2000  # of a maze that someone brings: a scan's time grows with them
-_ROUNDING = 1e-6  # m
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def load_maze(spec: str | Path | Apartment) -> Maze:
 def is_maze(apartment: Apartment) -> bool:
     """Return True if the floor lies within the unit square: a scene for a maze's robot, and for no larger one."""
     west, south, east, north = _floor(apartment).bounds
-    return bool(min(west, south) >= -_ROUNDING and max(east, north) <= 1.0 + _ROUNDING)
+    return bool(min(west, south) >= -ROUNDING and max(east, north) <= 1.0 + ROUNDING)
 
 
 def grid_tasks(maze: Maze) -> TaskSet:

@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -26,7 +26,7 @@ from vssm_gym.files import atomic_write
 
 FROZEN = ASSETS / "tasks"
 Split = Literal["train", "test"]
-SPLITS: tuple[Split, ...] = ("train", "test")
+SPLITS: tuple[Split, ...] = get_args(Split)
 
 APART = 3.0  # body lengths between start and goal, more than
 SUCCESS = 2.0  # body lengths from the goal within which stopping is success

@@ -5,7 +5,7 @@ Band-limited noise, cells with joints, colour helpers.
 
 import numpy as np
 
-SIZE = 128
+SIZE = 128  # pixels, edge of a texture
 """Pixels along each side of a texture."""
 
 

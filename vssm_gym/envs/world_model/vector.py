@@ -15,13 +15,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from vssm_gym.envs.sensors.base import EXTENT
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.validation import choose
 from vssm_gym.envs.world_model.batch_slices import BatchSlices
 from vssm_gym.envs.world_model.config import SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.world import build_world, robot_of
-from vssm_gym.envs.wrappers import FAR
+from vssm_gym.envs.wrappers import MAX_DISTANCE
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.scan import BEAMS
@@ -214,15 +214,15 @@ def _action_space(robot: Any) -> gym.spaces.Box:
 def _observation_space(config: Imagination) -> gym.spaces.Dict:
     camera: Any = config.camera
     size = (camera.height, camera.width)
-    far = np.array([EXTENT, EXTENT, math.pi], np.float32)
-    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([FAR, 1.0, 1.0], np.float32)
+    far = np.array([MAX_COORDINATE, MAX_COORDINATE, math.pi], np.float32)
+    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_DISTANCE, 1.0, 1.0], np.float32)
     spaces: dict[str, gym.Space[Any]] = {"goal": gym.spaces.Box(low, high), "pose": gym.spaces.Box(-far, far)}
     if config.observation == "scan":
         spaces["scan"] = gym.spaces.Box(0.0, config.max_depth, (BEAMS,), np.float32)
     else:
-        spaces["depth"] = gym.spaces.Box(0.0, EXTENT, size, np.float32)
+        spaces["depth"] = gym.spaces.Box(0.0, MAX_COORDINATE, size, np.float32)
     if config.observation == "rgbd":
         spaces["rgb"] = gym.spaces.Box(0, 255, (*size, 3), np.uint8)
     if config.show_uncertainty:
-        spaces["pose_std"] = gym.spaces.Box(0.0, EXTENT, (3,), np.float32)
+        spaces["pose_std"] = gym.spaces.Box(0.0, MAX_COORDINATE, (3,), np.float32)
     return gym.spaces.Dict(spaces)

@@ -15,8 +15,8 @@ from vssm_gym.envs.scenes.generator.venues import one_room, pictures
 Color = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]  # x, y, width along x, breadth along y; m, about its middle
 
-CORNERS = ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2))
-ENTRANCE = (2.6, 0.0)
+CORNERS = ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2))  # m, of the walls' centre lines
+ENTRANCE = (2.6, 0.0)  # m, middle of the door
 RED, AMBER, GREEN, BLUE, CREAM = (
     (0.9, 0.4, 0.34),
     (1.0, 0.8, 0.36),

@@ -22,7 +22,7 @@ class Fitting:
         """Return True with probability p."""
         return bool(self.rng.uniform() < p)
 
-    # ---- ways to place: each returns (x, y, turn) or None
+    # ---- rules of placing: each returns (x, y, turn) or None
 
     def middle(self, piece: Piece) -> np.ndarray | None:
         """Place the piece at the middle of a wall, long walls first, away from the doors."""

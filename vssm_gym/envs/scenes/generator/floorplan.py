@@ -11,11 +11,18 @@ import numpy as np
 import shapely
 
 from vssm_gym.envs.scenes.apartment import Apartment
-from vssm_gym.envs.scenes.apartment_parts import XY, Door, Material, Room, Wall, Window
+from vssm_gym.envs.scenes.apartment_parts import (
+    CEILING_HEIGHT,
+    DOOR_HEIGHT,
+    ROUNDING,
+    XY,
+    Door,
+    Material,
+    Room,
+    Wall,
+    Window,
+)
 from vssm_gym.errors import InputError
-
-DOOR_HEIGHT = 2.05  # m
-_ON = 1e-6  # m within which a point lies on a line
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,7 @@ class BuildingPlan:
     facade: Material
     leaf: Material  # of the doors between rooms
     entrance: Material  # of the door to the outside
-    height: float = 2.6
+    height: float = CEILING_HEIGHT
     inner: float = 0.1
     outer: float = 0.14
 
@@ -120,7 +127,7 @@ def _stretches(rooms: tuple[RoomPlan, ...]) -> list[tuple[tuple[XY, XY], Side, S
             for other in rooms:
                 for x, y in other.polygon:
                     along, across = (x - a[0]) * u[0] + (y - a[1]) * u[1], (y - a[1]) * u[0] - (x - a[0]) * u[1]
-                    if abs(across) < _ON and _ON < along < length - _ON:
+                    if abs(across) < ROUNDING and ROUNDING < along < length - ROUNDING:
                         cuts.add(round(along, 6))
             merged: list[tuple[float, float, tuple[int, int] | None]] = []
             for s, t in zip(sorted(cuts)[:-1], sorted(cuts)[1:], strict=True):
@@ -165,7 +172,7 @@ def _on_wall(
         c, s = math.cos(wall.yaw), math.sin(wall.yaw)
         dx, dy = at[0] - wall.start[0], at[1] - wall.start[1]
         along, across = c * dx + s * dy, c * dy - s * dx
-        inside = 0.5 * width - _ON <= along <= wall.length - 0.5 * width + _ON
+        inside = 0.5 * width - ROUNDING <= along <= wall.length - 0.5 * width + ROUNDING
         if abs(across) < 1e-3 and inside and rooms <= set(sides[i]):
             return i, round(along - 0.5 * width, 4)
     expected = f"a wall of {', '.join(str(room) for room in sorted(rooms, key=str))} under the {width} m around it"

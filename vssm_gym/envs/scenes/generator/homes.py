@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vssm_gym.envs.scenes.apartment import Apartment
-from vssm_gym.envs.scenes.apartment_parts import XY
+from vssm_gym.envs.scenes.apartment_parts import CEILING_HEIGHT, XY
 from vssm_gym.envs.scenes.generator import looks
 from vssm_gym.envs.scenes.generator.floorplan import BuildingPlan, DoorPlan, WindowPlan, build
 from vssm_gym.envs.scenes.generator.furnish import furnish
@@ -43,7 +43,7 @@ class Home:
     rooms: tuple[RoomSketch, ...]
     doors: tuple[DoorPlan, ...]
     windows: tuple[WindowPlan, ...]
-    height: float = 2.6
+    height: float = CEILING_HEIGHT
 
     def apartment(self) -> Apartment:
         """Build walls, looks and furniture."""

@@ -17,9 +17,10 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from vssm_gym.envs.scenes.apartment import Apartment
-from vssm_gym.envs.scenes.apartment_parts import Box, Door, Furniture, Room, Window
-from vssm_gym.envs.scenes.generator.furniture.pieces import LOW, STEP, Block, Piece
-from vssm_gym.envs.scenes.generator.quarter_turns import ROUNDING, contains, gaps, overlap, overlap3, turned, turned3
+from vssm_gym.envs.scenes.apartment_parts import ROUNDING, Box, Door, Furniture, Room, Window
+from vssm_gym.envs.scenes.free_space import STEP_HEIGHT
+from vssm_gym.envs.scenes.generator.furniture.pieces import LOW, Block, Piece
+from vssm_gym.envs.scenes.generator.quarter_turns import contains, gaps, overlap, overlap3, turned, turned3
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
 
 CLOSED, PASSAGE = 0.11, 0.47  # m: gaps between two things are at most the one or at least the other
@@ -78,9 +79,9 @@ class Site:
                 a, b, c, d = here.bounds
                 z, h = box.center[2], 0.5 * box.size[2]
                 solids.append((a, b, z - h, c, d, z + h))
-        self.solids = np.round(np.array(solids), 6)  # (n, 6) low and high corners of what stands there
-        low = (self.solids[:, 2] < LOW) & (self.solids[:, 5] > STEP)
-        self.obstacles = self.solids[low][:, [0, 1, 3, 4]]  # (n, 4) what stops a ground robot
+        self.solids = np.round(np.array(solids), 6)  # (n, 6) low and high corners of the placed blocks
+        low = (self.solids[:, 2] < LOW) & (self.solids[:, 5] > STEP_HEIGHT)
+        self.obstacles = self.solids[low][:, [0, 1, 3, 4]]  # (n, 4) obstacles of a ground robot
         self.airy = np.zeros(len(self.obstacles), dtype=bool)
         self.fronts = np.zeros((0, 4))
         self._inside = contains(corners)
@@ -218,7 +219,7 @@ class Site:
             if len(lying):
                 low = turned(lying, q)[None] + np.tile(moved, 2)[:, None]
                 gap = gaps(low, self.obstacles)
-                closed = np.where(self.airy, -1.0, CLOSED)  # nothing stands close to what robots pass under
+                closed = np.where(self.airy, -1.0, CLOSED)  # nothing stands close to a piece that robots pass under
                 if piece.airy:
                     closed = np.full(len(self.airy), -1.0)
                 ok &= ((gap <= closed) | (gap >= PASSAGE)).all(axis=(1, 2))
@@ -271,7 +272,7 @@ class Site:
             self.fronts = np.concatenate([self.fronts, ahead])
         for part in piece.parts:
             blocks = turned3(np.array([[*b.low, *b.high] for b in part.blocks]), turn) + shift6
-            if blocks[:, 5].max() > STEP:  # rugs lie under the rest
+            if blocks[:, 5].max() > STEP_HEIGHT:  # rugs lie under the rest
                 self.solids = np.concatenate([self.solids, blocks])
             count = self._names[part.category] = self._names.get(part.category, 0) + 1
             name = f"{self.room.name} {part.category}" + (f" {count}" if count > 1 else "")

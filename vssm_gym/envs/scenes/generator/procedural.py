@@ -21,7 +21,7 @@ SIZES: tuple[Size, ...] = get_args(Size)
 PREFIX = "procedural:"
 """How the specification of a scene by seed begins."""
 
-LARGEST_SEED = 2**63 - 1
+LARGEST_SEED = 2**63 - 1  # of a signed 64-bit integer
 _DRAWS = 50  # plans drawn before giving up; nine in ten seeds take the first or second
 
 

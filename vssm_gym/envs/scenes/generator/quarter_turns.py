@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-ROUNDING = 1e-6  # m
+from vssm_gym.envs.scenes.apartment_parts import ROUNDING
 
 
 def turned(rects: Float[np.ndarray, "n 4"], q: int) -> Float[np.ndarray, "n 4"]:

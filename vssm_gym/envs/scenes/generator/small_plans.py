@@ -54,7 +54,7 @@ MOSS = Home(  # two rooms and a bathroom
     ),
 )
 
-REED = Home(  # a narrow flat: the living room's arm passes the bathroom on the way to the bedroom
+REED = Home(  # a narrow flat: the living room's arm leads past the bathroom to the bedroom
     "reed",
     9,
     (

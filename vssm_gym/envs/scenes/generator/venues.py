@@ -18,7 +18,7 @@ from vssm_gym.envs.scenes.generator.furniture.pieces import WHITE, pick, tinted
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
 
 ARENA_GAP = 0.38  # m between obstacles, and to the walls; the car is 0.2 m wide
-_DRAWS = 4000
+_DRAWS = 4000  # places tried for the arena's obstacles
 
 
 def arena() -> Apartment:

@@ -17,8 +17,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from shapely import Polygon
 
 from vssm_gym.envs.scenes.apartment import Apartment
-from vssm_gym.envs.scenes.apartment_parts import Coordinate, Door, Furniture, Material, Room, Wall
-from vssm_gym.envs.scenes.importers.plan_looks import CEILING, DOOR, PICTURE, floor_material, picture, wall_material
+from vssm_gym.envs.scenes.apartment_parts import (
+    CEILING_HEIGHT,
+    DOOR_HEIGHT,
+    Coordinate,
+    Door,
+    Furniture,
+    Material,
+    Room,
+    Wall,
+)
+from vssm_gym.envs.scenes.importers.plan_looks import PICTURE, floor_material, picture, wall_material
 from vssm_gym.envs.scenes.importers.plan_rooms import Opening, split_rooms
 from vssm_gym.envs.scenes.importers.plan_walls import Face, square_corners, wall_faces
 from vssm_gym.envs.validation import validated
@@ -76,7 +85,7 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
         "walls": walls,
         "doors": doors,
         "furniture": furniture,
-        "ceiling_height": CEILING,
+        "ceiling_height": CEILING_HEIGHT,
         "notes": notes,
     }
     return validated(Apartment, content, source)
@@ -137,7 +146,9 @@ def _numbered(words: list[str]) -> list[str]:
 def _wall(face: Face, material: Material) -> Wall:
     middle = -0.5 * face.thickness * face.inward
     (x0, y0), (x1, y1) = (face.start + middle).tolist(), (face.end + middle).tolist()
-    return Wall(start=(x0, y0), end=(x1, y1), thickness=face.thickness, height=CEILING, front=material, back=material)
+    return Wall(
+        start=(x0, y0), end=(x1, y1), thickness=face.thickness, height=CEILING_HEIGHT, front=material, back=material
+    )
 
 
 def _picture(face: Face, room: Polygon, number: int) -> list[Furniture]:
@@ -160,14 +171,21 @@ def _doorway(opening: Opening, parts: list[Polygon], names: list[str], walls: li
     material = wall_material("", "lintel")
     thickness = max(opening.thickness, 0.04)
     walls.append(
-        Wall(start=opening.start, end=opening.end, thickness=thickness, height=CEILING, front=material, back=material)
+        Wall(
+            start=opening.start,
+            end=opening.end,
+            thickness=thickness,
+            height=CEILING_HEIGHT,
+            front=material,
+            back=material,
+        )
     )
     near = np.argsort([part.distance(shapely.Point(middle)) for part in parts], kind="stable")
     return Door(
         wall=len(walls) - 1,
         offset=0.0,
         width=opening.width,
-        height=DOOR,
+        height=DOOR_HEIGHT,
         leaves=0,
         rooms=(names[near[0]], names[near[1]]),
     )

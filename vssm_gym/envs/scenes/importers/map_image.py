@@ -12,7 +12,7 @@ from PIL import Image
 from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.errors import InputError
 
-FILE_BYTES = 128 << 20
+FILE_BYTES = 128 << 20  # largest file
 SIDE, PIXELS = 16384, 1 << 25  # largest side and number of pixels
 _HEADER = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,6})" + rb"\s")
 

@@ -17,7 +17,7 @@ from shapely import Polygon
 
 from vssm_gym.envs.physics import StaticGeom, static_geoms
 from vssm_gym.envs.scenes.apartment import Apartment
-from vssm_gym.envs.scenes.apartment_parts import FAR, Box, Furniture, Material, Room, Wall
+from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE, Box, Furniture, Material, Room, Wall
 from vssm_gym.envs.scenes.faults import misplaced, with_notes
 from vssm_gym.envs.scenes.importers.mjcf_xml import StillModel
 from vssm_gym.envs.scenes.importers.voxels import CELL, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
@@ -45,8 +45,8 @@ def import_mjcf(path: Path) -> Apartment:
     notes = model.notes
     for geom in geoms:
         numbers = np.concatenate([geom.center, geom.size, geom.rgba, geom.vertices.ravel()])
-        if not np.isfinite(numbers).all() or np.abs(numbers).max() > FAR:
-            raise InputError(path, f"geom {geom.name!r}", f"numbers within {FAR:g} m")
+        if not np.isfinite(numbers).all() or np.abs(numbers).max() > MAX_COORDINATE:
+            raise InputError(path, f"geom {geom.name!r}", f"numbers within {MAX_COORDINATE:g} m")
         if geom.shape in ("hfield", "sdf"):
             raise InputError(path, f"geom {geom.name!r}", f"a shape with flat ground beside it; found {geom.shape}")
     unseen = [geom for geom in geoms if geom.rgba[3] == 0.0 and not geom.collides]
@@ -104,7 +104,7 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[st
         solid = []
         for center, size, yaw in boxes:
             low, high = center[2] - size[2] / 2 - level, center[2] + size[2] / 2 - level
-            low = max(low, -0.05)  # what lies under the floor is not seen
+            low = max(low, -0.05)  # geoms under the floor are not seen
             if high - low < 1e-4 or high <= 0.0:
                 continue
             at = (float(center[0]), float(center[1]), float(low + high) / 2)
@@ -186,7 +186,7 @@ def _rooms(
     rim = ground.exterior.buffer(1e-3)
     enclosed = [p for p in shapely.get_parts(free) if p.area >= ENCLOSED and not p.intersects(rim)]
     if enclosed:
-        # Back under the walls by more than the gap; what a room surrounds is solid or a room of its own.
+        # Back under the walls by more than the gap; whatever a room surrounds is solid or a room of its own.
         outlines = [Polygon(p.exterior).buffer(GAP, join_style="mitre").simplify(0.01) for p in enclosed]
         outlines = [Polygon(max(shapely.get_parts(outline), key=lambda p: p.area).exterior) for outline in outlines]
         outlines.sort(key=lambda outline: outline.area)

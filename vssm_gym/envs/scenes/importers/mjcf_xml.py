@@ -12,8 +12,8 @@ from pathlib import Path
 from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.errors import InputError
 
-XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20
-LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000
+XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20  # largest text, mesh, and all files of a model
+LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000  # most of a model; nesting, then counts
 
 _IN_BODY = {"body", "geom", "frame", "replicate"}
 _KEPT = {
@@ -144,7 +144,7 @@ class StillModel:
                 if element.tag not in (
                     "asset",
                     "default",
-                ):  # textures, and defaults of what is left out, are not missed
+                ):  # textures, and defaults of omitted elements, are not needed
                     self._left_out[child.tag] += copies
             elif child.tag in _KEPT:
                 result.append(self._kept(child, copies))

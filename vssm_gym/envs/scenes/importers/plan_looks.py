@@ -7,8 +7,6 @@ import zlib
 
 from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Material
 
-CEILING = 2.6  # m
-DOOR = 2.05  # m, height of a doorway under its lintel
 PICTURE = (1.2, 0.8, 0.03)  # m: widest, tallest, thickness
 PICTURE_AT = 1.5  # m, height of a picture's centre
 

@@ -15,7 +15,7 @@ from shapely import Polygon
 
 THICKNESS = 0.12  # m, where nothing is behind the wall
 THIN = 0.03  # m; an edge with less behind it is halved, down to pieces of PIECE m
-PIECE = 0.1
+PIECE = 0.1  # m
 _ASIDE = 3e-3  # m that the test for space behind an edge leaves out at both its ends: corners of nearly 90 degrees
 SHORT = 0.025  # m; shorter edges are chamfers of a corner
 

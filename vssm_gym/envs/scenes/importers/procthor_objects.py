@@ -12,7 +12,7 @@ from vssm_gym.envs.scenes.importers.procthor_looks import object_material
 from vssm_gym.errors import InputError
 
 MOUNTED = 0.05  # m above the floor from which an object at a wall counts as hanging on it
-TILT = math.radians(1.0)  # tilt of an object that is worth a note
+TILT = math.radians(1.0)  # rad, tilt of an object from which on it is noted
 
 
 def furniture_of(

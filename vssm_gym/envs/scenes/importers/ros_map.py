@@ -19,20 +19,20 @@ from jaxtyping import Bool, Int
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import ndimage
 
-from vssm_gym.envs.scenes.apartment import EXTENT, Apartment
-from vssm_gym.envs.scenes.apartment_parts import Coordinate, Room, Wall
+from vssm_gym.envs.scenes.apartment import MAX_EXTENT, Apartment
+from vssm_gym.envs.scenes.apartment_parts import CEILING_HEIGHT, Coordinate, Room, Wall
 from vssm_gym.envs.scenes.importers.map_image import read_grey
-from vssm_gym.envs.scenes.importers.plan_looks import CEILING, floor_material, wall_material
+from vssm_gym.envs.scenes.importers.plan_looks import floor_material, wall_material
 from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.envs.scenes.importers.rectangles import Rectangle, cover
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
-YAML_BYTES = 1 << 16
+YAML_BYTES = 1 << 16  # largest file
 LEAST = 0.5  # m^2; smaller pieces of floor are noise of the scanner
 ROOMS, WALLS = 300, 20_000  # most of a map
 BAND = 3  # cells that a wall may reach beyond the floor's border
-BLOCK = 6.0  # m; walls in one block of the map look alike
+BLOCK = 6.0  # m; walls in one block of the map have one look
 
 Threshold = Annotated[float, Field(ge=0, le=1)]
 
@@ -86,7 +86,7 @@ def import_ros_map(path: Path) -> Apartment:
         validated(Room, _room(pieces[label], number, settings), path, at="image")
         for number, label in reversed(list(enumerate(kept, 1)))
     ]
-    content = {"name": path.stem, "rooms": rooms, "walls": walls, "ceiling_height": CEILING, "notes": notes}
+    content = {"name": path.stem, "rooms": rooms, "walls": walls, "ceiling_height": CEILING_HEIGHT, "notes": notes}
     return validated(Apartment, content, path)
 
 
@@ -153,13 +153,13 @@ def _world(cells: Any, settings: MapFile) -> np.ndarray:
 def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
     i0, i1, j0, j1 = rectangle
     middle = ((i0 + i1) / 2, (j0 + j1) / 2)
-    # All walls run the same way: walls that cross at right angles would be prolonged to close a corner, which here is
-    # closed already.
+    # All walls run in the same direction: walls that cross at right angles would be prolonged to close a corner, which
+    # here is closed already.
     start, end = _world([(i0, middle[1]), (i1, middle[1])], settings).tolist()
     thickness = (j1 - j0) * settings.resolution
     block = [int(c * settings.resolution // BLOCK) for c in middle]
     material = wall_material("", f"block {zlib.crc32(repr(block).encode())}")
-    return Wall(start=start, end=end, thickness=thickness, height=CEILING, front=material, back=material)
+    return Wall(start=start, end=end, thickness=thickness, height=CEILING_HEIGHT, front=material, back=material)
 
 
 def _room(rectangles: Int[np.ndarray, "n 4"], number: int, settings: MapFile) -> dict[str, Any]:
@@ -202,5 +202,5 @@ def _check_extent(floor: Bool[np.ndarray, "nx ny"], settings: MapFile, path: Pat
     """Raise InputError for what no apartment may be, before any work on it."""
     for axis in range(2):
         found = np.flatnonzero(floor.any(axis=1 - axis))
-        if (across := (found[-1] + 1 - found[0]) * settings.resolution) > EXTENT:
-            raise InputError(path, "image", f"a floor of at most {EXTENT:g} m across; found {across:.1f}")
+        if (across := (found[-1] + 1 - found[0]) * settings.resolution) > MAX_EXTENT:
+            raise InputError(path, "image", f"a floor of at most {MAX_EXTENT:g} m across; found {across:.1f}")

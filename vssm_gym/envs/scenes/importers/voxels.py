@@ -82,7 +82,7 @@ def _boxes(solid: Bool[np.ndarray, "nx ny nz"], low: np.ndarray, size: np.ndarra
 
 def inside_of(shape: str, size: Float[np.ndarray, "3"]) -> Callable[[np.ndarray], np.ndarray]:
     """Return the test of points (n, 3) in a shape's own frame; ``size`` as in MuJoCo (radii, half lengths), m."""
-    half = np.maximum(size, 0.5 * CELL)  # what is thinner than a cell would fall between two centres
+    half = np.maximum(size, 0.5 * CELL)  # a part thinner than a cell would fall between two centres
     if shape == "box":
         return lambda p: (np.abs(p) <= half).all(axis=-1)
     if shape in ("sphere", "ellipsoid"):
