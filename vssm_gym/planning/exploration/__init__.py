@@ -1,1 +1,1 @@
-"""Plan where to explore: frontiers, candidate viewpoints, what unknown space may hold, the order of visits."""
+"""Plan where to explore: frontiers, candidate viewpoints, the building prior, information, the order of visits."""

@@ -1,10 +1,11 @@
-"""What unknown space holds in a building: within its outline surfaces come at random, beyond it there is little to see.
+"""Model the unknown space of a building: surfaces at random within its outline, little to see beyond it (eq. P38).
 
     h(c) = inside    within the rectangle, along the building's main direction, around all that is known
-           outside   beyond it                                    expected surfaces that a ray meets in a metre, 1/m
+           outside   beyond it                                 expected surfaces that a ray meets per metre, 1/m
 
-Most buildings are rectangles of rooms. A gap in a wall that leads into the rectangle leads into a room that nobody has
-seen; one that leads out of it, mostly to a facade that was not seen yet. The rectangle grows with what is known.
+Most buildings are rectangles of rooms. A gap in a wall that leads into the rectangle leads into a room that was not
+seen yet; one that leads out of it leads mostly to a facade that was not seen yet. The rectangle grows with what is
+known.
 """
 
 import math
@@ -15,13 +16,13 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
 
-TURNS = 30  # directions that are compared, of a quarter turn
+TURNS = 30  # directions of a quarter turn that are compared, 3 degrees apart
 
 
 def main_direction(plan: FloorPlan) -> float:
-    """The angle in [0, pi/2), rad, that occupied cells line up along: where their shadows on two axes are sharpest.
+    """Return the angle in [0, pi/2), rad, along which occupied cells line up; 0 where nothing is occupied.
 
-    The sharpness of a shadow is the sum of the squares of its histogram. 0 where nothing is occupied.
+    It maximises the sum of the squared histograms of the cells, projected onto the two axes.
     """
     xy = np.argwhere(plan.cells == OCCUPIED).astype(np.float64)
     if not len(xy):
@@ -35,7 +36,7 @@ def main_direction(plan: FloorPlan) -> float:
 
 
 def outline(plan: FloorPlan) -> np.ndarray:
-    """Which cells lie in the rectangle around all that is known; bool ``(nx, ny)``."""
+    """Mark the cells that lie in the rectangle around all that is known; bool ``(nx, ny)``."""
     known = plan.cells != UNKNOWN
     inside = np.ones(known.shape, bool)
     if not known.any():
@@ -47,12 +48,12 @@ def outline(plan: FloorPlan) -> np.ndarray:
 
 
 def expected_surfaces(plan: FloorPlan, inside: float, outside: float) -> np.ndarray:
-    """``h`` (1/m) of each cell of the plan, float32 ``(nx, ny)``."""
+    """Return ``h`` (1/m) of each cell of the plan, float32 ``(nx, ny)``."""
     return np.where(outline(plan), np.float32(inside), np.float32(outside))
 
 
 def over_map(plan: FloorPlan, values: np.ndarray, beyond: float, m: VoxelMap) -> np.ndarray:
-    """Values of a plan's cells ``(nx, ny)`` as those of all columns of the map that it was cut from."""
+    """Extend values of a plan's cells ``(nx, ny)`` to all columns of the map that it was cut from."""
     columns = np.full(m.shape[:2], beyond, values.dtype)
     i, j = np.round((plan.origin - np.asarray(m.origin, np.float64)[:2]) / plan.resolution).astype(int)
     columns[i : i + values.shape[0], j : j + values.shape[1]] = values
@@ -60,6 +61,6 @@ def over_map(plan: FloorPlan, values: np.ndarray, beyond: float, m: VoxelMap) ->
 
 
 def _along(xy: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of points ``(..., 2)`` along the direction ``angle`` (rad) and across it."""
+    """Return the coordinates of points ``(..., 2)`` along the direction ``angle`` (rad) and across it."""
     c, s = math.cos(angle), math.sin(angle)
     return xy @ np.array([c, s]), xy @ np.array([-s, c])

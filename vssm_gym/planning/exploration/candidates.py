@@ -1,10 +1,10 @@
-"""Candidates of an explorer: places in the belief's free space, by breadth-first search from where the robot stands.
+"""Propose candidate viewpoints: places in the belief's free space, with their path lengths from the robot (eq. P41).
 
-    d(c) = min over ways of the robot's disc through free cells of sum |edges|           (geodesic tree, 16 neighbours)
+    d(c) = min over paths of the robot's disc through free cells of sum |edges|          (geodesic tree, 16 neighbours)
 
-Unknown space is not free for the body. The places cover what can be reached evenly, and more closely near frontiers;
-what a look from them would teach is :mod:`vssm_gym.planning.exploration.information`'s matter, which way to go to them
-A*'s.
+Unknown space is not free for the body. The places cover what can be reached evenly, and more closely near frontiers.
+:mod:`vssm_gym.planning.exploration.information` computes what a view from them is worth, and a grid search plans the
+path to them.
 """
 
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.occupancy_grid import FREE
 
-ESCAPE = 0.3  # m around the robot within which less clearance is enough: it has to get out
-DISMISSED = 0.2  # m around a place that was given up: no candidates
+ESCAPE = 0.3  # m around the robot within which less clearance is enough, so that it can leave a tight place
+DISMISSED = 0.2  # m around a place that was given up, within which there are no candidates
 
 
 @dataclass(frozen=True)
 class Roadmap:
-    """Where a robot can go in a plan, and how far that is.
+    """Hold where a robot can go in a plan, and the path lengths.
 
     Attributes:
         plan: of the belief.
         clearance: of the plan, for A* and for following.
         headroom: ``(nx, ny)`` float32 the same of each cell, m; minus infinity where nothing is known.
         passable: ``(nx, ny)`` bool: cells with enough room for the robot.
-        distance: ``(nx, ny)`` float32 m of the way from the robot; infinite where none leads.
+        distance: ``(nx, ny)`` float32 path length from the robot, m; infinite where no path leads.
         start: ``(2,)`` m where the robot is.
         room: m of clearance that a passable cell has.
     """
@@ -46,14 +46,14 @@ class Roadmap:
 
     @classmethod
     def of(cls, plan: FloorPlan, xy: Float[np.ndarray, "2"], room: float) -> "Roadmap":
-        """From the position ``xy`` (m) through cells with a clearance of ``room`` (m), the robot's radius included."""
+        """Search from ``xy`` (m) through cells with a clearance of ``room`` (m), the robot's radius included."""
         clearance = plan.clearance()
         headroom = np.full(plan.cells.shape, -np.inf, np.float32)
         first = np.round((clearance.origin - plan.origin) / plan.resolution).astype(int)
         nx, ny = clearance.clearance.shape
         headroom[first[0] : first[0] + nx, first[1] : first[1] + ny] = clearance.clearance
         passable = headroom >= room
-        # A robot that stands closer to something than it may plan to be gets out where it has no less room than now.
+        # A robot that stands closer to an obstacle than it may plan to be leaves through cells with no less clearance.
         x, y = (plan.origin[a] + plan.resolution * np.arange(plan.cells.shape[a]) - xy[a] for a in (0, 1))
         near = np.hypot(x[:, None], y[None, :]) <= ESCAPE
         passable |= near & (headroom >= min(room, float(clearance.at(xy)) - 0.5 * plan.resolution))
@@ -61,15 +61,15 @@ class Roadmap:
         return cls(plan, clearance, headroom, passable, distance, np.array(xy), room)
 
     def distances_from(self, xy: np.ndarray) -> np.ndarray:
-        """``(nx, ny)`` m of the way from another place to each cell."""
+        """Return the path length (m) from another place to each cell, ``(nx, ny)``."""
         return _distances(self.plan, self.passable, xy)
 
     def reaches(self, xy: np.ndarray) -> bool:
-        """Whether a way leads to the cell of a place ``(2,)``."""
+        """Return True where a path leads to the cell of a place ``(2,)``."""
         return bool(np.isfinite(self.at(self.distance, np.asarray(xy)[None]))[0])
 
     def at(self, distance: np.ndarray, xy: np.ndarray) -> np.ndarray:
-        """Values of a field of distances in the cells of world points ``(n, 2)``."""
+        """Return the values of a field of distances in the cells of world points ``(n, 2)``."""
         cell = np.clip(self.plan.index(xy), 0, np.array(distance.shape) - 1)
         return distance[cell[:, 0], cell[:, 1]]
 
@@ -80,7 +80,7 @@ def _distances(plan: FloorPlan, passable: np.ndarray, xy: np.ndarray) -> np.ndar
 
 
 def spread_places(roadmap: Roadmap, spacing: float) -> np.ndarray:
-    """The reachable place with most clearance in each square of ``spacing`` m: ``(n, 2)`` m, nearest first."""
+    """Return the reachable place with most clearance in each square of ``spacing`` m: ``(n, 2)`` m, nearest first."""
     plan = roadmap.plan
     cell = np.argwhere(np.isfinite(roadmap.distance) & (plan.cells == FREE))
     if not len(cell):
@@ -98,12 +98,12 @@ def spread_places(roadmap: Roadmap, spacing: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Places that something unknown can be seen from.
+    """Hold places from which unknown space can be seen.
 
     Attributes:
         xy: ``(n, 2)`` m.
-        distance: ``(n,)`` m of the way from the robot.
-        seen: ``(n, cells)`` float32 probability that a look around from there sees an unknown cell of the plan; only
+        distance: ``(n,)`` path length from the robot, m.
+        seen: ``(n, cells)`` float32 probability that a full turn there sees an unknown cell of the plan; only
             cells that some place may see.
         cell: area of a cell, m^2.
     """
@@ -115,14 +115,14 @@ class Candidates:
 
     @property
     def area(self) -> np.ndarray:
-        """Expected unknown area that each place sees, m^2."""
+        """Return the expected unknown area that each place sees, m^2."""
         return self.seen.sum(axis=1) * self.cell
 
 
 def candidates(
     roadmap: Roadmap, *, spacing: float, hazard: float | np.ndarray, least_area: float, dismissed: np.ndarray
 ) -> Candidates:
-    """Places spread over reachable free space and beside each frontier, with at least ``least_area`` m^2 to see.
+    """Propose places over reachable free space and beside each frontier, with at least ``least_area`` m^2 to see.
 
     Args:
         roadmap: from where the robot is.
@@ -142,12 +142,12 @@ def candidates(
 
 
 def representatives(found: Candidates, most: int, decay: float, least_area: float) -> np.ndarray:
-    """Few places that see different parts of the unknown: at each turn the best by ``area exp(-decay distance)``.
+    """Select a few places that see different parts of the unknown, greedily by ``area exp(-decay distance)``.
 
         area(k | chosen) = sum_cells max(0, p_k - max_chosen p)
 
-    What hides a cell from one place mostly hides it from its neighbour: a wall is there for both. So the places see a
-    cell in the same worlds, the better one in more of them. Returns the places' numbers in the order of choice.
+    What hides a cell from one place mostly hides it from its neighbour, because a wall is there for both. The maximum
+    over places expresses that. Returns the places' numbers in the order of choice.
     """
     best = np.zeros(found.seen.shape[1], np.float32)
     chosen: list[int] = []

@@ -1,9 +1,9 @@
-"""Frontiers: free cells beside unknown ones, in connected groups that the robot can get near to (Yamauchi 1997).
+"""Find frontiers: connected groups of free cells beside unknown ones (Yamauchi 1997, eq. P39).
 
     frontier = {c free: some 4-neighbour of c is unknown}
 
-What lies behind a frontier is worth the unknown area that becomes visible from a place, ``A(q)``: cells of the plan
-that rays of length ``reach`` cross before they meet something occupied; unknown cells do not stop them.
+The value of a place is the unknown area that becomes visible from it, ``A(q)`` (eq. P40): cells of the plan that rays
+of length ``reach`` cross before they meet an occupied cell; unknown cells do not stop them.
 """
 
 import math
@@ -16,20 +16,20 @@ from scipy import ndimage
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
-REACH = 5.0  # m: depth cameras are sharp so far
-DISMISSED = 0.12  # m: a cell and its neighbours; a door of which half was seen is not given up with that half
-RAYS = 240  # of a whole turn: two cells of 7 cm apart at the end of the reach
+REACH = 5.0  # m, up to which depth cameras measure well
+DISMISSED = 0.12  # m: a cell of 7 cm and its neighbours, so that half a door is not dismissed with its other half
+RAYS = 240  # of a full turn: two cells of 7 cm apart at the end of the reach
 
 
 @dataclass(frozen=True)
 class Frontier:
-    """One connected group of frontier cells.
+    """Hold one connected group of frontier cells.
 
     Attributes:
         cells: ``(n, 2)`` int, in the plan that they were found in.
         xy: ``(n, 2)`` their centres, m.
         goal: ``(2,)`` the place nearest to the group's middle cell where the robot fits and that it can reach, m.
-        distance: m of the way to there.
+        distance: path length to the goal, m.
     """
 
     cells: np.ndarray
@@ -39,7 +39,7 @@ class Frontier:
 
 
 def frontier_cells(cells: np.ndarray) -> np.ndarray:
-    """Which cells of a plan are free and have an unknown 4-neighbour; bool ``(nx, ny)``."""
+    """Mark the cells of a plan that are free and have an unknown 4-neighbour; bool ``(nx, ny)``."""
     unknown = cells == UNKNOWN
     beside = np.zeros(cells.shape, bool)
     beside[1:] |= unknown[:-1]
@@ -58,15 +58,15 @@ def frontiers(
     length: float = 1.5,
     dismissed: np.ndarray | None = None,
 ) -> list[Frontier]:
-    """The groups of frontier cells that the robot can get near to, nearest first.
+    """Find the groups of frontier cells that the robot can get near to, nearest first.
 
     Args:
         plan: of the belief.
-        distance: ``(nx, ny)`` m of the way from the robot to each cell of the plan, infinite where it does not fit.
+        distance: ``(nx, ny)`` path length (m) from the robot to each cell of the plan, infinite where it does not fit.
         least: cells of a group; smaller ones are corners that rays just missed.
         near: a cell counts where the robot can come so near to it, m.
         length: groups wider than this (m) are cut in pieces, so that a goal stands for what is around it.
-        dismissed: ``(n, 2)`` points, m: what is within :data:`DISMISSED` of one was looked at in vain.
+        dismissed: ``(n, 2)`` points, m; cells within :data:`DISMISSED` of one are left out: they cannot be seen.
     """
     mask = frontier_cells(plan.cells)
     reached = np.isfinite(distance)
@@ -92,7 +92,7 @@ def frontiers(
 
 
 def _groups(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """The cells of each label."""
+    """Return the cells of each label."""
     cell = np.argwhere(labels > 0)
     label = labels[tuple(cell.T)]
     order = np.argsort(label, kind="stable")
@@ -100,7 +100,7 @@ def _groups(labels: np.ndarray, count: int) -> list[np.ndarray]:
 
 
 def _pieces(group: np.ndarray, length: float) -> list[np.ndarray]:
-    """A group cut across its main axis into pieces no longer than ``length`` cells."""
+    """Cut a group across its main axis into pieces no longer than ``length`` cells."""
     centred = group - group.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0] if len(group) > 1 else np.array([1.0, 0.0])
     along = centred @ axis
@@ -111,17 +111,17 @@ def _pieces(group: np.ndarray, length: float) -> list[np.ndarray]:
 
 @njit(cache=True, nogil=True)
 def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard: np.ndarray, rays: int) -> np.ndarray:
-    """Probability that each unknown cell is seen from ``(x, y)`` by a whole turn; float32 ``(nx, ny)``, 0 where known.
+    """Return the probability that a full turn at ``(x, y)`` sees each unknown cell; float32 ``(nx, ny)``, else 0.
 
-        p(c) = exp(-integral of hazard over the way of the ray through unknown cells before c)
+        p(c) = exp(-integral of hazard along the ray through unknown cells before c)
 
-    Rays end after ``reach`` or at an occupied cell. What is unknown may hide surfaces: they are met at the rate
-    ``hazard``; with 0 unknown space hides none, which is what a map at its mean says.
+    Rays end after ``reach`` or at an occupied cell. Unknown space may hide surfaces, which are met at the rate
+    ``hazard``. With 0 it hides none, as in a map at its mean.
 
     Args:
         cells: of a plan.
-        x: of the place,
-        y: both in cells.
+        x: of the place, in cells.
+        y: of the place, in cells.
         reach: in cells.
         hazard: per cell, ``(nx, ny)``.
         rays: of the turn.
@@ -143,7 +143,7 @@ def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard:
 
 
 def seen_unknown(plan: FloorPlan, xy: np.ndarray, hazard: float | np.ndarray = 0.0, reach: float = REACH) -> np.ndarray:
-    """:func:`visible_unknown` of places ``(n, 2)`` (m): ``(n, cells)`` of those cells that any of them may see.
+    """Evaluate :func:`visible_unknown` at places ``(n, 2)`` (m): ``(n, cells)``, of the cells that any of them sees.
 
     ``hazard`` is per metre, the same everywhere or ``(nx, ny)``, and ``reach`` in metres; a row's sum times the area of
     a cell is ``A(q)``.

@@ -1,15 +1,15 @@
-"""The order of visits that leaves least undone on the way: ``min over orders of sum_i w_i l_i`` (travelling repairman).
+"""Order the visits to places so that least is left undone on the path: ``min over orders of sum_i w_i l_i`` (eq. P42).
 
-``l_i`` is the length of the way until place i is reached and ``w_i`` what is gained there. Summed by legs it is
-``sum_legs |leg| * (weight not yet gained)``: the area under the curve of what is left against the way driven. With one
-place at a time it is the greedy choice by gain per metre; the whole order knows that what is left behind has to be
-come back for. Solved exactly by dynamic programming over subsets (Held and Karp), 2^n n^2 steps.
+``l_i`` is the path length until place i is reached and ``w_i`` what is gained there: the minimum-latency problem, or
+travelling repairman problem. Summed by legs it is ``sum_legs |leg| * (weight not yet gained)``. With one place at a
+time it is the greedy choice by gain per metre. The whole order also counts that a place that is left behind has to be
+returned to. It is solved exactly by dynamic programming over subsets (Held and Karp), 2^n n^2 steps.
 """
 
 import numpy as np
 from numba import njit
 
-MOST = 12  # places: 0.6 million steps, a few milliseconds
+MOST = 12  # places at most: 2^12 12^2 = 0.6 million steps, a few milliseconds
 
 
 @njit(cache=True, nogil=True)
@@ -42,11 +42,11 @@ def _solve(start, between, weight):
 
 
 def best_order(start: np.ndarray, between: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """The order of places with the least ``sum_i w_i l_i``, and that sum.
+    """Return the order of places with the least ``sum_i w_i l_i``, and that sum.
 
     Args:
-        start: ``(n,)`` m from where one is to each place.
-        between: ``(n, n)`` m from place to place.
+        start: ``(n,)`` path length from the robot to each place, m.
+        between: ``(n, n)`` path length from place to place, m.
         weight: ``(n,)`` what is gained at each, not negative; up to :data:`MOST` places.
     """
     n = len(weight)

@@ -1,4 +1,4 @@
-"""Value iteration over (x, y, heading) of the car: the critic of its controllers."""
+"""Solve for the cost-to-go over (x, y, heading) of the car by value iteration: the critic of its controllers."""
 
 from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
 from vssm_gym.planning.value_iteration.motions import Motions

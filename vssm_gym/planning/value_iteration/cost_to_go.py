@@ -1,4 +1,4 @@
-"""``V(x, y, heading)``: the discounted number of motions to the goal, between the poses of a grid."""
+"""Evaluate ``V(x, y, heading)``, the discounted number of motions to the goal, between grid poses (eq. P21)."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-SHARE = 1e-3  # of the weights: what is left of less is rounding
+LEAST_WEIGHT = 1e-3  # sum of the weights with a path to the goal; what is less is rounding
 
 
 class CostToGo(eqx.Module):
-    """Cost-to-go on a grid of poses: trilinear between them, periodic in heading.
+    """Hold the cost-to-go on a grid of poses: trilinear between them, periodic in heading.
 
     ``V = (1 - gamma^n) / (1 - gamma)`` where the goal is ``n`` motions away; 0 at the goal; ``1 / (1 - gamma)``, the
     cost of driving forever, in collision, where no motion leads to the goal, and beyond the grid.
@@ -30,12 +30,12 @@ class CostToGo(eqx.Module):
         return 1.0 / (1.0 - self.gamma)
 
     def at(self, planar: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """``V`` at poses ``(..., 3)``, m and rad; JAX for JAX arrays, else numpy; differentiable between grid planes.
+        """Return ``V`` at poses ``(..., 3)``, m and rad; JAX for JAX arrays, else NumPy; differentiable within cells.
 
-        Poses of the grid that collide or have no way to the goal are left out of the mean and the weights of the others
-        grow to 1, so that a wall does not raise the cost of a free pose beside it. The obstacle of a heading is wider
-        than the car, so the poses between which another lies are all on one side of it. Where none of the eight has a
-        way the value jumps to :attr:`never`.
+        Poses of the grid that collide or have no path to the goal are left out of the mean, and the weights of the
+        others grow to 1, so that a wall does not raise the cost of a free pose beside it. The obstacle of a heading is
+        wider than the car, so the poses between which another lies are all on one side of it. Where none of the eight
+        has a path the value jumps to :attr:`never`.
         """
         xp = _library(planar)
         values = xp.asarray(self.values)
@@ -45,15 +45,15 @@ class CostToGo(eqx.Module):
             value = values[index]
             counted = xp.where(value < np.float32(self.never), weight, 0.0)
             share, total = share + counted, total + counted * value
-        known = inside & (share > SHARE)
+        known = inside & (share > LEAST_WEIGHT)
         return xp.where(known, total / xp.where(known, share, 1.0), self.never).astype(np.float32)
 
     def reachable(self, planar: Float[Array, "*batch 3"]) -> Array:
-        """Whether any of the poses of the grid between which a pose lies has a way to the goal, ``(...)`` bool."""
+        """Return True where any of the eight poses of the grid around a pose has a path to the goal, ``(...)`` bool."""
         return self.at(planar) < np.float32(self.never)
 
     def _corners(self, planar: Array) -> tuple[list[tuple[tuple[Array, Array, Array], Array]], Array]:
-        """Indices and weights of the eight poses around each pose, and which poses lie within the grid."""
+        """Return the indices and weights of the eight poses around each pose, and which poses lie within the grid."""
         xp = _library(planar)
         planar = xp.asarray(planar, dtype=np.float32)
         origin, resolution = xp.asarray(self.origin), xp.asarray(self.resolution)
@@ -72,5 +72,5 @@ class CostToGo(eqx.Module):
 
 
 def _library(planar: object) -> Any:
-    """``jax.numpy`` for JAX's arrays, traced ones too, else numpy."""
+    """Return ``jax.numpy`` for JAX's arrays, traced ones too, else NumPy."""
     return jnp if isinstance(planar, jax.Array) else np

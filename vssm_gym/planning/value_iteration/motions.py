@@ -1,4 +1,4 @@
-"""Motions of the car on a grid of poses: arcs of one length, whose turns are whole steps of the heading grid.
+"""Define the motions of the car on a grid of poses: arcs of one length that end on headings of the grid (eq. P17).
 
     T' = T exp(s, 0, turn),  s = +-length,  turn = b 2 pi / n_headings,  steering = atan(wheelbase turn / length)
 
@@ -23,7 +23,7 @@ MAX_MOTIONS = 31  # one bit each in a signed word of 32 bits
 
 @dataclass(frozen=True)
 class Motions:
-    """Arcs forwards, then the same arcs backwards.
+    """Hold arcs forwards, then the same arcs backwards.
 
     Attributes:
         car: Whose arcs they are.
@@ -40,7 +40,7 @@ class Motions:
 
     @classmethod
     def of(cls, car: Car, n_headings: int = 64, turns: tuple[int, ...] = (-3, -1, 0, 1, 3)) -> "Motions":
-        """Arcs forwards and backwards at one steering each of ``turns``; the largest is full lock."""
+        """Make arcs forwards and backwards at one steering each of ``turns``; the largest is full lock."""
         if n_headings < 8:
             raise InputError("motions", "n_headings", f"at least 8 headings; found {n_headings}")
         if not turns or len(set(turns)) != len(turns) or max(map(abs, turns)) == 0:
@@ -52,19 +52,19 @@ class Motions:
 
     @property
     def heading_steps(self) -> np.ndarray:
-        """Turn of each motion in steps of the heading grid, int ``(n_motions,)``."""
+        """Return the turn of each motion in steps of the heading grid, int ``(n_motions,)``."""
         return np.array([*self.turns, *(-b for b in self.turns)])
 
     @property
     def controls(self) -> np.ndarray:
-        """``(speed, steering)`` of each motion at full speed, m/s and rad, ``(n_motions, 2)``."""
+        """Return ``(speed, steering)`` of each motion at full speed, m/s and rad, ``(n_motions, 2)``."""
         turn = 2.0 * np.pi / self.n_headings * np.array(self.turns)
         steering = np.arctan(self.car.wheelbase * turn / self.length)
         speed = np.repeat([self.car.max_speed, -self.car.max_speed], len(self.turns))
         return np.stack([speed, np.tile(steering, 2)], axis=-1)
 
     def along(self, share: np.ndarray) -> np.ndarray:
-        """Poses after a ``share`` in [0, 1] of each motion from each heading at the origin.
+        """Return the poses after a ``share`` in [0, 1] of each motion from each heading at the origin.
 
         Returns:
             ``(n_headings, n_motions, *share.shape, 3)`` float64; headings are not wrapped.
@@ -79,11 +79,11 @@ class Motions:
 
     @property
     def displacements(self) -> np.ndarray:
-        """``(x, y)`` in metres at the end of each motion from each heading, ``(n_headings, n_motions, 2)``."""
+        """Return ``(x, y)`` in metres at the end of each motion from each heading, ``(n_headings, n_motions, 2)``."""
         return self.along(np.array(1.0))[..., :2]
 
     def collisions(self, occupied: np.ndarray, resolution: float, margin: float) -> np.ndarray:
-        """Whether the rectangle meets an occupied cell anywhere on each arc from each cell centre.
+        """Test each arc from each cell centre: True where the rectangle overlaps an occupied cell anywhere on it.
 
         The footprint is tested at poses half a cell or less apart, for whichever of its corners moves farthest.
 
@@ -96,7 +96,7 @@ class Motions:
 
 @lru_cache(maxsize=4)  # depends on the car and the grid, not on the map
 def _swept_cells(motions: Motions, resolution: float, margin: float) -> list[np.ndarray]:
-    """For each heading and motion, in this order, the cells under the arc."""
+    """Return the cells under the arc of each heading and motion, in this order."""
     corner = np.abs(motions.car.corners(np.zeros(3))).max(axis=0) + margin
     sharpest = 1.0 / motions.car.turning_radius
     farthest = motions.length * np.hypot(1.0 + sharpest * corner[1], sharpest * corner[0])

@@ -1,7 +1,7 @@
-"""Which poses have a way to the goal: ``{s : W(s) > 0}``, found backwards from the goal, each motion looked at once.
+"""Find the poses with a path to the goal, ``{s : W(s) > 0}``, backwards from the goal (eq. P20).
 
-States without a way would approach their value ``1 / (1 - gamma)`` by a factor ``gamma`` a sweep wherever the sweeps
-start too low, as a warm start does behind a door that closed. Known beforehand, they start where they end.
+States without a path would approach their value ``1 / (1 - gamma)`` by a factor ``gamma`` per sweep wherever the sweeps
+start too low, as a warm start does behind a door that closed. Known beforehand, they start at their final value.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from numba import njit
 def flood(
     goal: np.ndarray, allowed: np.ndarray, steps: np.ndarray, offsets: np.ndarray, used: np.ndarray
 ) -> np.ndarray:
-    """States from which motions lead to the goal with a positive share at each step.
+    """Return the states from which motions lead to the goal with a positive weight at each step.
 
     A motion leads to a state if that is any of the corners, of positive weight, between which its successor lies.
 

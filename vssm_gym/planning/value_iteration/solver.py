@@ -1,7 +1,7 @@
-"""Value iteration by aggregation over (x, y, heading): ``V(s) = min_a 1 + gamma sum_c w_c(s, a) V(c)``.
+"""Solve for the cost-to-go on a grid of (x, y, heading): ``V(s) = min_a 1 + gamma sum_c w_c(s, a) V(c)`` (eq. P18).
 
-``c`` runs over the four poses of the grid around the end of arc ``a``, ``w_c`` are bilinear weights. Step cost 1 a
-motion, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint meets an occupied cell
+``c`` runs over the four poses of the grid around the end of arc ``a``, and ``w_c`` are bilinear weights. A motion costs
+1, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint overlaps an occupied cell
 anywhere are no motions.
 """
 
@@ -26,7 +26,7 @@ GOAL_RADIUS, GOAL_HEADING_TOLERANCE = 0.1, np.radians(15.0)  # m and rad from th
 
 
 class ValueStatus(Outcome):
-    """How value iteration ended; the value is the message that reports print."""
+    """Name the outcome of value iteration; the value is the message that reports print."""
 
     CONVERGED = "converged: the Bellman residual is below the tolerance everywhere"
     NOT_CONVERGED = "not converged: the sweeps allowed ran out before the Bellman residual was small"
@@ -37,7 +37,7 @@ class ValueStatus(Outcome):
 
 @dataclass(frozen=True)
 class ValueConfig:
-    """Grid and motions of the solver; the defaults are those that docs/planning.md measures."""
+    """Configure grid and motions of the solver; the defaults are those that docs/planning.md measures."""
 
     n_headings: int = 64
     turns: tuple[int, ...] = (-3, -1, 0, 1, 3)  # steps of the heading grid a motion turns; the largest is full lock
@@ -49,7 +49,7 @@ class ValueConfig:
     def __post_init__(self) -> None:
         if not 0.0 < self.gamma < 1.0:
             raise InputError("ValueConfig", "gamma", f"a discount between 0 and 1; found {self.gamma!r}")
-        # float32 resolves W to 1e-7 of 1 / (1 - gamma); below a hundred times that the residual is rounding
+        # float32 resolves W to 1e-7 of 1 / (1 - gamma); below a hundred times that the residual is rounding.
         if not self.tolerance >= 1e-5 / (1.0 - self.gamma):
             least = 1e-5 / (1.0 - self.gamma)
             raise InputError("ValueConfig", "tolerance", f"at least {least:.1g} in float32; found {self.tolerance!r}")
@@ -61,7 +61,7 @@ class ValueConfig:
 
 @dataclass(frozen=True)
 class ValueResult:
-    """A cost-to-go, or the reason why there is none.
+    """Hold a cost-to-go, or the reason why there is none.
 
     Attributes:
         status: How it ended.
@@ -70,7 +70,7 @@ class ValueResult:
         sweeps: Sweeps over all states, those of a warm start that was given up included.
         seconds: Wall-clock time of the call.
         free: Poses of the grid without collision.
-        unreachable: How many of them have no way to the goal.
+        unreachable: How many of them have no path to the goal.
     """
 
     status: ValueStatus
@@ -83,13 +83,13 @@ class ValueResult:
 
     @property
     def solved(self) -> bool:
-        """Whether there is a cost-to-go with a small residual."""
+        """Return True where there is a cost-to-go with a small residual."""
         return self.status is ValueStatus.CONVERGED
 
 
 @dataclass(frozen=True)
 class PoseGrid:
-    """What value iteration knows of one arena, for any goal in it: poses that collide and motions that do not.
+    """Hold what value iteration needs of one arena, for any goal in it: colliding poses and free motions.
 
     Attributes:
         arena: The occupied cells; the poses stand at their centres.
@@ -120,17 +120,17 @@ class PoseGrid:
 
     @cached_property
     def _flood_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Arguments of :func:`flood` after the goal."""
+        """Return the arguments of :func:`flood` after the goal."""
         low, weights = sweeps.corners_of(self.motions, self.arena.resolution)
         row = self.layout.row
         offsets = (low[..., 0] * row + low[..., 1])[..., None] + np.array([0, 1, row, row + 1])
         return np.asarray(self.problem.allowed), self.motions.heading_steps, offsets, weights > 0.0
 
     def goal_poses(self, goal: np.ndarray, radius: float, heading_tolerance: float) -> np.ndarray:
-        """Free poses at the goal, ``(nx, ny, n_headings)`` bool.
+        """Return the free poses at the goal, ``(nx, ny, n_headings)`` bool.
 
-        Those within ``radius`` (m) and, where ``goal`` is a pose, ``heading_tolerance`` (rad); both are taken as at
-        least what it takes for the region around any goal to hold a pose of the grid.
+        They lie within ``radius`` (m) and, where ``goal`` is a pose, ``heading_tolerance`` (rad). Both are enlarged
+        where the region around the goal would hold no pose of the grid.
         """
         radius = max(radius, np.sqrt(0.5) * self.arena.resolution + 1e-9)
         centres = [self.arena.origin[a] + self.arena.resolution * np.arange(self.blocked.shape[a]) for a in (0, 1)]
@@ -151,14 +151,14 @@ def solve(
     start: np.ndarray | None = None,
     warm: CostToGo | None = None,
 ) -> ValueResult:
-    """The cost-to-go of one goal.
+    """Compute the cost-to-go of one goal.
 
     Args:
         grid: Of the arena and the car.
         goal: ``(x, y)`` in metres, or ``(x, y, heading)`` for a pose.
         radius: Of the goal region, m.
         heading_tolerance: Of a pose, rad.
-        start: ``(x, y, heading)``; one that collides or has no way to the goal is refused before any sweep. A start
+        start: ``(x, y, heading)``; one that collides or has no path to the goal is refused before any sweep. A start
             counts as reachable if one of the 27 poses of the grid around it is.
         warm: The cost-to-go of a similar goal or map on the same grid, where sweeps start. The result is the same up
             to the tolerance; where it is not soon reached the sweeps start again from scratch.
@@ -220,7 +220,7 @@ def solve(
 
 
 def _vector(field: str, value: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Checked: finite and of one of the sizes."""
+    """Return a vector that is finite and of one of the sizes, else raise :class:`InputError`."""
     vector = np.asarray(value, dtype=np.float64)
     if vector.ndim != 1 or len(vector) not in sizes or not np.isfinite(vector).all():
         names = " or ".join("(x, y)" if n == 2 else "(x, y, heading)" for n in sizes)
@@ -229,7 +229,7 @@ def _vector(field: str, value: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray
 
 
 def _values_of(warm: CostToGo, grid: PoseGrid) -> np.ndarray:
-    """Checked: a cost-to-go on the same grid with the same discount."""
+    """Return the values of a cost-to-go on the same grid with the same discount, else raise :class:`InputError`."""
     same = (
         warm.values.shape == grid.blocked.shape
         and np.allclose(warm.origin, grid.arena.origin, atol=1e-3 * grid.arena.resolution)
@@ -241,7 +241,7 @@ def _values_of(warm: CostToGo, grid: PoseGrid) -> np.ndarray:
 
 
 def _around(reached: np.ndarray, grid: PoseGrid, planar: np.ndarray) -> np.ndarray:
-    """``(n_headings, nx, ny)`` flags of the poses next to ``planar``, up to ``(3, 3, 3)``."""
+    """Return the flags ``(n_headings, nx, ny)`` of the poses next to ``planar``, up to ``(3, 3, 3)``."""
     x, y = np.round((planar[:2] - grid.arena.origin) / grid.arena.resolution).astype(int)
     n = len(reached)
     k = int(np.round(planar[2] * n / (2.0 * np.pi)))

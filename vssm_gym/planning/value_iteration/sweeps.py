@@ -1,13 +1,13 @@
-"""``W = gamma max_a sum_c w_c W_c``: sweeps of value iteration over (x, y, heading), in JAX.
+"""Sweep ``W = gamma max_a sum_c w_c W_c``: value iteration over (x, y, heading), in JAX (eq. P19).
 
 With step cost 1 and ``V = 1 / (1 - gamma) - W`` the Bellman equation ``V = min_a 1 + gamma E[V']`` has no constant:
 ``W`` is the discounted reward of arriving, ``1 / (1 - gamma)`` at the goal, and exactly 0 in collision and wherever no
-motion leads to the goal. From ``W = 0`` such states stay there, so a sealed room costs nothing, and the rounding of
+motion leads to the goal. From ``W = 0`` such states stay there, so a sealed room costs no sweeps, and the rounding of
 large values does not stop the sweeps.
 
-A motion moves all cells of a heading by the same displacement, so its successors are one window of the target
-heading's plane, shifted by a fraction of a cell. Planes are stored flat with empty cells around them, in which windows
-may wrap from one row into the next: one contiguous piece a motion, which vectorises.
+A motion moves all cells of a heading by the same displacement, so its successors are one window of the target heading's
+plane, shifted by a fraction of a cell. Planes are stored flat with empty cells around them, in which windows may wrap
+from one row into the next: one contiguous piece per motion, which vectorises.
 """
 
 from functools import partial
@@ -24,15 +24,15 @@ CHECK_EVERY = 4  # sweeps between two measurements of the residual
 
 
 class Problem(NamedTuple):
-    """What the sweeps read of motions and map; planes are ``nx + 2 pad`` rows of ``ny + pad`` cells."""
+    """Hold what the sweeps read of motions and map; planes are ``nx + 2 pad`` rows of ``ny + pad`` cells."""
 
     windows: Int[Array, "headings motions"]  # where the successors' window starts in the flat planes
     weights: Float[Array, "headings motions 4"]  # of the corners (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1)
-    allowed: Int[Array, "headings interior"]  # bit a: motion a from this cell meets nothing
+    allowed: Int[Array, "headings interior"]  # bit a: motion a from this cell is free
 
 
 class Layout(NamedTuple):
-    """Where cell ``[ix, iy]`` of a heading lies in its flat plane; static."""
+    """Place cell ``[ix, iy]`` of a heading in its flat plane; static."""
 
     nx: int
     ny: int
@@ -40,36 +40,36 @@ class Layout(NamedTuple):
 
     @property
     def row(self) -> int:
-        """Cells between neighbours along x."""
+        """Return the number of cells between neighbours along x."""
         return self.ny + self.pad
 
     @property
     def interior(self) -> int:
-        """From the first cell to the end of the last row."""
+        """Return the number of cells from the first one to the end of the last row."""
         return self.nx * self.row
 
     def flat(self, cells: np.ndarray) -> np.ndarray:
-        """``(headings, nx, ny)`` to ``(headings, interior)``; padding is zero."""
+        """Reshape ``(headings, nx, ny)`` to ``(headings, interior)``; padding is zero."""
         return np.pad(cells, ((0, 0), (0, 0), (0, self.pad))).reshape(len(cells), self.interior)
 
     def cells(self, flat: np.ndarray) -> np.ndarray:
-        """The inverse of :meth:`flat`."""
+        """Invert :meth:`flat`."""
         return flat.reshape(len(flat), self.nx, self.row)[:, :, : self.ny]
 
 
 def layout_of(motions: Motions, shape: tuple[int, ...], resolution: float) -> Layout:
-    """With room for the longest motion and the corner behind it."""
+    """Return the layout with padding for the longest motion and the corner behind it."""
     return Layout(shape[0], shape[1], int(np.floor(motions.length / resolution)) + 2)
 
 
 def corners_of(motions: Motions, resolution: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where motions end, in cells from where they start: the lower corner and the bilinear weights of all four.
+    """Return the ends of motions in cells from their starts: the lower corner and the bilinear weights of all four.
 
     Returns:
         int64 ``(headings, motions, 2)`` and float64 ``(headings, motions, 4)``, as in :class:`Problem`.
     """
     cells = motions.displacements / resolution
-    # an arc along an axis must not read two columns for a rounding error's sake
+    # An arc along an axis must not read two columns because of a rounding error.
     cells = np.where(np.abs(cells - np.round(cells)) < 1e-9, np.round(cells), cells)
     low = np.floor(cells).astype(np.int64)
     u, v = np.moveaxis(cells - low, -1, 0)
@@ -77,7 +77,7 @@ def corners_of(motions: Motions, resolution: float) -> tuple[np.ndarray, np.ndar
 
 
 def problem_of(motions: Motions, layout: Layout, resolution: float, blocked_motions: np.ndarray) -> Problem:
-    """From ``(headings, motions, nx, ny)`` bool, the arcs that meet something (:meth:`Motions.collisions`)."""
+    """Prepare the sweeps from ``(headings, motions, nx, ny)`` bool, the arcs that collide."""
     n, n_motions = blocked_motions.shape[:2]
     low, weights = corners_of(motions, resolution)
     target = (np.arange(n)[:, None] + motions.heading_steps) % n
@@ -129,7 +129,7 @@ def iterate(
 
 
 def _best(problem: Problem, planes: Array, layout: Layout) -> Array:
-    """``max_a sum_c w_c W_c`` over the motions allowed in each cell; 0 where there is none."""
+    """Return ``max_a sum_c w_c W_c`` over the motions allowed in each cell; 0 where there is none."""
     stored = planes.reshape(-1)
 
     def heading(of: Problem) -> Array:
@@ -146,7 +146,7 @@ def _best(problem: Problem, planes: Array, layout: Layout) -> Array:
 
 
 def _windows(stored: Array, starts: Array, layout: Layout) -> Array:
-    """One contiguous piece a motion, ``(motions, interior + row + 1)``.
+    """Copy one contiguous piece per motion, ``(motions, interior + row + 1)``.
 
     A copy, not a view: sliced where they are used, XLA would read them one cell at a time on a CPU.
     """
@@ -154,17 +154,17 @@ def _windows(stored: Array, starts: Array, layout: Layout) -> Array:
 
 
 def _corners(window: Array, layout: Layout) -> list[Array]:
-    """The four cells around each cell's successor, in the order of ``Problem.weights``."""
+    """Return the four cells around each cell's successor, in the order of ``Problem.weights``."""
     return [window[k : k + layout.interior] for k in (0, 1, layout.row, layout.row + 1)]
 
 
 def _padded(interior: Array, layout: Layout) -> Array:
-    """Flat planes with empty rows before and after."""
+    """Return flat planes with empty rows before and after."""
     margin = layout.pad * layout.row
     return jnp.pad(interior, ((0, 0), (margin, margin)))
 
 
 def _interior(planes: Array, layout: Layout) -> Array:
-    """The inverse of :func:`_padded`."""
+    """Invert :func:`_padded`."""
     margin = layout.pad * layout.row
     return planes[:, margin : margin + layout.interior]

@@ -1,4 +1,4 @@
-"""What a robot would learn of the map on its way: entropy, and the expected information of candidate trajectories."""
+"""Compute what a robot would learn of its map: entropy, and the expected information of candidate trajectories."""
 
 from vssm_gym.model.posterior import map_entropy as entropy
 from vssm_gym.planning.exploration.information.gain import Gain, InformationConfig, expected_gain, gain_of_paths

@@ -1,16 +1,16 @@
-"""``I(M; x_>t | z_>t) = H(M) - E_x H(M | x, z) = sum_cells 1/2 log(1 + n lambda_u / lambda)`` of trajectories.
+"""Compute ``I(M; x_>t | z_>t) = H(M) - E_x H(M | x, z) = sum_cells 1/2 log(1 + n lambda_u / lambda)`` (eq. P33).
 
 ``lambda`` is a cell's precision, ``lambda_u`` that of one update and ``n`` the number of a trajectory's images that
-observe the cell: precisions add whatever is read, so given which cells the images observe, the posterior's entropy is
-known exactly, and what several images of one trajectory share is counted once. Which cells they observe is imagined:
-images are rendered from the current belief, all of a trajectory's from the same one. At the belief's mean the unknown
-is free; how far into it rays go is :mod:`~vssm_gym.planning.exploration.information.ray_termination`'s matter.
+observe the cell. Precisions add whatever is measured. Given which cells the images observe, the posterior's entropy is
+therefore known exactly, and what several images of one trajectory share is counted once. Which cells they observe is
+imagined: images are rendered from the current belief, all of a trajectory's from the same one. At the belief's mean the
+unknown is free; :mod:`~vssm_gym.planning.exploration.information.ray_termination` limits how far rays go into it.
 
 Steps at the same pose, of one trajectory or of many, are one view: rendered once, its cells listed once.
 
-Looking again is never worth nothing: a cell seen ``n`` times gains ``1/(2n)`` by the next look, without bound in the
-sum. Against 2.3 nats of the first look (prior std 10 m, update std 1) that is little a cell, but known cells are many;
-``known`` leaves them out, which is no longer mutual information but what is new.
+Another view always gains something (eq. P34): a cell seen ``n`` times gains ``1/(2n)`` by the next view, without bound
+in the sum. Against 2.3 nats of the first view (prior std 10 m, update std 1) that is little per cell, but known cells
+are many. ``known`` leaves them out; the result is then no longer mutual information but what is new.
 """
 
 from dataclasses import dataclass, field
@@ -31,13 +31,13 @@ from vssm_gym.planning.exploration.information.ray_termination import end_rays
 
 @dataclass(frozen=True)
 class InformationConfig:
-    """How finely gains are computed; the default is a fast estimate, ``pixels=None, every=1`` takes all."""
+    """Configure how finely gains are computed; the default is a fast estimate, ``pixels=None, every=1`` takes all."""
 
     pixels: int | None = 1200  # of an imagined image, which is a smaller one of the same view; None: the camera's own
     every: int = 8  # one cell in so many stands for its neighbours: 1 (all), 2, 4 or 8
     update: MapUpdateConfig = field(default_factory=MapUpdateConfig)
     max_depth: float = 8.0  # m that an imagined ray goes where it meets nothing; up to update.max_depth
-    known: float = np.inf  # 1/m^2: cells of more precision than this have nothing left to tell; else see the module
+    known: float = np.inf  # 1/m^2; cells of more precision than this gain nothing: see the module
     ground: float = -np.inf  # world z of the plane that the robot stands on, m, where imagined rays end
     samples: int = 0  # of the map, in each of which all images are imagined; 0: the mean
     mean_free_path: float = 1.5  # m that a ray goes through unknown space of a sample, on average
@@ -64,7 +64,7 @@ KNOWN_POSE = np.zeros(3)
 
 
 class Gain(NamedTuple):
-    """Expected information of trajectories, nats of occupancy, and of views about the pose that they are seen from."""
+    """Hold the expected information of trajectories about the map, and of views about the pose; nats."""
 
     total: np.ndarray  # (candidates,) of the whole trajectory
     along: np.ndarray  # (candidates, steps) of steps 0 to k together
@@ -79,7 +79,7 @@ def expected_gain(
     valid: np.ndarray | None = None,
     hazard: float | np.ndarray = 0.0,
 ) -> Gain:
-    """``I(M; x_1:k | z_1:k)`` of candidate trajectories, for every k (see the module).
+    """Compute ``I(M; x_1:k | z_1:k)`` of candidate trajectories, for every k (see the module).
 
     Args:
         m: map belief, dense or block-sparse.
@@ -115,7 +115,7 @@ def gain_of_paths(
     std: np.ndarray = KNOWN_POSE,
     hazard: float | np.ndarray = 0.0,
 ) -> Gain:
-    """:func:`expected_gain` of trajectories through a given set of views, as a search tree's nodes are.
+    """Compute :func:`expected_gain` of trajectories through a given set of views, as of a search tree's nodes.
 
     Args:
         m: map belief.
@@ -123,7 +123,7 @@ def gain_of_paths(
         paths: ``(candidates, steps)`` indices of views; -1 where a trajectory has no step.
         camera: the robot's.
         config: pixels and cells used, and the map update.
-        std: ``(3,)`` of x, y (m) and heading (rad) with which the robot will know each pose before it looks.
+        std: ``(3,)`` of x, y (m) and heading (rad) of each pose before its view.
         hazard: as of :func:`expected_gain`.
 
     Raises:
@@ -156,7 +156,7 @@ def gain_of_paths(
 
 
 def imagined_camera(camera: Camera, pixels: int | None) -> Camera:
-    """The same view in at least so many pixels; never in more than the camera has."""
+    """Return a camera of the same view with at least so many pixels, but no more than the camera has."""
     if pixels is None or pixels >= camera.width * camera.height:
         return camera
     scale = np.sqrt(pixels / (camera.width * camera.height))

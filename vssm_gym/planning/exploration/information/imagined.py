@@ -1,8 +1,8 @@
-"""Images imagined from the current belief: depth of many views in a call, at the map's mean or in a sample.
+"""Imagine images from the current belief: depth of many views in one call, at the map's mean or in a sample (eq. P36).
 
-Literal samples of unknown cells, ``N(-0.001, 10^2)`` each on its own, are solid by the next cell: nobody would look
-into the unknown. The prior says nothing of how surfaces hang together, so samples take a word from elsewhere: unknown
-space is scattered with obstacles at random, one cell wide, as dense as a given mean free path of rays asks for.
+Literal samples of unknown cells, ``N(-0.001, 10^2)`` each on its own, are solid by the next cell: no ray would enter
+the unknown. The prior does not say how surfaces hang together, so samples use another model: unknown space is scattered
+with obstacles at random, one cell wide, as dense as a given mean free path of rays asks for.
 """
 
 from functools import partial
@@ -18,15 +18,15 @@ from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
 
-SHADOW = 5.0  # voxels^2 that a cell above zero among free ones hides: 4 of a ray along an axis, up to 6 of others
-AT_ONCE = 16  # views a call of the renderer: as many rays as one 160x120 image has, with 1200 pixels a view
+SHADOW = 5.0  # voxels^2 that an occupied cell among free ones hides: 4 from a ray along an axis, up to 6 from others
+AT_ONCE = 16  # views per call of the renderer: with 1200 pixels per view as many rays as one image of 160 x 120
 
 
 def imagine(m: VoxelMap, T_world_cam: np.ndarray, camera: Camera, max_depth: float) -> np.ndarray:
-    """``mu_depth(z, E[M])`` of every view; a ray that meets no surface reads ``max_depth``.
+    """Return ``mu_depth(z, E[M])`` of every view, ``max_depth`` where a ray meets no surface.
 
-    Unknown space is just free at the prior's mean, so a view of it is optimistic: the image says that all of it, as
-    far as the camera sees, is free. No reading instead would make what nobody has seen worth nothing.
+    Unknown space is just free at the prior's mean, so a view of it is optimistic: in the image all of it is free, as
+    far as the camera sees. Without a measurement there, unknown space would have no value.
 
     Args:
         m: map belief.
@@ -57,7 +57,7 @@ def _depth(m: VoxelMap, T_world_cam: Array, camera: Camera, max_depth: float | A
 
 
 def draw(seed: int, m: VoxelMap, mean_free_path: float, std: float) -> VoxelMap:
-    """``M ~ q(M)``: observed cells as :func:`~.emission_uncertainty.sample_map` draws them, others by chance.
+    """Draw ``M ~ q(M)``: observed cells by :func:`~.emission_uncertainty.sample_map`, others at random.
 
     An unknown cell is occupied with probability ``1 - exp(-voxel / (SHADOW mean_free_path))``, so that rays survive
     ``d`` metres of unknown space with about ``exp(-d / mean_free_path)``.

@@ -1,7 +1,7 @@
-"""``sum_cells 1/2 log(1 + n lambda_u / lambda)`` along trajectories through views whose cells are known, compiled.
+"""Sum ``1/2 log(1 + n lambda_u / lambda)`` over the cells of trajectories through views, compiled (eq. P34).
 
-A look at a cell seen ``n`` times before adds ``1/2 log(1 + lambda_u / (lambda + n lambda_u))``; over a trajectory these
-terms telescope. Trajectories are taken in an order in which those with a common beginning follow each other: what the
+A view of a cell seen ``n`` times before adds ``1/2 log(1 + lambda_u / (lambda + n lambda_u))``; over a trajectory these
+terms telescope. Trajectories are taken in an order in which those with a common beginning follow each other. What the
 next one does not share is taken back, so that a tree of trajectories costs as many steps as it has nodes.
 """
 
@@ -18,7 +18,7 @@ from vssm_gym.planning.exploration.information.observed import ROWS, Observed, h
 def gains(
     m: VoxelMap, seen: Sequence[Observed], paths: np.ndarray, weight: float, every: int, known: float
 ) -> np.ndarray:
-    """Nats of steps 0 to k together, for all k of all trajectories.
+    """Return the nats of steps 0 to k together, for all k of all trajectories.
 
     Args:
         m: map belief: the precisions ``lambda``.
@@ -39,7 +39,7 @@ def gains(
 
 
 def _listed(m: VoxelMap, seen: Sequence[Observed], every: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All views' cells in one list, with a place and a precision for every cell of the blocks that any of them sees.
+    """List all views' cells, with a place and a precision for every cell of the blocks that any view sees.
 
     Returns:
         Where each view's entries start ``(views + 1,)``; the entries' place among the blocks seen; their bit sets; and
@@ -55,7 +55,7 @@ def _listed(m: VoxelMap, seen: Sequence[Observed], every: int) -> tuple[np.ndarr
 
 @njit(cache=True, nogil=True)
 def _add(view, start, place, words, precision, weight, counts):
-    """Count one more image of a view's cells; returns the nats that it adds."""
+    """Count one more image of a view's cells; return the nats that it adds."""
     nats, product = 0.0, 1.0
     for entry in range(start[view], start[view + 1]):
         b = place[entry]
@@ -74,7 +74,7 @@ def _add(view, start, place, words, precision, weight, counts):
 
 @njit(cache=True, nogil=True)
 def _remove(view, start, place, words, counts):
-    """Take one image of a view's cells back."""
+    """Subtract one image of a view's cells."""
     for entry in range(start[view], start[view + 1]):
         b = place[entry]
         for s in range(words.shape[1]):
@@ -85,7 +85,7 @@ def _remove(view, start, place, words, counts):
 
 @njit(cache=True, nogil=True)
 def _count(paths, order, start, place, words, precision, weight, along):
-    """Fill ``along``: trajectories in turn, each taking over the counts of the beginning it shares with the last."""
+    """Fill ``along``, trajectory by trajectory; each keeps the counts of the beginning that it shares with the last."""
     counts = np.zeros(precision.shape, np.uint16)
     steps = paths.shape[1]
     last = order[0]

@@ -1,9 +1,9 @@
-"""Which cells a posed depth image observes, as bit sets a block: the rule of the closed-form map update, compiled.
+"""List the cells that a posed depth image observes, as bit sets per block, by the rule of the map update (eq. P35).
 
-A cell is observed where ``d(pi(p)) - z(p) > -truncation`` (:mod:`vssm_gym.inference.mapping.observation`); how much it
-teaches depends on the update's precision alone, not on what is read, so a view is the set of its cells. Of the 512
-cells of a block a subset can stand for all: with ``every`` = 8 one cell in each row along z, at heights staggered so
-that every plane of cells along the grid's axes has its share.
+A cell is observed where ``d(pi(p)) - z(p) > -truncation`` (:mod:`vssm_gym.inference.mapping.observation`). Its gain
+depends on the update's precision alone, not on what is measured, so a view is the set of its cells. Of the 512 cells of
+a block a subset can stand for all: with ``every`` = 8 one cell in each row along z, at heights staggered so that every
+plane of cells along the grid's axes has its share.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ SKEW = 5  # row (i, j) of a block starts with the cell at height (i + SKEW j) % 
 
 
 class Grid(NamedTuple):
-    """Where cells lie, as numbers that compiled code takes."""
+    """Hold where cells lie, as numbers that compiled code takes."""
 
     blocks: tuple[int, int, int]  # along x, y, z
     origin: tuple[float, float, float]  # world position of cell (0, 0, 0), m
@@ -31,20 +31,20 @@ class Grid(NamedTuple):
 
     @classmethod
     def of(cls, m: VoxelMap) -> "Grid":
-        """A map's grid."""
+        """Return a map's grid."""
         x, y, z = (float(c) for c in m.origin)
         return cls(m.blocks, (x, y, z), float(m.voxel_size))
 
 
 class Observed(NamedTuple):
-    """Cells observed from one view."""
+    """Hold the cells observed from one view."""
 
     block: np.ndarray  # (n,) int64 numbers of the blocks in which a cell is observed
     words: np.ndarray  # (n, 8 / every) uint64: bit r of word s is cell s of row r = 8 i + j, as `heights` lists them
 
 
 def heights(every: int) -> np.ndarray:
-    """``(8 / every, 64)`` int64: the height in its block of cell ``s`` of row ``r``."""
+    """Return ``(8 / every, 64)`` int64: the height in its block of cell ``s`` of row ``r``."""
     i, j = np.divmod(np.arange(ROWS), BLOCK)
     return (i + SKEW * j) % every + every * np.arange(BLOCK // every)[:, None]
 
@@ -52,15 +52,15 @@ def heights(every: int) -> np.ndarray:
 def observed(
     depth: np.ndarray, T_world_cam: np.ndarray, camera: Camera, grid: Grid, config: MapUpdateConfig, every: int
 ) -> list[Observed]:
-    """The cells that each of a number of images updates.
+    """List the cells that each image updates.
 
     Args:
-        depth: ``(views, height, width)`` z-depth, m; no reading where it is not in ``(min_depth, max_depth]``.
+        depth: ``(views, height, width)`` z-depth, m; no measurement where it is not in ``(min_depth, max_depth]``.
         T_world_cam: ``(views, 4, 4)`` camera poses.
         camera: intrinsics of the images.
         grid: of the map.
         config: of the map update.
-        every: one cell in so many is looked at: 1, 2, 4 or 8.
+        every: one cell in so many is tested: 1, 2, 4 or 8.
     """
     truncation = config.truncation * grid.voxel
     depth = np.where(depth <= config.max_depth, depth, np.float32(0.0))
@@ -84,7 +84,7 @@ def observed(
 def _reach(
     T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, ...], grid: Grid, depth: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The boxes of blocks, first and past the last ``(views, 3)``, around all that is seen up to ``depth`` (m)."""
+    """Return boxes of blocks, first and past the last ``(views, 3)``, around all that is seen up to ``depth`` (m)."""
     corners = np.array([[u, v, 1.0] for u in (-0.5, size[1] - 0.5) for v in (-0.5, size[0] - 0.5)])
     rays = np.concatenate([corners @ np.linalg.inv(K).T, np.zeros((1, 3))])  # and the camera's own place
     points = depth[:, None, None] * (rays @ T_world_cam[:, :3, :3].swapaxes(1, 2)) + T_world_cam[:, None, :3, 3]
@@ -96,7 +96,7 @@ def _reach(
 
 @njit(cache=True, nogil=True)
 def _tiles(depth, size):
-    """The largest depth in tiles of ``size x size`` pixels."""
+    """Return the largest depth in tiles of ``size x size`` pixels."""
     height, width = depth.shape
     tiles = np.zeros(((height + size - 1) // size, (width + size - 1) // size), np.float32)
     for v in range(height):
@@ -107,7 +107,7 @@ def _tiles(depth, size):
 
 @njit(cache=True, nogil=True)
 def _in_view(x, y, z, radius, tiles, size, shape, K, truncation, min_depth):
-    """Whether a sphere at camera-frame ``x, y, z`` may hold an observed cell; errs on the side of yes."""
+    """Return False only where a sphere at camera-frame ``x, y, z`` holds no observed cell."""
     fx, fy, cx, cy = K
     height, width = shape
     if z + radius <= min_depth:
@@ -138,7 +138,7 @@ def _in_view(x, y, z, radius, tiles, size, shape, K, truncation, min_depth):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _observe(depth, tiles, size, T, K, grid, truncation, min_depth, low, high, rows, block, words):
-    """Fill ``block`` and ``words``; returns how many blocks."""
+    """Fill ``block`` and ``words``; return the number of blocks."""
     fx, fy, cx, cy = K
     (_, by, bz), (ox, oy, oz), voxel = grid
     height, width = depth.shape

@@ -1,31 +1,31 @@
-"""``I(z; x) = 1/2 log det(I + Sigma F)``: what an imagined image would tell of the robot's own pose (x, y, heading).
+"""Compute ``I(z; x) = 1/2 log det(I + Sigma F)``: the information of an imagined image about the pose (eq. P43).
 
-``Sigma = diag(std^2)`` is how well the robot will know its pose there, and ``F = sum_pixels J J^T / sigma^2``
-the Fisher information of readings of known surfaces, point to plane: a robot that slides by ``d`` and turns by ``a``
-about its axis at ``c`` sees the point ``p`` with normal ``n`` nearer by ``n . (d + a e_z x (p - c))``. Unknown space
-tells nothing, a bare wall nothing of the way along it.
+``Sigma = diag(std^2)`` is the uncertainty of the pose (x, y, heading) before the image, and ``F = sum_pixels J J^T /
+sigma^2`` the Fisher information of depth measurements of known surfaces, point to plane. A robot that slides by ``d``
+and turns by ``a`` about its axis at ``c`` sees the point ``p`` with normal ``n`` nearer by ``n . (d + a e_z x (p -
+c))``. Unknown space has no information, and a bare wall none about the position along it.
 """
 
 import numpy as np
 
 from vssm_gym.geometry.camera import Camera
 
-MEASUREMENT_STD = 0.1  # m, of MEASUREMENTS readings an image: wide, since neighbouring ones err together
-MEASUREMENTS = 1200  # however many pixels the image has: more of them tell the same again
-EDGE = 0.15  # of the depth: neighbours further apart lie on different surfaces
+MEASUREMENT_STD = 0.1  # m, of one of an image's MEASUREMENTS: large, because the errors of neighbours are correlated
+MEASUREMENTS = 1200  # independent ones per image, however many pixels it has; `InformationConfig.pixels` by default
+EDGE = 0.15  # fraction of the depth; neighbours further apart lie on different surfaces
 
 
 def pose_gain(
     depth: np.ndarray, surface: np.ndarray, T_world_cam: np.ndarray, camera: Camera, std: np.ndarray
 ) -> np.ndarray:
-    """Nats about the pose that each image would give.
+    """Return the expected nats about the pose from each image.
 
     Args:
         depth: ``(views, height, width)`` imagined z-depth, m.
-        surface: the same, bool: readings of a known surface.
+        surface: the same, bool: measurements of a known surface.
         T_world_cam: ``(views, 4, 4)`` camera poses; the camera stands on the robot's axis.
         camera: of the images.
-        std: ``(3,)`` of x, y (m) and heading (rad) before the image; zeros: the pose is known, nothing to tell.
+        std: ``(3,)`` of x, y (m) and heading (rad) before the image; zeros: the pose is known, and the gain zero.
 
     Returns:
         ``(views,)`` float64.

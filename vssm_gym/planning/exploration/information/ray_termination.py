@@ -1,11 +1,11 @@
-"""Where imagined rays end before the map's mean says so: at the ground, and after some way through unknown space.
+"""End imagined rays at the ground, and after some length of unknown space (eq. P37).
 
-    z_end = min(z_image, z_ground, z where the integral of h over the way through unknown cells reaches 1)
+    z_end = min(z_image, z_ground, z where the integral of h along the ray through unknown cells reaches 1)
 
 At the mean all unknown space is free: nothing stops a ray that leaves through a gap between two walls, or that meets
-the floor where nobody has seen it yet. What such rays promise is not there. Both are known better: a robot on wheels
-knows the plane that it stands on, and surfaces that are met at random, ``h`` in a metre, let a ray through
-``(1 - exp(-h L)) / h`` of ``L`` metres, which is at most ``1 / h``.
+the floor where it has not been seen yet. The information that such rays promise does not exist. Both cases are known
+better. A robot on wheels knows the plane that it stands on. Surfaces that are met at random, ``h`` per metre, let a ray
+through ``(1 - exp(-h L)) / h`` of ``L`` metres, which is at most ``1 / h``.
 """
 
 import numpy as np
@@ -25,13 +25,13 @@ def end_rays(
     hazard: float | np.ndarray,
     ground: float,
 ) -> np.ndarray:
-    """Depth images with rays ended as the module says.
+    """Return depth images with rays ended as the module describes.
 
     Args:
         depth: ``(views, height, width)`` imagined z-depth, m, float32.
         T_world_cam: ``(views, 4, 4)`` camera poses.
         camera: of the images.
-        m: map belief; beside it nothing is known.
+        m: map belief; beyond it nothing is known.
         hazard: ``h``, surfaces expected in a metre of unknown space, 1/m: the same everywhere, or ``(nx, ny)`` of the
             map's columns; 0: none.
         ground: world z of the plane that rays end at, m; minus infinity: none.
@@ -57,7 +57,7 @@ def end_rays(
 
 @njit(cache=True, nogil=True)
 def _end(depth, centre, directions, slot, precision, grid, shape, hazard, known):
-    """Walk along each ray, one voxel's edge a step, until one surface is expected on the way through unknown cells."""
+    """Step along each ray by one voxel's edge, until one surface is expected in the unknown cells that it crossed."""
     (_, by, bz), (ox, oy, oz), voxel = grid
     nx, ny, nz = shape
     views, height, width = depth.shape
