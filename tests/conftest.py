@@ -1,4 +1,4 @@
-"""What every test shares: checked shapes, a compilation cache, bounded threads, repeatable hypothesis, the shared data.
+"""Set up what tests share: checked shapes, a compilation cache, bounded threads, repeatable hypothesis, shared data.
 
 This file runs before any test module, so what it sets in the environment is seen by JAX, numba and by spawned workers.
 The order matters: libraries read the thread counts when they load, and only what is imported after the hook is checked.

@@ -42,7 +42,7 @@ def test_a_failure_leaves_what_was_there_and_nothing_else(
 def test_a_failed_rename_cleans_up_too(tmp_path: Path) -> None:
     path = tmp_path / "taken"
     path.mkdir()
-    with pytest.raises(OSError), atomic_write(path) as temporary:
+    with pytest.raises(OSError, match="taken"), atomic_write(path) as temporary:
         temporary.write_text("a file cannot replace a folder")
     assert names(tmp_path) == ["taken"] and names(path) == []
 
@@ -67,7 +67,7 @@ def test_a_folder_that_fails_or_is_in_the_way_is_removed_whole(tmp_path: Path) -
     assert names(tmp_path) == []
     path.mkdir()
     (path / "kept").write_text("old")
-    with pytest.raises(OSError), atomic_write(path) as temporary:
+    with pytest.raises(OSError, match="folder"), atomic_write(path) as temporary:
         temporary.mkdir()
     assert names(path) == ["kept"] and names(tmp_path) == ["folder"]
 

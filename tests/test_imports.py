@@ -74,7 +74,8 @@ FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout
 FOLDERS = {
     "inference": [["alignment", "mapping", "linear_gaussian", "status"], ["filter"], ["tracking"], ["prism"], [""]],
     "planning": [
-        ["clearance", "result", "occupancy_grid"],
+        ["clearance", "result"],
+        ["occupancy_grid"],
         ["floor_plan", "pursuit"],
         ["grid_search"],
         ["car", "exploration"],

@@ -69,7 +69,7 @@ def context(learned: VoxelMap | None, start: np.ndarray) -> AgentContext:
 
 
 def observe(planar: np.ndarray, goal: np.ndarray, learned: VoxelMap | None) -> dict[str, np.ndarray]:
-    """What the robot sees: an image of the map itself where one is given, else a blank one."""
+    """Return the robot's observation: an image of the map where one is given, else a blank one."""
     rgb = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     depth = np.zeros((CAMERA.height, CAMERA.width), np.float32)
     if learned is not None:
@@ -297,7 +297,7 @@ def test_an_uncertain_agent_goes_nearer():
 
 
 def noise_image(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """What says nothing: dead reckoning looks at no image."""
+    """Return an image of noise: dead reckoning looks at no image."""
     rgb = rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8)
     return {"rgb": rgb, "depth": rng.uniform(0.3, 5.0, (CAMERA.height, CAMERA.width)).astype(np.float32)}
 

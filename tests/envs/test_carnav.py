@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import furniture
-from tests.helpers.car_yard import arc, two_yards, yard
+from tests.helpers.car_worlds import arc, two_yards, yard
 from vssm_gym.envs.carnav import COLLISION_COST, MAX_ACCELERATION, STEP_COST, SUCCESS_REWARD, CarNavEnv
 from vssm_gym.envs.robots.car_noise import NOISE_LEVELS, CarNoise
 from vssm_gym.envs.tasks.car import REACHED, CarTask, CarTaskSampler

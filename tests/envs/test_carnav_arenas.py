@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.helpers.car_yard import arc
+from tests.helpers.car_worlds import arc
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.envs.tasks.car import CarTaskSampler

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import furniture
-from tests.helpers.car_yard import arc, yard
+from tests.helpers.car_worlds import arc, yard
 from vssm_gym.envs.carnav import CarNavEnv
 from vssm_gym.envs.physics import MujocoCar
 from vssm_gym.envs.robots.car_body import ackermann

@@ -1,4 +1,4 @@
-"""Where the car fits and what it reaches: shapely and hand-made rooms are the oracles."""
+"""Test where the car fits and what it reaches: shapely and hand-made rooms are the oracles."""
 
 import math
 import pickle
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tests.helpers.box_rooms import furniture
-from tests.helpers.car_yard import two_yards, yard
+from tests.helpers.car_worlds import two_yards, yard
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.envs.tasks.car import (
@@ -111,7 +111,7 @@ def test_tasks_are_free_apart_and_within_reach(scene, targets):
 
 @pytest.mark.parametrize("scene", ARENAS)
 def test_nearly_all_of_an_arena_is_within_reach(scene):
-    """What is left are single poses of the lattice without a way out between its other poses, none of them a place."""
+    """The rest are single poses of the lattice without a path to its other poses, none of them a place."""
     sampler = CarTaskSampler.of(load_scene(scene), CAR)
     count = np.bincount(sampler.space.labels[sampler.space.labels >= 0])
     assert count[0] > 0.97 * count.sum() and count[1] < 10

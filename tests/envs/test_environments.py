@@ -1,4 +1,4 @@
-"""What holds for every registered environment: both checkers, seeds, pickling, videos, workers, documentation."""
+"""Test every registered environment: both checkers, seeds, pickling, videos, workers, documentation."""
 
 import pickle
 import warnings

@@ -79,7 +79,7 @@ def test_pose_is_observed_where_asked_for():
 
 
 def test_stages_are_what_a_step_is_made_of():
-    """What a vector environment calls one after the other is what ``reset`` and ``step`` do."""
+    """The phases that a vector environment calls one after the other do what ``reset`` and ``step`` do."""
     noisy = {"noise": "high", "sensor_noise": "high"}
     env, phased = make(**noisy), make(**noisy)
     observation, info = env.reset(seed=9)

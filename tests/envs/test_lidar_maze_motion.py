@@ -1,4 +1,4 @@
-"""How the maze's robot moves and what it measures: walls that hold, the laws of both noises, the scan."""
+"""Test how the maze's robot moves and what it measures: walls that hold, the laws of both noises, the scan."""
 
 from dataclasses import replace
 

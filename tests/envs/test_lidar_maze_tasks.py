@@ -1,4 +1,4 @@
-"""What LidarMaze asks for and pays: ends, rewards, exploration, the tasks that are drawn."""
+"""Test LidarMaze's tasks: ends, rewards, exploration, and which tasks are drawn."""
 
 import math
 

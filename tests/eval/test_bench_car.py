@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.car_yard import yard
+from tests.helpers.car_worlds import yard
 from vssm_gym.cli.bench import bench
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
 from vssm_gym.errors import InputError

@@ -73,7 +73,7 @@ def test_rows_of_every_kind_fit_the_schema(name):
 
 @pytest.mark.parametrize("folder", BASELINES, ids=lambda path: path.name)
 def test_committed_rows_are_read_in_whole(folder):
-    """What their files leave out is in ``sweep.json``; what they say themselves stands."""
+    """Fields that the files leave out come from ``sweep.json``; a row's own fields stand."""
     rows, manifest = read_rows(folder / FILE), read_manifest(folder / MANIFEST)
     lines = [json.loads(line) for line in (folder / FILE).read_text().splitlines()]
     assert len(rows) == len(lines) > 0

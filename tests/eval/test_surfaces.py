@@ -1,4 +1,4 @@
-"""What of a scene can be seen, and how a map is held against it: on boxes whose distances are known by hand."""
+"""Test which surfaces can be seen, and how a map is compared with them: on boxes whose distances are known by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is expected in unknown space: the outline of a building that stands at any angle."""
+"""Test the prior of unknown space: the outline of a building that stands at any angle."""
 
 import math
 

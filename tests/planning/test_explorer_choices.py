@@ -1,4 +1,4 @@
-"""What explorers choose in beliefs made by hand, where anyone can see which choice is right; and how often they may."""
+"""Test what explorers choose in beliefs made by hand, where anyone can see the right choice, and how often."""
 
 import itertools
 import math
@@ -85,7 +85,7 @@ def test_who_looks_on_the_way_turns_once_in_every_metre():
 
 
 def test_a_random_candidate_is_gone_to_and_no_place_twice():
-    """What a place still promises after a look around is not there: the robot ends, though its map never changes."""
+    """A place that was looked at promises nothing any more: the robot ends, though its map never changes."""
     strategy = RandomViewpoint(RandomViewpointConfig())
     strategy.reset(3)
     at, goals = (5.0, 0.55), []

@@ -46,7 +46,7 @@ def random_poses(rng: np.random.Generator, n: int, spread: float = 0.25) -> np.n
 
 
 def partial_map(seed: int, images: int = 2, sparse: bool = False) -> VoxelMap:
-    """What the update leaves of a few images of a room that is larger than they show."""
+    """Return the map after an update by a few images of a room that is larger than they show."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE, slots=20 if sparse else None)
     for T in random_poses(np.random.default_rng(seed), images):
         image = ROOM.image(T.astype(float), CAMERA)

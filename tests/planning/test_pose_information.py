@@ -1,4 +1,4 @@
-"""What an image tells of the robot's own pose: closed forms of walls and corners, and invariance."""
+"""Test the information of an image about the robot's own pose: closed forms of walls and corners, and invariance."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ CORNER = Room(((-50.0, -50.0, -50.0), (2.0, 1.0, 50.0)))
 
 
 def gain(room: Room, T: np.ndarray, std: tuple[float, float, float]) -> float:
-    """Of one image whose every reading is of a known surface."""
+    """Return the gain of one image whose every pixel shows a known surface."""
     depth = np.asarray(room.image(T, CAMERA).depth, np.float64)[None]
     return float(pose_gain(depth, np.ones(depth.shape, bool), T[None], CAMERA, np.array(std))[0])
 

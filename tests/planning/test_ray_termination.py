@@ -1,4 +1,4 @@
-"""Where imagined rays end: the ground in closed form, and the way through unknown space against fine sampling."""
+"""Test where imagined rays end: the ground in closed form, and unknown space against fine sampling."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a policy is worth: imagined episodes by hand, and the gap between imagination and the simulator."""
+"""Test the evaluation of policies: imagined episodes by hand, and the gap between imagination and the simulator."""
 
 import json
 

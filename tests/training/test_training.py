@@ -291,7 +291,7 @@ def test_a_damaged_checkpoint_is_refused_and_runs_no_code(corridor, tmp_path, da
 
 
 def test_a_training_killed_before_its_first_checkpoint_begins_anew(corridor, tmp_path):
-    """What it has logged is dropped: curves go over lines that do not fall."""
+    """Its log is dropped: the steps along a curve never decrease."""
     run_training(config(), tmp_path)
     for name in ("checkpoint.pt", "policy.npz"):
         (tmp_path / name).unlink()

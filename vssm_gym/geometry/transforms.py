@@ -5,6 +5,7 @@ Frames cancel in names: ``p_world = T_world_cam @ p_cam``. The functions serve N
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 import jaxlie
@@ -14,7 +15,7 @@ from jaxtyping import Array, Float
 R_BODY_CAM = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
 
-def wrap_angle(angle):
+def wrap_angle(angle: Any) -> Any:
     """Return ``angle`` modulo 2 pi, in [-pi, pi); rad, any shape."""
     if isinstance(angle, float):
         return (angle + math.pi) % (2 * math.pi) - math.pi
@@ -22,7 +23,7 @@ def wrap_angle(angle):
     return xp.remainder(angle + xp.pi, 2 * xp.pi) - xp.pi
 
 
-def transform(T_a_b, p_b):
+def transform(T_a_b: Any, p_b: Any) -> Any:
     """``p_a = R p_b + t``.
 
     Args:
@@ -36,7 +37,7 @@ def transform(T_a_b, p_b):
     return xp.einsum("...ij,...j->...i", T_a_b[..., :3, :3], p_b) + T_a_b[..., :3, 3]
 
 
-def inverse(T_a_b):
+def inverse(T_a_b: Any) -> Any:
     """``T_b_a = [R^T, -R^T t]``: the exact inverse of rigid ``(..., 4, 4)`` matrices."""
     xp = T_a_b.__array_namespace__()
     R_b_a = xp.swapaxes(T_a_b[..., :3, :3], -1, -2)
@@ -46,7 +47,7 @@ def inverse(T_a_b):
     return xp.concatenate([top, bottom], axis=-2)
 
 
-def planar_to_matrix(planar):
+def planar_to_matrix(planar: Any) -> Any:
     """Convert planar poses ``(x, y, heading)`` ``(..., 3)`` to ``T_world_body`` ``(..., 4, 4)`` at height 0."""
     xp = planar.__array_namespace__()
     x, y, heading = planar[..., 0], planar[..., 1], planar[..., 2]
@@ -56,7 +57,7 @@ def planar_to_matrix(planar):
     return xp.stack(rows, axis=-1).reshape(*planar.shape[:-1], 4, 4)
 
 
-def matrix_to_planar(T_world_body):
+def matrix_to_planar(T_world_body: Any) -> Any:
     """Return ``(x, y, heading)`` of ``(..., 4, 4)`` poses: position on the floor and yaw of the body's x axis."""
     xp = T_world_body.__array_namespace__()
     heading = xp.arctan2(T_world_body[..., 1, 0], T_world_body[..., 0, 0])

@@ -112,7 +112,7 @@ angles = st.floats(-math.pi, math.pi)
 @pytest.mark.parametrize("first", [seen, embree])
 @given(layouts, angles, angles, angles)
 def test_depth_and_box_agree_with_slab_intersection(first, layout, heading, pitch, roll):
-    """What is drawn, and what is traced, is what a ray meets: from within a box too, and with boxes behind the eye."""
+    """Drawn and traced depths are those of ray and box: from within a box too, and with boxes behind the camera."""
     boxes = [solid(*box) for box in layout]
     T_world_cam = tilted(heading, pitch, roll)
     rays = np.asarray(CAMERA.rays(), dtype=np.float64).reshape(-1, 3) @ T_world_cam[:3, :3].T
@@ -256,7 +256,7 @@ def test_a_wall_in_two_pieces_looks_like_one():
 
 
 def test_far_away_a_texture_shows_its_mean():
-    """Where a pixel covers many tiles, sampling must average them: a tracker would take shimmer for motion."""
+    """Sampling averages the tiles that a pixel covers: a tracker would take shimmer for motion."""
     fine = Material(color=(1, 1, 1), texture="brick", scale=0.02)
     plain_value = shading.texture_atlas(["brick"])[0].reshape(-1, 3).mean(axis=0)
     rgb, _ = RaycastCamera([solid((4.0, 0.0, 0.0), (0.2, 20.0, 20.0), material=fine)], CAMERA).render(look(0, 0, 0))

@@ -34,7 +34,7 @@ scene = cache(load_scene)
 
 
 def low(box: SolidBox) -> bool:
-    """Whether it stops a ground robot."""
+    """Return true for what stops a ground robot."""
     return box.center[2] - 0.5 * box.size[2] < 0.5 and box.center[2] + 0.5 * box.size[2] > 0.01
 
 

@@ -38,7 +38,7 @@ PLAN: dict[str, Any] = {
 
 
 def obstacles(flat: Apartment) -> shapely.Geometry:
-    """What is solid below 0.5 m."""
+    """Return what is solid below 0.5 m."""
     low = [b for b in flat.boxes() if b.center[2] - b.size[2] / 2 < 0.5 and b.center[2] + b.size[2] / 2 > 0.01]
     return shapely.union_all([footprint(box) for box in low])
 

@@ -1,4 +1,4 @@
-"""What is odd about a scene is said, once, naming the item: missing walls, objects where none can be."""
+"""Test the warnings about scenes: each names its item once: missing walls, objects where none can be."""
 
 import json
 import warnings

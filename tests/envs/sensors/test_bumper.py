@@ -8,7 +8,7 @@ import pytest
 
 import vssm_gym  # noqa: F401  (registers the environments)
 from tests.helpers.box_rooms import two_rooms
-from tests.helpers.car_yard import yard
+from tests.helpers.car_worlds import yard
 from vssm_gym.envs.physics import FloorWorld, obstacles
 from vssm_gym.envs.physics.planar import clearance, rectangles
 from vssm_gym.envs.robots import HolonomicRobot

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import vssm_gym  # noqa: F401  (registers the environments)
 from tests.helpers.box_rooms import two_rooms
-from tests.helpers.car_yard import yard
+from tests.helpers.car_worlds import yard
 from vssm_gym.envs.sensors.base import GroundBody
 from vssm_gym.envs.sensors.gps_compass import (
     PRESETS,

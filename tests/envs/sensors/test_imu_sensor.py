@@ -89,7 +89,7 @@ def test_the_bias_walks(dt: float) -> None:
 
 
 def test_allan_deviation_falls_and_rises_as_the_sheet_says() -> None:
-    """Of clusters of time tau: ``density / sqrt(tau)`` while noise rules, ``walk sqrt(tau / 3)`` once the bias does."""
+    """``density / sqrt(tau)`` while noise dominates clusters of time tau, ``walk sqrt(tau / 3)`` once the bias does."""
     noise, dt, n = ImuSensorNoise(gyro_density=1e-3, gyro_walk=1e-3), 0.01, 2**18
     read = NoisyImu(noise, np.random.default_rng(0))(np.zeros((n, 6)), dt)[:, 3:]
     for length in (4, 16, 2048):

@@ -1,4 +1,4 @@
-"""What holds for every sensor of the registry on every environment that takes sensors, and for the list of them."""
+"""Test every sensor of the registry on every environment that takes sensors, and the list of them."""
 
 import gc
 import pickle
@@ -13,7 +13,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.helpers.box_rooms import two_rooms
-from tests.helpers.car_yard import yard
+from tests.helpers.car_worlds import yard
 from vssm_gym.envs.phased import keywords_of
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.sensors.registry import SENSORS, parse_sensors

@@ -1,4 +1,4 @@
-"""How imagined robots move: the simulator's laws of noise number by number, servos; how far it is to their goals."""
+"""Test how imagined robots move: the simulator's laws of noise number by number, servos, distances to goals."""
 
 import jax.numpy as jnp
 import numpy as np

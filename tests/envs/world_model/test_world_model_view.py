@@ -1,4 +1,4 @@
-"""What imagined robots see: the emission's own depths, in the plane and in images; and what they collide with."""
+"""Test what imagined robots see: the emission's own depths, in the plane and in images; and their collisions."""
 
 import equinox as eqx
 import jax

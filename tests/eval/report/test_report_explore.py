@@ -137,7 +137,7 @@ def test_a_leader_everywhere_is_not_contradicted():
     ],
 )
 def test_the_claim_needs_its_mean_and_its_interval(mean, spread, verdict):
-    """Of path lengths both count, of times the interval alone."""
+    """The claim needs both for path lengths, and the interval alone for times."""
     metres = {task: mean + spread * (-1) ** task for task in range(6)}
     rows = [run("mi_explorer", metres[task], task=task) for task in metres]
     rows += [run("frontier_gain", 20.0, task=task) for task in metres]

@@ -176,7 +176,7 @@ def test_bad_input_is_named(options, field):
 
 
 def test_a_drive_reads_as_a_plan_does():
-    """What reports print of a path they can print of a drive."""
+    """Reports print of a drive what they print of a path."""
     result = plan(np.array([1.0, 1.0, 0.0]), np.array([2.0, 1.5]), OPEN, CAR)
     for field in (*(field.name for field in dataclasses.fields(PlanResult)), "found"):
         assert hasattr(result, field)

@@ -1,4 +1,4 @@
-"""What the car does where its controller has no answer: continue, brake, back off, and never anything worse."""
+"""Test the car without an answer of its controller: it continues, brakes, backs off, and does nothing worse."""
 
 from dataclasses import replace
 

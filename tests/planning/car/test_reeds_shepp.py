@@ -17,7 +17,7 @@ HALF_PI = 0.5 * math.pi
 
 
 def drive(lengths: np.ndarray, steerings: np.ndarray, radius: float = RADIUS) -> np.ndarray:
-    """Where segments ``(..., n)`` lead from the origin, ``(..., 3)``: turns about circle centres."""
+    """Return the poses ``(..., 3)`` to which segments ``(..., n)`` lead from the origin: turns about circle centres."""
     p, heading = np.zeros(lengths.shape[:-1], complex), np.ones(lengths.shape[:-1], complex)
     for s, side in zip(np.moveaxis(lengths, -1, 0), np.moveaxis(steerings, -1, 0), strict=True):
         turn = np.exp(1j * side * s / radius)

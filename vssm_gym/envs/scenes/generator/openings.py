@@ -15,7 +15,7 @@ _STEP = 0.1  # m between the places tried
 _SIZES = {"bathroom": (0.6, 0.6, 1.5), "storage": (0.5, 0.5, 1.6), "kitchen": (1.2, 1.0, 1.2), "hall": (0.8, 1.2, 0.9)}
 
 
-class NoPlan(Exception):
+class NoPlan(Exception):  # noqa: N818 - a draw that is repeated, no error
     """Signal that a drawn plan has no place for one of its doors."""
 
 

@@ -1,0 +1,119 @@
+"""Hold the house to its shape: small folders, plain first lines, annotated functions, tests that mirror the package."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+FOLDERS = ("vssm_gym", "agents", "eval", "tests")  # the links inside vssm_gym lead to the other two
+MODULES = 20  # the most that a reader keeps in mind of one folder
+RIDDLE = re.compile(r"(Whether|What|How|Of|Where)\b")
+
+# Folders whose first lines are still being rewritten: to be emptied, never to grow.
+OPEN = ("vssm_gym/planning/", "vssm_gym/training/", "eval/report/")
+
+# Folders of tests for what has no folder of its own in the package.
+TESTS_ONLY = {"helpers"}
+
+
+def python_files(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in (CHECKOUT / folder).rglob("*.py"))
+
+
+def docstrings(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield ``(name, first line)`` of every docstring of a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = ast.get_docstring(node)
+            if text:
+                yield getattr(node, "name", "module"), text.splitlines()[0]
+
+
+def riddles(tree: ast.Module) -> list[str]:
+    return [f"{name}: {line}" for name, line in docstrings(tree) if RIDDLE.match(line)]
+
+
+def is_kernel(function: ast.FunctionDef) -> bool:
+    """Return true for a function that numba compiles: it takes its types from the call."""
+    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+
+
+def bare(tree: ast.Module) -> list[str]:
+    """Return the functions and methods without all annotations; kernels and functions inside functions are exempt."""
+    found, scopes = [], [tree]
+    while scopes:
+        for node in scopes.pop().body:
+            if isinstance(node, ast.ClassDef):
+                scopes.append(node)
+            elif isinstance(node, ast.FunctionDef) and not is_kernel(node):
+                a = node.args
+                arguments = [*a.posonlyargs, *a.args, *a.kwonlyargs, *filter(None, [a.vararg, a.kwarg])]
+                named = [x for x in arguments if x.arg not in ("self", "cls")]
+                if any(x.annotation is None for x in named) or (node.returns is None and node.name != "__init__"):
+                    found.append(f"{node.lineno}: {node.name}")
+    return found
+
+
+def test_no_folder_is_crowded():
+    for folder in {path.parent for path in python_files(*FOLDERS)}:
+        modules = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
+        if "tests" not in folder.relative_to(CHECKOUT).parts or folder.name == "helpers":
+            assert len(modules) <= MODULES, f"{folder.relative_to(CHECKOUT)}: {len(modules)} modules"
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_first_lines_are_sentences_or_equations(folder):
+    found = [
+        f"{name} {line}"
+        for path in python_files(folder)
+        if not (name := str(path.relative_to(CHECKOUT))).startswith(OPEN)
+        for line in riddles(ast.parse(path.read_text()))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize("folder", ["vssm_gym", "agents", "eval"])
+def test_functions_are_annotated(folder):
+    found = {
+        str(path.relative_to(CHECKOUT)): names
+        for path in python_files(folder)
+        if (names := bare(ast.parse(path.read_text())))
+    }
+    assert found == {}
+
+
+def test_folders_of_tests_mirror_the_package():
+    package = CHECKOUT / "vssm_gym"
+    for path in (CHECKOUT / "tests").rglob("test_*.py"):
+        folder = path.parent.relative_to(CHECKOUT / "tests")
+        assert (package / folder).is_dir() or str(folder) in TESTS_ONLY, f"{path.name}: no vssm_gym/{folder}"
+
+
+@pytest.mark.parametrize(
+    ("check", "source"),
+    [
+        (riddles, 'def f():\n    """Whether so much of it is."""'),
+        (riddles, 'class A:\n    """A."""\n\n    def f(self):\n        """How far, m."""'),
+        (riddles, '"""What a robot does."""'),
+        (bare, "def f(a) -> int: ..."),
+        (bare, "class A:\n    def f(self, a: int): ..."),
+        (bare, "def f(a: int, *rest, **more: int) -> int: ..."),
+    ],
+)
+def test_each_check_finds_its_fault(check, source):
+    assert len(check(ast.parse(source))) == 1
+
+
+@pytest.mark.parametrize(
+    ("check", "source"),
+    [
+        (riddles, 'def f():\n    """Offer the clearance."""'),
+        (bare, "@numba.njit(cache=True)\ndef f(a, b): ..."),
+        (bare, "class A:\n    def __init__(self, a: int):\n        def g(carry): ...\n"),
+    ],
+)
+def test_what_is_fine_passes(check, source):
+    assert check(ast.parse(source)) == []
