@@ -31,7 +31,7 @@ from jaxtyping import install_import_hook
 
 FORGET_ABOVE = 4e9  # bytes of a test process
 
-# Annotated shapes and dtypes of these modules are checked at every call (STYLE 2). Simulation and planning are left
+# Annotated shapes and dtypes of these modules are checked at every call. Simulation and planning are left
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
 CHECKED = ["geometry.transforms", "geometry.camera", "maps", "model", "inference"]
 
@@ -56,10 +56,11 @@ settings.load_profile("vssm_gym")
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real recordings and houses that lies beside the checkout; a test that needs it skips without."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip("no shared/data beside the checkout")
-    return folder
+    from tests.helpers.paths import SHARED_DATA
+
+    if not SHARED_DATA.is_dir():
+        pytest.skip("no recordings beside the checkout")
+    return SHARED_DATA
 
 
 @pytest.fixture(scope="module", autouse=True)

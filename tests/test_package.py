@@ -115,7 +115,7 @@ def test_importing_the_package_is_cheap():
 
 
 def test_gymnasium_imports_the_package_that_an_id_names():
-    """DESIGN, first use: ``gym.make("vssm_gym:vssm_gym/...")`` in a program that imports Gymnasium alone."""
+    """Make an environment by ``gym.make("vssm_gym:vssm_gym/...")`` in a program that imports Gymnasium alone."""
     code = "from gymnasium.envs.registration import _find_spec as find; print(find('vssm_gym:vssm_gym/PointNav-v0').id)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "vssm_gym/PointNav-v0"

@@ -1,6 +1,7 @@
 """Every agent of the registry keeps the protocol; the navigator arrives, by the shortest way, or says why it cannot.
 
-The world here is a floor plan and the noisy kinematics of SPEC 6; the agents' map is a learned map of that plan.
+The world here is a floor plan and the noisy kinematics of the holonomic robot (eq. T1). The
+agents' map is a learned map of that plan.
 """
 
 import dataclasses

@@ -100,7 +100,7 @@ def euroc(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return EuRoC V1_01: IMU rows (t, gyro, accelerometer) at 200 Hz, true states at 20 Hz; s since the first."""
     folder = shared_data / "uav_imu" / "euroc_V1_01_easy"
     if not folder.is_dir():
-        pytest.skip("no shared/data/uav_imu/euroc_V1_01_easy")
+        pytest.skip("no recording euroc_V1_01_easy")
     tables = []
     for name in ("imu0.csv.gz", "gt_openvins.csv.gz"):
         with gzip.open(folder / name, "rt") as file:

@@ -56,7 +56,7 @@ def apartment(name: str):
         return load_scene(name)
     path = HOUSES / f"{name}.json"
     if not path.is_file():
-        pytest.skip("shared/data/procthor is not on this machine")
+        pytest.skip("the procthor files are not on this machine")
     return load_scene(path)
 
 

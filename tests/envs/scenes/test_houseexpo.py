@@ -24,7 +24,7 @@ from vssm_gym.errors import InputError
 
 DATA = SHARED_DATA / "houseexpo"
 PLANS = sorted(DATA.glob("*.json"))
-needs_data = pytest.mark.skipif(not PLANS, reason="shared/data/houseexpo is not on this machine")
+needs_data = pytest.mark.skipif(not PLANS, reason="the houseexpo files are not on this machine")
 
 # Two rooms of 4 x 3 m and 3 x 3 m; the wall between them, x 4 to 4.1, has a gap at y 1 to 1.9.
 VERTS = [[0, 0], [4, 0], [4, 1], [4.1, 1], [4.1, 0], [7.1, 0], [7.1, 3], [4.1, 3], [4.1, 1.9], [4, 1.9], [4, 3], [0, 3]]

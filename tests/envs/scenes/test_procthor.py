@@ -23,7 +23,7 @@ from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.errors import InputError
 
 DATA = SHARED_DATA / "procthor"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="shared/data/procthor is not on this machine")
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the procthor files are not on this machine")
 
 
 def vec(x: float, y: float, z: float) -> dict[str, float]:
@@ -349,7 +349,7 @@ def test_files_and_the_missing_asset_database(tmp_path: Path) -> None:
 
 @cache
 def real() -> dict[str, tuple[dict[str, Any], Apartment]]:
-    """Every house of shared/data/procthor: its JSON and what became of it."""
+    """Every house of the ProcTHOR files: its JSON and what became of it."""
     database = DATA / "asset-database.json"
     assets = read_assets(json.loads(database.read_text()), database)
     houses = {path.stem: json.loads(path.read_text()) for path in sorted((DATA / "houses").glob("*.json"))}

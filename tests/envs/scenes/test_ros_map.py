@@ -286,7 +286,7 @@ def test_noise_is_refused_at_once(tmp_path: Path, resolution: float, expected: s
     assert time.process_time() - began < 3.0
 
 
-@pytest.mark.skipif(not DATA.is_file(), reason="shared/data/maps2d is not on this machine")
+@pytest.mark.skipif(not DATA.is_file(), reason="the maps2d files are not on this machine")
 def test_the_willow_map() -> None:
     flat = load_scene(DATA)
     assert len(flat.walls) < 6000
@@ -296,7 +296,7 @@ def test_the_willow_map() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not DATA.is_file(), reason="shared/data/maps2d is not on this machine")
+@pytest.mark.skipif(not DATA.is_file(), reason="the maps2d files are not on this machine")
 def test_a_robot_drives_in_the_willow_map() -> None:
     flat = load_scene(DATA)
     space = check_scene(flat)

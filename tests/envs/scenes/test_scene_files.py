@@ -20,7 +20,7 @@ from vssm_gym.errors import InputError
 
 DATA = SHARED_DATA / "procthor"
 LINES = DATA / "one_room_40.jsonl.gz"
-needs_data = pytest.mark.skipif(not LINES.is_file(), reason="shared/data/procthor is not on this machine")
+needs_data = pytest.mark.skipif(not LINES.is_file(), reason="the procthor files are not on this machine")
 DATABASE = {"DiningTable": [{"assetId": "Table_1", "objectType": "DiningTable", "boundingBox": vec(1.6, 0.8, 0.9)}]}
 
 
