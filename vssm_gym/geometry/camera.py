@@ -21,13 +21,25 @@ class Camera(eqx.Module):
 
     @classmethod
     def from_hfov(cls, width: int, height: int, hfov: float) -> "Camera":
-        """Make a camera with square pixels and central principal point; ``hfov`` in rad, from edge to edge."""
+        """Make a camera with square pixels whose principal point is the middle of the image.
+
+        Args:
+            width: of the image, pixels.
+            height: of the image, pixels.
+            hfov: horizontal field of view from edge to edge, rad.
+        """
         f = 0.5 * width / np.tan(0.5 * hfov)
         return cls(width, height, float(f), float(f), 0.5 * (width - 1), 0.5 * (height - 1))
 
     @classmethod
     def from_matrix(cls, K: np.ndarray, width: int, height: int) -> "Camera":
-        """Make a camera from a 3x3 intrinsic matrix in pixels."""
+        """Make a camera from its intrinsic matrix.
+
+        Args:
+            K: ``(3, 3)`` intrinsic matrix, pixels; pixel centres lie at integers.
+            width: of the image, pixels.
+            height: of the image, pixels.
+        """
         K = np.asarray(K, dtype=float)
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
 

@@ -33,7 +33,12 @@ class Rig(eqx.Module):
 
     @classmethod
     def of(cls, camera: Camera, T_body_cam: Any = None) -> "Rig":
-        """Return the rig of a camera; by default the camera is the body."""
+        """Return the rig of a camera; by default the camera is the body.
+
+        Args:
+            camera: intrinsics and image size.
+            T_body_cam: ``(4, 4)`` pose of the camera in the body frame, m; None: the camera is the body.
+        """
         T = jnp.eye(4) if T_body_cam is None else jnp.asarray(T_body_cam, jnp.float32)
         return cls(camera, T)
 

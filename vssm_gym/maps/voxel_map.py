@@ -77,9 +77,13 @@ class VoxelMap(eqx.Module):
         shape: tuple[int, int, int],
         slots: int | None = None,
     ) -> "VoxelMap":
-        """Return ``p(M)``, the broad prior over a grid of at least ``shape`` cells (rounded up to whole blocks).
+        """Return ``p(M)``, the broad prior over a grid.
 
-        With ``slots`` the map is block-sparse: at most ``slots - 1`` blocks can be observed.
+        Args:
+            origin: world position of the centre of cell (0, 0, 0), m.
+            voxel_size: edge of a cell, m.
+            shape: cells along x, y, z at least; rounded up to whole blocks.
+            slots: None for a dense map; else the map is block-sparse, and at most ``slots - 1`` blocks can be observed.
         """
         blocks = (-(-shape[0] // BLOCK), -(-shape[1] // BLOCK), -(-shape[2] // BLOCK))
         n = blocks[0] * blocks[1] * blocks[2] if slots is None else slots
@@ -99,11 +103,12 @@ class VoxelMap(eqx.Module):
     def cube(
         cls, centre: Array | np.ndarray | Sequence[float], extent: float = 14.0, voxel_size: float = 0.07
     ) -> "VoxelMap":
-        """Return the prior on the published grid: ``extent`` m along each axis around ``centre``.
+        """Return the prior on a dense cube; the default is the published grid (PRISM: 200^3 cells over 14 m).
 
-        PRISM has 200^3 over 14 m.
-
-        PRISM has 200^3 over 14 m.
+        Args:
+            centre: of the cube in the world, m.
+            extent: edge of the cube, m.
+            voxel_size: edge of a cell, m.
         """
         return cls.prior(*_cube(centre, extent, voxel_size))
 
@@ -115,9 +120,13 @@ class VoxelMap(eqx.Module):
         voxel_size: float = 0.07,
         slots: int = DEFAULT_SLOTS,
     ) -> "VoxelMap":
-        """Return a block-sparse prior on a cube.
+        """Return the prior on a block-sparse cube.
 
-        Its memory is that of ``slots`` blocks, 12.8 kB each, whatever its volume.
+        Args:
+            centre: of the cube in the world, m.
+            extent: edge of the cube, m.
+            voxel_size: edge of a cell, m.
+            slots: blocks that have storage, 12.8 kB each; the memory does not depend on the volume.
         """
         return cls.prior(*_cube(centre, extent, voxel_size), slots=slots)
 
@@ -237,6 +246,9 @@ class VoxelMap(eqx.Module):
     @classmethod
     def load(cls, path: str | Path) -> "VoxelMap":
         """Read a map written by :meth:`save`.
+
+        Args:
+            path: the ``.npz`` file.
 
         Raises:
             InputError: the file is missing, truncated, of another format or version, or its arrays do not fit.

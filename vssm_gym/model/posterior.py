@@ -98,6 +98,9 @@ class Posterior(eqx.Module):
     def load(cls, path: str | Path) -> "Posterior":
         """Read a file written by :meth:`save`.
 
+        Args:
+            path: the ``.npz`` file.
+
         Raises:
             InputError: the file is missing, damaged or of another version, or a map file without a belief.
         """

@@ -45,6 +45,11 @@ class ClearanceMap:
         The level crosses the grid's lines where the linear interpolation of two neighbours does. The result is the
         distance to the nearest such crossing, which a transform of whole cells misses by up to half a cell. Depths only
         place the surface between two neighbours: further away they need not be distances.
+
+        Args:
+            depth: ``(nx, ny)`` signed depth, m, positive inside obstacles.
+            origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
+            resolution: m between cell centres.
         """
         clearance = level_distance(depth, resolution)
         return cls(np.ascontiguousarray(clearance), np.asarray(origin, dtype=np.float64), float(resolution))
@@ -61,6 +66,12 @@ class ClearanceMap:
 
         A column is occupied where the mean field exceeds zero at any height. It is not free either where too few of its
         heights were ever observed. The grid covers the observed free columns with one cell around them.
+
+        Args:
+            voxel_map: the learned map; its z axis points up.
+            z_min: lowest height of the body, m; above the noise of the floor.
+            z_max: highest height of the body, m.
+            resolution: m between cell centres.
         """
         low = voxel_map.bounds[0]
         top, share = observed_columns(voxel_map, z_min, z_max, resolution)
