@@ -32,9 +32,7 @@ def commands(rng: np.random.Generator, steps: int) -> np.ndarray:
     return out
 
 
-def replay(
-    scene: Any, belief: Path | VoxelMap, *, rollouts: int = 100, seconds: float = SECONDS, seed: int = 0
-) -> dict[str, Any]:
+def replay(scene: Any, belief: Path | VoxelMap, *, rollouts: int = 100, seed: int = 0) -> dict[str, Any]:
     """Measure the errors of imagination in a map of ``scene``.
 
     Returns:
@@ -51,7 +49,7 @@ def replay(
         max_episode_steps=-1,
     )
     real = ScanObservation(real)
-    steps = round(seconds / HolonomicRobot().dt)
+    steps = round(SECONDS / HolonomicRobot().dt)
     rng = np.random.default_rng(seed)
     acts = np.stack([commands(rng, steps) for _ in range(rollouts)], axis=1)  # (steps, rollouts, 4)
     tasks, at, seen, collided = (
@@ -89,7 +87,7 @@ def replay(
         scans[t] = np.where(both, np.abs(observation["scan"] - seen[t]), np.nan)
         collided |= infos["collision"]
     imagined.close()
-    result: dict[str, Any] = {"rollouts": rollouts, "seconds": seconds, "collisions": int(collided.sum())}
+    result: dict[str, Any] = {"rollouts": rollouts, "seconds": SECONDS, "collisions": int(collided.sum())}
     for name, chosen in (("all", np.ones(rollouts, bool)), ("free", ~collided), ("collided", collided)):
         if chosen.any():
             result[name] = {

@@ -28,6 +28,7 @@ from vssm_gym.viz import pictures
 GAIN_COLOURS = TIME_COLOURS = "viridis"
 DRIVEN_COLOUR, PATH_COLOUR, ROBOT_COLOUR = "#1f5fa8", "#d95f02", "#1f5fa8"
 FREE_COLOUR = np.ones(3)
+ROBOT_SIZE = 0.28  # m from the robot's centre to its drawn tip, more than its radius for visibility
 HALO = (Stroke(linewidth=3.6, foreground="white"), Normal())
 LEAST_GAIN = 1.0  # 10^3 nats, where the colours of gain begin
 CANDIDATE: dict[str, Any] = {"s": 95.0, "edgecolors": "black", "linewidths": 0.8}
@@ -141,10 +142,10 @@ def plan_handles(with_gain: bool) -> list:
     return handles
 
 
-def robot_outline(planar: Float[np.ndarray, "3"], size: float = 0.28) -> Float[np.ndarray, "4 2"]:
+def robot_outline(planar: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 2"]:
     """Return a dart at the robot's pose, larger than the robot for visibility."""
     angle = planar[2] + np.array([0.0, 2.5, math.pi, -2.5])
-    radius = size * np.array([1.0, 0.8, 0.35, 0.8])
+    radius = ROBOT_SIZE * np.array([1.0, 0.8, 0.35, 0.8])
     return planar[:2] + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 

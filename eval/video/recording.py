@@ -19,6 +19,7 @@ from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import UNKNOWN
 
 EVERY = 2  # steps between two moments, 0.4 s
+AROUND = 0.3  # m, margin of pictures around known space
 EARLY = 0.4  # coverage from which on a choice is shown: by then there are several candidates
 SEVERAL = 4  # least number of candidates of a choice that is shown
 
@@ -126,10 +127,10 @@ class Recording:
         )
         self._tour = tour
 
-    def bounds(self, around: float = 0.3) -> Float[np.ndarray, "2 2"]:
-        """Return the lowest and highest corner of all known space, with ``around`` m on each side."""
+    def bounds(self) -> Float[np.ndarray, "2 2"]:
+        """Return the lowest and highest corner of all known space, with ``AROUND`` m on each side."""
         corners = np.array([moment.plan.bounds for moment in self.moments])
-        return np.stack([corners[:, 0].min(axis=0) - around, corners[:, 1].max(axis=0) + around])
+        return np.stack([corners[:, 0].min(axis=0) - AROUND, corners[:, 1].max(axis=0) + AROUND])
 
     def driven(self, moment: Moment) -> Float[np.ndarray, "n 2"]:
         """Return the path up to a moment, m."""

@@ -130,14 +130,13 @@ class EstimatedPose(VectorWrapper):
 
     Args:
         env: observes ``pose``.
-        std: of the error: forward (m), left (m), turn (rad).
-        memory: rho.
+        std: of the error: forward (m), left (m), turn (rad); rho is ``Imagination.pose_memory``.
     """
 
-    def __init__(self, env: VectorEnv, std: Sequence[float], memory: float = Imagination.pose_memory) -> None:
+    def __init__(self, env: VectorEnv, std: Sequence[float]) -> None:
         super().__init__(env)
         checked_stds("pose_std", std)
-        self._std, self._memory = np.asarray(std), memory
+        self._std, self._memory = np.asarray(std), Imagination.pose_memory
         self._error, self._variance = np.zeros((self.num_envs, 3)), np.zeros((self.num_envs, 3))
         self._rng = np.random.default_rng()
 
