@@ -48,7 +48,7 @@ def record(
 
     Args:
         scene: built-in name or path of a scene file.
-        out: new or empty folder; it appears whole or not at all.
+        out: new or empty folder; written atomically.
         noise: execution noise of the drive; the recorded poses are the true ones.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
@@ -86,7 +86,7 @@ def record_handheld(
 
     Args:
         scene: built-in name or path of a scene file.
-        out: new or empty folder; it appears whole or not at all.
+        out: new or empty folder; written atomically.
         metres: length of the path at least.
         rate: frames a second.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.

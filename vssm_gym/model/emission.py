@@ -35,7 +35,7 @@ class RGBD(eqx.Module):
 
     depth: Float[Array, "height width"]  # z-depth, m; 0 where there is none
     rgb: Float[Array, "height width 3"]  # [0, 1]
-    hit: Bool[Array, "height width"]  # where depth means anything
+    hit: Bool[Array, "height width"]  # where a ray hit a surface; elsewhere depth and colour are 0
     known: Bool[Array, "height width"]  # where the surface was observed; elsewhere it follows from the prior mean
 
     @classmethod

@@ -23,8 +23,8 @@ def associate(
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
     """Pair each stamp of the *shorter* trajectory with the nearest one of the other, within ``tolerance`` s.
 
-    None of the shorter one's poses is lost that way; neither has to be sorted. Of two equally near stamps the earlier
-    one counts, and one pose of the longer trajectory may be paired with two of the shorter.
+    No pose of the shorter trajectory is lost; neither has to be sorted. Of two equally near stamps the earlier one
+    counts, and one pose of the longer trajectory may be paired with two of the shorter.
 
     Returns:
         Indices into the estimate and into the truth, of equal length, possibly empty.

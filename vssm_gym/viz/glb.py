@@ -21,7 +21,7 @@ Z_UP = [-_HALF, 0.0, 0.0, _HALF]  # quaternion (x, y, z, w): -90 degrees about x
 
 
 def write_glb(path: Path, mesh: Mesh) -> None:
-    """Write vertices, faces and colours; the file appears whole or not at all. An empty mesh is a scene of nothing."""
+    """Write vertices, faces and colours atomically. An empty mesh is written as an empty scene."""
     parts = [
         mesh.vertices.astype("<f4").tobytes(),
         np.pad(linear(mesh.colours), ((0, 0), (0, 1)), constant_values=65535).astype("<u2").tobytes(),

@@ -44,7 +44,7 @@ class MapLearningConfig:
     pixels: int = 512  # drawn of each
     occupancy_rate: float = 0.001  # m: change of a cell by one wrong ray whose depth depends on that cell alone
     colour_rate: float = 0.005  # likewise of a colour channel
-    scale_rate: float = 0.01  # share of the way to a batch's own scales
+    scale_rate: float = 0.01  # of the running mean of the scales, [0, 1]
     steps: int = 4000  # of refine; rates fall linearly to zero over them
     refresh: int = 100  # steps between rebuilds of the empty-space index
     truncation: float = TRUNCATION  # voxels: a surface found farther behind the observed one is another surface
