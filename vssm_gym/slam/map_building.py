@@ -155,7 +155,7 @@ def grid_bounds(
             p_world = (rays[seen] * depth[seen][:, None]) @ T_world_cam[i, :3, :3].T + T_world_cam[i, :3, 3]
             low, high = np.minimum(low, p_world.min(axis=0)), np.maximum(high, p_world.max(axis=0))
     if not np.isfinite(low).all():
-        raise InputError(source, "depth", "readings; no sampled frame has any")
+        raise InputError(source, "depth", "readings; every sampled pixel has none")
     return low - MARGIN, high + MARGIN
 
 
