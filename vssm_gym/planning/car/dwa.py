@@ -1,18 +1,18 @@
-"""The dynamic window approach for a car: the best command of those that the car can have obeyed after one step.
+"""Control a car by the dynamic window approach: the best command that it can reach within one step (eq. P16).
 
     max over (v, s) in window   progress (h(0) - min h) / reach + clear (free / reach - tight)
                                 + speed |v| / max_speed - cusp [gear changes]
     subject to                  |v| <= sqrt(2 braking free),   |v| <= sqrt(2 braking d(0))
 
-A steering held for :data:`REACH` metres drives an arc, of which ``free`` metres touch nothing (exact rectangles) and
+A steering held for :data:`REACH` metres drives an arc, of which ``free`` metres are free (exact rectangles) and
 ``tight`` is the share that keeps less than the margin of comfort (Fox, Burgard and Thrun, "The dynamic window approach
 to collision avoidance", IEEE RAM 4, 1997). ``h = d + across |sin(heading - downhill)|`` is the distance to the goal
-around obstacles for a point, and how far the car stands across the way there: either end may lead.
+around obstacles for a point, and how far the car stands across the path there; either end may lead.
 
-What stays is the method's weakness, local minima: one arc is judged, so a manoeuvre that must first drive away from the
-goal, such as parking sideways or turning in a dead end, is not found, and the heading at the goal is left open. Where
-no arc makes progress the car backs up along a free arc, each time further until it has come nearer to the goal than
-ever before; that leaves many such places and not all.
+What stays is the method's weakness, local minima: one arc is evaluated, so a manoeuvre that must first drive away from
+the goal, such as parking sideways or turning in a dead end, is not found, and the heading at the goal is left open.
+Where no arc makes progress the car backs up along a free arc, each time further until it has come nearer to the goal
+than ever before; that leaves many such places and not all.
 """
 
 import math
@@ -28,8 +28,8 @@ from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, FootprintLe
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.result import Outcome
 
-REACH = 1.2  # m of an arc that is looked at
-ACROSS = 0.3  # m, what standing square to the way counts
+REACH = 1.2  # m, length of an arc
+ACROSS = 0.3  # m, cost of standing square to the path
 ACCELERATION = 1.5  # m/s^2, of the window
 STEERING_RATE = 6.0  # rad/s, of the window
 BRAKING = 0.6  # m/s^2
@@ -38,24 +38,24 @@ PROGRESS, CLEAR, SPEED, CUSP = 1.0, 0.15, 0.1, 0.25  # weights
 STUCK = 0.02  # m of progress below which an arc leads nowhere
 RECOVERY_SPEED, RECOVERY_STEPS = 0.25, 10  # m/s; steps for which the car backs up the first time
 LONGEST = 4  # times as far it backs up at most
-ESCAPE_LENGTH = 0.1  # m that may be driven to come free from where the car touches something
+ESCAPE_LENGTH = 0.1  # m that may be driven to come free from a collision
 NEARER = 0.1  # m that count as coming nearer than ever
-_PART = 0.02  # m of an arc between two looks
+_PART = 0.02  # m of an arc between two tests
 
 
 class DwaStatus(Outcome):
-    """What the controller is doing; the value is the message that reports print."""
+    """Name what the controller is doing; the value is the message that reports print."""
 
     DRIVING = "driving towards the goal"
     RECOVERING = "backing up: no command makes progress"
-    BLOCKED = "standing: every command would touch something"
-    NO_PATH = "standing: no way leads to the goal"
+    BLOCKED = "standing: every command would collide"
+    NO_PATH = "standing: no path leads to the goal"
     ARRIVED = "at the goal"
 
 
 @dataclass(frozen=True)
 class DwaState:
-    """What the next step needs of this one, and what was decided.
+    """Hold what the next step needs of this one, and the decision.
 
     Attributes:
         control: ``(speed, steering)`` commanded last, m/s and rad.
@@ -75,7 +75,7 @@ class DwaState:
 
 
 class DynamicWindow:
-    """The controller for one goal ``(2,)`` among fixed obstacles."""
+    """Control the car to one goal ``(2,)`` among fixed obstacles."""
 
     def __init__(self, obstacles: FootprintLevels, car: Car, goal: np.ndarray, tolerance: float = 0.05) -> None:
         """``tolerance`` (m): so near to the goal the car stops."""
@@ -87,19 +87,19 @@ class DynamicWindow:
         passable = np.asarray((obstacles.levels < COLLIDING).any(axis=2))
         distance = goal_distance(passable, gx, gy) * np.float32(obstacles.resolution)
         reached = np.isfinite(distance)
-        self.cut_off = passable & ~reached  # places that the car fits into and from which no way leads to the goal
-        # Where no way leads lies above all else, but finite: places next to it are interpolated with it.
+        self.cut_off = passable & ~reached  # places that the car fits into and from which no path leads to the goal
+        # Where no path leads lies above all else, but finite: places next to it are interpolated with it.
         top = distance[reached].max() if reached.any() else 0.0
         self.distance = np.where(reached, distance, np.float32(top + 1.0))
         slope_x, slope_y = np.gradient(self.distance)
-        self.downhill = np.arctan2(-slope_y, -slope_x)  # direction of the way to the goal, rad
+        self.downhill = np.arctan2(-slope_y, -slope_x)  # direction of the path to the goal, rad
 
     def init(self) -> DwaState:
-        """Standing, wheels straight."""
+        """Return the state of a standing car with straight wheels."""
         return DwaState(np.zeros(2))
 
     def step(self, state: DwaState, planar: np.ndarray) -> DwaState:
-        """The next command of a car at the pose ``planar`` ``(3,)``, in the ``control`` of the new state."""
+        """Return the next command of a car at the pose ``planar`` ``(3,)``, in the ``control`` of the new state."""
         car, planar = self.car, np.asarray(planar, dtype=np.float64)
         away = math.hypot(*(self.goal - planar[:2]))
         if away <= self.tolerance:
@@ -153,7 +153,7 @@ class DynamicWindow:
     def _arcs(
         self, planar: np.ndarray, steerings: np.ndarray, gear: float, escape: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the arc of each steering: progress (m), tight share and free length (m), all ``(n,)``."""
+        """Evaluate the arc of each steering: progress (m), tight share and free length (m), all ``(n,)``."""
         curvatures = turn_of(1.0, steerings, self.car.wheelbase)
         count = math.ceil(REACH / _PART)
         return _follow_arcs(
@@ -162,7 +162,7 @@ class DynamicWindow:
 
 
 def _window(middle: float, reach: float, limit: float, count: int) -> np.ndarray:
-    """Evenly spread over what can be reached within the limits, with the middle itself and zero where it is inside."""
+    """Return evenly spread values within the window and the limits, with the middle and, if inside, zero."""
     low, high = max(-limit, middle - reach), min(limit, middle + reach)
     values = np.append(np.linspace(low, high, count), middle)
     return np.unique(np.append(values, 0.0) if low <= 0.0 <= high else values)
@@ -170,7 +170,7 @@ def _window(middle: float, reach: float, limit: float, count: int) -> np.ndarray
 
 @njit(cache=True, nogil=True)
 def _height(lookup, distance, downhill, x, y, heading):
-    """Bilinear distance to the goal (m) and ``h``; infinite beyond the grid."""
+    """Return the bilinear distance to the goal (m) and ``h``; infinite beyond the grid."""
     u, w = (x - lookup.x) / lookup.resolution, (y - lookup.y) / lookup.resolution
     if not (0.0 <= u < distance.shape[0] - 1 and 0.0 <= w < distance.shape[1] - 1):
         return np.inf, np.inf
@@ -184,7 +184,7 @@ def _height(lookup, distance, downhill, x, y, heading):
 
 @njit(cache=True, nogil=True)
 def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, escape):
-    """See `_arcs`; an arc ends where the rectangle comes to touch something. Progress is at its best place."""
+    """Follow arcs as `_arcs` asks; an arc ends where the rectangle collides. Progress is at its best place."""
     n = curvatures.shape[0]
     progress, tight, free = np.zeros(n), np.zeros(n), np.zeros(n)
     _, start = _height(lookup, distance, downhill, planar[0], planar[1], planar[2])

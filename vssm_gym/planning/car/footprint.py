@@ -1,4 +1,4 @@
-"""The car's footprint, an oriented rectangle, against the cells of a floor plan.
+"""Test the car's footprint, an oriented rectangle, against the cells of a floor plan (eq. P8, P9).
 
     blocked(x, y, heading) = any occupied cell (a square) overlaps the rectangle of the pose, grown by a margin
 
@@ -19,7 +19,7 @@ from vssm_gym.planning.clearance import ClearanceMap
 
 Unknown = Literal["optimistic", "mean", "averse"]
 
-OVERLAP = 1e-9  # m: what overlaps by less only touches
+OVERLAP = 1e-9  # m; a smaller overlap is rounding, and touching is no collision
 AVERSE_DEVIATIONS = 2.0  # of a surface's standard deviation: occupied from P(occupied) = 2.3 % on
 Z_MIN, Z_MAX = 0.08, 0.2  # m: above the floor's noise, up to just above the car's roof
 
@@ -125,14 +125,14 @@ def arena_from_map(
 
 
 def heading_grid(n: int) -> np.ndarray:
-    """``k 2 pi / n`` for ``k = 0 .. n - 1``, rad, float64."""
+    """Return ``k 2 pi / n`` for ``k = 0 .. n - 1``, rad, float64."""
     return 2.0 * np.pi / n * np.arange(n)
 
 
 def rectangle_collisions(
     occupied: np.ndarray, resolution: float, car: Car, headings: np.ndarray, margin: float = 0.0
 ) -> np.ndarray:
-    """Whether the car's rectangle, ``margin`` wider on all four sides, overlaps an occupied cell or leaves the grid.
+    """Mark where the car's rectangle, ``margin`` wider all around, overlaps an occupied cell or leaves the grid.
 
     Args:
         occupied: ``(nx, ny)`` bool, indexed along x, y.
@@ -149,7 +149,7 @@ def rectangle_collisions(
 
 
 def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) -> bool:
-    """The same for one pose ``(x, y, heading)`` anywhere, m and rad."""
+    """Test one pose ``(x, y, heading)`` (m, rad) as :func:`rectangle_collisions` does."""
     planar = np.asarray(planar, dtype=np.float64)
     cell = np.round((planar[:2] - arena.origin) / arena.resolution).astype(int)
     relative = np.array([[*(planar[:2] - arena.origin - arena.resolution * cell), planar[2]]])
@@ -160,7 +160,7 @@ def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) ->
 
 
 def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) -> np.ndarray:
-    """The cells that any rectangle of ``(n, 3)`` poses overlaps, relative to a cell whose centre is the world's origin.
+    """Return the cells that any rectangle of ``(n, 3)`` poses overlaps, relative to a cell centred at the origin.
 
     By the separating axes of square and rectangle. Bool ``(2 k + 1, 2 k + 1)``, the cell at the origin in the middle.
     """
@@ -183,7 +183,7 @@ def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) 
 
 
 def dilate(occupied: np.ndarray, kernels: list[np.ndarray]) -> list[np.ndarray]:
-    """For each kernel ``K`` the cells from which it meets an occupied one: ``any_(i, j) in K occupied[x + i, y + j]``.
+    """Dilate by each kernel ``K``: ``any_(i, j) in K occupied[x + i, y + j]``.
 
     A row of a kernel is a few runs of cells. Whether a run of length ``l`` that starts at a cell meets anything is
     worked out once for all kernels, so that a run costs one ``or`` over the grid however long it is.
@@ -216,7 +216,7 @@ def dilate(occupied: np.ndarray, kernels: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _runs(kernel: np.ndarray) -> list[tuple[int, int, int]]:
-    """Its runs of set cells along the second axis: (row, start, length)."""
+    """Return a kernel's runs of set cells along the second axis: (row, start, length)."""
     edges = np.diff(np.pad(kernel, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     (row, start), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
     return list(zip(row.tolist(), start.tolist(), (end - start).tolist(), strict=True))

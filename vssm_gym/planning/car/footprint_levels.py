@@ -1,10 +1,10 @@
-"""How near a car's pose is to obstacles, in three levels: free, nearer than one likes, and touching.
+"""Tabulate how near a car's poses are to obstacles: free, within the comfort margin, or colliding (eq. P10).
 
     level(x, y, heading) = 2 where a rectangle of the pose's bin overlaps an occupied cell, else
                            1 where the nearest cell's and heading's, grown by ``comfort``, does, else 0
 
 A bin is the box of poses that round to one cell and one heading. Level 2 is tested for all of it: a pose whose level is
-lower touches nothing, whatever rounding did to it.
+lower collides with nothing, whatever its rounding.
 """
 
 import itertools
@@ -22,7 +22,7 @@ FREE, TIGHT, COLLIDING = 0, 1, 2
 
 
 class Lookup(NamedTuple):
-    """What compiled code needs to look a pose up: levels, their origin (m) and resolution (m)."""
+    """Hold what compiled code reads to look a pose up: levels, their origin (m) and resolution (m)."""
 
     levels: np.ndarray
     x: float
@@ -32,7 +32,7 @@ class Lookup(NamedTuple):
 
 @dataclass(frozen=True)
 class FootprintLevels:
-    """Levels of every cell and heading.
+    """Hold the level of every cell and heading.
 
     Attributes:
         levels: ``(nx, ny, n_headings)`` uint8; heading ``k`` is ``2 pi k / n_headings``.
@@ -56,7 +56,7 @@ class FootprintLevels:
         margin: float = 0.0,
         comfort: float = 0.06,
     ) -> "FootprintLevels":
-        """From a floor plan ``(nx, ny)`` bool; ``margin`` (level 2) and ``comfort`` widen the rectangle, m."""
+        """Tabulate a floor plan ``(nx, ny)`` bool; ``margin`` (level 2) and ``comfort`` widen the rectangle, m."""
         if headings < 8:
             raise InputError("FootprintLevels", "headings", f"8 or more; found {headings!r:.80}")
         grid = heading_grid(headings)
@@ -72,18 +72,18 @@ class FootprintLevels:
 
     @property
     def lookup(self) -> Lookup:
-        """For compiled code."""
+        """Return the table for compiled code."""
         return Lookup(self.levels, float(self.origin[0]), float(self.origin[1]), self.resolution)
 
     def at(self, planar: np.ndarray) -> np.ndarray:
-        """Levels of poses ``(..., 3)``; beyond the grid everything is touched."""
+        """Return the levels of poses ``(..., 3)``; beyond the grid everything collides."""
         rows = np.asarray(planar, dtype=np.float64).reshape(-1, 3)
         return _levels_at(self.lookup, np.ascontiguousarray(rows)).reshape(np.shape(planar)[:-1])
 
 
 @njit(cache=True, nogil=True)
 def level_at(lookup: Lookup, x: float, y: float, heading: float) -> int:
-    """Level of the nearest cell and heading."""
+    """Return the level of the nearest cell and heading."""
     nx, ny, nh = lookup.levels.shape
     i = int(np.floor((x - lookup.x) / lookup.resolution + 0.5))
     j = int(np.floor((y - lookup.y) / lookup.resolution + 0.5))

@@ -1,11 +1,11 @@
-"""Hybrid A*: the cheapest drive of a car between two poses, forwards and backwards, around obstacles.
+"""Plan by Hybrid A*: a cheap drive of a car between two poses, forwards and backwards, around obstacles (eq. P13).
 
     min sum |l_i| (1 + reverse [l_i < 0] + tight [near]) + cusp (gear changes) + steer sum |s_i - s_i-1|
 
 over chains of arcs, ended by a Reeds-Shepp curve (Dolgov, Thrun, Montemerlo and Diebel, "Path planning for autonomous
 vehicles in unknown semi-structured environments", IJRR 29, 2010). A cell of (x, y, heading) keeps one continuous pose,
 so the plan can be driven exactly; what is lost is a guarantee of the optimum. The heuristic is the larger of the
-Reeds-Shepp length without obstacles and the way around obstacles for a point. At the end curves replace pieces of the
+Reeds-Shepp length without obstacles and the path around obstacles for a point. At the end curves replace pieces of the
 plan wherever that is cheaper.
 """
 
@@ -27,15 +27,15 @@ from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.result import PlanStatus
 
 DEFAULT_COSTS = Costs(reverse=0.2, cusp=0.3, steer=0.05, tight=1.0)
-FULL_LOCK = 0.9  # share of the steering that plans use: the rest is for following them
-ESCAPE_LENGTH = 0.25  # m that a start in touch with an obstacle may drive to come free
+FULL_LOCK = 0.9  # fraction of the steering that plans use; the rest corrects errors while following them
+ESCAPE_LENGTH = 0.25  # m that a start in collision may drive to come free
 ARRIVALS = 24  # headings tried at a goal that is only a point
 _BATCH = 200  # nodes between two looks at the clock
 
 
 @dataclass(frozen=True)
 class CarPlan:
-    """A drive from the start to the goal, or the reason why there is none.
+    """Hold a drive from the start to the goal, or the reason why there is none.
 
     It reads as a :class:`~vssm_gym.planning.result.PlanResult` does, and knows headings and gears besides.
 
@@ -43,7 +43,7 @@ class CarPlan:
         status: how the search ended.
         poses: ``(n, 3)`` x, y (m), heading (rad, in [-pi, pi)) at most a cell of the collision table apart, the start
             first; empty ``(0, 3)`` where there is no plan, the best partial one after a time-out.
-        gears: ``(n,)`` int8, 1 forwards, -1 backwards on the way to the pose; the first is the second's.
+        gears: ``(n,)`` int8, 1 forwards, -1 backwards up to the pose; the first is the second's.
         cost: length driven, m; infinite where there is no plan.
         seconds: wall-clock time of the whole call.
         expansions: nodes that the search closed.
@@ -58,17 +58,17 @@ class CarPlan:
 
     @property
     def found(self) -> bool:
-        """Whether the plan ends at the goal."""
+        """Return True where the plan ends at the goal."""
         return self.status is PlanStatus.FOUND
 
     @property
     def path(self) -> np.ndarray:
-        """``(n, 2)`` positions of the rear axle, m."""
+        """Return the ``(n, 2)`` positions of the rear axle, m."""
         return self.poses[:, :2]
 
     @property
     def cusps(self) -> int:
-        """How often the car changes its gear on the way."""
+        """Return how often the car changes its gear."""
         return int(np.count_nonzero(np.diff(self.gears)))
 
 
@@ -91,10 +91,10 @@ def plan(
     Args:
         start: ``(3,)`` x, y (m), heading (rad).
         goal: a pose ``(3,)``, or a point ``(2,)``.
-        obstacles: what the footprint touches where.
+        obstacles: levels of the footprint's poses.
         car: its measures.
         costs: weights beside the length.
-        cell: of the search, m; arcs are one and a half as long. Halved where the search finds no way.
+        cell: of the search, m; arcs are one and a half as long. Halved where the search finds no path.
         headings: of the search; doubled there.
         steerings: of the arcs, from full lock to full lock, odd.
         weight: of the heuristic; above 1 faster and up to as many times dearer.
@@ -127,7 +127,7 @@ def plan(
     target = Goal(arrivals, goal_distance(passable, gx, gy) * np.float32(obstacles.resolution))
     touching = bool(obstacles.at(start) == COLLIDING)
     closed, searching = 0, began
-    # Coarsely first; where that finds no way, arcs half as long may still shuttle the car out of a tight place.
+    # Coarsely first; where that finds no path, arcs half as long may still shuttle the car out of a tight place.
     for scale in (1.0, 0.5):
         moves = arcs(1.5 * scale * cell, radius, steerings, obstacles.resolution)
         tree = _tree(obstacles, scale * cell, round(headings / scale))
@@ -156,7 +156,7 @@ def plan(
 
 
 def arcs(step: float, radius: float, steerings: int, part: float) -> Moves:
-    """Arcs of ``step`` m both ways at evenly spread curvatures up to ``1 / radius``, in parts of at most ``part`` m."""
+    """Return arcs of ``step`` m in both gears at even curvatures up to ``1 / radius``, in parts of ``part`` m."""
     if steerings < 3 or steerings % 2 == 0:
         raise InputError("hybrid_astar", "steerings", f"an odd number from 3 on; found {steerings!r:.80}")
     share = np.tile(np.linspace(-1.0, 1.0, steerings), 2)
@@ -174,14 +174,14 @@ def _pose(value: np.ndarray, sizes: tuple[int, ...], field: str) -> np.ndarray:
 
 
 def _arrivals(obstacles: FootprintLevels, goal: np.ndarray) -> np.ndarray:
-    """Goal poses ``(g, 3)`` in which the car touches nothing."""
+    """Return the goal poses ``(g, 3)`` without collision."""
     heading = goal[2:] if len(goal) == 3 else 2.0 * np.pi * np.arange(ARRIVALS) / ARRIVALS
     poses = np.stack([np.full_like(heading, goal[0]), np.full_like(heading, goal[1]), heading], axis=-1)
     return poses[obstacles.at(poses) < COLLIDING]
 
 
 def _tree(obstacles: FootprintLevels, cell: float, headings: int) -> Tree:
-    """An empty search over the whole table."""
+    """Return an empty search over the whole table."""
     low = obstacles.origin - 0.5 * obstacles.resolution
     extent = np.array(obstacles.levels.shape[:2]) * obstacles.resolution
     nx, ny = (math.ceil(e / cell - 1e-9) for e in extent)
@@ -196,7 +196,7 @@ def _tree(obstacles: FootprintLevels, cell: float, headings: int) -> Tree:
 
 
 def _driven(tree: Tree, moves: Moves, radius: float, part: float, node: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses ``(n, 3)`` and gears ``(n,)`` from the start to ``node``."""
+    """Return poses ``(n, 3)`` and gears ``(n,)`` from the start to ``node``."""
     poses: list[np.ndarray] = []
     gears: list[np.ndarray] = []
     if node == len(tree.cost) - 1:

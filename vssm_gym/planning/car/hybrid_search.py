@@ -1,4 +1,4 @@
-"""The compiled inside of hybrid A*: expanding a node by arcs, and shooting Reeds-Shepp curves at the goal.
+"""Search for hybrid A*, compiled: expand nodes by arcs, and shoot Reeds-Shepp curves at the goal (eq. P13).
 
 A node is a cell of ``(x, y, heading)`` and keeps the one continuous pose that reached it most cheaply. Costs are in
 metres: ``|l| (1 + reverse [l < 0] + c)`` for a segment of length ``l``, ``c`` the extra cost a metre near obstacles,
@@ -17,12 +17,12 @@ from vssm_gym.planning.car.reeds_shepp import CANDIDATES, relative, shortest, wo
 from vssm_gym.planning.grid_search.heap import pop, sift_up
 
 OPEN, FOUND, EXHAUSTED = 0, 1, 2  # what `search` says: its budget is used up, the goal is reached, nothing is left
-SPACING = 0.25  # m
-COLLISION_COST = 10.0  # a metre, extra, while a start in touch with an obstacle leaves it
+SPACING = 0.25  # m of remaining distance per which one more node is expanded between two shots
+COLLISION_COST = 10.0  # a metre, extra, while a start in collision leaves it
 
 
 class Costs(NamedTuple):
-    """Weights of what a drive costs besides its length."""
+    """Hold the weights of a drive's costs besides its length."""
 
     reverse: float  # a metre, extra
     cusp: float  # m, of stopping to change gear
@@ -31,7 +31,7 @@ class Costs(NamedTuple):
 
 
 class Moves(NamedTuple):
-    """The arcs that leave a node; ``k`` of them in ``m`` parts each."""
+    """Hold the arcs that leave a node; ``k`` of them in ``m`` parts each."""
 
     displacement: np.ndarray  # (k, m, 3) forward, left (m), turn (rad) from the node to the end of each part
     gear: np.ndarray  # (k,) 1.0 or -1.0
@@ -40,14 +40,14 @@ class Moves(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """Where to: ``poses`` any of which will do, and what bounds the way there from below."""
+    """Hold the goal: ``poses``, any of which will do, and a lower bound of the path length to it."""
 
     poses: np.ndarray  # (g, 3)
     distance: np.ndarray  # (nx, ny) m around obstacles, on the cells of the lookup
 
 
 class Tree(NamedTuple):
-    """Nodes by number ``(ix * ny + iy) * n_headings + k``; the last is the goal, reached by a curve from its parent."""
+    """Hold the nodes by number ``(ix * ny + iy) * n_headings + k``; the last is the goal, after a curve."""
 
     shape: tuple[int, int, int]
     cell: float  # m
@@ -56,7 +56,7 @@ class Tree(NamedTuple):
     cost: np.ndarray
     key: np.ndarray  # cost and what at least is still to come
     ahead: np.ndarray  # the latter alone; nan before it is known
-    escape: np.ndarray  # m that may still be driven in touch with an obstacle
+    escape: np.ndarray  # m that may still be driven in collision
     parent: np.ndarray
     move: np.ndarray  # the arc from the parent; -1 at the start
     place: np.ndarray
@@ -68,7 +68,7 @@ class Tree(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def node_of(tree: Tree, x: float, y: float, heading: float) -> int:
-    """Number of the cell of a pose; -1 beyond the grid."""
+    """Return the number of the cell of a pose; -1 beyond the grid."""
     nx, ny, nh = tree.shape
     i, j = math.floor((x - tree.x) / tree.cell), math.floor((y - tree.y) / tree.cell)
     if not (0 <= i < nx and 0 <= j < ny):
@@ -78,7 +78,7 @@ def node_of(tree: Tree, x: float, y: float, heading: float) -> int:
 
 @njit(cache=True, nogil=True)
 def _still_to_come(lookup, goal, radius, x, y, heading):
-    """The larger of the way around obstacles for a point and the way without obstacles for a car, m."""
+    """Return the larger path length, m: around obstacles for a point, or without obstacles for a car."""
     nx, ny = goal.distance.shape
     i = math.floor((x - lookup.x) / lookup.resolution + 0.5)
     j = math.floor((y - lookup.y) / lookup.resolution + 0.5)
@@ -93,14 +93,14 @@ def _still_to_come(lookup, goal, radius, x, y, heading):
 
 @njit(cache=True, nogil=True)
 def advance(pose: np.ndarray, d: np.ndarray) -> tuple[float, float, float]:
-    """The pose after a displacement ``d`` (forward, left, turn) in its own frame."""
+    """Return the pose after a displacement ``d`` (forward, left, turn) in its own frame."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + c * d[0] - s * d[1], pose[1] + s * d[0] + c * d[1], pose[2] + d[2]
 
 
 @njit(cache=True, nogil=True)
 def word_cost(lengths: np.ndarray, steerings: np.ndarray, gear: float, steering: float, costs: Costs) -> float:
-    """Cost in free space of segments ``(5,)`` (m) after a drive in ``gear`` (0: from rest) with ``steering``."""
+    """Return the cost in free space of segments ``(5,)`` (m) after driving in ``gear`` (0: rest) with ``steering``."""
     total = 0.0
     for i in range(lengths.shape[0]):
         if abs(lengths[i]) < 1e-9:
@@ -117,7 +117,7 @@ def word_cost(lengths: np.ndarray, steerings: np.ndarray, gear: float, steering:
 def curve_excess(
     lookup: Lookup, pose: np.ndarray, lengths: np.ndarray, steerings: np.ndarray, radius: float, tight: float
 ) -> float:
-    """Extra cost of segments (m) from ``pose`` for what is near; infinite where the car would touch something."""
+    """Return the extra cost of segments (m) from ``pose`` near obstacles; infinite where the car would collide."""
     x, y, heading = pose[0], pose[1], pose[2]
     excess = 0.0
     for i in range(lengths.shape[0]):
@@ -146,7 +146,7 @@ def cheapest_curve(
     bound: float,
     best: np.ndarray,
 ) -> float:
-    """Cost of the cheapest free curve of any word, written to ``best`` ``(5, 2)``; ``bound`` where none is cheaper."""
+    """Return the cost of the cheapest free curve, written to ``best`` ``(5, 2)``; ``bound`` where none is cheaper."""
     lengths, steerings = np.empty((CANDIDATES, 5)), np.empty((CANDIDATES, 5), np.int8)
     x, y, a = relative(pose[0], pose[1], pose[2], end[0], end[1], end[2], radius)
     count = words(x, y, a, lengths, steerings)
@@ -193,7 +193,7 @@ def _shoot(tree, lookup, goal, moves, radius, costs, node):
 
 @njit(cache=True, nogil=True)
 def open_start(tree: Tree, lookup: Lookup, goal: Goal, radius: float, start: np.ndarray, escape: float) -> bool:
-    """Put the start into the heap; false where no way leads to the goal even for a point."""
+    """Put the start into the heap; return False where no path leads to the goal even for a point."""
     node = node_of(tree, start[0], start[1], start[2])
     ahead = _still_to_come(lookup, goal, radius, start[0], start[1], start[2])
     if node < 0 or ahead == np.inf:
@@ -228,7 +228,7 @@ def _expand(tree, lookup, goal, moves, radius, costs, weight, node):
                     break
                 cost += COLLISION_COST * part
             else:
-                escape = 0.0  # out: from here on nothing is touched any more
+                escape = 0.0  # out: from here on collisions end the arc
                 cost += costs.tight * part if level == TIGHT else 0.0
         if (level == COLLIDING and escape <= 0.0) or cost >= tree.cost[other]:
             continue

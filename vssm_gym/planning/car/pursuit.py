@@ -31,7 +31,7 @@ _WINDOW = 0.5  # m of the drive, from the last progress on, in which the nearest
 
 @dataclass(frozen=True)
 class PursuitCommand:
-    """What to do, and how it goes.
+    """Hold the command, and how far the car is from the drive.
 
     Attributes:
         control: ``(speed, steering)``, m/s and rad; zeros once done.
@@ -49,7 +49,7 @@ class PursuitCommand:
 
 
 class CarPath:
-    """A drive made ready for following: poses, gears and the length driven up to each pose."""
+    """Prepare a drive for following: poses, gears and the length driven up to each pose."""
 
     def __init__(self, poses: np.ndarray, gears: np.ndarray) -> None:
         """Poses ``(n, 3)`` at most a few centimetres apart and gears ``(n,)``, as a ``CarPlan`` holds them."""
@@ -68,11 +68,11 @@ class CarPath:
 
     @property
     def length(self) -> float:
-        """Of the whole drive, m."""
+        """Return the length of the whole drive, m."""
         return float(self.along[-1])
 
     def follow(self, planar: np.ndarray, progress: float, car: Car) -> PursuitCommand:
-        """The command of a car at the pose ``planar`` ``(3,)`` that has come so far (m; 0 at first).
+        """Return the command of a car at the pose ``planar`` ``(3,)`` that has come so far (m; 0 at first).
 
         Progress never falls, and passes a cusp only when the car is :data:`ARRIVED` there or beyond, so that where the
         drive crosses itself, or goes back over its own track, no piece of it is left out.
@@ -105,7 +105,7 @@ class CarPath:
         return self._report(planar, progress, np.array([gear * speed, steering]), done=False)
 
     def _project(self, planar: np.ndarray, progress: float, first: int, last: int) -> tuple[float, float]:
-        """Progress at the nearest place of the current gear's piece, and how many m of it are left."""
+        """Return the progress at the nearest place of the current gear's piece, and the m of it that are left."""
         near = slice(
             max(first, int(np.searchsorted(self.along, progress, side="right")) - 1),
             min(last, int(np.searchsorted(self.along, progress + _WINDOW))) + 1,
@@ -126,12 +126,12 @@ class CarPath:
         return progress, left
 
     def _at(self, progress: float) -> np.ndarray:
-        """The pose ``(3,)`` of the drive at ``progress``."""
+        """Return the pose ``(3,)`` of the drive at ``progress``."""
         columns = (self.poses[:, 0], self.poses[:, 1], self._headings)
         return np.array([np.interp(progress, self.along, column) for column in columns])
 
     def _aim(self, progress: float, last: int, gear: float) -> np.ndarray:
-        """What to drive at, ``(2,)``: on the drive, or on the tangent at the end of the current gear's piece."""
+        """Return the point to drive at, ``(2,)``: on the drive, or on the tangent at the end of the gear's piece."""
         aim, end = progress + LOOK_AHEAD, float(self.along[last])
         if aim <= end:
             return self._at(aim)[:2]
@@ -146,7 +146,7 @@ class CarPath:
 
 
 def _pursuit(planar: np.ndarray, aim: np.ndarray) -> float:
-    """Curvature (1/m, left positive) of the arc from a pose ``(3,)``, along its heading, through ``aim`` ``(2,)``."""
+    """Return the curvature (1/m, left positive) of the arc from a pose ``(3,)`` along its heading through ``aim``."""
     dx, dy, c, s = aim[0] - planar[0], aim[1] - planar[1], math.cos(planar[2]), math.sin(planar[2])
     forward, left = c * dx + s * dy, c * dy - s * dx
     return 2.0 * left / max(forward**2 + left**2, (0.5 * LOOK_AHEAD) ** 2)

@@ -1,4 +1,4 @@
-"""Reeds-Shepp: ``min sum |l_i|`` over forward and backward arcs of radius R and straights between two car poses.
+"""Compute Reeds-Shepp curves: ``min sum |l_i|`` over arcs of radius R and straights, in both gears (eq. P12).
 
 With the unit turning circle, a word is a list of signed lengths ``l_i`` (negative: backwards) at steerings ``s_i`` in
 {1 left, 0 straight, -1 right}. The shortest path has one of 48 words of the kinds CSC, CCC, CCCC, CCSC, CSCC, CCSCC
@@ -28,7 +28,7 @@ _QUARTER = 0.5 * math.pi
 
 @dataclass(frozen=True)
 class ReedsSheppPath:
-    """Arcs and straights from ``start``, driven in order.
+    """Hold arcs and straights from ``start``, driven in order.
 
     Attributes:
         start: ``(3,)`` x, y (m), heading (rad).
@@ -44,17 +44,17 @@ class ReedsSheppPath:
 
     @property
     def length(self) -> float:
-        """``sum |l_i|``, m."""
+        """Return ``sum |l_i|``, m."""
         return float(np.abs(self.lengths).sum())
 
     @property
     def cusps(self) -> int:
-        """How often the car stops to change its direction."""
+        """Return how often the car stops to change its direction."""
         return int(np.count_nonzero(np.diff(np.sign(self.lengths))))
 
 
 def length(start: np.ndarray, goal: np.ndarray, radius: float) -> np.ndarray:
-    """Length (m) of the shortest path between poses ``(..., 3)``, which broadcast; float64 ``(...)``."""
+    """Return the length (m) of the shortest path between poses ``(..., 3)``, which broadcast; float64 ``(...)``."""
     start, goal = np.broadcast_arrays(_poses(start, "start"), _poses(goal, "goal"))
     _check_radius(radius)
     values = _lengths(np.ascontiguousarray(start).reshape(-1, 3), np.ascontiguousarray(goal).reshape(-1, 3), radius)
@@ -62,7 +62,7 @@ def length(start: np.ndarray, goal: np.ndarray, radius: float) -> np.ndarray:
 
 
 def path(start: np.ndarray, goal: np.ndarray, radius: float) -> ReedsSheppPath:
-    """The shortest path between two poses ``(3,)``; without segments where they are the same."""
+    """Return the shortest path between two poses ``(3,)``; without segments where they are the same."""
     start, goal = _poses(start, "start"), _poses(goal, "goal")
     _check_radius(radius)
     if start.shape != (3,) or goal.shape != (3,):
@@ -75,9 +75,9 @@ def path(start: np.ndarray, goal: np.ndarray, radius: float) -> ReedsSheppPath:
 
 
 def sample(curve: ReedsSheppPath, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Poses ``(n, 3)`` along ``curve``, at most ``step`` m apart with every joint among them, and gears int8 ``(n,)``.
+    """Return poses ``(n, 3)`` along ``curve``, at most ``step`` m apart and at every joint, and gears int8 ``(n,)``.
 
-    A gear is 1 forwards or -1 backwards on the way to its pose; the first one is that of the first segment.
+    A gear is 1 forwards or -1 backwards up to its pose; the first one is that of the first segment.
     """
     if not step > 0.0:
         raise InputError("reeds_shepp", "step", f"a positive length in metres; found {step!r:.80}")
@@ -117,14 +117,14 @@ def _check_radius(radius: float) -> None:
 def relative(
     x: float, y: float, heading: float, gx: float, gy: float, goal_heading: float, radius: float
 ) -> tuple[float, float, float]:
-    """The goal seen from the start, in turning radii: ``(x, y, heading)``."""
+    """Return the goal seen from the start, in turning radii: ``(x, y, heading)``."""
     dx, dy, c, s = (gx - x) / radius, (gy - y) / radius, math.cos(heading), math.sin(heading)
     return c * dx + s * dy, c * dy - s * dx, goal_heading - heading
 
 
 @njit(cache=True, nogil=True)
 def _lengths(start, goal, radius):
-    """:func:`length` of rows ``(n, 3)``."""
+    """Evaluate :func:`length` of rows ``(n, 3)``."""
     values = np.empty(start.shape[0])
     for k in range(start.shape[0]):
         x, y, a = relative(start[k, 0], start[k, 1], start[k, 2], goal[k, 0], goal[k, 1], goal[k, 2], radius)
@@ -134,7 +134,7 @@ def _lengths(start, goal, radius):
 
 @njit(cache=True, nogil=True)
 def shortest(x: float, y: float, heading: float) -> float:
-    """Length of the shortest path from the origin to a pose, both in turning radii."""
+    """Return the length of the shortest path from the origin to a pose, both in turning radii."""
     lengths, steerings = np.empty((CANDIDATES, 5)), np.empty((CANDIDATES, 5), np.int8)
     best = np.inf
     for k in range(words(x, y, heading, lengths, steerings)):
@@ -147,7 +147,7 @@ def shortest(x: float, y: float, heading: float) -> float:
 
 @njit(cache=True, nogil=True)
 def words(x: float, y: float, heading: float, lengths: np.ndarray, steerings: np.ndarray) -> int:
-    """Every solution of every word from the origin to a pose, all in turning radii; returns their number.
+    """Compute every solution of every word from the origin to a pose, in turning radii; return their number.
 
     Rows of ``lengths`` and ``steerings`` ``(CANDIDATES, 5)`` are filled from the first on, unused segments with zeros.
     """
@@ -156,7 +156,7 @@ def words(x: float, y: float, heading: float, lengths: np.ndarray, steerings: np
         count = _csc_ccc_cccc(x, side * y, side * heading, side, lengths, steerings, count)
         count = _ccsc(x, side * y, side * heading, side, lengths, steerings, count)
         count = _ccscc(x, side * y, side * heading, side, lengths, steerings, count)
-        # CSCC: the way from the goal to the start, seen from the goal, is a CCSC; drive it from its end to its start.
+        # CSCC: the path from the goal to the start, seen from the goal, is a CCSC; drive it from its end to its start.
         c, s = math.cos(heading), math.sin(heading)
         back = count
         count = _ccsc(-c * x - s * y, side * (s * x - c * y), -side * heading, side, lengths, steerings, count)
@@ -175,7 +175,7 @@ def _wrap(angle):
 
 @njit(cache=True, nogil=True)
 def _put(lengths, steerings, k, side, l0, s0, l1, s1, l2, s2, l3, s3, l4, s4):
-    """Row ``k``; steerings are those of a word that starts to the left, mirrored where ``side`` is right."""
+    """Write row ``k``; steerings are those of a word that starts to the left, mirrored where ``side`` is right."""
     lengths[k, 0], lengths[k, 1], lengths[k, 2], lengths[k, 3], lengths[k, 4] = l0, l1, l2, l3, l4
     steerings[k, 0], steerings[k, 1], steerings[k, 2] = side * s0, side * s1, side * s2
     steerings[k, 3], steerings[k, 4] = side * s3, side * s4
@@ -184,7 +184,7 @@ def _put(lengths, steerings, k, side, l0, s0, l1, s1, l2, s2, l3, s3, l4, s4):
 
 @njit(cache=True, nogil=True)
 def _csc_ccc_cccc(x, y, a, side, lengths, steerings, k):
-    """Words without a forced quarter turn: LSL, LSR, LRL, and LRLR with middle arcs of one length."""
+    """Solve the words without a forced quarter turn: LSL, LSR, LRL, and LRLR with middle arcs of one length."""
     # To the goal's left circle: LSL has D = u e(t), LRL has D = 4 sin(u / 2) e(t - u / 2), e(a) = (cos a, sin a)
     dx, dy = x - math.sin(a), y - 1.0 + math.cos(a)
     rho, towards = math.hypot(dx, dy), math.atan2(dy, dx)
@@ -219,7 +219,7 @@ def _csc_ccc_cccc(x, y, a, side, lengths, steerings, k):
 
 @njit(cache=True, nogil=True)
 def _ccsc(x, y, a, side, lengths, steerings, k):
-    """L R(-q) S R and L R(-q) S L, q = +-pi / 2; the straight has heading ``b`` and D = (u - 2) e(b) [+ 2 n(b)]."""
+    """Solve L R(-q) S R and L R(-q) S L, q = +-pi / 2, with D = (u - 2) e(b) [+ 2 n(b)], b the straight's heading."""
     for sign in (1, -1):  # of q: for -1 the car drives everything in the other gear
         dx, dy = x + math.sin(a), y - 1.0 - math.cos(a)
         rho = math.hypot(dx, dy)
@@ -242,7 +242,7 @@ def _ccsc(x, y, a, side, lengths, steerings, k):
 
 @njit(cache=True, nogil=True)
 def _ccscc(x, y, a, side, lengths, steerings, k):
-    """L R(-q) S L(-q) R, q = +-pi / 2; the straight has heading ``b`` and D = (u - 4) e(b) + 2 n(b)."""
+    """Solve L R(-q) S L(-q) R, q = +-pi / 2; the straight has heading ``b`` and D = (u - 4) e(b) + 2 n(b)."""
     dx, dy = x + math.sin(a), y - 1.0 - math.cos(a)
     rho = math.hypot(dx, dy)
     if rho < 2.0:

@@ -1,4 +1,4 @@
-"""Shortening a drive: the cheapest way through its own poses, where a Reeds-Shepp curve may replace any piece.
+"""Shorten a drive: find the cheapest path through its own poses, where a Reeds-Shepp curve may replace any piece (P14).
 
     J(k) = min over i < k of J(i) + cost(i -> k),    i -> k: a free curve, or the drive itself from i to i + 1
 
@@ -21,7 +21,7 @@ PICKS = 40  # poses of the drive between which curves are tried
 def shortcut(
     lookup: Lookup, poses: np.ndarray, gears: np.ndarray, radius: float, costs: Costs
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The shortened drive, sampled as finely as the table's cells: poses ``(m, 3)`` and gears ``(m,)``."""
+    """Return the shortened drive, sampled as finely as the table's cells: poses ``(m, 3)`` and gears ``(m,)``."""
     if len(poses) < 3:
         return poses, gears
     cusps = np.flatnonzero(np.diff(gears))
@@ -47,7 +47,7 @@ def shortcut(
 
 @njit(cache=True, nogil=True)
 def _piece_cost(lookup, poses, gears, first, last, costs):
-    """Of the drive itself between two of its poses, its cusps on the way included."""
+    """Return the cost of the drive between two of its poses, including the cusps between them."""
     total = 0.0
     for k in range(first + 1, last + 1):
         step = math.hypot(poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1])
@@ -61,7 +61,7 @@ def _piece_cost(lookup, poses, gears, first, last, costs):
 
 @njit(cache=True, nogil=True)
 def _best_pieces(lookup, poses, gears, picks, radius, costs):
-    """The dynamic program: predecessors, curves ``(n, 5, 2)`` and whether a curve or the drive leads to each pick."""
+    """Return predecessors, curves ``(n, 5, 2)``, and True where a curve leads to a pick, by dynamic programming."""
     n = picks.shape[0]
     value = np.full(n, np.inf)
     gear, steering = np.zeros(n), np.zeros(n)
@@ -96,7 +96,7 @@ def _best_pieces(lookup, poses, gears, picks, radius, costs):
 
 @njit(cache=True, nogil=True)
 def _share(poses, gears, k, radius):
-    """Steering, in shares of the full lock, on the way to pose ``k`` of the drive."""
+    """Return the steering, as a fraction of the full lock, that leads to pose ``k`` of the drive."""
     step = math.hypot(poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1])
     turn = poses[k, 2] - poses[k - 1, 2]
     turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)

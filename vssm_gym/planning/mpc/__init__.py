@@ -1,1 +1,1 @@
-"""Model-predictive control of the car: one problem, three solvers, and what is safe where they have no answer."""
+"""Control the car by model prediction: one problem, three solvers, and safe commands where they have no answer."""

@@ -1,4 +1,4 @@
-"""Control sequences to start from: what a driver would try, and what chance brings.
+"""Propose control sequences to start from: systematic ones and random ones.
 
     u = within_rates(limits * a_k(t)),   k(t) the segment of step t
 
@@ -23,19 +23,19 @@ FIXED = 2 + len(STEERING) * len(SPEEDS)  # the shifted plan, standing still, the
 
 
 def smooth_basis(horizon: int, knots: int = KNOTS) -> np.ndarray:
-    """Linear interpolation of evenly spaced knots, ``(horizon, knots)`` float64; rows sum to one."""
+    """Return the linear interpolation of evenly spaced knots, ``(horizon, knots)`` float64; rows sum to one."""
     place = np.linspace(0.0, knots - 1.0, horizon)
     return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(knots)))
 
 
 def arcs(horizon: int) -> np.ndarray:
-    """Standing still, then every constant arc, shares of the limits, ``(1 + arcs, horizon, 2)`` float64."""
+    """Return standing still, then every constant arc, shares of the limits, ``(1 + arcs, horizon, 2)`` float64."""
     shares = [(0.0, 0.0), *((speed, steering) for speed in SPEEDS for steering in STEERING)]
     return np.repeat(np.array(shares)[:, None], horizon, axis=1)
 
 
 def manoeuvres(key: PRNGKeyArray, count: int, horizon: int) -> Float[Array, "count horizon 2"]:
-    """``count`` sequences of :data:`SEGMENTS` arcs, shares of the limits; a third of the extremes are at the limit."""
+    """Draw ``count`` sequences of :data:`SEGMENTS` arcs, shares of the limits; a third of them at the limit."""
     of_share, of_switch = jax.random.split(key)
     shares = jnp.clip(1.5 * jax.random.uniform(of_share, (count, SEGMENTS, 2), minval=-1.0), -1.0, 1.0)
     switches = jax.random.uniform(of_switch, (count, SEGMENTS - 1)) * horizon
@@ -51,7 +51,7 @@ def perturbed(
     count: int,
     std: Float[Array, "2"],
 ) -> Float[Array, "count horizon 2"]:
-    """``plan`` with smooth noise of ``std`` (shares of the limits of speed and steering), within limits and rates."""
+    """Perturb ``plan`` by smooth noise of ``std`` (shares of the limits), within limits and rates."""
     knots = jax.random.normal(key, (count, KNOTS, 2), plan.dtype) * std
     noise = jnp.einsum("tk,nkc->ntc", jnp.asarray(smooth_basis(problem.config.horizon), plan.dtype), knots)
     return within_rates(problem, last, plan + jnp.asarray(problem.car.limits, plan.dtype) * noise)
@@ -60,7 +60,7 @@ def perturbed(
 def propose(
     problem: MpcProblem, key: PRNGKeyArray, last: Float[Array, "2"], plan: Float[Array, "horizon 2"], count: int
 ) -> Float[Array, "count horizon 2"]:
-    """``count`` candidates within limits and rates: the shifted plan first, then standing still, then all others."""
+    """Propose ``count`` candidates within limits and rates: the shifted plan, standing still, then all others."""
     horizon, limits = problem.config.horizon, jnp.asarray(problem.car.limits, plan.dtype)
     of_manoeuvres, of_noise = jax.random.split(key)
     near = (count - FIXED) // 2

@@ -1,4 +1,4 @@
-"""How a solver that is one compiled function is called: tables, warm start and key in, :class:`MpcResult` out."""
+"""Call a solver that is one compiled function: tables, warm start and key in, :class:`MpcResult` out."""
 
 import time
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Search = Callable[
 
 
 class CompiledSearch:
-    """Calls a :data:`Search`: compiled for each shape of map, never for another pose, goal or map of that shape."""
+    """Call a :data:`Search`: compiled for each shape of map, never for another pose, goal or map of that shape."""
 
     def __init__(self, problem: MpcProblem, search: Search, iterations: int) -> None:
         self.problem, self.iterations = problem, iterations

@@ -1,4 +1,4 @@
-"""Discs that cover the car's rectangle closely enough to pass where value iteration, which knows the rectangle, passes.
+"""Cover the car's rectangle by discs, closely enough to pass where value iteration with the rectangle passes (P11).
 
     radius^2 = (length / 2 columns)^2 + (width / 2 rows)^2
 
@@ -11,7 +11,7 @@ from vssm_gym.geometry.car import Car
 
 
 def cover(car: Car, rows: int, columns: int) -> tuple[np.ndarray, float]:
-    """Discs round the cells of a grid of ``rows`` by ``columns`` laid over the footprint; inner cells are left out.
+    """Return discs around the outer cells of a grid of ``rows`` by ``columns`` over the footprint.
 
     What is under the middle of the car must have come through its edge. The discs reach ``radius - width / 2 rows``
     beyond its sides and ``radius - length / 2 columns`` beyond its ends: 1.4 and 1.3 cm for 3 x 6 of the default car.

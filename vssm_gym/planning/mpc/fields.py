@@ -1,4 +1,4 @@
-"""The two lookup tables of the problem, as the solvers read them: cost-to-go and clearance.
+"""Prepare the two lookup tables of the problem, as the solvers read them: cost-to-go and clearance.
 
     J(z) trilinear (CostToGo.at), continued a little way into collision;   d(p) bilinear
 
@@ -21,11 +21,11 @@ from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.value_iteration import CostToGo
 
 CONTINUED = 2  # cells: what trilinear interpolation and IPOPT's spline read beyond a free pose
-NEVER_SHARE = 0.999  # of the cost of never arriving, from which on a pose counts as having no way
+NEVER_SHARE = 0.999  # of the cost of never arriving, from which on a pose counts as having no path
 
 
 class Fields(eqx.Module):
-    """Tables and their places, all of them arrays: another goal or map of the same shape compiles nothing."""
+    """Hold the tables and their places, all of them arrays: another goal or map of the same shape compiles nothing."""
 
     value: CostToGo
     clearance: Float[Array, "mx my"]  # m
@@ -36,12 +36,12 @@ class Fields(eqx.Module):
 
     @property
     def shapes(self) -> tuple[Any, ...]:
-        """What compiled code depends on."""
+        """Return what compiled code depends on."""
         value = self.value
         return value.values.shape, value.gamma, value.motion_length, self.clearance.shape
 
     def distance(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-        """``d``, m; negative inside obstacles and beyond the grid."""
+        """Return ``d``, m; negative inside obstacles and beyond the grid."""
         mx, my = self.clearance.shape
         g = (points - self.clearance_origin) / self.clearance_resolution
         i, a = _cell(g[..., 0], mx)
@@ -55,28 +55,28 @@ class Fields(eqx.Module):
 
 
 def _cell(g: Float[Array, "*batch"], n: int) -> tuple[Array, Float[Array, "*batch"]]:
-    """The cell's lower index and the place within it, in [0, 1]; beyond the grid the nearest place on it."""
+    """Return the cell's lower index and the place within it, in [0, 1]; beyond the grid the nearest place on it."""
     g = jnp.clip(g, 0.0, n - 1.0)
     index = jnp.minimum(g.astype(jnp.int32), n - 2)
     return index, g - index
 
 
 class FieldCache:
-    """The tables of the last goal and map: they are moved to the device once, not at every step."""
+    """Cache the tables of the last goal and map: they are moved to the device once, not at every step."""
 
     def __init__(self, car: Car) -> None:
         self.car = car
         self.made: tuple[CostToGo, ClearanceMap, Fields] | None = None
 
     def of(self, value: CostToGo, clearance: ClearanceMap) -> Fields:
-        """The tables of these two objects, which nobody changes in place."""
+        """Return the tables of these two objects, which nobody changes in place."""
         if self.made is None or self.made[0] is not value or self.made[1] is not clearance:
             self.made = value, clearance, make_fields(value, clearance, self.car)
         return self.made[2]
 
 
 def make_fields(value: CostToGo, clearance: ClearanceMap, car: Car) -> Fields:
-    """The tables on the device."""
+    """Make the tables on the device."""
     if len(np.shape(value.values)) != 3 or min(np.shape(value.values)) < 2:
         raise InputError(
             "plan", "value", f"a table (nx, ny, headings), each at least 2; found {np.shape(value.values)}"
@@ -97,7 +97,7 @@ def make_fields(value: CostToGo, clearance: ClearanceMap, car: Car) -> Fields:
 
 @partial(jax.jit, static_argnames=("never", "cost"))
 def _a_cell_deeper(table: Array, never: float, cost: float) -> Array:
-    """``min over the six neighbours + cost`` where the table says never."""
+    """Return ``min over the six neighbours + cost`` where the table says never."""
     padded = jnp.pad(table, ((1, 1), (1, 1), (0, 0)), constant_values=never)
     nearest = jnp.minimum(jnp.roll(table, 1, axis=2), jnp.roll(table, -1, axis=2))
     for beside in (padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]):
@@ -106,7 +106,7 @@ def _a_cell_deeper(table: Array, never: float, cost: float) -> Array:
 
 
 def continued(table: Array, value: CostToGo) -> Array:
-    """The cost-to-go continued :data:`CONTINUED` cells into poses that collide, at the price of driving there.
+    """Return the cost-to-go, continued :data:`CONTINUED` cells into poses that collide, at the price of driving there.
 
     Interpolation mixes the cost of never arriving into every pose within a cell of a collision. A critic alone must be
     warned so; here the constraint keeps the car out, and next to walls the warning makes barriers and hollows that
@@ -118,7 +118,7 @@ def continued(table: Array, value: CostToGo) -> Array:
 
 
 def value_units(value: CostToGo, car: Car) -> tuple[float, float]:
-    """Discount and cost of one step of the car in the unit of the cost-to-go, where a motion at full speed costs 1.
+    """Return discount and cost of one step in the unit of the cost-to-go, where a motion at full speed costs 1.
 
     With n motions a step, ``gamma = gamma_J^n`` and ``s = (1 - gamma) / (1 - gamma_J)``: never arriving costs the same.
     """
@@ -127,7 +127,7 @@ def value_units(value: CostToGo, car: Car) -> tuple[float, float]:
 
 
 def walled(clearance: ClearanceMap) -> np.ndarray:
-    """The clearance with a wall along the border of its grid, ``(mx, my)`` float64, m."""
+    """Return the clearance with a wall along the border of its grid, ``(mx, my)`` float64, m."""
     steps = [np.minimum(np.arange(n), np.arange(n)[::-1]) for n in clearance.clearance.shape]
     border = clearance.resolution * np.minimum(steps[0][:, None], steps[1][None, :])
     return np.minimum(clearance.clearance, border)

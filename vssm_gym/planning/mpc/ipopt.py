@@ -1,4 +1,4 @@
-"""MPC by multiple shooting: CasADi differentiates, IPOPT solves, in float64. The only importer of CasADi.
+"""Solve by multiple shooting: CasADi differentiates, IPOPT solves, in float64 (eq. P31). The only importer of CasADi.
 
     min over z_1..z_T, u_0..u_{T-1} of C(u, z)   s.t.  z_{t+1} = z_t + R(heading_t) arc(u_t),  clearance, limits, rates
 
@@ -57,7 +57,7 @@ OPTIONS = {
 
 
 class Ipopt:
-    """:class:`~vssm_gym.planning.mpc.problem.MpcSolver`: exact Hessians from one start, the last plan or a better one.
+    """Solve with exact Hessians from one start, the last plan or a better one.
 
     ``SOLVED``: IPOPT converged; ``ACCEPTABLE``: it stopped early on a plan that keeps the margin, or its start does.
     """
@@ -123,7 +123,7 @@ class Ipopt:
         return result
 
     def _start(self, fields: Fields, state: Array, last: Array, plan: Array, step: Array) -> tuple[Array, ...]:
-        """Where IPOPT starts: controls, poses ``z_1 .. z_T``, whether it is the last plan, and the least clearance."""
+        """Return IPOPT's start: controls, poses ``z_1 .. z_T``, True for the last plan, and the least clearance."""
         problem = self.problem
         key = jax.random.fold_in(jax.random.key(problem.config.seed), step)
         candidates = propose(problem, key, last, plan, CANDIDATES)
@@ -139,7 +139,7 @@ class Ipopt:
         return select(self.problem, fields, state, last, within_rates(self.problem, last, plans), 1)
 
     def _prepared(self, fields: Fields, values: ValueTable, clearances: ClearanceTable, inputs: list[Array]) -> Any:
-        """The solver for tables of these sizes; builds and compiles what is seen for the first time."""
+        """Return the solver for tables of these sizes; build and compile what is seen for the first time."""
         key = (fields.shapes, values.resolution, clearances.resolution)
         if key not in self._solvers:
             self._solvers[key] = build(self.problem, values, clearances)
@@ -149,7 +149,7 @@ class Ipopt:
 
 
 def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -> Any:
-    """The NLP as a CasADi function of ``x`` (z_1, u_0, z_2, u_1, ...) and ``p``, in the order of :meth:`Ipopt.plan`."""
+    """Build the NLP as a CasADi function of ``x`` (z_1, u_0, z_2, u_1, ...) and ``p`` of :meth:`Ipopt.plan`."""
     import casadi as ca
 
     config, car, horizon = problem.config, problem.car, problem.config.horizon
@@ -215,7 +215,7 @@ def _bicycle(problem: MpcProblem) -> Bicycle:
 
 
 def _bounds(problem: MpcProblem, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of ``x``: controls within the limits; the last pose within the window of the cost-to-go."""
+    """Return bounds of ``x``: controls within the limits; the last pose within the window of the cost-to-go."""
     upper = np.full((problem.config.horizon, 5), np.inf)
     upper[:, 3:] = problem.car.limits
     lower = -upper
@@ -224,18 +224,18 @@ def _bounds(problem: MpcProblem, low: np.ndarray, high: np.ndarray) -> tuple[np.
 
 
 def _least(problem: MpcProblem, clearance: float) -> np.ndarray:
-    """Lower bounds of gaps, changes and clearances, step by step."""
+    """Return lower bounds of gaps, changes and clearances, step by step."""
     one = np.concatenate([np.zeros(3), -problem.rates, np.full(len(problem.discs[0]), clearance)])
     return np.tile(one, problem.config.horizon)
 
 
 def _most(problem: MpcProblem) -> np.ndarray:
-    """Upper bounds of the same."""
+    """Return upper bounds of the same."""
     one = np.concatenate([np.zeros(3), problem.rates, np.full(len(problem.discs[0]), np.inf)])
     return np.tile(one, problem.config.horizon)
 
 
 def _a_step_later(multipliers: Any, horizon: int) -> np.ndarray:
-    """Multipliers of the plan shifted by a step, as :func:`~vssm_gym.planning.mpc.objective.shifted` shifts it."""
+    """Shift multipliers by a step, as :func:`~vssm_gym.planning.mpc.objective.shifted` shifts the plan."""
     steps = np.asarray(multipliers).reshape(horizon, -1)
     return np.concatenate([steps[1:], steps[-1:]]).ravel()

@@ -1,4 +1,4 @@
-"""Refinement of a plan by an augmented Lagrangian, with gradients through dynamics, clearances and cost-to-go.
+"""Refine a plan by an augmented Lagrangian (eq. P28), with gradients through dynamics, clearances and cost-to-go.
 
     L(u, mu) = C(u) + 1/(2 rho) sum_i (max(0, mu_i - rho g_i(u))^2 - mu_i^2),      mu_i <- max(0, mu_i - rho g_i(u))
 
@@ -20,7 +20,7 @@ from vssm_gym.planning.mpc.problem import MpcProblem
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Effort of the refinement."""
+    """Configure the effort of the refinement."""
 
     outer: int = 4  # updates of the multipliers
     inner: int = 12  # Adam's steps between them
@@ -32,7 +32,7 @@ class RefineConfig:
 
     @property
     def iterations(self) -> int:
-        """Gradients that one refinement takes."""
+        """Return the number of gradients of one refinement."""
         return self.outer * self.inner
 
 
@@ -46,7 +46,7 @@ def lagrangian(
     penalty: Float[Array, ""],
     controls: Float[Array, "time 2"],
 ) -> tuple[Array, Array]:
-    """``L(u, mu)`` of one plan, step costs, and the multipliers that follow from it."""
+    """Return ``L(u, mu)`` of one plan, step costs, and the multipliers that follow from it."""
     plans = evaluate(problem, fields, state, last, controls)
     raised = jnp.maximum(0.0, multipliers - penalty * (plans.clearance - least))
     return plans.cost + jnp.sum(raised**2 - multipliers**2) / (2.0 * penalty), raised
@@ -61,7 +61,7 @@ def refine(
     least: Float[Array, ""],
     controls: Float[Array, "plans time 2"],
 ) -> Float[Array, "plans time 2"]:
-    """Local minima near ``controls``, within limits and rates; how well each keeps the clearance is for the caller."""
+    """Return local minima near ``controls``, within limits and rates; the caller checks their clearance."""
     limits = jnp.asarray(problem.car.limits, controls.dtype)
     least = least + config.tightening
     decay = (config.last_rate / config.rate) ** (1.0 / max(1, config.iterations - 1))

@@ -1,4 +1,4 @@
-"""Model-predictive path integral control (Williams et al., IEEE T-RO 2018), in one compiled call.
+"""Solve by model-predictive path integrals (Williams et al., IEEE T-RO 2018), in one compiled call (eq. P30).
 
     eps_k = B n_k,  n_k ~ N(0, sigma^2)      w_k ∝ exp(-(C(u + eps_k) - min_j C(u + eps_j)) / lambda) [no collision]
     u <- u + sum_k w_k eps_k
@@ -6,7 +6,7 @@
 Noise is drawn at a few knots and interpolated by ``B``, so a sample is a drive and not a tremble. The last plan is the
 base distribution (alpha = 1 there), so no further control cost enters the weights; ``C`` has its own. A sample that
 violates the clearance gets no weight at all; where every sample does, the shortfall is charged instead. The average of
-two ways around an obstacle can lead into it: the answer is the average only where it is allowed and cheaper than the
+two paths around an obstacle can lead into it: the answer is the average only where it is allowed and cheaper than the
 best sample. The first round also samples manoeuvres that the last plan does not suggest, and later rounds draw nearer.
 """
 
@@ -31,7 +31,7 @@ from vssm_gym.planning.value_iteration import CostToGo
 
 @dataclass(frozen=True)
 class MppiConfig:
-    """Samples and temperature."""
+    """Configure samples and temperature."""
 
     samples: int = 256  # of each round
     rounds: int = 4
@@ -50,7 +50,7 @@ class MppiConfig:
 
 
 class Mppi:
-    """:class:`~vssm_gym.planning.mpc.problem.MpcSolver`: weighted averages of random drives.
+    """Solve by weighted averages of random drives.
 
     ``SOLVED``: the answer is the average; ``ACCEPTABLE``: it is a single sample.
     """
@@ -90,7 +90,7 @@ class Mppi:
     def _average(
         self, fields: Fields, state: Array, last: Array, samples: Float[Array, "samples time 2"]
     ) -> tuple[Array, Array]:
-        """``sum_k w_k u_k`` and the best sample; limits and rates are convex, so the average keeps them."""
+        """Return ``sum_k w_k u_k`` and the best sample; limits and rates are convex, so the average keeps them."""
         plans = evaluate(self.problem, fields, state, last, samples)
         short = shortfall(self.problem, fields, state, plans)
         free = short <= self.problem.config.tolerance

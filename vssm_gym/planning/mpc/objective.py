@@ -1,4 +1,4 @@
-"""Cost and constraints of a plan, in JAX, for any number of plans at once.
+"""Evaluate cost and constraints of any number of plans, in JAX (eq. P24, P26).
 
     C(u) = sum_{t<T} gamma^t c(z_{t+1}, u_t) + gamma^T J(z_T)
     c(z, u) = min(s, J(z)) + e (v / v_max)^2 + w sum (Du / limit)^2 + k mean_i max(0, 1 - (d_i - r) / comfort)^2
@@ -19,7 +19,7 @@ from vssm_gym.planning.mpc.problem import MpcProblem
 
 
 class Plans(NamedTuple):
-    """Evaluated plans."""
+    """Hold evaluated plans."""
 
     states: Float[Array, "*batch time 3"]  # z_1 .. z_T; a heading may be wrapped or not
     cost: Float[Array, "*batch"]  # step costs
@@ -32,7 +32,7 @@ def rollout(problem: MpcProblem, state: Float[Array, "3"], controls: Float[Array
 
 
 def footprint_clearance(problem: MpcProblem, fields: Fields, states: Float[Array, "*batch 3"]) -> Array:
-    """``d(p_i(z)) - r`` of every disc of the footprint, ``(*batch, discs)``, m."""
+    """Return ``d(p_i(z)) - r`` of every disc of the footprint, ``(*batch, discs)``, m."""
     centres, radius = problem.discs
     x, y = jnp.asarray(centres.T, states.dtype)
     c, s = jnp.cos(states[..., 2:]), jnp.sin(states[..., 2:])
@@ -47,7 +47,7 @@ def evaluate(
     last: Float[Array, "2"],
     controls: Float[Array, "*batch time 2"],
 ) -> Plans:
-    """Poses, cost and clearances of plans that start at ``state`` after the command ``last``."""
+    """Evaluate poses, cost and clearances of plans that start at ``state`` after the command ``last``."""
     config, limits = problem.config, jnp.asarray(problem.car.limits, controls.dtype)
     states = rollout(problem, state, controls)
     clearance = footprint_clearance(problem, fields, states)
@@ -67,7 +67,7 @@ def evaluate(
 
 
 def required_clearance(problem: MpcProblem, fields: Fields, state: Float[Array, "3"]) -> Array:
-    """``m``: the margin, or what the present pose has where that is less, m.
+    """Return ``m``: the margin, or what the present pose has where that is less, m.
 
     A car that noise has pushed below the margin is not stuck: it may go anywhere that is not closer still.
     """
@@ -75,7 +75,7 @@ def required_clearance(problem: MpcProblem, fields: Fields, state: Float[Array, 
 
 
 def within_rates(problem: MpcProblem, last: Float[Array, "2"], controls: Float[Array, "*batch time 2"]) -> Array:
-    """Each control moved, one after the other, into the limits and to within a rate of the one before it."""
+    """Move each control, one after the other, into the limits and to within a rate of the one before it."""
     limits, rates = (jnp.asarray(a, controls.dtype) for a in (problem.car.limits, problem.rates))
     before, kept = jnp.broadcast_to(last, controls[..., 0, :].shape), []
     for t in range(controls.shape[-2]):  # unrolled: 25 clips in one fused loop instead of a scan of tiny steps
@@ -85,11 +85,11 @@ def within_rates(problem: MpcProblem, last: Float[Array, "2"], controls: Float[A
 
 
 def shifted(controls: Float[Array, "time 2"]) -> Float[Array, "time 2"]:
-    """The plan one step later, its last control repeated."""
+    """Return the plan one step later, its last control repeated."""
     return jnp.concatenate([controls[1:], controls[-1:]])
 
 
 def with_start(state: Float[Array, "3"], states: Float[Array, "time 3"]) -> Float[Array, "steps 3"]:
-    """``z_0 .. z_T``, headings in [-pi, pi)."""
+    """Return ``z_0 .. z_T``, headings in [-pi, pi)."""
     every = jnp.concatenate([state[None], states])
     return every.at[:, 2].set(wrap_angle(every[:, 2]))

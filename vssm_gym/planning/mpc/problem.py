@@ -1,4 +1,4 @@
-"""The car's control problem over a short horizon, and what every solver of it returns (thesis eq. 5.21).
+"""Define the car's control problem over a short horizon, and what its solvers return (thesis, section 5.6.1; eq. P23).
 
     min_u  sum_{t<T} gamma^t c(z_t, u_t) + gamma^T J(z_T)      z_{t+1} = mean of p(z' | z_t, u_t)
     s.t.   d(p_i(z_t)) - r >= m  for t = 1..T and every disc i of the footprint,
@@ -27,7 +27,7 @@ from vssm_gym.planning.value_iteration import CostToGo
 
 @dataclass(frozen=True)
 class MpcConfig:
-    """What the controller may do and what it is charged for; costs are in step costs of the cost-to-go.
+    """Configure the constraints and the costs of the controller; costs are in step costs of the cost-to-go.
 
     Attributes:
         horizon: T, steps of the car's ``dt``.
@@ -82,7 +82,7 @@ class MpcConfig:
 
 @dataclass(frozen=True)
 class MpcProblem:
-    """A car under a configuration: what is known before map, goal and pose are. Hashable, so static in JAX.
+    """Hold what is known before map, goal and pose: a car and a configuration. Hashable, so static in JAX.
 
     Attributes:
         car: footprint, limits of the two controls and length of a step.
@@ -105,22 +105,22 @@ class MpcProblem:
 
     @property
     def motion(self) -> Transition:
-        """The transition that plans are rolled out by."""
+        """Return the transition by which plans are rolled out."""
         return Bicycle(wheelbase=self.car.wheelbase) if self.transition is None else self.transition
 
     @property
     def discs(self) -> tuple[np.ndarray, float]:
-        """Centres in the body frame, ``(discs, 2)`` m, and the radius, m."""
+        """Return the discs' centres in the body frame, ``(discs, 2)`` m, and the radius, m."""
         return cover(self.car, *self.config.discs)
 
     @property
     def rates(self) -> np.ndarray:
-        """Largest change of ``(speed, steering)`` between two steps: m/s and rad; float64 ``(2,)``."""
+        """Return the largest change of ``(speed, steering)`` between two steps: m/s and rad; float64 ``(2,)``."""
         return self.car.dt * np.array([self.config.speed_rate, self.config.steering_rate])
 
 
 class MpcStatus(Outcome):
-    """How a solution ended; the value is the message that reports print."""
+    """Name the outcome of a solution; the value is the message that reports print."""
 
     SOLVED = "solved: every constraint holds, the solver converged"
     ACCEPTABLE = "acceptable: every constraint holds, the solver stopped before it converged"
@@ -130,13 +130,13 @@ class MpcStatus(Outcome):
 
     @property
     def usable(self) -> bool:
-        """Whether the first control may be executed."""
+        """Return True where the first control may be executed."""
         return self in (MpcStatus.SOLVED, MpcStatus.ACCEPTABLE)
 
 
 @dataclass(frozen=True)
 class MpcResult:
-    """A plan, and how far it can be trusted.
+    """Hold a plan, its outcome and its constraint violation.
 
     Attributes:
         status: how the solution ended; only a usable one may be driven.
@@ -164,16 +164,16 @@ class MpcResult:
 
     @property
     def usable(self) -> bool:
-        """Whether the first control may be executed."""
+        """Return True where the first control may be executed."""
         return self.status.usable
 
     def within_deadline(self, deadline: float) -> "MpcResult":
-        """The same, :attr:`MpcStatus.LATE` where it took longer than ``deadline`` seconds."""
+        """Return the result with the status :attr:`MpcStatus.LATE` where it took longer than ``deadline`` seconds."""
         return replace(self, status=MpcStatus.LATE) if self.seconds > deadline else self
 
 
 class MpcSolver(Protocol):
-    """What every solver is: static options inside, everything that changes between two steps an argument."""
+    """Solve the problem: options are static, and everything that changes between two steps is an argument."""
 
     problem: MpcProblem
 
@@ -199,14 +199,14 @@ class MpcSolver(Protocol):
 
 
 def last_control(problem: MpcProblem, warm: MpcResult | None, control: np.ndarray | None) -> np.ndarray:
-    """The command from which the rates count, ``(2,)`` float64, within the limits."""
+    """Return the command from which the rates count, ``(2,)`` float64, within the limits."""
     if control is None:
         control = np.zeros(2) if warm is None else warm.controls[0]
     return problem.car.clip(control)
 
 
 def checked_pose(state: np.ndarray) -> np.ndarray:
-    """``(3,)`` float64; an error where it is no pose."""
+    """Return a pose as ``(3,)`` float64; raise :class:`InputError` where it is none."""
     state = np.asarray(state, dtype=np.float64)
     if state.shape != (3,) or not np.isfinite(state).all():
         raise InputError("plan", "state", f"three finite numbers (x, y, heading); found {state!r:.80}")

@@ -1,4 +1,4 @@
-"""MPC by random search and an augmented Lagrangian, as published for the car (thesis 5.6.1), in one compiled call.
+"""Solve by random search and an augmented Lagrangian (thesis, section 5.6.1), in one compiled call (eq. P29).
 
 U = the M best of K candidates by C(u) + w max_i max(0, m - g_i(u));   u = the best of U and refine(U)
 """
@@ -24,7 +24,7 @@ from vssm_gym.planning.value_iteration import CostToGo
 
 @dataclass(frozen=True)
 class RandomSearchConfig:
-    """Effort of the search."""
+    """Configure the effort of the search."""
 
     candidates: int = 512  # K
     refined: int = 8  # M
@@ -38,7 +38,7 @@ class RandomSearchConfig:
 
 
 class RandomSearch:
-    """:class:`~vssm_gym.planning.mpc.problem.MpcSolver`: global by chance, local by gradients.
+    """Solve globally by random candidates, locally by gradients.
 
     ``SOLVED``: the answer is a refined plan; ``ACCEPTABLE``: it is a candidate as drawn.
     """

@@ -1,4 +1,4 @@
-"""The best of many candidate plans."""
+"""Rank many candidate plans by cost and constraint violation."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ SHORTFALL_COST = 1e3  # step costs a metre of violation: what a refinement can r
 
 
 def shortfall(problem: MpcProblem, fields: Fields, state: Float[Array, "3"], plans: Plans) -> Array:
-    """``max_ti max(0, m - d_ti + r)`` of each plan, m."""
+    """Return ``max_ti max(0, m - d_ti + r)`` of each plan, m."""
     return jnp.maximum(0.0, required_clearance(problem, fields, state) - jnp.min(plans.clearance, axis=(-2, -1)))
 
 
@@ -24,7 +24,7 @@ def ranked(
     controls: Float[Array, "plans time 2"],
     count: int,
 ) -> tuple[Float[Array, "count time 2"], Float[Array, "count"]]:
-    """The ``count`` best by cost and shortfall, the best first, and what they were ranked by, step costs."""
+    """Return the ``count`` best by cost and shortfall, the best first, and what they were ranked by, step costs."""
     plans = evaluate(problem, fields, state, last, controls)
     score, chosen = jax.lax.top_k(-(plans.cost + SHORTFALL_COST * shortfall(problem, fields, state, plans)), count)
     return controls[chosen], -score

@@ -1,9 +1,9 @@
-"""What the car does in a step, plan or no plan: ``step(memory, result, pose, clearance) -> (memory, action)``.
+"""Choose a safe command with or without a plan: ``step(memory, result, pose, clearance) -> (memory, action)``.
 
     usable plan                 its first command                                             PLANNED
     late, infeasible            what is left of the last usable plan, if it is still free     CONTINUED
                                 otherwise as little motion as the rates allow                 BRAKED, HELD
-    inside an obstacle          the way it came, backwards, if that leads no deeper           BACKED_OFF
+    inside an obstacle          the path it came, backwards, if that leads no deeper           BACKED_OFF
                                 otherwise the solver's way out, if it leads no deeper         ESCAPED
                                 otherwise as little motion as the rates allow                 BRAKED, HELD
 
@@ -25,11 +25,11 @@ from vssm_gym.planning.result import Outcome
 
 REMEMBERED = 50  # commands of the way back: 5 s
 STANDING = 1e-3  # m/s
-WAYS = 4  # out of a step without a plan
+WAYS = 4  # alternatives in a step without a plan
 
 
 class SafeKind(Outcome):
-    """Why a command was chosen; the value is the message that reports print."""
+    """Name why a command was chosen; the value is the message that reports print."""
 
     PLANNED = "drives the new plan"
     CONTINUED = "continues the last plan, which is still free"
@@ -41,7 +41,7 @@ class SafeKind(Outcome):
 
 @dataclass(frozen=True)
 class SafeAction:
-    """A command that may be executed, and why it is this one."""
+    """Hold a command that may be executed, and why it was chosen."""
 
     kind: SafeKind
     control: np.ndarray  # (2,) speed m/s, steering rad; within limits and rates
@@ -49,7 +49,7 @@ class SafeAction:
 
 @dataclass(frozen=True)
 class SafeMemory:
-    """What the next step has to know of those before it."""
+    """Hold what the next step needs of those before it."""
 
     control: np.ndarray  # (2,) executed last
     plan: np.ndarray  # (n, 2) what is left of the last usable plan
@@ -58,7 +58,7 @@ class SafeMemory:
 
 
 def init(control: np.ndarray) -> SafeMemory:
-    """A car that executes ``(speed m/s, steering rad)``, zeros for one that stands, and has no plan."""
+    """Return the memory of a car without a plan that executes ``(speed m/s, steering rad)``, zeros for one that stands."""
     return SafeMemory(control, np.zeros((0, 2)), np.zeros((0, 2)))
 
 
@@ -71,7 +71,7 @@ def prepare(problem: MpcProblem) -> None:
 def step(
     problem: MpcProblem, memory: SafeMemory, result: MpcResult, state: np.ndarray, clearance: ClearanceMap
 ) -> tuple[SafeMemory, SafeAction]:
-    """The command of this step.
+    """Return the command of this step.
 
     Args:
         problem: What the plan was made for.
@@ -100,7 +100,7 @@ def step(
 def _without_plan(
     problem: MpcProblem, memory: SafeMemory, result: MpcResult, state: np.ndarray, clearance: ClearanceMap
 ) -> tuple[SafeKind, np.ndarray]:
-    """The first of the ways out that leads no closer to anything than a plan may, or a stop."""
+    """Return the first alternative that keeps the clearance of a plan, or a stop."""
     blocked = result.status is MpcStatus.BLOCKED
     ways = {
         SafeKind.CONTINUED: memory.plan[1:],
@@ -125,7 +125,7 @@ def _without_plan(
 
 
 def _to_a_standstill(controls: np.ndarray, horizon: int, steering: float) -> np.ndarray:
-    """The first of ``controls``, then as much of the horizon standing as there is: at least its last third."""
+    """Return the first of ``controls``, then as much of the horizon standing as there is: at least its last third."""
     drive = controls[: horizon - horizon // 3]
     steering = drive[-1, 1] if len(drive) else steering
     return np.concatenate([drive, np.tile([0.0, steering], (horizon - len(drive), 1))])
@@ -133,13 +133,13 @@ def _to_a_standstill(controls: np.ndarray, horizon: int, steering: float) -> np.
 
 @partial(jax.jit, static_argnums=0)
 def _drive(problem: MpcProblem, state: Array, last: Array, controls: Array) -> tuple[Array, Array]:
-    """``controls`` within limits and rates, and where they lead, ``(ways, time, 2)`` and ``(ways, time, 3)``."""
+    """Return ``controls`` within limits and rates, and where they lead, ``(ways, time, 2)`` and ``(ways, time, 3)``."""
     controls = within_rates(problem, last, controls)
     return controls, rollout(problem, state, controls)
 
 
 def _footprint_clearance(problem: MpcProblem, states: np.ndarray, clearance: ClearanceMap) -> np.ndarray:
-    """Of every disc, ``(*batch, discs)`` m, from the map itself: nothing is moved to a device in an emergency."""
+    """Return the clearance of every disc, ``(*batch, discs)`` m, from the map itself, without a device."""
     centres, radius = problem.discs
     x, y = centres.T
     c, s = np.cos(states[..., 2:]), np.sin(states[..., 2:])

@@ -1,4 +1,4 @@
-"""Which of several plans is the answer, and what is said of it: the same for every solver.
+"""Select the answer among several plans, the same way for every solver (eq. P32).
 
 u = argmin { C(u_k) : max_i max(0, m - d_i(u_k) + r) <= tolerance },  else the plan with the least violation
 """
@@ -18,7 +18,7 @@ CHEAPER = 0.02  # step costs: below it two plans are the same drive
 
 
 class Selection(NamedTuple):
-    """The chosen plan, on the device."""
+    """Hold the chosen plan, on the device."""
 
     controls: Float[Array, "time 2"]
     states: Float[Array, "steps 3"]  # the start first
@@ -37,7 +37,7 @@ def select(
     controls: Float[Array, "plans time 2"],
     own: int,
 ) -> Selection:
-    """The best of ``controls``, all of them within limits and rates.
+    """Select the best of ``controls``, all of them within limits and rates.
 
     The first ``own`` are the solver's, the others what it started from: those must be cheaper by :data:`CHEAPER`.
     """
@@ -67,7 +67,7 @@ def to_result(
     step: int,
     multipliers: tuple[np.ndarray, ...] = (),
 ) -> MpcResult:
-    """The host's view of a selection, with its status; a late answer is late whatever it says."""
+    """Return a selection as a result on the host; a late one has the status LATE whatever its plan is."""
     violation = float(selection.violation)
     if float(selection.start_clearance) < -problem.config.tolerance:
         status = MpcStatus.BLOCKED

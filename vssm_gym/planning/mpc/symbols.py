@@ -1,4 +1,4 @@
-"""What IPOPT's problem is spelled with in CasADi's symbols: the bicycle's step, and splines that are looked up.
+"""Express parts of IPOPT's problem in CasADi's symbols: the bicycle's step, and splines that are looked up.
 
 CasADi itself is imported in one place, :mod:`vssm_gym.planning.mpc.ipopt`, and given to these functions.
 """

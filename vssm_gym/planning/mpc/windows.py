@@ -1,4 +1,4 @@
-"""Uniform cubic B-spline coefficients of the two tables, and the windows of them that one plan can reach, in numpy.
+"""Prepare uniform cubic B-spline coefficients of the two tables, and the windows that one plan can reach.
 
 s(g) = sum_k b_k(g - floor(g)) c[floor(g) - 1 + k],  k = 0..3     (in every dimension; g in cells)
 """
@@ -16,7 +16,7 @@ SUPPORT = 4  # coefficients that a cubic B-spline reads in each dimension
 
 
 class ValueTable:
-    """Coefficients of ``J`` = its values: a B-spline of them is a blurred, bounded, C2 interpolant."""
+    """Hold coefficients of ``J``, its values: a B-spline of them is a blurred, bounded, C2 interpolant."""
 
     def __init__(self, value: CostToGo, reach: float) -> None:
         table = np.asarray(value.values, dtype=np.float32)
@@ -31,14 +31,14 @@ class ValueTable:
         self.origin = np.asarray(value.origin, np.float64) - self.cells * self.resolution
 
     def window(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients ``(cells, cells, headings + 3)`` flat, and the place of the first, ``(2,)`` m."""
+        """Return coefficients ``(cells, cells, headings + 3)`` flat, and the place of the first, ``(2,)`` m."""
         start = _start(centre, self.origin, self.resolution, self.cells, self.table.shape)
         i, j = start
         return self.table[i : i + self.cells, j : j + self.cells].ravel(), self.origin + self.resolution * start
 
 
 class ClearanceTable:
-    """Coefficients of an interpolating spline of the clearance, which falls off at a slope of one beyond the grid."""
+    """Hold spline coefficients of the clearance, which falls off at a slope of one beyond the grid."""
 
     def __init__(self, clearance: ClearanceMap, reach: float) -> None:
         self.resolution = float(clearance.resolution)
@@ -50,18 +50,18 @@ class ClearanceTable:
         self.origin = np.asarray(clearance.origin, np.float64) - self.cells * self.resolution
 
     def _beyond(self, n: int) -> np.ndarray:
-        """How many cells outside an axis of ``n`` cells those of the padded axis are."""
+        """Return how many cells outside an axis of ``n`` cells those of the padded axis are."""
         k = np.arange(-self.cells, n + self.cells)
         return np.maximum(0, np.maximum(-k, k - n + 1))
 
     def window(self, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients ``(cells, cells)`` flat, and the place of the first, ``(2,)`` m."""
+        """Return coefficients ``(cells, cells)`` flat, and the place of the first, ``(2,)`` m."""
         start = _start(centre, self.origin, self.resolution, self.cells, self.table.shape)
         i, j = start
         return self.table[i : i + self.cells, j : j + self.cells].ravel(), self.origin + self.resolution * start
 
 
 def _start(centre: np.ndarray, origin: np.ndarray, resolution: float, cells: int, shape: tuple[int, ...]) -> np.ndarray:
-    """Index of a window's first cell, so that ``centre`` lies in its middle where the table reaches that far."""
+    """Return the index of a window's first cell; ``centre`` lies in its middle where the table reaches that far."""
     start = np.round((np.asarray(centre) - origin) / resolution).astype(int) - cells // 2
     return np.clip(start, 0, np.array(shape[:2]) - cells)
