@@ -58,7 +58,7 @@ class SafeMemory:
 
 
 def init(control: np.ndarray) -> SafeMemory:
-    """Return the memory of a car without a plan that executes ``(speed m/s, steering rad)``, zeros for one that stands."""
+    """Return the memory of a car without a plan that executes ``(speed m/s, steering rad)``, zeros if it stands."""
     return SafeMemory(control, np.zeros((0, 2)), np.zeros((0, 2)))
 
 
