@@ -50,7 +50,7 @@ demo: $(STAMP)
 	$(BIN)/vssm-gym demo --out $(OUT)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS)
+	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile  # a file's fixtures and compilations: once
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
