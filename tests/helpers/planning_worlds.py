@@ -32,7 +32,9 @@ def clearance_map(floor: shapely.Polygon, solid: shapely.Geometry, resolution: f
     axes = [np.arange(a - 0.2, b + 0.2, resolution) for a, b in zip(low, high, strict=True)]
     x, y = np.meshgrid(*axes, indexing="ij")
     outside = floor.buffer(1.0) - floor
-    return ClearanceMap.from_depth(signed_depth(outside | solid, x, y), np.array([axes[0][0], axes[1][0]]), resolution)
+    return ClearanceMap.from_occupancy(
+        signed_depth(outside | solid, x, y), np.array([axes[0][0], axes[1][0]]), resolution
+    )
 
 
 def voxel_map(

@@ -18,7 +18,7 @@ def test_distance_to_a_straight_wall(angle, offset):
     resolution = 0.025
     x, y = np.meshgrid(np.arange(-1.0, 1.0, resolution), np.arange(-1.0, 1.0, resolution), indexing="ij")
     depth = np.cos(angle) * x + np.sin(angle) * y - offset
-    found = ClearanceMap.from_depth(depth, np.array([-1.0, -1.0]), resolution)
+    found = ClearanceMap.from_occupancy(depth, np.array([-1.0, -1.0]), resolution)
     middle = np.hypot(x, y) < 0.6  # away from where the grid cuts the wall off
     error = (np.abs(found.clearance) - np.abs(depth))[middle]
     assert error.min() > -1e-6
@@ -27,7 +27,7 @@ def test_distance_to_a_straight_wall(angle, offset):
 
 def of_cells(occupied: np.ndarray, resolution: float) -> np.ndarray:
     """The clearance where surfaces run half-way between an occupied and a free centre."""
-    return ClearanceMap.from_depth(np.where(occupied, resolution, -resolution), np.zeros(2), resolution).clearance
+    return ClearanceMap.from_occupancy(np.where(occupied, resolution, -resolution), np.zeros(2), resolution).clearance
 
 
 @given(grids())

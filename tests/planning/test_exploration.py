@@ -117,7 +117,7 @@ def test_candidates_see_the_unknown_and_representatives_share_it(west):
 def test_a_map_without_unknown_space_has_no_candidates():
     plan = FloorPlan.of(voxel_map(FLOOR, []), 0.08, 0.5)
     cells = np.where(plan.cells == UNKNOWN, OCCUPIED, plan.cells).astype(np.int8)
-    roadmap = Roadmap.of(FloorPlan(cells, plan.depth, plan.origin, plan.resolution), START, 0.15)
+    roadmap = Roadmap.of(FloorPlan(cells, plan.occupancy, plan.origin, plan.resolution), START, 0.15)
     found = candidates(roadmap, spacing=0.5, hazard=0.5, least_area=0.1, dismissed=NONE)
     assert len(found.xy) == 0
     assert len(representatives(found, 3, 0.1, 0.1)) == 0

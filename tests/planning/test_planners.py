@@ -32,7 +32,7 @@ SEALED = shapely.box(3.2, 2.9, 3.3, 4.0) | shapely.box(3.2, 2.9, 4.6, 3.0) | sha
 SOLID = shapely.union_all([*BOXES, SEALED])
 
 
-def from_depth() -> ClearanceMap:
+def from_occupancy() -> ClearanceMap:
     """Exact distances to the floor plan's borders on a grid."""
     return clearance_map(ROOM, SOLID)
 
@@ -54,8 +54,13 @@ def explored() -> ClearanceMap:
     return FloorPlan.of(voxel_map(ROOM, [(SOLID, 0.0, 1.0)]), 0.08, 0.5).clearance()
 
 
-KINDS: dict[str, Callable[[], Space]] = {kind.__name__: kind for kind in (from_depth, function, learned, explored)}
-SURFACE_ERROR = {"from_depth": 0.01, "function": 0.01, "learned": 0.02, "explored": 0.03}  # m, at corners of the boxes
+KINDS: dict[str, Callable[[], Space]] = {kind.__name__: kind for kind in (from_occupancy, function, learned, explored)}
+SURFACE_ERROR = {
+    "from_occupancy": 0.01,
+    "function": 0.01,
+    "learned": 0.02,
+    "explored": 0.03,
+}  # m, at corners of the boxes
 PLACES = [(0.4, 0.4), (0.5, 3.5), (2.0, 1.5), (1.9, 3.6), (3.0, 0.5), (4.6, 2.2), (3.8, 1.5), (4.6, 0.3)]
 TRIPS = [(np.array(a), np.array(b)) for a, b in itertools.permutations(PLACES, 2)][::3]
 
@@ -168,7 +173,7 @@ def test_failures_are_values_with_a_message(planner):
 
 
 def test_a_goal_within_reach_needs_no_search(planner):
-    result = planner(np.array([1.8, 3.5]), np.array([2.0, 3.5]), from_depth(), RADIUS, goal_radius=0.35)
+    result = planner(np.array([1.8, 3.5]), np.array([2.0, 3.5]), from_occupancy(), RADIUS, goal_radius=0.35)
     assert result.found
     assert result.path.shape == (1, 2)
     assert result.cost == result.expansions == 0
@@ -193,7 +198,7 @@ def test_the_same_question_has_the_same_answer(space, planner):
 def test_what_is_no_number_is_an_error(planner, field, arguments, keywords):
     start, goal, radius = arguments
     with pytest.raises(InputError, match=field):
-        planner(start, goal, from_depth(), radius, **keywords)
+        planner(start, goal, from_occupancy(), radius, **keywords)
 
 
 def test_a_function_is_sampled_once():

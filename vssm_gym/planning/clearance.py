@@ -37,13 +37,13 @@ class ClearanceMap:
     resolution: float
 
     @classmethod
-    def from_depth(cls, depth: np.ndarray, origin: np.ndarray, resolution: float) -> "ClearanceMap":
-        """Compute the distance of every cell centre to the zero level of ``depth`` ``(nx, ny)``, m.
+    def from_occupancy(cls, occupancy: np.ndarray, origin: np.ndarray, resolution: float) -> "ClearanceMap":
+        """Compute the distance of every cell centre to the zero level of ``occupancy`` ``(nx, ny)``, m.
 
-        ``depth`` is positive inside obstacles.
+        ``occupancy`` is positive inside obstacles.
 
         The level crosses the grid's lines where the linear interpolation of two neighbours does. The result is the
-        distance to the nearest such crossing, which a transform of whole cells misses by up to half a cell. Depths only
+        distance to the nearest such crossing, which a transform of whole cells misses by up to half a cell. Values only
         place the surface between two neighbours: further away they need not be distances.
 
         Args:
@@ -51,7 +51,7 @@ class ClearanceMap:
             origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
             resolution: m between cell centres.
         """
-        clearance = level_distance(depth, resolution)
+        clearance = level_distance(occupancy, resolution)
         return cls(np.ascontiguousarray(clearance), np.asarray(origin, dtype=np.float64), float(resolution))
 
     @classmethod
@@ -78,10 +78,10 @@ class ClearanceMap:
         unknown = share < OBSERVED_SHARE
         occupied = (top > 0.0) | unknown
         # An unobserved column has no surface to interpolate: half a cell is the unbiased place of its border.
-        depth = np.where(unknown & (top <= 0.0), 0.5 * resolution, top)
+        occupancy = np.where(unknown & (top <= 0.0), 0.5 * resolution, top)
         window = _window(~occupied)
         start = np.array([window[0].start, window[1].start])
-        return cls.from_depth(depth[window], low[:2] + start * resolution, resolution)
+        return cls.from_occupancy(occupancy[window], low[:2] + start * resolution, resolution)
 
     def at(self, xy: np.ndarray) -> np.ndarray:
         """Return the clearance (m) at world points ``(..., 2)``; :data:`OUTSIDE` beyond the grid."""

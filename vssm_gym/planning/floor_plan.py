@@ -28,13 +28,13 @@ class FloorPlan:
 
     Attributes:
         cells: ``(nx, ny)`` int8 of ``FREE``, ``OCCUPIED``, ``UNKNOWN``, indexed along world x, y.
-        depth: ``(nx, ny)`` float32 highest mean occupancy, m: positive in what is occupied.
+        occupancy: ``(nx, ny)`` float32 highest mean occupancy, m: positive in what is occupied.
         origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
         resolution: edge of a cell, m.
     """
 
     cells: np.ndarray
-    depth: np.ndarray
+    occupancy: np.ndarray
     origin: np.ndarray
     resolution: float
 
@@ -94,11 +94,11 @@ class FloorPlan:
             middle, size = self.index(centre), round(reach / self.resolution)
             near = [(max(0, c - size), min(n, c + size + 1)) for c, n in zip(middle, self.cells.shape, strict=True)]
             window = (slice(*near[0]), slice(*near[1]))
-        cells, depth = self.cells[window], self.depth[window]
+        cells, occupancy = self.cells[window], self.occupancy[window]
         # Half a cell is the unbiased place of a border without a surface, as in ClearanceMap.from_voxel_map.
-        signed = np.where(cells == UNKNOWN, 0.5 * self.resolution, np.where(np.isfinite(depth), depth, -1.0))
+        signed = np.where(cells == UNKNOWN, 0.5 * self.resolution, np.where(np.isfinite(occupancy), occupancy, -1.0))
         start = np.array([window[0].start, window[1].start])
-        return ClearanceMap.from_depth(signed, self.origin + start * self.resolution, self.resolution)
+        return ClearanceMap.from_occupancy(signed, self.origin + start * self.resolution, self.resolution)
 
     def index(self, xy: np.ndarray) -> np.ndarray:
         """Return the cells ``(..., 2)`` int of world points; they may lie outside."""

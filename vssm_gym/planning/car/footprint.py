@@ -48,8 +48,8 @@ class Arena:
             raise InputError("arena", "occupied", f"a grid of two cells a side or more; found shape {occupied.shape}")
         if not (np.isfinite(resolution) and resolution > 0.0):
             raise InputError("arena", "resolution", f"a positive cell size in metres; found {resolution!r}")
-        depth = np.where(occupied, resolution, -resolution)
-        return cls(occupied, ClearanceMap.from_depth(depth, origin, resolution), origin, float(resolution))
+        occupancy = np.where(occupied, resolution, -resolution)
+        return cls(occupied, ClearanceMap.from_occupancy(occupancy, origin, resolution), origin, float(resolution))
 
 
 def arena_from_map(
@@ -117,10 +117,10 @@ def arena_from_map(
     fine = slice(first[0] * per_cell, (last[0] + 1) * per_cell), slice(first[1] * per_cell, (last[1] + 1) * per_cell)
     unseen = np.repeat(np.repeat(occupied & ~met, per_cell, 0), per_cell, 1)[fine]
     # An unobserved cell has no surface to interpolate: half a column is the unbiased place of its border.
-    depth = np.where(unseen & (top[fine] <= 0.0), 0.5 * spacing, top[fine])
+    occupancy = np.where(unseen & (top[fine] <= 0.0), 0.5 * spacing, top[fine])
     corner = voxel_map.bounds[0, :2] + first * resolution
     window = occupied[first[0] : last[0] + 1, first[1] : last[1] + 1]
-    clearance = ClearanceMap.from_depth(depth, corner, spacing)
+    clearance = ClearanceMap.from_occupancy(occupancy, corner, spacing)
     return Arena(np.ascontiguousarray(window), clearance, low + first * resolution, float(resolution))
 
 
