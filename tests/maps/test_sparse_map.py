@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import Room, camera_pose
@@ -223,6 +223,7 @@ def shifted(array: np.ndarray, shift: np.ndarray, fill: float) -> np.ndarray:
 
 
 @given(seeds, st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(-10, 10)), st.booleans())
+@example(181, (0, -2, -6), True)  # blocks without storage, whose surface lay in a block that left
 def test_what_the_windows_share_is_kept(seed: int, shift: tuple[int, int, int], is_sparse: bool) -> None:
     m = seen(seed, 3, SLOTS if is_sparse else None)
     before = {name: np.asarray(m.dense(getattr(m, name))) for name in ARRAYS}

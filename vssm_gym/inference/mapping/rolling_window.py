@@ -66,6 +66,7 @@ def move(m: VoxelMap, shift_blocks: Int[Array, "3"]) -> tuple[VoxelMap, Int[Arra
         for axis in range(3):  # only blocks with stored cells, and their neighbours, can have a surface
             following = jnp.pad(near, [(0, int(a == axis)) for a in range(3)])
             near = near | jax.lax.slice_in_dim(following, 1, m.blocks[axis] + 1, axis=axis)
+        rings = jnp.where(edge & ~near, empty_space.MAX_RINGS, rings)  # their surface was in a block that left
         edge &= near
     occupancy, occupancy_precision, colour, colour_precision, level = moved
     empty = refresh_index(EmptySpace(level, rings), occupancy, edge.reshape(-1), table)
