@@ -26,7 +26,7 @@ Z_MIN, Z_MAX = 0.08, 0.2  # m: above the floor's noise, up to just above the car
 
 @dataclass(frozen=True)
 class Arena:
-    """What planners of a car know of the floor: occupied cells and the distance to them.
+    """Hold the floor as planners of a car know it: its occupied cells and the distance to them.
 
     Attributes:
         occupied: ``(nx, ny)`` bool, indexed ``[ix, iy]`` along world x, y. Beyond the grid everything is occupied.
