@@ -107,7 +107,7 @@ def test_a_maze_is_driven_by_its_plan():
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("Flight-v0",), r"ENV: expected an environment that one key a step can steer \(PointNav-v0, ImageNav-v0"),
+        (("Flight-v0",), r"ENV: expected an environment that one key per step can steer \(PointNav-v0, ImageNav-v0"),
         (("LidarMaze-v0", "--record", "somewhere"), "an environment with a camera: LidarMaze-v0 has no images"),
     ],
 )

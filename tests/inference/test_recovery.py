@@ -14,7 +14,7 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_log
 from vssm_gym.inference.alignment.residuals import luminance
 from vssm_gym.inference.alignment.rotation import RotationConfig
-from vssm_gym.inference.tracking.keyframes import empty, remember, similar
+from vssm_gym.inference.tracking.keyframes import KeyframeConfig, empty, remember, similar
 from vssm_gym.inference.tracking.recovery import RecoveryConfig, recover
 from vssm_gym.model.emission import RGBD
 
@@ -57,7 +57,7 @@ def test_a_camera_carried_off_is_found_from_a_keyframe(seed: int, metres: float,
     start = place(rng)
     now = off(start, rng, metres, degrees)
     view = off(now, rng, 0.1, 4.0)
-    kept = empty(CAMERA, 8)
+    kept = empty(CAMERA, KeyframeConfig(capacity=8))
     for T in (view, start, camera_pose((0.2, 0.3, 1.0), 2.6, 0.1)):
         kept = remember(kept, f32(T), luminance(ROOM.image(T, CAMERA).rgb), CAMERA)
     image = ROOM.image(now, CAMERA)

@@ -38,16 +38,14 @@ class ClearanceMap:
 
     @classmethod
     def from_occupancy(cls, occupancy: np.ndarray, origin: np.ndarray, resolution: float) -> "ClearanceMap":
-        """Compute the distance of every cell centre to the zero level of ``occupancy`` ``(nx, ny)``, m.
-
-        ``occupancy`` is positive inside obstacles.
+        """Compute the distance of every cell centre to the zero level of an occupancy.
 
         The level crosses the grid's lines where the linear interpolation of two neighbours does. The result is the
         distance to the nearest such crossing, which a transform of whole cells misses by up to half a cell. Values only
         place the surface between two neighbours: further away they need not be distances.
 
         Args:
-            depth: ``(nx, ny)`` signed depth, m, positive inside obstacles.
+            occupancy: ``(nx, ny)`` negative signed distance, m, positive inside obstacles.
             origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
             resolution: m between cell centres.
         """
