@@ -58,6 +58,20 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.slam.map_building import map_from_frames as map_from_frames
     from vssm_gym.slam.run import SlamOptions as SlamOptions
     from vssm_gym.slam.run import run_slam as run_slam
+else:  # a checker that saw these two would accept any misspelt name
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name at its first use (PEP 562)."""
+        if name not in PUBLIC:
+            raise AttributeError(f"module 'vssm_gym' has no attribute {name!r}")
+        value = getattr(importlib.import_module(PUBLIC[name]), name)
+        globals()[name] = value
+        return value
+
+    def __dir__() -> list[str]:
+        """List the public names, imported or not."""
+        return sorted({*globals(), *PUBLIC})
+
 
 PUBLIC: dict[str, str] = {
     # images and maps
@@ -110,20 +124,5 @@ PUBLIC: dict[str, str] = {
 """The public names, and the module that defines each."""
 
 __all__ = ["__version__", *PUBLIC]
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name at its first use (PEP 562)."""
-    if name not in PUBLIC:
-        raise AttributeError(f"module 'vssm_gym' has no attribute {name!r}")
-    value = getattr(importlib.import_module(PUBLIC[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    """List the public names, imported or not."""
-    return sorted({*globals(), *PUBLIC})
-
 
 register()

@@ -34,8 +34,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
         raise InputError(path, min(missing), "this field")
     if not isinstance(manifest["config"], dict):
         raise InputError(path, "config", "the sweep's configuration")
-    if "agents" in manifest["config"]:
-        manifest["config"]["agents"] = [current_name(agent) for agent in manifest["config"]["agents"]]
+    agents = manifest["config"].get("agents", [])
+    if not isinstance(agents, list) or not all(isinstance(agent, str) for agent in agents):
+        raise InputError(path, "config.agents", "a list of agents' names")
+    if agents:
+        manifest["config"]["agents"] = [current_name(agent) for agent in agents]
     return manifest
 
 

@@ -88,6 +88,14 @@ def test_committed_rows_are_read_in_whole(folder):
         assert row["scene_hash"] == hashes[row["scene"]]
 
 
+@pytest.mark.parametrize("agents", [None, "astar", [["astar"]], 3])
+def test_a_manifest_with_damaged_agents_is_one_error(tmp_path, agents):
+    manifest = {"config": {"agents": agents}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=r"config\.agents: expected a list"):
+        read_manifest(tmp_path / MANIFEST)
+
+
 def test_rows_of_renamed_agents_are_read_under_their_present_names(tmp_path):
     """Rows and manifest are translated as they are read; a new row of the same agent is the same episode."""
     manifest = {"config": {"agents": list(RENAMED)}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}

@@ -1,6 +1,7 @@
 """Every metric of the registry on stored rows: it agrees with what the row stores, and tables show each one."""
 
 import math
+from html import escape
 
 import pytest
 
@@ -52,7 +53,7 @@ def test_a_metric_is_shown_where_it_says(name):
     assert metric.direction in ("higher", "lower", "neither")
     for report in metric.reports:
         rows = [measured(row) for row in EVERY[report]]
-        assert metric.label in results(rows, 0, Measures(report))
+        assert f">{escape(metric.label)}</th>" in results(rows, 0, Measures(report))
 
 
 def test_every_report_has_metrics_of_its_own_labels():

@@ -10,7 +10,8 @@ import numpy as np
 
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import Space
-from vssm_gym.planning.grid_search import astar, theta_star
+from vssm_gym.planning.grid_search.astar import plan as astar
+from vssm_gym.planning.grid_search.theta_star import plan as theta_star
 from vssm_gym.planning.result import PlanResult
 
 
@@ -53,8 +54,8 @@ class Planner(Protocol):
 
 
 PLANNERS: dict[str, Planner] = {
-    "astar": astar.plan,
-    "theta_star": theta_star.plan,
+    "astar": astar,
+    "theta_star": theta_star,
 }
 
 
@@ -88,7 +89,7 @@ def plan(
         space: the clearance of the disc's centre: a :class:`~vssm_gym.planning.clearance.ClearanceMap`, or a
             :class:`~vssm_gym.planning.clearance.ClearanceField` for a function.
         radius: of the disc, m.
-        planner: ``astar`` (A*) or ``theta_star`` (Theta*), or any callable with this signature but for ``planner``.
+        planner: a name of :data:`PLANNERS`, or any callable with this signature but for ``planner``.
         margin: extra clearance everywhere on the path, m; a negative one accepts less than the radius.
         goal_radius: distance from the goal that is near enough, m.
         max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
