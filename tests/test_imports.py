@@ -16,8 +16,8 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 # Each layer may import those before it; what stands on one line does not import its neighbours.
 LAYERS = [
-    ["errors", "files", "progress"],
-    ["yaml_file", "output_folders"],
+    ["errors", "progress"],
+    ["files"],
     ["geometry"],
     ["maps"],
     ["model.emission", "model.transition"],
@@ -72,6 +72,7 @@ FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout
 # Inside a layer: a row imports from the rows before it, never from its own row or a later one. What is not listed
 # belongs to "", the files at the folder's top.
 FOLDERS = {
+    "files": [["atomic", "bounded"], ["json_file", "numbers"], ["npz_file", "yaml_file", "output_folders"]],
     "inference": [["alignment", "mapping", "linear_gaussian", "status"], ["filter"], ["tracking"], ["prism"], [""]],
     "planning": [
         ["clearance", "result"],

@@ -1,16 +1,31 @@
 """Define one error type for invalid user input, which names the source, the field and the expected value."""
 
+import re
+
+LONGEST_VALUE = 200  # characters of a quoted name or value
+LONGEST_MESSAGE = 2000
+
 
 class InputError(ValueError):
     """Report invalid input: ``source`` (a file or argument), ``field`` within it, and what was ``expected``.
 
-    The command line prints its message alone, without a traceback.
+    The command line prints its message alone, without a traceback. The message is one line of printable characters;
+    a word of more than ``LONGEST_VALUE`` characters is shortened, for it may come from a file.
     """
 
     def __init__(self, source: object, field: str, expected: str) -> None:
-        self.source, self.field, self.expected = str(source), field, expected
-        super().__init__(f"{source}: {field}: expected {expected}")
+        self.source, self.field, self.expected = _printable(str(source)), _printable(field), _printable(expected)
+        super().__init__(f"{self.source}: {self.field}: expected {self.expected}")
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
         """Pickle by the three arguments, not by the message made of them, for errors of worker processes."""
         return type(self), (self.source, self.field, self.expected)
+
+
+def _printable(text: str) -> str:
+    """Return the text with control characters escaped, long words and a long whole shortened."""
+    text = "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text[:10_000]
+    )
+    text = re.sub(rf"\S{{{LONGEST_VALUE + 1},}}", lambda word: f"{word[0][: LONGEST_VALUE - 3]}...", text)
+    return text if len(text) <= LONGEST_MESSAGE else f"{text[: LONGEST_MESSAGE - 3]}..."

@@ -11,8 +11,6 @@ policy's name and the first hex digits of its SHA-256.
 import hashlib
 import io
 import json
-import sys
-import zipfile
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
@@ -25,11 +23,18 @@ from jaxtyping import Float
 
 from vssm_gym.agents.policy.features import SIZES, size_of
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.bounded import read_bytes
+from vssm_gym.files.npz_file import StoredArrays, open_npz
+from vssm_gym.files.numbers import as_float32
 
 FORMAT, VERSION = "vssm_gym.Policy", 1
 PREFIX = "policy:"  # of agents' names that are a policy's file
 HASH_DIGITS = 8
+POLICY_BYTES = 256 << 20  # of a file, and of its arrays; the policies trained here have 0.3 MB
+MOST_LAYERS = 32  # hidden ones
+LONGEST_NAME = 200  # characters
+LARGEST = 1e6  # m, rad: a bound of commands and distances, far beyond any robot's
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 SQUASHES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
@@ -138,21 +143,16 @@ def _read(path: str) -> tuple[Policy, str]:
 
 
 def _parsed(path: str | Path) -> tuple[Policy, str]:
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(path, "file", "a policy file (.npz); `vssm-gym train` makes one") from error
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        header = json.loads(arrays.pop("header").tobytes().decode())
-        found = header.pop("format"), header.pop("version")
-    except (ValueError, KeyError, OSError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-        raise InputError(path, "file", "a policy file (.npz); `vssm-gym train` makes one") from error
-    if found != (FORMAT, VERSION):
-        raise InputError(path, "version", f"{FORMAT} version {VERSION}; found {found[0]} version {found[1]}")
-    spec = _spec(path, header)
-    return Policy(spec, _layers(path, spec, arrays)), hashlib.sha256(data).hexdigest()
+    expected = "a policy file (.npz); `vssm-gym train` makes one"
+    data = read_bytes(path, POLICY_BYTES, expected)
+    with open_npz(io.BytesIO(data), path, POLICY_BYTES, expected) as stored:
+        header = stored.read_json("header", path)
+        found = (header.pop("format", None), header.pop("version", None)) if isinstance(header, dict) else (None, None)
+        if found != (FORMAT, VERSION):
+            raise InputError(path, "version", f"{FORMAT} version {VERSION}; found {found[0]!s:.80} {found[1]!s:.80}")
+        spec = _spec(path, header)
+        layers = _layers(path, spec, stored)
+    return Policy(spec, layers), hashlib.sha256(data).hexdigest()
 
 
 def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
@@ -161,12 +161,15 @@ def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
         raise InputError(path, "header", f"the fields {', '.join(sorted(names))}; found {', '.join(sorted(header))}")
     tuples = {name: tuple(header[name]) for name in ("parts", "hidden", "low", "high") if _is_list(header[name])}
     checks = {
-        "name": isinstance(header["name"], str) and bool(header["name"]),
+        "name": isinstance(header["name"], str) and 0 < len(header["name"]) <= LONGEST_NAME,
         "parts": _is_list(header["parts"])
         and "goal" in header["parts"]
+        and len(header["parts"]) <= len(SIZES)
         and all(_one_of(part, SIZES) for part in header["parts"]),
         "frames": _whole(header["frames"], 64),
-        "hidden": _is_list(header["hidden"]) and all(_whole(width, 4096) for width in header["hidden"]),
+        "hidden": _is_list(header["hidden"])
+        and len(header["hidden"]) <= MOST_LAYERS
+        and all(_whole(width, 4096) for width in header["hidden"]),
         "activation": _one_of(header["activation"], ACTIVATIONS),
         "squash": _one_of(header["squash"], SQUASHES),
         "low": _is_list(header["low"]) and len(header["low"]) == 3 and all(map(_finite, header["low"])),
@@ -182,16 +185,19 @@ def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
     return PolicySpec(**(header | tuples))
 
 
-def _layers(
-    path: str | Path, spec: PolicySpec, arrays: dict[str, np.ndarray]
-) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def _layers(path: str | Path, spec: PolicySpec, stored: StoredArrays) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     layers = []
     for i, shape in enumerate(spec.shapes):
+        pair = []
         for name, expected in ((f"weight{i}", shape), (f"bias{i}", shape[:1])):
-            array = arrays.get(name, np.zeros(0))
-            if array.shape != expected or array.dtype != np.float32 or not np.isfinite(array).all():
-                raise InputError(path, name, f"finite float32 of shape {expected}; found {array.dtype} {array.shape}")
-        layers.append((arrays[f"weight{i}"], arrays[f"bias{i}"]))
+            declared = stored.shapes.get(name)
+            if declared != expected:
+                raise InputError(path, name, f"float32 of shape {expected}; found {declared}")
+            array = stored.read(name)
+            if array.dtype != np.float32:
+                raise InputError(path, name, f"float32 of shape {expected}; found {array.dtype}")
+            pair.append(as_float32(array, path, name))
+        layers.append((pair[0], pair[1]))
     return tuple(layers)
 
 
@@ -208,4 +214,4 @@ def _whole(value: Any, most: int) -> bool:
 
 
 def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST

@@ -15,9 +15,9 @@ from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import figures, tables
 from vssm_gym.eval.report.view import View
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import check_file
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.output_folders import check_file
 from vssm_gym.viz import pictures
 from vssm_gym.viz.html import STYLE
 

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz import pictures

@@ -15,7 +15,7 @@ from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings, scene_name
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
-from vssm_gym.yaml_file import Names, Seeds, as_tuple, read_yaml
+from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, read_yaml
 
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
 

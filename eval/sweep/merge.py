@@ -11,7 +11,7 @@ from typing import Any
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, episode_key, line_of, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
-from vssm_gym.output_folders import check_folder
+from vssm_gym.files.output_folders import check_folder
 
 TASKS, MAPS = "tasks", "maps"
 FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, besides its log and manifest

@@ -26,8 +26,8 @@ from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.shards import Shard
-from vssm_gym.files import atomic_write
-from vssm_gym.output_folders import check_at_least, check_folder
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import check_at_least, check_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map, map_hash
 from vssm_gym.version import package_version

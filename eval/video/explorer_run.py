@@ -18,7 +18,7 @@ from vssm_gym.eval.sweep.runner import config_hash
 from vssm_gym.eval.video import pictures
 from vssm_gym.eval.video.explorer import write_video
 from vssm_gym.eval.video.recording import Recording
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh

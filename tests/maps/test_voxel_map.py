@@ -276,7 +276,7 @@ def test_other_archives_are_not_maps(tmp_path: Path) -> None:
         archive.writestr("readme.txt", "hello")
     assert_refused(path, "file")
     np.savez(path, occupancy=np.zeros((1, 512)))
-    assert_refused(path, "file")
+    assert_refused(path, "header")
 
 
 def test_pickles_are_refused(saved: Path) -> None:

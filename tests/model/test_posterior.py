@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from tests.helpers.damage import damaged_bytes, damaged_json
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.maps import map_file
 from vssm_gym.maps.block_table import BlockTable
@@ -264,7 +264,8 @@ def test_a_belief_that_is_none_is_refused(tmp_path: Path, storage: str, name: st
     header = header_of(path)
     field, value = CHANGES[name]
     with_header(path, header | {"belief": header["belief"] | {field: value}})
-    assert_refused(path, f"belief.{field}")
+    no_number = name in ("mean, beyond float64", "covariance, not finite")  # refused by the reader of JSON
+    assert_refused(path, "header" if no_number else f"belief.{field}")
 
 
 def test_a_later_version_is_refused(tmp_path: Path) -> None:

@@ -54,8 +54,8 @@ def bench(
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
     from vssm_gym.eval.sweep.config import DEFAULT_VOXEL
-    from vssm_gym.files import atomic_write
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.atomic import atomic_write
+    from vssm_gym.files.output_folders import check_at_least, check_folder
     from vssm_gym.slam.map_building import ensure_map, map_hash
     from vssm_gym.version import package_version
 

@@ -40,7 +40,7 @@ def evaluate(
 
     from vssm_gym.cli.shared.console import print_notices, progress_bars
     from vssm_gym.errors import InputError
-    from vssm_gym.output_folders import check_at_least
+    from vssm_gym.files.output_folders import check_at_least
     from vssm_gym.training.evaluation import METRICS, evaluate_policy
 
     check_at_least("evaluate", "tasks", tasks, 1)

@@ -37,8 +37,8 @@ def evaluate_trajectory(
 
     from vssm_gym.data.trajectories import read_trajectory
     from vssm_gym.errors import InputError
-    from vssm_gym.files import atomic_write
-    from vssm_gym.output_folders import check_file
+    from vssm_gym.files.atomic import atomic_write
+    from vssm_gym.files.output_folders import check_file
     from vssm_gym.slam.trajectory_error import align, associate, evaluate
 
     if not tolerance >= 0.0:

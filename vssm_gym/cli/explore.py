@@ -37,7 +37,7 @@ def explore(
     from vssm_gym.eval.sweep.config import SweepConfig, check_names
     from vssm_gym.eval.video.explorer_run import explore as run
     from vssm_gym.eval.video.writer import check_writer
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_folder
 
     for field, value, least in (("start", start, 0), ("steps", steps, 1), ("seed", seed, 0)):
         check_at_least("explore", field, value, least)

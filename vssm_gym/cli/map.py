@@ -24,7 +24,7 @@ def build(
     from vssm_gym.cli.slam import print_warnings
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
-    from vssm_gym.output_folders import check_file
+    from vssm_gym.files.output_folders import check_file
     from vssm_gym.slam.map_building import build_map
 
     if not 0.0 < voxel <= 0.5:
@@ -59,9 +59,9 @@ def export(
         height: height of the robot, metres; obstacles above it are left out of the ROS map.
     """
     from vssm_gym.errors import InputError
-    from vssm_gym.files import atomic_write
+    from vssm_gym.files.atomic import atomic_write
+    from vssm_gym.files.output_folders import check_folder
     from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
-    from vssm_gym.output_folders import check_folder
     from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, write_ros_map
     from vssm_gym.viz.glb import write_glb
     from vssm_gym.viz.mesh import surface_mesh, write_ply

@@ -40,7 +40,7 @@ def play(
     from vssm_gym.cli.shared.play_session import PLAYABLE, Session
     from vssm_gym.cli.shared.terminal import check_terminal, whole_terminal
     from vssm_gym.errors import InputError
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_folder
 
     name = env.removeprefix("vssm_gym/")
     if name not in PLAYABLE:

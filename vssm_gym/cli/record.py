@@ -55,7 +55,7 @@ def record(
     from vssm_gym.data import flights, recording
     from vssm_gym.envs.sensors import rgbd_noise
     from vssm_gym.errors import InputError
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_folder
 
     check_at_least("record", "seed", seed, 0)
     check_folder(out)

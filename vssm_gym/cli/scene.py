@@ -22,7 +22,7 @@ def preview(
         height: height of the picture, pixels.
     """
     from vssm_gym.errors import InputError
-    from vssm_gym.output_folders import check_file
+    from vssm_gym.files.output_folders import check_file
 
     if not 120 <= height <= 4320:
         raise InputError("scene preview", "height", f"120 to 4320 pixels; found {height}")
@@ -59,7 +59,7 @@ def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"]
         size: size of the apartment: small (1 to 3 rooms), medium or large.
     """
     from vssm_gym.envs.scenes.generator import generate as generated
-    from vssm_gym.output_folders import check_at_least
+    from vssm_gym.files.output_folders import check_at_least
 
     check_at_least("scene generate", "seed", seed, 0)
     _write("scene generate", out, lambda: generated(seed, size))
@@ -67,7 +67,7 @@ def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"]
 
 def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
     from vssm_gym.envs.scenes.scene import save_scene
-    from vssm_gym.output_folders import check_file
+    from vssm_gym.files.output_folders import check_file
 
     check_file(out)
     _check_ending(command, out, ".json")
@@ -100,7 +100,7 @@ def _draw(apartment: "Apartment", path: Path, height: int) -> None:
     from PIL import Image
 
     from vssm_gym.envs.preview import preview as picture
-    from vssm_gym.files import atomic_write
+    from vssm_gym.files.atomic import atomic_write
 
     with atomic_write(path) as temporary:
         Image.fromarray(picture(apartment, height)).save(temporary, format="PNG")

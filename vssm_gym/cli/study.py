@@ -31,7 +31,7 @@ def map_update(
     from vssm_gym.errors import InputError
     from vssm_gym.eval.studies import map_update as study_map_update
     from vssm_gym.eval.studies.page import write_study
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_folder
 
     check_at_least("study", "frames", frames, 20)
     if not 0.0 < voxel <= 0.5:
@@ -74,7 +74,7 @@ def resolution(
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import resolution as study_resolution
     from vssm_gym.eval.studies.page import write_study
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_folder
 
     check_at_least("study", "seeds", seeds, 1)
     cells, widths = _distinct("voxels", voxels, float), _distinct("render-widths", render_widths, int)
@@ -108,7 +108,7 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import runtime as study_runtime
     from vssm_gym.eval.studies.page import write_study
-    from vssm_gym.output_folders import check_folder
+    from vssm_gym.files.output_folders import check_folder
 
     check_folder(out)
     recording = load_sequence(sequence)
@@ -144,7 +144,7 @@ def calibration(
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import calibration as study_calibration
     from vssm_gym.eval.studies.page import write_study
-    from vssm_gym.output_folders import check_folder
+    from vssm_gym.files.output_folders import check_folder
     from vssm_gym.slam.run import SlamOptions
 
     options = SlamOptions(size=parse_size("study", size), rate=rate, voxel=voxel, extent=extent)
@@ -193,7 +193,7 @@ def flight(
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.eval.studies import flight as study_flight
     from vssm_gym.eval.studies.page import write_study
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_folder
     from vssm_gym.slam.run import SlamOptions
 
     check_at_least("study", "seeds", seeds, 1)

@@ -28,7 +28,7 @@ def train(
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from vssm_gym.cli.shared.console import progress_of
-    from vssm_gym.output_folders import check_at_least
+    from vssm_gym.files.output_folders import check_at_least
     from vssm_gym.training.config import load_training
     from vssm_gym.training.train import PROGRESS, run_training
 

@@ -16,7 +16,7 @@ from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.reference_flights import Yaw
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 
 FLIGHT_DEPTH_SCALE = 2000.0  # units a metre: 16 bits reach 32 m, in steps of half a millimetre

@@ -24,7 +24,7 @@ from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.envs.tasks.survey import Waypoint, survey_route
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer

@@ -17,7 +17,7 @@ from vssm_gym.data.index import ASSOCIATION_TOLERANCE, Frame, read_frames
 from vssm_gym.data.intrinsics import DEPTH_SCALE, read_calibration
 from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.geometry.camera import Camera
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s

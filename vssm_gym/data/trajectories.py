@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.maps import map_file
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 from vssm_gym.model.emission_uncertainty import MEASUREMENT_NOISE, MeasurementNoise, sample_map

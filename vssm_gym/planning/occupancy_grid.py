@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 

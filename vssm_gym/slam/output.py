@@ -16,9 +16,9 @@ import numpy as np
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.data.trajectories import tum_line
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import check_folder
 from vssm_gym.inference.status import Status
-from vssm_gym.output_folders import check_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES

@@ -5,7 +5,6 @@ simulates the estimate of its tracker. It sees the whole map, the policy only a 
 are kept next to the policy until that is written, so that an interrupted training can be resumed.
 """
 
-import zipfile
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,15 @@ from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.agent_context import context_of
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.bounded import open_file
+from vssm_gym.files.npz_file import open_npz
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.training.environment import BODY, make_training_env, stream
 from vssm_gym.training.run import Run
 
 DEMONSTRATIONS = "demonstrations.npz"
+DEMONSTRATION_BYTES = 4 << 30  # what a training may have collected: ten million steps of 100 features
 COLLECTING = 0.8  # fraction of the minutes; the rest is for fitting
 
 
@@ -108,12 +110,13 @@ def _restored(kept: Path, run: Run) -> tuple[np.ndarray, np.ndarray]:
     if not kept.is_file():
         run.begin()
         return np.zeros((0, spec.frames * size_of(spec.inputs)), np.float32), np.zeros((0, 3), np.float32)
-    try:
-        with np.load(kept, allow_pickle=False) as stored:
-            found = stored["vectors"], stored["actions"]
-            run.resume(int(stored["steps"]), float(stored["seconds"]))
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(kept, "file", "what the training had collected; remove it to begin anew") from error
+    expected = "what the training had collected; remove it to begin anew"
+    with open_npz(open_file(kept), kept, DEMONSTRATION_BYTES, expected) as stored:
+        n, width = (*stored.shapes["actions"], 0)[0], spec.frames * size_of(spec.inputs)
+        if stored.shapes["vectors"] != (n, width) or stored.shapes["actions"] != (n, 3):
+            raise InputError(kept, "vectors, actions", f"of shapes (steps, {width}) and (steps, 3)")
+        found = stored.read("vectors"), stored.read("actions")
+        run.resume(int(stored.read("steps")), float(stored.read("seconds")))
     return found
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vssm_gym.errors import InputError
-from vssm_gym.yaml_file import as_tuple, distinct, read_yaml
+from vssm_gym.files.yaml_file import as_tuple, distinct, read_yaml
 
 WORLD_MODEL, SIMULATOR = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"
 # Keywords that training sets itself

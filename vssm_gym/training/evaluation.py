@@ -16,7 +16,7 @@ from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.sweep.config import SweepConfig, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.imagined_episodes import imagine, real_return
 

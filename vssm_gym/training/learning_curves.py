@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean
 from vssm_gym.eval.report.figures import PALETTE
-from vssm_gym.files import atomic_write
-from vssm_gym.output_folders import check_file
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import check_file
 from vssm_gym.training.run import read_progress
 from vssm_gym.training.train import MANIFEST, PROGRESS
 from vssm_gym.viz import pictures

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
-from vssm_gym.output_folders import check_folder
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import check_folder
 from vssm_gym.training.cloning import DEMONSTRATIONS, clone
 from vssm_gym.training.config import TrainingConfig, training_hash
 from vssm_gym.training.environment import make_training_env, stream, world_hash

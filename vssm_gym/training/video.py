@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 
 from vssm_gym.eval.video import pictures as explorer_pictures
 from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.recording import ROBOT, PolicyRun, PolicyRuns
 from vssm_gym.viz import pictures

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.viz.mesh import Mesh
 
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125  # component types

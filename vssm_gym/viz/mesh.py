@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from skimage.measure import marching_cubes
 
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.maps.block_table import BLOCK
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import KNOWN_SHARE

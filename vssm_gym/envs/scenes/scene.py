@@ -14,11 +14,11 @@ from vssm_gym.envs.scenes.faults import floating, misplaced, open_edges, with_no
 from vssm_gym.envs.scenes.generator import PREFIX, generate, parse_spec
 from vssm_gym.envs.scenes.importers.houseexpo import import_houseexpo, is_houseexpo
 from vssm_gym.envs.scenes.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets
-from vssm_gym.envs.scenes.importers.reading import read_json, read_json_line
 from vssm_gym.envs.scenes.importers.ros_map import import_ros_map
 from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.json_file import read_json, read_json_line
 
 __all__ = [
     "Apartment",

@@ -16,7 +16,7 @@ from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.car import CarTask, CarTaskSampler, Targets
 from vssm_gym.envs.tasks.navigation import Split, read
 from vssm_gym.envs.validation import StrictModel
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.geometry.car import Car
 
 

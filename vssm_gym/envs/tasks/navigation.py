@@ -22,7 +22,7 @@ from vssm_gym.envs.scenes.scene import ASSETS, Apartment
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 
 FROZEN = ASSETS / "tasks"
 Split = Literal["train", "test"]

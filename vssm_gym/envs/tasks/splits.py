@@ -18,7 +18,7 @@ from vssm_gym.envs.scenes.scene import ASSETS, built_in_scenes, load_scene
 from vssm_gym.envs.tasks.navigation import SPLITS, Split
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 
 FROZEN = ASSETS / "splits" / "scenes.json"
 _PROCEDURAL = re.compile(r"procedural:(\d{1,18})(?::[a-z]+)?")

@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecMonitor
 from torch import nn
 
 from vssm_gym.errors import InputError
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.training.sb3.vec_env import SB3VecEnv
 
 WINDOW = 500  # episodes that means are taken over

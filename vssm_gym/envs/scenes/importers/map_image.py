@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.errors import InputError
+from vssm_gym.files.json_file import read_bytes
 
 FILE_BYTES = 128 << 20  # largest file
 SIDE, PIXELS = 16384, 1 << 25  # largest side and number of pixels

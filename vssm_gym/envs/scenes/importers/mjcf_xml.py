@@ -9,8 +9,8 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from pathlib import Path
 
-from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.errors import InputError
+from vssm_gym.files.json_file import read_bytes
 
 XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20  # largest text, mesh, and all files of a model
 LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000  # most of a model; nesting, then counts

@@ -23,10 +23,10 @@ from vssm_gym.envs.scenes.apartment import MAX_EXTENT, Apartment
 from vssm_gym.envs.scenes.apartment_parts import CEILING_HEIGHT, Coordinate, Room, Wall
 from vssm_gym.envs.scenes.importers.map_image import read_grey
 from vssm_gym.envs.scenes.importers.plan_looks import floor_material, wall_material
-from vssm_gym.envs.scenes.importers.reading import read_bytes
 from vssm_gym.envs.scenes.importers.rectangles import Rectangle, cover
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
+from vssm_gym.files.json_file import read_bytes
 
 YAML_BYTES = 1 << 16  # largest file
 LEAST = 0.5  # m^2; smaller pieces of floor are noise of the scanner

@@ -7,7 +7,10 @@ import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
 from vssm_gym.errors import InputError
+from vssm_gym.files.bounded import read_text
 
+YAML_BYTES = 256 << 10  # of a configuration; the parser reads 100 kB a second
+DEPTH = 20  # nested lists and mappings; configurations nest 4 deep
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
@@ -20,7 +23,7 @@ def as_tuple(value: Any) -> Any:
 def distinct(values: tuple[T, ...]) -> tuple[T, ...]:
     """Return the values; raise ValueError for a repeated one."""
     if len(set(values)) != len(values):
-        raise ValueError(f"values that differ from each other, found {list(values)}")
+        raise ValueError(f"values that differ from each other, found {list(values)!s:.200}")
     return values
 
 
@@ -36,11 +39,13 @@ def read_yaml(path: Path, model: type[M]) -> M:
     Raises:
         InputError: no such file, not YAML, or a field that is unknown, missing or malformed.
     """
+    text = read_text(path, YAML_BYTES, "a readable YAML file")
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", f"a readable YAML file ({error})") from error
-    except yaml.YAMLError as error:
+        _check_structure(path, text)
+        data = yaml.safe_load(text)
+    except InputError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2001-99-99, a number such as 0b_
         raise InputError(path, "file", f"valid YAML ({' '.join(str(error).split())})") from error
     if not isinstance(data, dict):
         raise InputError(path, "file", f"fields {', '.join(model.model_fields)}; found {type(data).__name__}")
@@ -48,6 +53,17 @@ def read_yaml(path: Path, model: type[M]) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         raise first_problem(path, error, model) from error
+
+
+def _check_structure(path: Path, text: str) -> None:
+    """Raise InputError for aliases and deep nesting, whose cost is out of proportion to the size of the file."""
+    depth = 0
+    for event in yaml.parse(text, yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise InputError(path, "file", "YAML without aliases (*name): write the value again")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEPTH:
+            raise InputError(path, "file", f"YAML nested at most {DEPTH} deep")
 
 
 def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:

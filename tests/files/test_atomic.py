@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from vssm_gym.files import atomic_write
+from vssm_gym.files.atomic import atomic_write
 
 
 def names(folder: Path) -> list[str]:

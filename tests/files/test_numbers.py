@@ -1,0 +1,75 @@
+"""One place judges numbers: what is accepted is real, finite, of the stated shape, and stays so as float32."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vssm_gym.errors import InputError
+from vssm_gym.files.numbers import LARGEST, as_float32, floats, read_table, whole
+
+
+@given(st.lists(st.floats(-LARGEST, LARGEST) | st.integers(-1000, 1000), min_size=6, max_size=6))
+def test_lists_of_numbers_become_arrays(values: list[float]) -> None:
+    nested = [values[:3], values[3:]]
+    for given_as in (values, nested, np.array(nested)):
+        np.testing.assert_array_equal(floats(given_as, (2, 3), "file", "K"), np.array(nested, float))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *(None, "1", True, {"a": 1}, [1, 2], [[1], [2]], [[[[[1, 2, 3]]]]], np.array([1, 2, 3j])),
+        *([1, 2, x] for x in ("3", True, float("nan"), float("inf"), 10**400, 1e13)),
+    ],
+)
+def test_what_is_no_such_list_is_refused(value: Any) -> None:
+    with pytest.raises(InputError, match="file: K: expected numbers"):
+        floats(value, (3,), "file", "K")
+
+
+def test_positive_is_asked_for() -> None:
+    assert floats(2, (), "file", "f", positive=True) == 2.0
+    for value in (0.0, -1.0):
+        with pytest.raises(InputError, match="positive"):
+            floats(value, (), "file", "f", positive=True)
+
+
+@pytest.mark.parametrize("value", [0, 11, 2.0, "3", True, None, 10**400])
+def test_whole_numbers_stay_in_their_range(value: Any) -> None:
+    assert whole(10, "file", "n", least=1, most=10) == 10
+    with pytest.raises(InputError, match="file: n: expected a whole number"):
+        whole(value, "file", "n", least=1, most=10)
+
+
+@pytest.mark.parametrize("value", [1e300, -1e300, np.nan, np.inf])
+def test_what_overflows_in_the_cast_is_refused(value: float) -> None:
+    with pytest.raises(InputError, match="finite"):
+        as_float32(np.array([1.0, value]), "file", "a")
+
+
+def test_what_underflows_in_the_cast_is_no_positive_number() -> None:
+    assert as_float32(np.array([1e-300]), "file", "a") == 0.0
+    with pytest.raises(InputError, match="positive"):
+        as_float32(np.array([1.0, 1e-300]), "file", "a", positive=True)
+    with pytest.raises(InputError, match="floats"):
+        as_float32(np.array([1]), "file", "a")
+
+
+@pytest.mark.parametrize("text", ["1 nan\n", "1 inf\n", "1 1e300\n", "1 x\n", "1 2\n3\n", "1 2 3\n", "\xff"])
+def test_tables_hold_finite_numbers_in_columns(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "table.txt"
+    path.write_text("# time value\n1 2\n3 4\n")
+    assert read_table(path, "time and value", columns=2).tolist() == [[1, 2], [3, 4]]
+    path.write_bytes(text.encode("latin1"))
+    with pytest.raises(InputError, match="time and value"):
+        read_table(path, "time and value", columns=2)
+
+
+@pytest.mark.parametrize("text", ["", "\n", "# nothing\n"])
+def test_an_empty_table_has_no_lines(tmp_path: Path, text: str) -> None:
+    (tmp_path / "table.txt").write_text(text)
+    assert read_table(tmp_path / "table.txt", "numbers", columns=7).shape == (0, 7)

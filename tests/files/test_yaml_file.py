@@ -1,0 +1,50 @@
+"""Configurations in YAML become models, or one clear error."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel, ConfigDict
+
+from vssm_gym.errors import InputError
+from vssm_gym.files.yaml_file import Names, Seeds, read_yaml
+
+
+class Config(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    agents: Names
+    seeds: Seeds = (0,)
+
+
+def read(tmp_path: Path, text: str | bytes) -> Config:
+    path = tmp_path / "config.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_yaml(path, Config)
+
+
+def test_single_values_become_tuples(tmp_path: Path) -> None:
+    assert read(tmp_path, "agents: astar\nseeds: [1, 2]") == Config(agents=("astar",), seeds=(1, 2))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "agents: 2001-99-99",  # the parser takes it for a date
+        "seeds: 0b_",
+        "agents: [a, a]",
+        "agents: " + "[" * 100_000,
+        "- " * 100_000,
+        "a: &a [1]\nb: *a",
+        "agents: !!python/object/apply:os.system ['true']",
+        "- 1",
+        "",
+        b"\xff\xfe\x00",
+        "agents: a\0b",
+        "agent: a",
+        "agents: a\nseeds: 1.5",
+        "x" * (300 << 10),
+    ],
+)
+def test_everything_else_is_refused(tmp_path: Path, text: str | bytes) -> None:
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, text)
+    assert len(str(refused.value)) < 1000 and str(tmp_path) in str(refused.value)
