@@ -43,7 +43,7 @@ ALLOWED["envs"] = BASE | {"envs.registration"}
 ALLOWED["envs.world_model"] = ALLOWED["inference"] | {"envs"}  # the model, but nothing that infers or plans
 for _module in ("data.trajectories", "data.images", "data.intrinsics"):
     ALLOWED[_module] = set(BASE)
-ALLOWED["data.index"] = BASE | {"data.trajectories"}
+ALLOWED["data.index"] = BASE | {"data.trajectories", "data.images"}
 ALLOWED["data.sequences"] = BASE | {"data.trajectories", "data.images", "data.index", "data.intrinsics"}
 ALLOWED["data.handheld"] = BASE | {"envs"}
 ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "planning"}

@@ -19,8 +19,11 @@ from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
 from vssm_gym.eval.episodes.row import KEY, checked, written
+from vssm_gym.files.bounded import read_bytes
+from vssm_gym.files.json_file import parse_json_lines
 
 FILE = "episodes.jsonl"
+LOG_BYTES = 256 << 20  # 200,000 episodes
 
 
 def episode_key(row: Mapping[str, Any]) -> tuple:
@@ -39,7 +42,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     """
     if not path.is_file():
         raise InputError(path, "file", "an episode log; `vssm-gym sweep` writes one")
-    return _parse(path, _whole_lines(path.read_bytes()))
+    return _parse(path, _whole_lines(read_bytes(path, LOG_BYTES)))
 
 
 def _whole_lines(data: bytes) -> bytes:
@@ -53,13 +56,7 @@ def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     seen: dict[tuple, int] = {}
     manifest: dict[str, Any] | None = None
-    for number, line in enumerate(data.splitlines(), start=1):
-        try:
-            row = json.loads(line)
-            if not isinstance(row, dict):
-                raise TypeError(f"found {type(row).__name__}")
-        except (ValueError, TypeError) as error:
-            raise InputError(path, f"line {number}", f"one episode as JSON ({error})") from error
+    for number, row in parse_json_lines(data, path, "one episode"):
         if missing := [name for name in KEY if name not in row]:
             if not (path.parent / MANIFEST).is_file():
                 expected = f"one episode as JSON with {', '.join(KEY)}; there is no {missing[0]}"

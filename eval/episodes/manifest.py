@@ -1,12 +1,12 @@
 """Read a sweep's manifest, ``sweep.json``, and complete rows with the fields that it states for all of them."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
+from vssm_gym.files.json_file import read_json
 
 MANIFEST = "sweep.json"
 FIELDS = ("config", "config_hash", "version", "seed", "episodes")
@@ -23,14 +23,12 @@ def read_manifest(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, no JSON, or a field that is missing.
     """
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        missing = set(FIELDS) - manifest.keys()
-    except FileNotFoundError as error:
-        raise InputError(path, "file", "a sweep's folder; `vssm-gym sweep CONFIG --out DIR` makes one") from error
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(path, "file", f"the JSON that a sweep wrote ({error})") from error
-    if missing:
+    if not path.is_file():
+        raise InputError(path, "file", "a sweep's folder; `vssm-gym sweep CONFIG --out DIR` makes one")
+    manifest = read_json(path, expected="the JSON that a sweep wrote")
+    if not isinstance(manifest, dict):
+        raise InputError(path, "file", f"the JSON that a sweep wrote; found {manifest!r:.80}")
+    if missing := set(FIELDS) - manifest.keys():
         raise InputError(path, min(missing), "this field")
     if not isinstance(manifest["config"], dict):
         raise InputError(path, "config", "the sweep's configuration")

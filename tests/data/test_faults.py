@@ -243,7 +243,8 @@ def test_colour_without_depth_is_left_out(folder: Path) -> None:
     assert_said(notices, "rgb.txt: 1 of 8 images have no depth image within 20 ms")
 
 
-stamps = st.lists(st.integers(0, 300), max_size=12, unique=True).map(lambda ms: 1e-3 * np.sort(np.array(ms, float)))
+milliseconds = st.lists(st.integers(0, 300) | st.integers(0, 30), max_size=30, unique=True)
+stamps = milliseconds.map(lambda ms: 1e-3 * np.sort(np.array(ms, float)))
 
 
 @given(stamps, stamps)
@@ -260,6 +261,13 @@ def test_association_is_tums(first: np.ndarray, second: np.ndarray) -> None:
     assert len(found) == len(expected)
     assert sum(abs(a - b) for a, b in found) == pytest.approx(sum(abs(a - b) for a, b in expected))
     assert len({a for a, _ in found}) == len({b for _, b in found}) == len(found)
+
+
+def test_dense_stamps_are_paired_without_all_pairs() -> None:
+    """Each of 100,000 stamps, all within tolerance of each other, is paired with its nearest."""
+    first = np.arange(100_000) * 1e-7
+    pairs = associate_one_to_one(first, first + 2e-8, 0.02)
+    assert pairs == [(i, i) for i in range(len(first))]
 
 
 def test_the_real_lists_give_the_published_pairs(shared_data: Path, tmp_path: Path) -> None:

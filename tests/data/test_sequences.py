@@ -1,6 +1,7 @@
 """Test recorded sequences: round trip, lenses, sizes, and one clear error for every broken folder."""
 
 import json
+import os
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tests.helpers.analytic_room import camera_pose
-from vssm_gym.data.images import depth_image
+from vssm_gym.data.images import colour_image, depth_image
 from vssm_gym.data.sequences import DEPTH_SCALE, FrameReader, SequenceWriter, distort, load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
@@ -139,8 +140,15 @@ def test_grey_and_transparent_images_are_read_as_colour(folder: Path, channels: 
         ("groundtruth.txt", "0 0 0 zero 0 0 0 1\n", "line 1"),
         ("controls.txt", "0.0 0.1 0.2 0.3\n0.2 fast 0 0\n", "lines"),
         ("controls.txt", "0.0 0.1 0.2 0.3\n0.2 0.1\n", "lines"),
-        ("camera.json", "{", "content"),
+        ("associations.txt", "0 ../secret.png 0 depth/0.000000.png\n", "images"),
+        ("associations.txt", "0 /etc/passwd 0 depth/0.000000.png\n", "images"),
+        ("associations.txt", "0 rgb/0\0.png 0 depth/0.000000.png\n", "images"),
+        ("groundtruth.txt", "0 1e300 0 0 0 0 0 1\n", "line 1"),
+        ("controls.txt", "0.0 0.1 0.2 nan\n", "lines"),
+        ("controls.txt", "0.0 0.1 0.2 inf\n", "lines"),
+        ("camera.json", "{", "line 1"),
         ("camera.json", "[1, 2]", "content"),
+        ("camera.json", "[" * 3000, "content"),
         ("camera.json", b"\xff\xfe\x00", "content"),
     ],
 )
@@ -153,6 +161,19 @@ def test_a_malformed_line_is_named(folder: Path, name: str, content: str | bytes
 @pytest.mark.parametrize(
     "change",
     [
+        {"width": 1e400},
+        {"width": 10**400},
+        {"width": 8.5},
+        {"width": 10**9},
+        {"K": [[9, 1, 8], [0, 9, 6], [0, 0, 1]]},
+        {"K": [[9, 0, 8], [0, 9, 6], [0, 0, 2]]},
+        {"distortion": [0, 0, 0, 0, 1e300]},
+        {"depth_scale": 1e-300},
+        {"T_body_cam": [[0.0] * 4] * 4},
+        {"T_body_cam": [[2.0, 0, 0, 0], [0, 2.0, 0, 0], [0, 0, 2.0, 0], [0, 0, 0, 1]]},
+        {"T_body_cam": [[-1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+        {"T_body_cam": [[1.0, 0, 0, 1e6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+        {"T_body_cam": [[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]},
         {"width": None},
         {"width": "wide"},
         {"width": 0},
@@ -174,7 +195,13 @@ def test_an_impossible_camera_is_refused(folder: Path, change: dict) -> None:
     path = folder / "camera.json"
     stored = {**json.loads(path.read_text()), **change}
     path.write_text(json.dumps({k: v for k, v in stored.items() if v is not None}))
-    assert_refused(path, "content", lambda: load_sequence(folder))
+    (field, value), text = *change.items(), path.read_text()
+    assert_refused(path, "content" if value is None or no_json_number(text) else field, lambda: load_sequence(folder))
+
+
+def no_json_number(text: str) -> bool:
+    """Return whether a JSON text has a number that no array holds."""
+    return any(word in text for word in ("NaN", "Infinity", "0" * 400))
 
 
 def test_a_camera_of_another_size_is_refused(folder: Path) -> None:
@@ -364,3 +391,16 @@ def test_the_tum_recording_loads(shared_data: Path) -> None:
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert steps.sum() == pytest.approx(8.0, abs=1.0)  # metres of path, as published
     assert steps.max() < 0.1
+
+
+def test_a_large_image_is_refused_before_it_is_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "rgb.png"
+    Image.fromarray(np.zeros((5000, 5000), np.uint8)).save(path)
+    monkeypatch.setattr("vssm_gym.data.images.iio.imread", lambda *_, **__: pytest.fail("the image was decoded"))
+    for size in (None, (16, 12)):
+        assert_refused(path, "size", lambda size=size: colour_image(path, size))
+
+
+def test_a_pipe_is_no_image(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "rgb.png")
+    assert_refused(tmp_path / "rgb.png", "file", lambda: colour_image(tmp_path / "rgb.png", None))

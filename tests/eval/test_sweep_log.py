@@ -64,7 +64,7 @@ def test_zeros_that_a_power_cut_leaves_at_the_end_are_dropped(tmp_path):
         ([json.dumps(row(0) | {"steps": 2.5})], "line 1: expected one episode as JSON; steps: a valid integer"),
         ([json.dumps(row(0) | {"format": FORMAT + 1})], f"line 1: expected one episode as JSON; format: {FORMAT}"),
         ([json.dumps(row(0) | {"weather": "rain"})], "line 1: expected one episode as JSON; weather: "),
-        (["[1]"], "line 1: expected one episode as JSON .found list"),
+        (["[1]"], "line 1: expected one episode as a JSON object; found ."),
         ([json.dumps(row(0)), json.dumps(row(0))], "line 2: expected each episode once; it repeats line 1"),
     ],
 )

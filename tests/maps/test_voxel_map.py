@@ -310,6 +310,42 @@ def test_impossible_blocks_are_refused(saved: Path, blocks: object) -> None:
     assert_refused(saved, "blocks")
 
 
+@pytest.mark.parametrize("blocks", [[1000, 1000, 1000], [10**9, 1, 1], [10**400, 1, 1]])
+def test_more_blocks_than_any_map_has_are_refused(saved: Path, blocks: list[int]) -> None:
+    rewrite(saved, header=header(saved, blocks=blocks))
+    assert_refused(saved, "header" if blocks[0] > 10**100 else "blocks")
+
+
+@pytest.mark.parametrize("slots", [10**8, 0, 2.5, "40", True, None])
+def test_slots_that_no_map_has_are_refused(tmp_path: Path, slots: object) -> None:
+    path = tmp_path / "map.npz"
+    VoxelMap.sparse_cube((0.0, 0.0, 0.0), 1.0, 0.1, slots=5).save(path)
+    rewrite(path, header=header(path, slots=slots))
+    assert_refused(path, "slots")
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "map.npz"
+    np.savez_compressed(path, occupancy=np.zeros(3_000_000, np.uint8))
+    monkeypatch.setattr("vssm_gym.maps.map_file.MAP_BYTES", 1_000_000)
+    monkeypatch.setattr(np, "empty", lambda *_: pytest.fail("memory was asked for"))
+    assert_refused(path, "file")
+
+
+@pytest.mark.parametrize(("name", "value"), [("colour", 1e300), ("occupancy_precision", 1e-300), ("voxel_size", 1e300)])
+def test_values_that_float32_does_not_hold_are_refused(saved: Path, name: str, value: float) -> None:
+    with np.load(saved) as stored:
+        array = np.array(stored[name], np.float64)
+    array[...] = value
+    rewrite(saved, **{name: array})
+    assert_refused(saved, name)
+
+
+def test_a_map_as_far_as_the_moon_is_refused(saved: Path) -> None:
+    rewrite(saved, origin=np.full(3, 3.8e8))
+    assert_refused(saved, "origin, voxel_size")
+
+
 @pytest.mark.parametrize("name", ARRAYS)
 def test_missing_arrays_are_named(saved: Path, name: str) -> None:
     rewrite(saved, **{name: None})

@@ -290,6 +290,27 @@ def test_a_damaged_checkpoint_is_refused_and_runs_no_code(corridor, tmp_path, da
     assert not (tmp_path / "exploded").exists()
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"counters": {"num_timesteps": 64, "_n_updates": 1, "save": 0}},
+        {"counters": {"num_timesteps": 64}},
+        {"counters": {"num_timesteps": -1, "_n_updates": 1}},
+        {"counters": {"num_timesteps": 1.5, "_n_updates": 1}},
+        {"variables": {"policy": 0}},
+    ],
+)
+def test_a_checkpoint_sets_nothing_but_what_it_is_for(corridor, tmp_path, change):
+    import torch
+
+    run_training(config(), tmp_path / "run")
+    checkpoint = tmp_path / "run" / "checkpoint.pt"
+    content = torch.load(checkpoint, weights_only=True)
+    torch.save(content | change, checkpoint)
+    with pytest.raises(InputError, match="a checkpoint of this training"):
+        run_training(config(), tmp_path / "run", resume=True)
+
+
 def test_a_training_killed_before_its_first_checkpoint_begins_anew(corridor, tmp_path):
     """Its log is dropped: the steps along a curve never decrease."""
     run_training(config(), tmp_path)

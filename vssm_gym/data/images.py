@@ -4,25 +4,47 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
 from vssm_gym.errors import InputError
+from vssm_gym.files.bounded import open_file
+
+FORMATS = ("PNG", "JPEG", "TIFF")
+MOST_PIXELS = 1 << 24  # of an image, 4096 x 4096; cameras of robots have a tenth
 
 
-def read_image(path: Path) -> np.ndarray:
-    """Read the pixels of an image file, as stored."""
-    if not path.is_file():
-        raise InputError(path, "file", "an existing image, as the sequence's index lists it")
-    try:
-        return iio.imread(path, plugin="pillow")
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow calls a broken PNG chunk a syntax error
-        why = "not a PNG, JPEG or TIFF file" if "given uri" in str(error) else error
-        raise InputError(path, "pixels", f"a readable image ({why})") from error
+def read_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
+    """Read the pixels of an image file, as stored; they are decoded after the size was compared with ``size``."""
+    with open_file(path, "an existing image, as the sequence's index lists it") as file:
+        try:
+            with Image.open(file, formats=FORMATS) as header:
+                found = header.size
+            if found[0] * found[1] <= MOST_PIXELS and size in (None, found):
+                file.seek(0)
+                return iio.imread(file, plugin="pillow", index=0)
+        except UnidentifiedImageError as error:
+            raise InputError(path, "pixels", f"a readable image ({' or '.join(FORMATS)})") from error
+        except Exception as error:  # Pillow's decoders raise errors of many types on damaged files
+            raise InputError(path, "pixels", f"a readable image ({error})") from error
+    expected = f"at most {MOST_PIXELS:,} pixels"
+    if size is not None:
+        expected = f"{size[0]}x{size[1]} pixels, as the sequence's other images"
+    raise InputError(path, "size", f"{expected}; found {found[0]}x{found[1]}")
+
+
+def image_mode(path: Path) -> str:
+    """Return Pillow's name of the pixels' layout ("RGB", "I;16", ...) from the file's header."""
+    with open_file(path, "an existing image, as the sequence's index lists it") as file:
+        try:
+            with Image.open(file, formats=FORMATS) as header:
+                return header.mode
+        except Exception as error:  # as in read_image
+            raise InputError(path, "pixels", f"a readable image ({error})") from error
 
 
 def colour_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
     """Read a colour or grey image as RGB uint8; ``size`` (width, height) is the expected one."""
-    rgb = read_image(path)
-    _check_size(path, rgb, size)
+    rgb = read_image(path, size)
     if rgb.dtype != np.uint8:
         raise InputError(path, "pixels", "8 bits a colour channel")
     if rgb.ndim == 2 or rgb.shape[2] < 3:  # grey, maybe with transparency
@@ -32,8 +54,7 @@ def colour_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
 
 def depth_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
     """Read depth as stored, one channel; ``size`` (width, height) is the expected one."""
-    depth = read_image(path)
-    _check_size(path, depth, size)
+    depth = read_image(path, size)
     if depth.ndim != 2 or depth.dtype.kind not in "uif" or depth.dtype.itemsize < 2:
         raise InputError(path, "pixels", f"one channel of depth, 16 bits at least; found {_layout(depth)}")
     return depth
@@ -42,10 +63,3 @@ def depth_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
 def _layout(image: np.ndarray) -> str:
     channels = 1 if image.ndim == 2 else image.shape[2]
     return f"{channels} of {8 * image.dtype.itemsize} bits"
-
-
-def _check_size(path: Path, image: np.ndarray, size: tuple[int, int] | None) -> None:
-    found = image.shape[1::-1]
-    if size is not None and found != size:
-        expected = f"{size[0]}x{size[1]} pixels, as the sequence's other images"
-        raise InputError(path, "size", f"{expected}; found {found[0]}x{found[1]}")

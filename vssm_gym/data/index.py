@@ -4,16 +4,19 @@ Recordings have flaws: stamps out of order or repeated, missing images, colour w
 long as a frame is left; each flaw is reported once, in a notice for the user.
 """
 
+import heapq
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
-import imageio.v3 as iio
 import numpy as np
 
+from vssm_gym.data.images import image_mode
 from vssm_gym.data.trajectories import numbered_lines
 from vssm_gym.errors import InputError
+from vssm_gym.files.bounded import inside
 
 T = TypeVar("T")
 Row = tuple[float, list[str]]  # of an index file: its time (s) and all its words
@@ -44,7 +47,8 @@ def read_frames(root: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
         colour, depth = 1, 3
         if _depth_comes_first(root, rows):  # as in ICL-NUIM, and where TUM's script was called so
             colour, depth = 3, 1
-        frames = [Frame(float(words[colour - 1]), root / words[colour], root / words[depth]) for _, words in rows]
+        at = lambda name: inside(root, name, pairs, "images")
+        frames = [Frame(float(words[colour - 1]), at(words[colour]), at(words[depth])) for _, words in rows]
         frames.sort(key=lambda frame: frame.time)
         frames = _existing(pairs, frames, [(frame.rgb, frame.depth) for frame in frames], notices)
     else:
@@ -57,19 +61,38 @@ def read_frames(root: Path) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
 def associate_one_to_one(first: np.ndarray, second: np.ndarray, tolerance: float) -> list[tuple[int, int]]:
     """Pair stamps at most ``tolerance`` s apart, each used once: the nearest pair first (TUM's ``associate.py``).
 
-    Both lists are sorted; the index pairs are in the order of ``first``.
+    Both lists ascend strictly; the index pairs are in the order of ``first``. The nearest pair of what is left has no
+    stamp between its two: of all stamps in order, only neighbours are compared, so that dense lists cost
+    ``O(n log n)``.
     """
-    low = np.searchsorted(second, first - tolerance - 1e-9)
-    high = np.searchsorted(second, first + tolerance + 1e-9, side="right")
-    taken_first: set[int] = set()
-    taken_second: set[int] = set()
-    pairs = []
-    near = [(abs(second[j] - first[i]), i, j) for i in range(len(first)) for j in range(low[i], high[i])]
-    for _, i, j in sorted(near):
-        if i not in taken_first and j not in taken_second:
-            taken_first.add(i)
-            taken_second.add(j)
-            pairs.append((i, j))
+    n = len(first)
+    stamps = np.concatenate([first, second])
+    order = [int(k) for k in np.argsort(stamps, kind="stable")]  # k < n: first[k]; else second[k - n]
+    left = dict(zip(order, [-1, *order][:-1], strict=True))  # -1: no stamp on this side
+    right = dict(zip(order, [*order, -1][1:], strict=True))
+    nearest: list[tuple[float, int, int]] = []
+
+    def consider(k: int, m: int) -> None:
+        """Add two neighbours where they are one of each list and near enough."""
+        i, j = min(k, m), max(k, m) - n
+        if -1 in (k, m) or not i < n <= j + n:
+            return
+        if first[i] - tolerance - 1e-9 <= second[j] <= first[i] + tolerance + 1e-9:
+            heapq.heappush(nearest, (abs(second[j] - first[i]), i, j))
+
+    for k, m in pairwise(order):
+        consider(k, m)
+    pairs, paired = [], set()
+    while nearest:
+        _, i, j = heapq.heappop(nearest)
+        if i in paired or j + n in paired:
+            continue
+        pairs.append((i, j))
+        paired |= {i, j + n}
+        for k in (i, j + n):  # their neighbours become each other's
+            before, after = left[k], right[k]
+            left[after], right[before] = before, after
+        consider(before, after)
     return sorted(pairs)
 
 
@@ -109,7 +132,7 @@ def _clean(path: Path, rows: list[Row], notices: list[str]) -> list[Row]:
 def _images(index: Path, notices: list[str]) -> list[Row]:
     """Read the rows of an index of one kind of images, sorted by time, without repeated and missing ones."""
     rows = _clean(index, _rows(index, 2), notices)
-    return _existing(index, rows, [(index.parent / words[1],) for _, words in rows], notices)
+    return _existing(index, rows, [(inside(index.parent, words[1], index, "images"),) for _, words in rows], notices)
 
 
 def _existing(index: Path, items: list[T], images: list[tuple[Path, ...]], notices: list[str]) -> list[T]:
@@ -141,10 +164,10 @@ def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
     """Return whether the images named first have one 16-bit channel and those named second are in colour."""
     for _, words in rows:
         try:
-            first, second = (iio.improps(root / words[i], plugin="pillow") for i in (1, 3))
-        except (OSError, ValueError, SyntaxError):
+            first, second = (image_mode(inside(root, words[i], root, "images")) for i in (1, 3))
+        except InputError:
             continue  # missing or damaged: try the next pair
-        return len(first.shape) == 2 and first.dtype != np.uint8 and len(second.shape) == 3
+        return first.startswith(("I", "F")) and second in ("RGB", "RGBA", "P")
     return False
 
 

@@ -1,12 +1,13 @@
 """Find the calibration of a recording's camera: given by the user, in ``camera.json``, or published by TUM."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from vssm_gym.errors import InputError
+from vssm_gym.files.json_file import read_json
+from vssm_gym.files.numbers import floats, whole
 from vssm_gym.geometry.camera import Camera
 
 DEPTH_SCALE = 5000.0  # TUM's: one unit is 0.2 mm
@@ -17,6 +18,14 @@ TUM_CAMERAS = {
     ("fr2", "freiburg2"): ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     ("fr3", "freiburg3"): ((535.4, 539.2, 320.1, 247.6), (0.0, 0.0, 0.0, 0.0, 0.0)),
 }
+FILE_BYTES = 1 << 20
+LARGEST_SIDE = 1 << 14  # pixels
+LARGEST_FOCAL = 1e6  # pixels, of focal lengths and the principal point
+LARGEST_COEFFICIENT = 1e3  # of the lens; those of real lenses are below 100
+SCALES = (1.0, 1e6)  # units a metre: floats in metres have 1, micrometres a million
+FARTHEST = 100.0  # m, of the camera on its body
+ROUNDING = 1e-3  # of a rotation written with four digits
+_PINHOLE = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])  # entries of K that may differ from 0
 MIDDLE = (0.3, 0.7)  # where a principal point lies, as a share of width and height
 
 
@@ -78,20 +87,28 @@ def _check_middle(camera: Camera, source: object, field: str) -> None:
 
 
 def _from_json(path: Path) -> CameraCalibration:
-    try:
-        stored = json.loads(path.read_text())
-        K = np.asarray(stored["K"], dtype=float).reshape(3, 3)
-        distortion = np.asarray(stored.get("distortion", [0.0] * 5), dtype=float).reshape(5)
-        T_body_cam = stored.get("T_body_cam")
-        T_body_cam = None if T_body_cam is None else np.asarray(T_body_cam, dtype=float).reshape(4, 4)
-        camera = Camera.from_matrix(K, int(stored["width"]), int(stored["height"]))
-        depth_scale = float(stored.get("depth_scale", DEPTH_SCALE))
-        pose = np.eye(4) if T_body_cam is None else T_body_cam
-        if not np.isfinite(np.concatenate([K.ravel(), distortion, pose.ravel(), [depth_scale]])).all():
-            raise ValueError("finite numbers only")
-        if min(camera.width, camera.height, K[0, 0], K[1, 1], depth_scale) <= 0:
-            raise ValueError("sizes, focal lengths and depth_scale are positive")
-    except (KeyError, TypeError, ValueError) as error:
-        fields = "width, height, K (3x3)[, distortion (5), depth_scale, T_body_cam (4x4)]"
-        raise InputError(path, "content", f"{fields} ({error})") from error
-    return CameraCalibration(camera, distortion, depth_scale, T_body_cam)
+    stored = read_json(path, FILE_BYTES, "a camera's calibration")
+    fields = "width, height, K (3x3)[, distortion (5), depth_scale, T_body_cam (4x4)]"
+    if not isinstance(stored, dict) or not {"width", "height", "K"} <= stored.keys():
+        raise InputError(path, "content", fields)
+    width, height = (whole(stored[name], path, name, least=1, most=LARGEST_SIDE) for name in ("width", "height"))
+    K = floats(stored["K"], (3, 3), path, "K", largest=LARGEST_FOCAL)
+    if not (K[0, 0] > 0.0 and K[1, 1] > 0.0 and np.array_equal(K * _PINHOLE, K) and K[2, 2] == 1.0):
+        raise InputError(path, "K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive fx and fy, pixels")
+    distortion = floats(stored.get("distortion", [0.0] * 5), (5,), path, "distortion", largest=LARGEST_COEFFICIENT)
+    scale = float(floats(stored.get("depth_scale", DEPTH_SCALE), (), path, "depth_scale"))
+    if not SCALES[0] <= scale <= SCALES[1]:
+        raise InputError(path, "depth_scale", f"units a metre, from {SCALES[0]:g} to {SCALES[1]:g}; found {scale:g}")
+    T_body_cam = stored.get("T_body_cam")
+    if T_body_cam is not None:
+        T_body_cam = _rigid(floats(T_body_cam, (4, 4), path, "T_body_cam", largest=FARTHEST), path)
+    return CameraCalibration(Camera.from_matrix(K, width, height), distortion, scale, T_body_cam)
+
+
+def _rigid(T: np.ndarray, path: Path) -> np.ndarray:
+    """Return ``T`` (4, 4); raise InputError where it is no rotation and translation."""
+    R = T[:3, :3]
+    off = max(np.abs(R @ R.T - np.eye(3)).max(), np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max())
+    if off > ROUNDING or np.linalg.det(R) < 0.0:
+        raise InputError(path, "T_body_cam", "a rotation and a translation: no scale, no mirror, last row 0 0 0 1")
+    return T

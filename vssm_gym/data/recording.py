@@ -25,6 +25,7 @@ from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.envs.tasks.survey import Waypoint, survey_route
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.json_file import read_json
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer
@@ -168,9 +169,10 @@ def _sensor_stream(seed: int) -> np.random.Generator:
 def read_provenance(recording: Path) -> dict[str, Any]:
     """Read the provenance that :func:`record` wrote; empty for other folders."""
     try:
-        return json.loads((recording / PROVENANCE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = read_json(recording / PROVENANCE)
+    except InputError:
         return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _drive(

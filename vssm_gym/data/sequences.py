@@ -18,10 +18,10 @@ from vssm_gym.data.intrinsics import DEPTH_SCALE, read_calibration
 from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.numbers import read_table
 from vssm_gym.geometry.camera import Camera
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
-LARGEST_IMU = 500_000_000  # bytes: an hour at 1 kHz
 TRIED = 10  # first frames, of which one must be readable
 
 
@@ -167,10 +167,7 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
     controls_path = root / "controls.txt"
     controls = np.zeros((0, 1))
     if controls_path.is_file():
-        try:
-            controls = np.loadtxt(controls_path, ndmin=2)
-        except ValueError as error:
-            raise InputError(controls_path, "lines", f"time and command, numbers only ({error})") from error
+        controls = read_table(controls_path, "time and command")
     return Sequence(
         root,
         frames,
@@ -190,13 +187,8 @@ def _imu(path: Path) -> np.ndarray:
     if not path.is_file():
         return np.zeros((0, 7))
     expected = "time wx wy wz fx fy fz: finite numbers, times ascending"
-    if path.stat().st_size > LARGEST_IMU:
-        raise InputError(path, "size", f"at most {LARGEST_IMU:,} bytes")
-    try:
-        readings = np.loadtxt(path, ndmin=2)
-    except ValueError as error:
-        raise InputError(path, "lines", f"{expected} ({error})") from error
-    if readings.shape[1] != 7 or not np.isfinite(readings).all() or (np.diff(readings[:, 0]) <= 0.0).any():
+    readings = read_table(path, expected, columns=7)
+    if (np.diff(readings[:, 0]) <= 0.0).any():
         raise InputError(path, "lines", expected)
     return readings
 

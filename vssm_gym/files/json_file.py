@@ -4,7 +4,7 @@ import gzip
 import json
 import math
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,18 @@ def read_json_line(path: Path, line: int) -> Any:
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(path, "file", f"a readable file of JSON lines ({error})") from error
     return parse_json(content, source)
+
+
+def parse_json_lines(content: bytes, source: object, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield number, counted from 1, and object of each line; ``what`` a line holds is named in errors."""
+    for number, line in enumerate(content.splitlines(), start=1):
+        try:
+            value = parse_json(line, source)
+        except InputError as error:
+            raise InputError(source, f"line {number}", f"{what} as JSON ({error.expected})") from error
+        if not isinstance(value, dict):
+            raise InputError(source, f"line {number}", f"{what} as a JSON object; found {value!r:.80}")
+        yield number, value
 
 
 def parse_json(content: bytes, source: object, field: str = "content") -> Any:

@@ -77,7 +77,7 @@ def read_table(path: Path, expected: str, *, columns: int | None = None, limit: 
     """
     content = read_bytes(path, limit, expected)
     if not any(line.strip() and not line.lstrip().startswith(b"#") for line in io.BytesIO(content)):
-        return np.zeros((0, columns or 0))
+        return np.zeros((0, columns or 1))
     try:
         table = np.loadtxt(io.BytesIO(content), ndmin=2, encoding="utf-8")
     except ValueError as error:

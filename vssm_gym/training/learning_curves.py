@@ -24,6 +24,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean
 from vssm_gym.eval.report.figures import PALETTE
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.json_file import read_json
 from vssm_gym.files.output_folders import check_file
 from vssm_gym.training.run import read_progress
 from vssm_gym.training.train import MANIFEST, PROGRESS
@@ -129,14 +130,16 @@ def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: flo
 def read_training(folder: Path) -> Training:
     """Read the training of a folder, finished or not; raise like :func:`write_curves`."""
     manifest = folder / MANIFEST
+    if not manifest.is_file():
+        raise InputError(folder, "folder", f"a folder of `vssm-gym train`, which has a {MANIFEST}")
     try:
-        stored = json.loads(manifest.read_text(encoding="utf-8"))
+        stored = read_json(manifest)
         config, world = dict(stored["config"]), stored["world_hash"]
         name, number = str(config["name"]), int(config.pop("seed"))
         where = dict(config["environment"])
         whole = int(where["num_envs"]) * int(where["max_episode_steps"])
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(folder, "folder", f"a folder of `vssm-gym train`, which has a {MANIFEST}") from error
+    except InputError:
+        raise
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(manifest, "file", "the JSON that `vssm-gym train` wrote") from error
     config["environment"] = {key: value for key, value in where.items() if key not in ("map", "scene")}
@@ -156,15 +159,10 @@ def read_training(folder: Path) -> Training:
 
 def _lines(path: Path) -> list[dict[str, Any]]:
     """Read and check all lines of ``progress.jsonl``."""
-    try:
-        lines = read_progress(path)
-    except OSError as error:
-        raise InputError(path, "file", "the progress of a training; `vssm-gym train` writes it") from error
-    except ValueError as error:
-        raise InputError(path, "file", f"one JSON object a line ({error})") from error
+    lines = read_progress(path)
     before = (0.0, 0.0)
     for number, line in enumerate(lines, 1):
-        if not isinstance(line, dict) or not all(_is_number(line.get(key)) for key in ("seconds", "steps")):
+        if not all(_is_number(line.get(key)) for key in ("seconds", "steps")):
             raise InputError(path, f"line {number}", "numbers as seconds and steps")
         unknown = line.get("success") is None and line.get("return") is None
         if not unknown and not (_is_number(line.get("return")) and _is_number(line.get("success"))):

@@ -15,10 +15,13 @@ import numpy as np
 
 from vssm_gym.agents.policy.policy_file import Policy, PolicySpec, save
 from vssm_gym.errors import InputError
+from vssm_gym.files.bounded import read_bytes
+from vssm_gym.files.json_file import parse_json_lines
 from vssm_gym.training.config import TrainingConfig
 from vssm_gym.training.environment import BODY
 
 POLICY = "policy.npz"
+PROGRESS_BYTES = 64 << 20  # a row every five seconds for 20 days
 ROW_SECONDS, CHECKPOINT_SECONDS = 5.0, 60.0  # s between lines of the log, and between checkpoints
 
 Row = dict[str, Any]  # of progress.jsonl: seconds, steps, episodes, return, length, success
@@ -156,9 +159,14 @@ class ProgressLog:
 
 
 def read_progress(path: Path) -> list[Row]:
-    """Read the lines of a ``progress.jsonl``; an unfinished last one is left out."""
-    data = path.read_bytes()
-    return [json.loads(line) for line in data[: data.rfind(b"\n") + 1].splitlines()]
+    """Read the lines of a ``progress.jsonl``; an unfinished last one is left out.
+
+    Raises:
+        InputError: no such file, or a line that is no JSON.
+    """
+    data = read_bytes(path, PROGRESS_BYTES, "the progress of a training; `vssm-gym train` writes it")
+    lines = parse_json_lines(data[: data.rfind(b"\n") + 1], path, "a row of progress")
+    return [row for _, row in lines]
 
 
 @contextlib.contextmanager

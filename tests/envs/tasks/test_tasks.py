@@ -96,7 +96,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
             load(path, of)  # type: ignore[arg-type]
         assert error.value.field == field
 
-    refused(text[: len(text) // 2], "file")
+    refused(text[: len(text) // 2], "line 13")
     refused(json.dumps(data | {"format": 2}), "format")
     refused(json.dumps({k: v for k, v in data.items() if k != "scene_hash"}), "scene_hash")
     refused(json.dumps(data | {"split": "dev"}), "split")
@@ -105,7 +105,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     refused(json.dumps(moved), "hash")
     moved["tasks"][1]["goal"] = [1.0]
     refused(json.dumps(moved), "tasks[1].goal[1]")
-    refused(text.replace('"geodesic": ', '"geodesic": NaN, "x": '), "tasks[0].geodesic")
+    refused(text.replace('"geodesic": ', '"geodesic": NaN, "x": '), "content")
     refused(text, "scene_hash", two_rooms(pieces=(SOFA,)))
     with pytest.raises(InputError, match="readable task file"):
         load(tmp_path / "none.json", apartment)

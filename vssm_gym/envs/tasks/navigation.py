@@ -23,6 +23,7 @@ from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.json_file import read_json
 
 FROZEN = ASSETS / "tasks"
 Split = Literal["train", "test"]
@@ -100,13 +101,7 @@ def read(kind: type[S], path: Path, apartment: Apartment | None) -> S:
     Raises:
         InputError: no such file, no JSON, another format, content that does not match its hash, or another scene's.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "file", "a readable task file") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"JSON ({error})") from error
-    tasks: Any = validated(kind, data, path)
+    tasks: Any = validated(kind, read_json(path, expected="a readable task file"), path)
     found = tasks.content_hash()
     if tasks.hash != found:
         raise InputError(path, "hash", f"{found}, the hash of the tasks as they are; found {tasks.hash!r}")

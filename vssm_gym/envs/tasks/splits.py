@@ -19,6 +19,7 @@ from vssm_gym.envs.tasks.navigation import SPLITS, Split
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.json_file import read_json
 
 FROZEN = ASSETS / "splits" / "scenes.json"
 _PROCEDURAL = re.compile(r"procedural:(\d{1,18})(?::[a-z]+)?")
@@ -81,13 +82,7 @@ def frozen_splits(path: Path = FROZEN) -> SceneSplits:
     Raises:
         InputError: no such file, no JSON, a scene or seed in both splits, or content that does not match its hash.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "file", "a readable file of splits") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"JSON ({error})") from error
-    splits = validated(SceneSplits, data, path)
+    splits = validated(SceneSplits, read_json(path, expected="a readable file of splits"), path)
     if splits.hash != splits.content_hash():
         expected = f"{splits.content_hash()}, the hash of the splits as they are; found {splits.hash!r}"
         raise InputError(path, "hash", expected)
@@ -119,7 +114,7 @@ def split_of(scene: str) -> Split | None:
 
 def freeze(path: Path = FROZEN) -> None:
     """Write the hashes of the scenes as they are now; after scenes were added to the file, or changed on purpose."""
-    data = json.loads(path.read_text(encoding="utf-8"))
+    data = read_json(path)
     for part in ("train", "test", "probes"):
         data[part] = {scene: _hash_of(scene) for scene in sorted(data[part])}
     splits = validated(SceneSplits, data | {"hash": ""}, path)

@@ -30,6 +30,7 @@ from vssm_gym.training.sb3.vec_env import SB3VecEnv
 WINDOW = 500  # episodes that means are taken over
 LEAST_RATE = 0.05  # fraction of the learning rate at the end
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
+COUNTERS = ("num_timesteps", "_n_updates")  # what a checkpoint restores by name, and nothing else
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -145,7 +146,7 @@ def save_checkpoint(path: Path, model: BaseAlgorithm, seconds: float) -> None:
     content: dict[str, Any] = {
         "parameters": {name: value for name, value in model.get_parameters().items() if name in names},
         "variables": {name: getattr(model, name).detach() for name in variables},
-        "counters": {"num_timesteps": model.num_timesteps, "_n_updates": getattr(model, "_n_updates", 0)},
+        "counters": {name: getattr(model, name, 0) for name in COUNTERS},
         "seconds": seconds,
         "torch": torch.get_rng_state(),
         "numpy": [kind, torch.from_numpy(np.asarray(keys, np.int64)), position, has_gauss, gauss],
@@ -168,10 +169,14 @@ def restore_checkpoint(path: Path, model: BaseAlgorithm) -> float:
     try:
         content = torch.load(io.BytesIO(path.read_bytes()), weights_only=True)
         model.set_parameters(content["parameters"], exact_match=True, device="cpu")
-        for name, value in content["variables"].items():
+        variables, counters = content["variables"], content["counters"]
+        if set(variables) != set(model._get_torch_save_params()[1]) or set(counters) != set(COUNTERS):
+            raise ValueError(f"it holds {', '.join(sorted({*variables, *counters}))}")
+        for name, value in variables.items():
             getattr(model, name).data.copy_(value)
-        for name, value in content["counters"].items():
-            setattr(model, name, value)
+        model.num_timesteps, updates = (_count(counters[name]) for name in COUNTERS)
+        if hasattr(model, "_n_updates"):
+            model._n_updates = updates
         torch.set_rng_state(content["torch"])
         kind, keys, *rest = content["numpy"]
         np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))  # noqa: NPY002
@@ -179,13 +184,22 @@ def restore_checkpoint(path: Path, model: BaseAlgorithm) -> float:
         random.setstate((version, tuple(words), spare))
         if "replay" in content and isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
             buffer = model.replay_buffer
-            for name, value in content["replay"].items():
+            for name in REPLAY:
+                value = content["replay"][name]
                 getattr(buffer, name)[: len(value)] = value.numpy()
-            buffer.pos, buffer.full = content["replay_at"]
+            position, full = content["replay_at"]
+            buffer.pos, buffer.full = _count(position) % buffer.buffer_size, bool(full)
         return float(content["seconds"])
     except Exception as error:  # torch raises many kinds for files that are not its own
         expected = f"a checkpoint of this training, which `vssm-gym train` wrote ({' '.join(str(error).split()):.100})"
         raise InputError(path, "file", expected) from error
+
+
+def _count(value: Any) -> int:
+    """Return a count of a checkpoint; raise ValueError for anything else."""
+    if type(value) is not int or not 0 <= value < 2**53:
+        raise ValueError(f"a count; found {value!r:.40}")
+    return value
 
 
 def layers_of(model: BaseAlgorithm) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
