@@ -25,7 +25,7 @@ from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
 OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}
 RATE = 10.0  # frames a second
-OURS = ("track", "map", "anchor", "recover")  # stages of our step; Open3D's are in open3d_slam.STAGES
+OURS = ("track", "map", "reference", "recover")  # stages of our step; Open3D's are in open3d_slam.STAGES
 LARGE = 0.05  # m: a frame with a larger error counts as astray
 
 

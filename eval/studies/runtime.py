@@ -22,8 +22,8 @@ SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded s
 VOXELS = (0.04, 0.07, 0.10)  # m
 EXTENTS = (7.0, 14.0, 28.0)  # m
 ROUNDS = 2
-STAGES = ("track", "map", "anchor", "recover", "rest")  # in the order of the bars; rest: time in no stage
-COLOURS = {"track": "#4477aa", "map": "#66aa77", "anchor": "#ddaa33", "recover": "#bb5566", "rest": "#c4c9cf"}
+STAGES = ("track", "map", "reference", "recover", "rest")  # in the order of the bars; rest: time in no stage
+COLOURS = {"track": "#4477aa", "map": "#66aa77", "reference": "#ddaa33", "recover": "#bb5566", "rest": "#c4c9cf"}
 
 
 def settings(recorded: tuple[int, int], rate: float) -> dict[tuple[str, str], SlamOptions]:
@@ -90,8 +90,9 @@ def run(sequence: Sequence, *, rate: float, on_progress: OnProgress | None = Non
         },
         figures={"arms": arms},
         notes=(
-            "Table: median and 95th percentile over the frames in which a stage ran, without calls that compile. An "
-            "anchor is rendered only where the camera has left the last one, so medians do not add up to the step.",
+            "Table: median and 95th percentile over the frames in which a stage ran, without calls that compile. A "
+            "reference view is rendered only where the camera has left the last one, so medians do not add up to the "
+            "step.",
             "Picture: coloured, the mean of each stage over all steps, of which the slowest twentieth is left out; "
             "these add up to the mean step. The dot is the median step, the line ends at its 95th percentile. Reading, "
             "which runs in a thread of its own, is the hollow bar.",

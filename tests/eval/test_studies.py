@@ -163,14 +163,14 @@ def test_lost_frames_and_frames_without_truth_are_left_out() -> None:
 
 def test_stages_add_up_to_the_mean_step() -> None:
     frames = [frame(i, step_s=0.010 + 0.002 * (i % 3 == 0), stages={"track": 0.004, "map": 0.005}
-                    | ({"anchor": 0.002} if i % 3 == 0 else {})) for i in range(61)]  # fmt: skip
+                    | ({"reference": 0.002} if i % 3 == 0 else {})) for i in range(61)]  # fmt: skip
     frames[30] = replace(frames[30], step_s=9.0)  # the machine was elsewhere: one of the slowest twentieth
     timed = study_runtime._timed(frames, SimpleNamespace(root=Path("room")))
     assert timed["ms"]["step"]["p50"] == pytest.approx(10.0)
-    assert timed["ms"]["anchor"] == {"p50": pytest.approx(2.0), "p95": pytest.approx(2.0), "n": 20}
+    assert timed["ms"]["reference"] == {"p50": pytest.approx(2.0), "p95": pytest.approx(2.0), "n": 20}
     assert timed["ms"]["rest"]["p50"] == pytest.approx(1.0)
     assert sum(timed["mean_ms"].values()) == pytest.approx((40 * 10 + 19 * 12) / 59)
-    assert timed["mean_ms"]["anchor"] == pytest.approx(19 * 2 / 59)
+    assert timed["mean_ms"]["reference"] == pytest.approx(19 * 2 / 59)
     assert "recover" not in timed["ms"]
     with pytest.raises(InputError, match="frames"):
         study_runtime._timed(frames[:1], SimpleNamespace(root=Path("room")))
@@ -263,7 +263,7 @@ def test_the_studies_of_the_filter(walk, tmp_path, monkeypatch) -> None:
     commands.runtime(walk, tmp_path)
     arms = json.loads((tmp_path / "runtime.json").read_text())["figures"]["arms"]
     assert [arm["value"] for arm in arms] == ["80x60", "160x120", "7 cm", "14 m"]
-    assert {"step", "read", "track", "map", "anchor", "rest"} <= set(arms[0]["ms"])
+    assert {"step", "read", "track", "map", "reference", "rest"} <= set(arms[0]["ms"])
     assert arms[1]["ms"] == arms[2]["ms"]  # the default is run once and stands in every group
     again = Path(shutil.copytree(walk, tmp_path / "again"))
     commands.calibration((walk, again), tmp_path / "out")

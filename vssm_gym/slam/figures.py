@@ -25,7 +25,7 @@ from vssm_gym.viz import pictures
 OBSERVED_COLOUR = "#0072b2"
 MARGIN = 0.4  # m around the content of a slice
 PIXELS = 420  # of a slice along its longer edge, at most
-STAGES = {"track": "#0072b2", "map": "#0b6e4f", "anchor": "#e69f00", "recover": "#56b4e9"}
+STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9"}
 ELLIPSES = 25  # drawn along a path
 REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 

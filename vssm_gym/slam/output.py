@@ -35,10 +35,10 @@ MOST_OUTSIDE = 0.5  # a larger share of readings outside the map gives a warning
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
     "the images, MAP, Laplace and velocity; map: the closed-form update, and moving the window where the camera leaves "
-    "it; anchor: rendering a new reference view where the camera has left the last one; recover: aligning a lost image "
-    "to the map from several starts; the rest is shrinking the image and keeping keyframes. read: decoding, "
-    "undistorting and resizing, in a thread beside the filter; wait: the filter idle until the image is there. Frames "
-    "on which a stage ran for the first time, and was compiled, are left out"
+    "it; reference: rendering a new reference view where the camera has left the last one; recover: aligning a lost "
+    "image to the map from several starts; the rest is shrinking the image and storing keyframes. read: decoding, "
+    "undistorting and resizing, in a thread beside the filter; wait: the time in which the filter waits for the image. "
+    "Frames on which a stage ran for the first time, and was compiled, are left out"
 )
 OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # files that an unfinished run may leave; the report is written last
 

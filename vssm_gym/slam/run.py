@@ -198,7 +198,7 @@ class TrackedFrame:
     read_s: float  # reading, undistorting, resizing: in a thread beside the filter
     wait_s: float  # idle time of the filter until the image was there
     step_s: float  # from the image to the pose and the updated map
-    stages: dict[str, float]  # s, of the stages that ran: track, recover, map, anchor
+    stages: dict[str, float]  # s, of the stages that ran: track, recover, map, reference
     warm: bool  # whether every stage that ran had been compiled before
     velocity: Float[np.ndarray, "6"] | None  # linear (m/s) and angular (rad/s), world
     covariance: Float[np.ndarray, "12 12"] | None  # of (translation, rotation) in the camera's tangent and velocity

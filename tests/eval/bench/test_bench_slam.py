@@ -43,7 +43,7 @@ def test_without_open3d_ours_is_reported_and_the_reason_said(sequence, no_open3d
     assert row["method"] == "vssm-gym"
     assert row["size"] == [160, 120]  # the recording is no larger
     assert 0.0 < row["stages_ms"]["step"]["p50"] <= row["stages_ms"]["step"]["p95"]
-    assert list(row["stages_ms"])[:4] == ["step", "track", "map", "anchor"]
+    assert list(row["stages_ms"])[:4] == ["step", "track", "map", "reference"]
     assert sum(row["stages_ms"][stage]["p50"] for stage in ("track", "map")) < row["stages_ms"]["step"]["p95"]
     assert 0.0 <= row["ate_m"] <= row["ate_max_m"] < 0.05
     assert row["astray"] == 0

@@ -89,7 +89,7 @@ class Prism:
             none = keyframes.empty(view.camera, settings)
             kept = keyframes.remember(none, T, luminance(small.rgb), view.camera, settings)
         reference = clock(
-            "anchor", reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1)
+            "reference", reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1)
         )
         return PrismState(m, past, reference, kept, jnp.zeros((6, 6)), False, key, prior.measurement_noise)
 
@@ -149,7 +149,7 @@ class Prism:
         moved_on = reference_view.has_left(reference, T, config.reference_distance, config.reference_angle)
         if alone or status is Status.RECOVERED or moved_on:
             reference = clock(
-                "anchor", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
+                "reference", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
             )
         info = FilterInfo(status, drift.in_world(past.belief, drifted), located.fit_quality, dropped)
         return PrismState(m, past, reference, kept, drifted, False, key, state.measurement_noise), info
