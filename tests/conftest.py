@@ -55,7 +55,7 @@ settings.load_profile("vssm_gym")
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of real recordings and houses that lies beside the checkout; a test that needs it skips without."""
+    """Return the folder of recordings and houses beside the checkout; skip the test without it."""
     from tests.helpers.paths import SHARED_DATA
 
     if not SHARED_DATA.is_dir():
@@ -65,7 +65,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="module", autouse=True)
 def bounded_memory() -> Iterator[None]:
-    """A worker that has compiled gigabytes of functions forgets them between modules; the cache on disk has them."""
+    """Drop compiled functions between modules once they need gigabytes; the cache on disk keeps them."""
     yield
     if sys.platform == "linux":
         pages = int(Path("/proc/self/statm").read_text().split()[1])

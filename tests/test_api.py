@@ -1,4 +1,4 @@
-"""The public names: one table, imported when used, documented; and the page that shows them at work."""
+"""Test the public names: one table, lazy imports, documentation, and the page that shows their use."""
 
 import ast
 import importlib
@@ -96,7 +96,7 @@ def test_a_public_function_documents_and_annotates_every_argument(name):
 
 @pytest.mark.parametrize("name", classes())
 def test_the_methods_of_a_public_class_are_documented_and_annotated(name):
-    """Those of its own; special methods speak for themselves."""
+    """Inherited and special methods are exempt."""
     cls = getattr(vg, name)
     for key, member in vars(cls).items():
         if key.startswith("_"):
@@ -184,7 +184,7 @@ def test_a_filter_is_made_by_name():
         vg.make_filter("frames", camera, vg.Rigid())
 
 
-def test_a_belief_stands_at_a_pose_whatever_the_state():
+def test_a_belief_at_a_pose_exists_for_every_transition():
     planar = vg.Bicycle().belief_at(np.array([1.0, 2.0, 0.5]), translation_std=0.1, rotation_std=0.2)
     np.testing.assert_allclose(planar.mean, [1.0, 2.0, 0.5], atol=1e-6)
     np.testing.assert_allclose(np.diag(planar.covariance), [0.01, 0.01, 0.04], rtol=1e-5)
@@ -195,7 +195,7 @@ def test_a_belief_stands_at_a_pose_whatever_the_state():
     np.testing.assert_allclose(np.diag(rigid.covariance), [1e-6] * 6 + [0.25] * 3 + [4.0] * 3, rtol=1e-5)
 
 
-def test_frames_need_a_pose_each():
+def test_every_frame_needs_a_pose():
     frames = [(np.zeros((30, 40, 3), np.uint8), np.ones((30, 40), np.float32))]
     camera = vg.Camera.from_hfov(40, 30, 1.5)
     with pytest.raises(vg.InputError, match="T_world_cam"):
@@ -205,7 +205,7 @@ def test_frames_need_a_pose_each():
 
 
 @pytest.mark.parametrize("env", ["PointNav-v0", "ImageNav-v0", "Explore-v0", "LidarMaze-v0", "CarNav-v0"])
-def test_a_context_tells_the_start_and_nothing_of_the_scene(env):
+def test_a_context_holds_the_start_pose_and_no_scene(env):
     import gymnasium as gym
 
     world = gym.make(f"vssm_gym/{env}", scene={"LidarMaze-v0": "rooms-v1", "CarNav-v0": "arena"}.get(env, "oak"))

@@ -1,4 +1,4 @@
-"""Hold the pages to the code: paths, labels of equations, citations, links, Python and commands all lead somewhere."""
+"""Test the pages against the code: paths, equation labels, citations, links, Python and commands must resolve."""
 
 import ast
 import builtins
@@ -65,7 +65,7 @@ def text_of(page: Path) -> str:
 
 
 def spans(page: Path) -> list[str]:
-    """List what stands in backticks outside of fenced blocks."""
+    """List the text in backticks outside of fenced blocks."""
     return re.findall(r"`([^`\n]+)`", text_of(page))
 
 
@@ -76,7 +76,7 @@ def fences(page: Path) -> list[str]:
 
 @functools.cache
 def resolves(name: str) -> bool:
-    """Return whether a dotted name leads to a module, or to what one defines, imports or annotates."""
+    """Return True for the dotted name of a module, or of a name that one defines, imports or annotates."""
     parts = name.split(".")
     for length in range(len(parts), 0, -1):
         try:

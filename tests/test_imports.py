@@ -1,4 +1,4 @@
-"""Imports flow one way (docs/architecture.md), read from the syntax tree of every module, lazy imports included.
+"""Test that imports flow one way (docs/architecture.md), by the syntax tree of every module, lazy imports included.
 
 Ground truth cannot leak into inference because no model, inference, planning or agent code can name the simulator.
 """
@@ -112,7 +112,7 @@ Graph = dict[str, set[str]]
 
 
 def find_modules(folder: Path) -> dict[str, Path]:
-    """Dotted name -> file of every module of the package in ``folder``, through the committed links."""
+    """Return dotted name -> file of every module of the package in ``folder``, through the committed links."""
     found = {}
     for directory, subfolders, files in os.walk(folder, followlinks=True):
         subfolders[:] = [name for name in subfolders if name != "__pycache__"]
@@ -125,7 +125,7 @@ def find_modules(folder: Path) -> dict[str, Path]:
 
 
 def imported_names(tree: ast.AST, module: str, is_package: bool, known: set[str]) -> Iterator[str]:
-    """Every dotted name that ``tree`` imports, relative ones resolved, ``import_module("...")`` included."""
+    """Return every dotted name that ``tree`` imports, relative ones resolved, ``import_module("...")`` included."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -143,7 +143,7 @@ def imported_names(tree: ast.AST, module: str, is_package: bool, known: set[str]
 
 
 def import_graph(modules: dict[str, Path]) -> Graph:
-    """Module -> names it imports, those that only a type checker reads included."""
+    """Return module -> names it imports, those that only a type checker reads included."""
     graph = {}
     for name, path in modules.items():
         tree = ast.parse(path.read_text())
@@ -152,20 +152,20 @@ def import_graph(modules: dict[str, Path]) -> Graph:
 
 
 def component(module: str, package: str = "vssm_gym") -> str | None:
-    """The entry of ``ALLOWED`` that ``module`` belongs to: the longest that fits; None if no entry does."""
+    """Return the longest entry of ``ALLOWED`` that holds ``module``; None if no entry does."""
     inside = module.removeprefix(package).strip(".") or "__init__"
     fits = [entry for entry in ALLOWED if inside == entry or inside.startswith(f"{entry}.")]
     return max(fits, key=len, default=None)
 
 
 def place(module: str, package: str = "vssm_gym") -> str:
-    """The module, or the folder of ``ONE_PLACE`` that it lies in."""
+    """Return the module, or the folder of ``ONE_PLACE`` that it lies in."""
     folders = (f"{package}.{folder}" for folder in ONE_PLACE)
     return next((folder for folder in folders if f"{module}.".startswith(f"{folder}.")), module)
 
 
 def violations(graph: Graph, package: str = "vssm_gym") -> list[str]:
-    """One readable line for each import that breaks a rule."""
+    """Return one readable line for each import that breaks a rule."""
     bare = {"", "data"}  # a package file that only documents its folder belongs to no layer
     found = []
     for module, names in sorted(graph.items()):
@@ -217,7 +217,7 @@ def upward(graph: Graph, package: str = "vssm_gym") -> list[str]:
 
 
 def cycle(graph: Graph) -> list[str]:
-    """The modules of one import cycle, in order; empty if there is none."""
+    """Return the modules of one import cycle, in order; empty if there is none."""
     try:
         graphlib.TopologicalSorter({m: (names & graph.keys()) - {m} for m, names in graph.items()}).prepare()
     except graphlib.CycleError as error:
@@ -235,7 +235,7 @@ def whole_graph() -> Graph:
 
 
 def test_every_folder_is_read():
-    """The links are followed: a checker that looks at an empty folder passes for ever."""
+    """Links are followed, since a check of an empty folder would always pass."""
     folders = {"agents": "agents", "eval.sweep": "eval/sweep", "envs": "vssm_gym/envs", "cli": "vssm_gym/cli"}
     for name, folder in folders.items():
         on_disk = {f"vssm_gym.{name}.{path.stem}" for path in (CHECKOUT / folder).glob("*.py")}
@@ -304,7 +304,7 @@ def test_tests_import_the_package_by_its_name():
     ],
 )
 def test_a_bad_module_is_found(tmp_path, file, source, complaint):
-    """The gate itself: a package with one bad module fails, and the same package without it passes."""
+    """A package with one bad module fails, and the same package without it passes."""
     good = {"envs/physics/a.py": "import mujoco", "envs/physics/b.py": "import mujoco"}
     good |= {"maps/voxel_map.py": "from vssm_gym.geometry.camera import Camera", "geometry/camera.py": ""}
     package = tmp_path / "vssm_gym"

@@ -1,4 +1,4 @@
-"""Hold the house to its shape: small folders, plain first lines, annotated functions, tests that mirror the package."""
+"""Test the layout of the checkout: small folders, first lines, annotated functions, tests that mirror the package."""
 
 import ast
 import re
@@ -110,5 +110,5 @@ def test_each_check_finds_its_fault(check, source):
         (bare, "class A:\n    def __init__(self, a: int):\n        def g(carry): ...\n"),
     ],
 )
-def test_what_is_fine_passes(check, source):
+def test_correct_code_passes(check, source):
     assert check(ast.parse(source)) == []

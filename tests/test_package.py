@@ -1,4 +1,4 @@
-"""The package as it is shipped: what a wheel holds, what it declares, what importing it costs, what the tests check."""
+"""Test the package as it is shipped: files of the wheel, declared dependencies, import cost, and checked shapes."""
 
 import ast
 import importlib.metadata
@@ -27,7 +27,7 @@ MODULE_OF = {"pyyaml": "yaml", "pillow": "PIL", "scikit-image": "skimage"}  # wh
 
 
 def package_files() -> list[Path]:
-    """Every file below ``vssm_gym``, through the links, relative to the checkout."""
+    """Return every file below ``vssm_gym``, through the links, relative to the checkout."""
     found = []
     for directory, subfolders, files in os.walk(CHECKOUT / "vssm_gym", followlinks=True):
         subfolders[:] = [name for name in subfolders if name != "__pycache__"]
@@ -122,13 +122,13 @@ def test_gymnasium_imports_the_package_that_an_id_names():
 
 
 def test_compiled_functions_are_kept_between_runs():
-    """JAX reads the folder from the environment when it is imported: set later, it is silently ignored."""
+    """JAX reads the folder from the environment at import, and ignores a later setting."""
     assert jax.config.jax_compilation_cache_dir == os.environ["JAX_COMPILATION_CACHE_DIR"]
     assert jax.config.jax_enable_compilation_cache
 
 
 def test_annotated_shapes_are_checked_here():
-    """The import hook of conftest.py is at work; without it every annotation is a comment."""
+    """The import hook of conftest.py is active; without it annotations are not checked."""
     camera = Camera.from_hfov(4, 3, 1.5)
     assert camera.backproject(jnp.ones((3, 4))).shape == (3, 4, 3)
     with pytest.raises(Exception, match="type"):

@@ -1,4 +1,4 @@
-"""Every agent of the registry keeps the protocol; the navigator arrives, by the shortest way, or says why it cannot.
+"""Test the protocol on every registered agent, and that navigators reach their goals by short paths or report why not.
 
 The world here is a floor plan and the noisy kinematics of the holonomic robot (eq. T1). The
 agents' map is a learned map of that plan.
@@ -143,7 +143,7 @@ def test_only_the_oracle_reads_the_pose():
 
 @pytest.mark.parametrize("name", ON_FOOT)
 def test_same_seed_same_actions(name, learned):
-    """Twice the same, from two objects and from one that has run another episode before; always within limits."""
+    """Actions repeat between two objects, and after an episode that ran before; they stay within the limits."""
     start, goal = np.array([0.6, 0.6, 0.3]), np.array([4.4, 0.5])
     agent, seen = AGENTS[name](), learned if name in SEES else None
     runs = [drive(a, learned, start, goal, seed=3, steps=10, seen=seen) for a in (agent, AGENTS[name](), agent)]
@@ -173,7 +173,7 @@ def test_the_true_pose_changes_nothing(name, learned):
     assert np.array_equal(actions[0], actions[1])
 
 
-def test_random_stops_as_often_as_it_says(learned):
+def test_the_random_agent_stops_with_its_configured_probability(learned):
     agent = RandomAgent(RandomConfig(stop_probability=0.1))
     start, goal = np.array([0.6, 0.6, 0.0]), np.array([4.4, 0.5])
     lengths = [len(drive(agent, None, start, goal, seed=s).decisions) for s in range(200)]
@@ -181,8 +181,8 @@ def test_random_stops_as_often_as_it_says(learned):
     assert len({tuple(drive(agent, None, start, goal, seed=s).decisions[0].action) for s in range(5)}) == 5
 
 
-def test_oracle_takes_the_shortest_way(learned):
-    """Across the two rooms at low noise: every goal reached, and a mean SPL above 0.95 by the exact geodesics."""
+def test_the_oracle_takes_the_shortest_path(learned):
+    """At low noise every goal in both rooms is reached, with a mean SPL above 0.95 by the exact geodesics."""
     space = free_space([WALL, TABLE], ROBOT.radius, FLOOR)
     geodesics, rng = Geodesics(space), np.random.default_rng(5)
     agent, spl = OracleAgent(), []
@@ -239,7 +239,7 @@ def test_the_first_step_plans_and_is_timed(name, learned):
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_any_planner_leads_to_the_goal(name, learned):
-    """The planner of the configuration is asked, and its paths are followed to the goal by a short path."""
+    """The agent calls the configured planner and follows its paths to the goal."""
     asked = []
 
     def counted(*arguments, **keywords):
@@ -257,8 +257,8 @@ def test_any_planner_leads_to_the_goal(name, learned):
     assert by_name.driven <= 1.1 * shortest
 
 
-def test_an_obstacle_that_nobody_mapped(learned):
-    """Held by a thing that the map does not show, the robot notices, goes round it, and still arrives."""
+def test_an_unmapped_obstacle_is_avoided(learned):
+    """The robot detects an obstacle that the map does not hold, drives around it, and still arrives."""
     start, goal, box = np.array([0.5, 0.5, 0.0]), np.array([2.0, 0.5]), shapely.box(1.1, 0.3, 1.2, 0.7).buffer(0.1)
     run = drive(OracleAgent(), learned, start, goal, blocked=lambda xy: box.contains(shapely.Point(xy)))
     assert run.stopped
@@ -266,8 +266,8 @@ def test_an_obstacle_that_nobody_mapped(learned):
     assert any("stuck" in decision.status for decision in run.decisions)
 
 
-def test_no_way_is_said_and_ended():
-    """A wall from side to side: the agent looks around, then stops and says that there is no path."""
+def test_a_missing_path_is_reported_and_ends_the_episode():
+    """Before a wall from side to side the agent turns around once, then stops and reports that there is no path."""
     divided = voxel_map(FLOOR, [(shapely.box(2.45, 0.0, 2.55, 3.0), 0.0, 1.0)])
     run = drive(OracleAgent(), divided, np.array([0.6, 0.6, 0.0]), np.array([4.4, 0.6]), steps=40)
     assert run.stopped
@@ -284,8 +284,8 @@ def test_a_goal_in_an_obstacle_is_approached(learned):
     assert run.away(goal) <= 0.4
 
 
-def test_an_uncertain_agent_goes_nearer():
-    """The less sure the estimate, the deeper inside the success region the agent drives before it stops."""
+def test_an_uncertain_agent_drives_deeper_into_the_success_region():
+    """The larger the estimate's deviation, the deeper inside the success region the agent drives before it stops."""
     learned = voxel_map(FLOOR, [])
     goal, ends = np.array([3.5, 1.5]), []
     for sigmas in (0.0, 2.5):
@@ -298,7 +298,7 @@ def test_an_uncertain_agent_goes_nearer():
 
 
 def noise_image(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return an image of noise: dead reckoning looks at no image."""
+    """Return an image of noise, which dead reckoning does not use."""
     rgb = rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8)
     return {"rgb": rgb, "depth": rng.uniform(0.3, 5.0, (CAMERA.height, CAMERA.width)).astype(np.float32)}
 
@@ -314,8 +314,8 @@ def test_dead_reckoning_is_exact_without_noise():
     assert np.allclose(estimate.planar, planar, atol=1e-4)
 
 
-def test_dead_reckoning_knows_how_lost_it_is():
-    """Its standard deviations against those of 2000 noisy drives of the same 30 commands."""
+def test_dead_reckoning_states_its_error_correctly():
+    """Its standard deviations equal those of 2000 noisy drives of the same 30 commands."""
     start = np.array([0.0, 0.0, 0.4])
     commands = [(0.1, 0.0, 0.0) if k % 3 == 0 else (0.0, 0.02, 0.12) for k in range(30)]
     localizer, rng = FilteredPose("dead_reckoning"), np.random.default_rng(0)
@@ -344,8 +344,8 @@ def test_missing_map_and_missing_pose(learned):
 
 
 @pytest.mark.parametrize("name", SEES)
-def test_agents_that_see_arrive(name, learned):
-    """From images rendered of the map, through the passage into the other room."""
+def test_agents_with_a_camera_arrive(name, learned):
+    """They drive by images rendered from the map, through the passage into the other room."""
     start, goal = np.array([1.0, 1.0, 1.0]), np.array([4.3, 0.6])
     run = drive(AGENTS[name](), learned, start, goal, seen=learned)
     errors = [np.linalg.norm(d.pose[:2] - p[:2]) for d, p in zip(run.decisions, run.poses, strict=True)]
@@ -360,6 +360,6 @@ def test_a_former_name_is_refused_with_the_present_one(former):
         make_agent(former)
 
 
-def test_an_unknown_agent_is_refused_with_those_that_there_are():
+def test_an_unknown_agent_is_refused_and_the_known_ones_are_listed():
     with pytest.raises(InputError, match=r"expected one of astar, .*; found 'nobody'"):
         make_agent("nobody")

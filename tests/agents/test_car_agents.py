@@ -1,4 +1,4 @@
-"""The car's agents arrive without touching, or refuse before they drive; what a sweep says of an episode."""
+"""Test that the car's agents arrive without a collision or refuse before they drive, and the rows of a sweep."""
 
 import json
 import math
@@ -67,7 +67,7 @@ def run(name: str, learned: VoxelMap, goal: tuple[float, ...], physics: str = "m
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CARS if name not in ("dwa", "vi_mpc_estimated_pose")])
 @pytest.mark.parametrize("goal", [(2.2, 0.7, 2.5), (4.6, 2.0, -1.5)])
-def test_it_parks_without_a_touch(name, goal, learned):
+def test_it_parks_without_a_collision(name, goal, learned):
     row = run(name, learned, goal)
     assert row["success"] and not row["collided"] and row["failure"] is None
     assert row["geodesic"] <= row["path_length"] + 1e-9 and row["spl"] > 0.4
@@ -77,7 +77,7 @@ def test_it_parks_without_a_touch(name, goal, learned):
 
 
 @pytest.mark.slow
-def test_the_dynamic_window_gets_to_the_place_at_least(learned):
+def test_the_dynamic_window_reaches_at_least_the_position(learned):
     row = run("dwa", learned, (4.6, 2.0, -1.5))
     assert row["distance_to_goal"] < REACHED and not row["collided"]
 
@@ -91,7 +91,7 @@ def test_a_target_out_of_reach_is_refused_before_driving(name):
 
 
 class Scrambled(gym.Wrapper):
-    """Everything that agents must not see is noise, where the harness does not need it."""
+    """Replace all that agents must not see by noise, unless the harness needs it."""
 
     def __init__(self, env: gym.Env, seed: int) -> None:
         super().__init__(env)
@@ -109,7 +109,7 @@ class Scrambled(gym.Wrapper):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CARS)
-def test_no_agent_acts_on_what_info_says(name, learned):
+def test_no_agent_uses_info(name, learned):
     agent, actions = AGENTS[name](), []
     for seed in range(2):
         made = gym.make(
@@ -145,14 +145,14 @@ def context() -> AgentContext:
     )
 
 
-def test_an_agent_without_a_map_says_so():
+def test_an_agent_without_a_map_is_refused():
     with pytest.raises(InputError, match="map"):
         AGENTS["dwa"]().reset(context(), {"goal": np.zeros(3), "pose": np.zeros(3)}, 0)
 
 
 @given(st.floats(-0.6, 0.6), st.floats(-0.52, 0.52), st.floats(-3.0, 3.0))
-def test_a_car_believes_to_drive_its_arc(speed, steering, heading):
-    """The tracker's prior moves along the chord of the arc: it leaves at half the turn, and is a sinc shorter."""
+def test_the_prior_of_a_car_is_its_arc(speed, steering, heading):
+    """The prior moves along the chord of the arc, which starts at half the turn and is shorter by a sinc."""
     way = speed * CAR.dt
     turn = way * math.tan(steering) / CAR.wheelbase
     chord = way * np.sinc(0.5 * turn / np.pi)
@@ -189,7 +189,7 @@ def tasks() -> CarTaskSet:
     return make_car_tasks(load_scene("arena"), 6)
 
 
-def test_targets_make_a_chain_and_longer_ones_begin_alike(tasks):
+def test_targets_form_a_chain_whose_beginning_does_not_depend_on_its_length(tasks):
     assert [t.id for t in tasks.tasks] == list(range(6))
     assert all(b.start == a.goal for a, b in zip(tasks.tasks, tasks.tasks[1:], strict=False))
     assert make_car_tasks(load_scene("arena"), 3).tasks == tasks.tasks[:3]

@@ -1,4 +1,4 @@
-"""Targets one after the other, without a stop in between: the agent is told of the next one while the car rolls."""
+"""Test a chain of targets without a stop in between: the agent receives the next target while the car moves."""
 
 import gymnasium as gym
 import numpy as np
@@ -17,7 +17,7 @@ TARGETS = 8
 
 @pytest.mark.slow
 def test_a_chain_of_targets_is_driven_as_one():
-    """Eight targets, one reset of the agent: all reached, nothing touched, begun where, and as fast as, one ended."""
+    """After one reset all eight targets are reached without a collision; each starts at the state where one ended."""
     env = gym.make(
         "vssm_gym/CarNav-v0",
         scene=ROOMS,

@@ -1,4 +1,4 @@
-"""DistBug on ranges that a reader can draw: where it heads, which way round, and when it leaves a wall."""
+"""Test DistBug on ranges that a reader can draw: its heading, its side around a wall, and when it leaves a wall."""
 
 import math
 
@@ -39,7 +39,7 @@ def seen(scan, goal=(0.8, 0.5)):
 
 
 def wall_ahead(distance, left, right):
-    """Ranges to a wall across the robot's way that ends ``left`` and ``right`` of it, m."""
+    """Return ranges to a wall ahead of the robot that ends ``left`` and ``right`` of it, m."""
     angle = 2.0 * np.pi * np.arange(BEAMS) / BEAMS
     with np.errstate(divide="ignore"):
         r = distance / np.cos(angle)
@@ -68,18 +68,18 @@ def test_it_goes_around_the_nearer_end_of_a_wall(left, right, sign):
     assert decision.action[1] == 0.0  # it turns before it drives
 
 
-def test_it_turns_first_and_drives_where_it_looks():
+def test_it_turns_towards_the_goal_before_it_drives():
     decision = started(heading=math.pi / 2).act(seen(OPEN))
     np.testing.assert_allclose(decision.action, [-LIMITS[0], 0.0, 0.0], atol=1e-6)
 
 
-def test_missing_readings_are_no_walls():
+def test_missing_readings_are_not_walls():
     scan = OPEN.copy()
     scan[::3] = 0.0
     assert started().act(seen(scan)).action[1] == pytest.approx(0.02)
 
 
-def test_enclosed_on_all_sides_it_says_so():
+def test_an_enclosed_robot_reports_that_it_is_boxed_in():
     decision = started().act(seen(np.full(BEAMS, 0.02)))
     assert decision.status.startswith("boxed in")
     assert decision.action[1] == 0.0

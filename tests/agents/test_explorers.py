@@ -1,4 +1,4 @@
-"""Explorers in two rooms: they see all there is, touch nothing, stop and say why, and repeat exactly.
+"""Test explorers in two rooms: full coverage, no collision, a reason for every stop, and repeatable episodes.
 
 The world is Explore's own; the agents get its observations and never its info.
 """
@@ -57,7 +57,7 @@ def context(world: ExploreEnv, info: Mapping[str, np.ndarray]) -> AgentContext:
 
 
 def explore(agent: Agent, world: gym.Env, steps: int, seed: int = 0) -> tuple[list[Decision], list[dict]]:
-    """Decisions and infos of an episode of at most ``steps``."""
+    """Return the decisions and infos of an episode of at most ``steps``."""
     observation, info = world.reset(seed=seed, options={"start": START})
     agent.reset(context(world, info), observation, seed)
     decisions, infos = [], [info]
@@ -70,7 +70,7 @@ def explore(agent: Agent, world: gym.Env, steps: int, seed: int = 0) -> tuple[li
     return decisions, infos
 
 
-def test_all_are_registered():
+def test_every_explorer_is_registered():
     frontiers = {"frontier_nearest", "frontier_gain", "frontier_gain_scan"}
     observed = {"mi_explorer", "random_viewpoint", "random_walk"} | frontiers
     assert set(EXPLORERS) == observed | ESTIMATED
@@ -81,7 +81,7 @@ def test_all_are_registered():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["frontier_nearest", "frontier_gain", "mi_explorer"])
-def test_explorers_see_everything_and_stop(name, world):
+def test_explorers_cover_both_rooms_and_stop(name, world):
     agent = AGENTS[name]()
     decisions, infos = explore(agent, world, 500)
     assert decisions[-1].action[3] > 0.5
@@ -102,7 +102,7 @@ def test_explorers_see_everything_and_stop(name, world):
     [pytest.param(n, marks=pytest.mark.slow) if n == "mi_explorer" or n in ESTIMATED else n for n in EXPLORERS],
 )
 def test_same_seed_same_actions(name, world):
-    """Twice the same, from two objects and from one that has run another episode before."""
+    """Actions repeat between two objects, and after an episode that ran before."""
     agent = AGENTS[name]()
     runs = [explore(a, world, 50, seed=3)[0] for a in (agent, AGENTS[name](), agent)]
     actions = [np.array([decision.action for decision in run]) for run in runs]
@@ -110,8 +110,8 @@ def test_same_seed_same_actions(name, world):
     assert np.array_equal(actions[0], actions[2])
 
 
-def test_the_plan_of_the_belief_is_the_room(world):
-    """After the look around that opens an episode: what is believed to be free is so in truth."""
+def test_the_believed_floor_plan_is_free_in_truth(world):
+    """After the first full turn, cells that are believed to be free are free."""
     agent = AGENTS["frontier_nearest"]()
     explore(agent, world, 34)
     plan = agent._explorer._own.plan()
@@ -122,7 +122,7 @@ def test_the_plan_of_the_belief_is_the_room(world):
 
 
 class _Nothing:
-    """A strategy that finds nothing to do."""
+    """Find nothing to do."""
 
     def reset(self, seed):
         pass
@@ -132,7 +132,7 @@ class _Nothing:
 
 
 class _Into:
-    """A strategy that wants to go where nobody can be: into the wall."""
+    """Choose a goal inside the wall, which no robot can reach."""
 
     def reset(self, seed):
         pass
@@ -142,7 +142,7 @@ class _Into:
 
 
 class _Ahead:
-    """A strategy that goes to the other corner and counts how often it was asked."""
+    """Choose the other corner, and count the calls."""
 
     def reset(self, seed):
         self.asked = 0
@@ -152,7 +152,7 @@ class _Ahead:
         return Choice(np.array([2.4, 3.2]), (), None, f"choice {self.asked}")
 
 
-def test_a_choice_is_made_anew_every_few_steps_on_the_way(world):
+def test_the_viewpoint_is_chosen_again_every_few_steps_of_a_path(world):
     decisions, _ = explore(Explorer(_Ahead()), world, 60)
     on_the_way = [decision.status for decision in decisions if decision.status.startswith("choice")]
     lengths = [len(list(same)) for _, same in itertools.groupby(on_the_way)]
@@ -167,7 +167,7 @@ def test_an_explorer_ends_with_a_reason(strategy, reason, world):
     assert not any(info["collision"] for info in infos)
 
 
-def test_a_robot_that_is_held_up_makes_room_and_gives_the_goal_up_in_the_end(world):
+def test_a_blocked_robot_retreats_and_finally_gives_up_the_goal(world):
     explorer = Explorer(_Into())
     explore(explorer, world, 40)
     near = explorer._own.plan().clearance(START[:2], 1.2)
@@ -201,8 +201,8 @@ def test_a_full_map_ends_the_run(world):
 
 
 @pytest.mark.slow
-def test_a_tracked_explorer_knows_where_it_is_and_says_when_it_does_not(world):
-    """Without the pose it stays within centimetres of it; in the dark it turns, changes nothing and gives up."""
+def test_an_explorer_with_an_estimated_pose_reports_when_it_is_lost(world):
+    """The estimate stays within centimetres of the true pose; in the dark the robot turns in place and gives up."""
     agent = AGENTS["mi_explorer_estimated_pose"]()
     observation, info = world.reset(seed=0, options={"start": START})
     agent.reset(context(world, info), _without_pose(observation), 0)
@@ -226,13 +226,13 @@ def _without_pose(observation):
     return {key: value for key, value in observation.items() if key != "pose"}
 
 
-def test_without_the_pose_it_says_what_is_missing(world):
+def test_a_missing_pose_is_named(world):
     observation, info = world.reset(seed=0)
     with pytest.raises(InputError, match="observe_pose"):
         AGENTS["random_walk"]().reset(context(world, info), _without_pose(observation), 0)
 
 
-def test_a_look_around_is_a_whole_turn():
+def test_the_headings_around_make_a_full_turn():
     for heading in (-3.0, 0.0, 2.5):
         looks = np.array([heading, *around(heading)])
         turns = [(b - a + np.pi) % (2.0 * np.pi) - np.pi for a, b in itertools.pairwise(looks)]

@@ -1,4 +1,4 @@
-"""Trained policies as agents: their files, what their networks see, and how they drive."""
+"""Test trained policies as agents: their files, the input of their networks, and their actions."""
 
 import json
 import os
@@ -51,7 +51,7 @@ def policy(seed: int = 0, **changes: Any) -> Policy:
 
 
 class Seen:
-    """A localizer that is told the pose in advance."""
+    """Localise by poses that are given in advance."""
 
     def __init__(self, planar: tuple[float, float, float], std: float = 0.0) -> None:
         self.belief, self.commands = Localization(np.array(planar), np.full(3, std), Status.OK), []
@@ -102,7 +102,7 @@ def actions(agent: PolicyAgent, steps: int = 4) -> np.ndarray:
 
 
 def test_features_by_hand():
-    """One metre ahead of (1, 2) facing north: the goal at (1, 3)."""
+    """A goal at (1, 3) is one metre ahead of (1, 2) facing north."""
     scan = np.zeros(64, np.float32)
     scan[3] = 0.5
     shown = {"scan": scan, "goal": np.array([1.0, 1.0, 0.0]), "pose": np.array([1.0, 2.0, np.pi / 2.0])}
@@ -116,8 +116,8 @@ def test_features_by_hand():
     np.testing.assert_allclose(vector[102:112], np.cos(phase * [[1.0], [1.5]]).ravel(), atol=1e-6)
 
 
-def test_uncertainty_is_shown_in_the_bodys_frame():
-    """Unsure along the map's x, at 30 degrees to it: cos 30 of it forward, sin 30 to the left."""
+def test_the_uncertainty_is_in_the_bodys_frame():
+    """A deviation along the map's x is cos 30 forward and sin 30 to the left of a robot at 30 degrees."""
     std = body_std(Localization(np.array([1.0, 2.0, np.pi / 6.0]), np.array([0.04, 0.0, 0.02]), Status.OK))
     np.testing.assert_allclose(std, [0.04 * np.cos(np.pi / 6.0), 0.02, 0.02])
     shown = {"goal": np.array([1.0, 1.0, 0.0]), "pose_std": std}
@@ -167,7 +167,7 @@ def test_labels_follow_the_content(tmp_path):
 
 
 def rewritten(path: Path, header: dict[str, Any] | None = None, **arrays: np.ndarray) -> Path:
-    """A policy file with another header or other arrays."""
+    """Write a policy file with another header or other arrays."""
     policy_file.save(path, policy())
     with np.load(path) as stored:
         content = {name: stored[name] for name in stored.files}
@@ -203,14 +203,14 @@ def test_a_file_that_does_not_fit_is_refused(tmp_path, changes, message):
 
 
 class Bomb:
-    """Ends the process where it is unpickled."""
+    """End the process that unpickles it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return os._exit, (3,)
 
 
 def test_code_in_a_file_is_not_run(tmp_path):
-    """A pickle in the place of the file, and one as an array in it."""
+    """Neither a pickle in place of the file is loaded, nor one as an array in it."""
     (tmp_path / "bare.npz").write_bytes(pickle.dumps(Bomb()))
     policy_file.save(tmp_path / "inside.npz", policy())
     rewritten(tmp_path / "inside.npz", bias0=np.array([Bomb()], dtype=object))
@@ -233,7 +233,7 @@ def test_a_saved_policy_drives_as_before(tmp_path):
     assert len(np.unique(before, axis=0)) == len(before)
 
 
-def test_the_agent_shows_its_policy_what_training_did():
+def test_the_policys_input_is_that_of_its_training():
     """Two frames: zeros before the first; the pose is the estimate; the goal lies farther by the stop's margin."""
     p, planar = policy(), (0.5, 0.2, 0.3)
     agent = agent_of(p, planar, std=0.02)
@@ -309,8 +309,8 @@ def test_a_sweep_refuses_policies_that_cannot_run(tmp_path, fields, message):
         check_names(config, "sweep.yaml")
 
 
-def test_real_returns_come_from_rows():
-    """5 m of 6 driven straight, then time was out; and a success after a detour."""
+def test_returns_are_computed_from_rows():
+    """Two rows by hand: a time-out after 5 of 6 m, and a success after a detour."""
     lost = {"soft_spl": 5.0 / 6.0, "path_length": 5.0, "geodesic": 6.0, "steps": 500, "success": False}
     assert real_return(lost) == pytest.approx(5.0 - 5.0)
     won = {"soft_spl": 0.75, "path_length": 8.0, "geodesic": 6.0, "steps": 60, "success": True}

@@ -1,4 +1,4 @@
-"""The command line: quick help, one clear line for bad input, and the commands that are small enough to run here."""
+"""Test the command line: fast help, one line for bad input, and the commands that are quick enough to run here."""
 
 import json
 import pickle
@@ -21,7 +21,7 @@ HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex"]
 
 
 def words(commands: dict, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Every complete command, as its words."""
+    """Return every complete command as a tuple of its words."""
     found = []
     for name, target in commands.items():
         found += words(target, (*before, name)) if isinstance(target, dict) else [(*before, name)]
@@ -30,7 +30,7 @@ def words(commands: dict, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]
 
 @pytest.fixture
 def vssm(monkeypatch, capsys):
-    """Runs the console script in this process: ``vssm("doctor", "--help") -> (exit code, stdout, stderr)``."""
+    """Run the console script in this process: ``vssm("doctor", "--help") -> (exit code, stdout, stderr)``."""
 
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["vssm-gym", *arguments])
@@ -56,15 +56,15 @@ def test_no_arguments_means_help(vssm):
 
 
 @pytest.mark.parametrize("command", words(main_module.COMMANDS), ids=" ".join)
-def test_every_command_explains_itself(vssm, command):
-    """Its docstring and one for each option: an option that nobody describes shows up as an empty line of help."""
+def test_every_command_and_option_has_a_description(vssm, command):
+    """Every command and every option has a description; without one its line of the help would be empty."""
     code, out, _ = vssm(*command, "--help")
     assert code == 0
     assert f"usage: vssm-gym {' '.join(command)}" in " ".join(out.split())
 
 
-def test_help_loads_nothing_heavy():
-    """Quick by what it does not import; a stopwatch would measure the machine."""
+def test_help_imports_no_heavy_library():
+    """Help imports no heavy library, which keeps it fast on any machine."""
     code = (
         "import sys\nsys.argv = ['vssm-gym', '--help']\nfrom vssm_gym.cli.main import main\n"
         f"try:\n    main()\nfinally:\n    print(sorted(set({HEAVY}) & sys.modules.keys()), file=sys.stderr)"
@@ -122,7 +122,7 @@ def test_ctrl_c_is_one_line_and_130(vssm, monkeypatch):
     assert err.count("\n") == 1
 
 
-def test_a_reader_that_leaves_is_no_error(tmp_path):
+def test_a_closed_pipe_is_no_error(tmp_path):
     """``vssm-gym doctor | head -1``: the pipe closes while the command still writes."""
     code = "import sys; sys.argv = ['x', '--help']; from vssm_gym.cli.main import main; sys.exit(main())"
     quick = "import vssm_gym.cli.doctor as d\nd.doctor = lambda: print('x' * 1000000)\n"
@@ -137,8 +137,8 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
     assert (process.returncode, err) == (0, "")
 
 
-def test_record_and_sweep_warn_of_what_a_scene_lacks(vssm, tmp_path):
-    """Before anything runs: here both commands go on to refuse another argument, and nothing is written."""
+def test_record_and_sweep_print_a_scenes_warnings(vssm, tmp_path):
+    """Warnings come before anything runs: here both commands then refuse another argument and write nothing."""
     flat = two_rooms(openness=0.0, leaves=1).model_copy(update={"notes": ("Rooms are not navigable.",)})
     save_scene(flat, tmp_path / "shut.json")
     (tmp_path / "sweep.yaml").write_text("scenes: [oak, shut.json]\nagents: random\ntasks: 1\n")
@@ -181,8 +181,8 @@ def test_record_and_sweep_warn_of_what_a_scene_lacks(vssm, tmp_path):
         ("demo --out {0}/demo --workers 0", "sweep: workers: expected at least 1, found 0"),
     ],
 )
-def test_what_no_work_can_end_with_is_refused_before_it_starts(vssm, tmp_path, arguments, message):
-    """Nothing is written, and an earlier demo not cleared away."""
+def test_unusable_outputs_are_refused_before_the_work_starts(vssm, tmp_path, arguments, message):
+    """Nothing is written, and an earlier demo is not deleted."""
     (tmp_path / "file").write_text("years of work")
     (tmp_path / "demo").mkdir()
     for name in ("sweep.json", "episodes.jsonl"):
@@ -214,7 +214,7 @@ def test_version(vssm):
     assert vssm("--version")[:2] == (0, f"vssm-gym {__import__('vssm_gym').__version__}\n")
 
 
-def test_the_cache_folder_follows_the_standard(monkeypatch, tmp_path):
+def test_the_cache_folder_follows_the_xdg_standard(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache_folder() == tmp_path / "vssm_gym"
 
@@ -251,7 +251,7 @@ def test_a_probe_survives_a_crash_and_a_hang(monkeypatch):
 
 
 @pytest.mark.parametrize("probe", [p for p in doctor_module.PROBES if "OpenGL" not in p.name], ids=lambda p: p.name)
-def test_the_real_probes_work_where_the_tests_do(probe):
+def test_the_real_probes_succeed_here(probe):
     finding = run_probe(probe)
     assert finding.ok, finding.detail
 
@@ -260,7 +260,7 @@ def test_the_real_probes_work_where_the_tests_do(probe):
 
 
 def circle(n: int = 50) -> np.ndarray:
-    """``(n, 4, 4)`` poses on a rising circle of 1 m radius."""
+    """Return ``(n, 4, 4)`` poses on a rising circle of 1 m radius."""
     angle = np.linspace(0, 2 * np.pi, n)
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, :3, 3] = np.stack([np.cos(angle), np.sin(angle), 0.1 * angle], axis=1)
@@ -273,7 +273,7 @@ def write(path, T: np.ndarray) -> str:
     return str(path)
 
 
-def test_evaluate_trajectory_is_blind_to_the_frame_and_sees_the_scale(vssm, tmp_path):
+def test_evaluate_trajectory_ignores_the_frame_and_reports_the_scale(vssm, tmp_path):
     truth = circle()
     moved = np.array(truth)
     moved[:, :3, 3] = 0.5 * (truth[:, :3, 3] + [3.0, -2.0, 1.0])
@@ -341,7 +341,7 @@ def test_evaluate_trajectory_gives_the_known_values(vssm, shared_data, tmp_path,
     ],
     ids=["missing", "empty", "short", "nan", "no common stamp"],
 )
-def test_evaluate_trajectory_refuses_what_it_cannot_use(vssm, tmp_path, content, complaint):
+def test_evaluate_trajectory_refuses_unusable_files(vssm, tmp_path, content, complaint):
     true = write(tmp_path / "true.txt", circle())
     if content is not None:
         (tmp_path / "est.txt").write_text(content)
@@ -394,7 +394,7 @@ def test_scene_import_of_a_map_asks_for_its_yaml(vssm, tmp_path):
         (("scene", "import", "oak", "--out", "flat.txt"), "a name that ends in .json"),
     ],
 )
-def test_scene_commands_refuse_in_one_line(vssm, tmp_path, monkeypatch, arguments, complaint):
+def test_scene_commands_report_errors_in_one_line(vssm, tmp_path, monkeypatch, arguments, complaint):
     monkeypatch.chdir(tmp_path)
     code, _, err = vssm(*arguments)
     assert code == 2

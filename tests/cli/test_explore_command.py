@@ -1,4 +1,4 @@
-"""``vssm-gym explore``: a run with all that shows it, and what it refuses before anything runs."""
+"""Test ``vssm-gym explore``: a run with its video, pictures and map, and what is refused before anything runs."""
 
 import importlib
 import json
@@ -23,7 +23,7 @@ STEPS = 41
 
 @pytest.fixture
 def vssm(monkeypatch, capsys):
-    """Runs the console script in this process: ``vssm("explore", ...) -> (exit code, stdout, stderr)``."""
+    """Run the console script in this process: ``vssm("explore", ...) -> (exit code, stdout, stderr)``."""
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
@@ -35,7 +35,7 @@ def vssm(monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_a_run_is_kept_with_all_that_shows_it(vssm, tmp_path):
+def test_a_run_writes_its_video_pictures_and_map(vssm, tmp_path):
     pytest.importorskip("imageio_ffmpeg", reason="videos need the extra vssm-gym[viz]")
     out = tmp_path / "seen"
     asked = ("explore", "--scene", "procedural:10000:small", "--out", out, "--start", 3, "--steps", STEPS)
@@ -79,7 +79,7 @@ def test_a_run_is_kept_with_all_that_shows_it(vssm, tmp_path):
         (("--seed", "-1"), "explore: seed: "),
     ],
 )
-def test_what_cannot_be_explored_is_said_in_one_line(vssm, tmp_path, options, said):
+def test_bad_arguments_are_refused_in_one_line(vssm, tmp_path, options, said):
     code, out, err = vssm("explore", "--scene", "fern", "--out", tmp_path / "new", *options)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert said in err
@@ -113,7 +113,7 @@ def test_a_plan_keeps_its_place_in_a_larger_picture():
 
 
 class Tourist:
-    """Has a map of nothing, and tours as it is told."""
+    """Explore with an empty map and a given tour."""
 
     def __init__(self):
         self.map = VoxelMap.prior(np.zeros(3), 0.1, (16, 16, 16))
@@ -121,7 +121,7 @@ class Tourist:
 
 
 def watched(choices):
-    """A recording of steps with these coverages, and how many places were chosen among just before (0: no choice)."""
+    """Return a recording with these coverages and numbers of candidate places at each step (0: no choice)."""
     agent = Tourist()
     recording = Recording(agent)
     for i, (coverage, places) in enumerate(choices):

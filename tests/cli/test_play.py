@@ -1,4 +1,4 @@
-"""``vssm-gym play``: a session without a terminal, and the whole command in a pseudo terminal."""
+"""Test ``vssm-gym play``: a session without a terminal, and the whole command in a pseudo terminal."""
 
 import contextlib
 import math
@@ -66,7 +66,7 @@ def test_keys_drive_the_robot():
         assert driven.steps == 4
 
 
-def test_an_episode_ends_where_the_driver_says_so_and_r_starts_another():
+def test_a_key_ends_the_episode_and_r_starts_another():
     driven = session()
     driven.press("space")
     assert "NOT THERE: r for a new task" in text(driven.screen(100, 30))
@@ -80,7 +80,7 @@ def test_an_episode_ends_where_the_driver_says_so_and_r_starts_another():
     assert driven.left
 
 
-def test_the_end_of_time_is_told():
+def test_the_time_limit_is_shown():
     driven = session(max_episode_steps=2)
     driven.press("s")
     driven.press("s")
@@ -111,13 +111,13 @@ def test_a_maze_is_driven_by_its_plan():
         (("LidarMaze-v0", "--record", "somewhere"), "an environment with a camera: LidarMaze-v0 has no images"),
     ],
 )
-def test_what_cannot_be_played_is_said(arguments, expected):
+def test_an_environment_that_cannot_be_played_is_refused(arguments, expected):
     with pytest.raises(InputError, match=expected):
         play(arguments[0], record=Path(arguments[2]) if len(arguments) > 1 else None)
 
 
-def test_arrival_is_told():
-    """Placed on its goal's side of the room by the environment's own task."""
+def test_arrival_is_shown():
+    """The environment's own task places the robot on its goal's side of the room."""
     driven = session()
     sampler = driven.env.unwrapped.sampler
     x, y, _ = driven.info["start_pose"]
@@ -163,8 +163,8 @@ def test_the_goal_by_hand():
     assert (distance, abs(bearing)) == pytest.approx((2.0, math.pi))
 
 
-def test_what_was_driven_is_a_recording(tmp_path):
-    """An episode a folder, with commands; one without a step leaves none, one cut short is kept."""
+def test_every_played_episode_is_a_recording(tmp_path):
+    """Each episode has a folder with its commands; one without a step leaves none, an unfinished one is kept."""
     driven = session(tmp_path / "out")
     for key in "wwarrdd":
         driven.press(key)
@@ -183,13 +183,13 @@ def test_what_was_driven_is_a_recording(tmp_path):
 
 
 class Screen:
-    """The program in a pseudo terminal of 100 x 30 characters, and what it has written."""
+    """Run the program in a pseudo terminal of 100 x 30 characters, and keep its output."""
 
     def __init__(self, process: subprocess.Popen, master: int, slave: int) -> None:
         self.process, self.master, self.slave, self.written = process, master, slave, ""
 
     def wait_for(self, expected: str) -> str:
-        """Read until ``expected`` was written; what came, without escapes."""
+        """Read until ``expected`` was written; return the output without escape sequences."""
         seen = ""
         deadline = time.monotonic() + 120.0  # against hanging for ever, no claim about speed
         while expected not in re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", seen):
@@ -200,7 +200,7 @@ class Screen:
         return seen
 
     def end(self) -> int:
-        """Read until the program has ended; its exit code."""
+        """Read until the program has ended; return its exit code."""
         deadline = time.monotonic() + 120.0
         while self.process.poll() is None or select.select([self.master], [], [], 0.1)[0]:
             assert time.monotonic() < deadline, self.written[-2000:]
@@ -219,7 +219,7 @@ class Screen:
 
 @contextlib.contextmanager
 def terminal(*arguments: str, before_it: str = "") -> Iterator[Screen]:
-    """``vssm-gym play ARGUMENTS`` (after the statements ``before_it``) with a pseudo terminal as its own."""
+    """Run ``vssm-gym play ARGUMENTS`` (after the statements ``before_it``) in a pseudo terminal of its own."""
     master, slave = pty.openpty()
     ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
     before = termios.tcgetattr(slave)
@@ -277,7 +277,7 @@ def test_a_person_drives_and_quits(tmp_path):
     ],
 )
 def test_the_terminal_is_restored_however_it_ends(tmp_path, how, code):
-    """And what was driven until then is kept."""
+    """The recording up to that moment is kept."""
     with terminal("--size", "32x24", "--record", str(tmp_path / "driven")) as screen:
         screen.wait_for("q quit")
         screen.type("w")

@@ -1,4 +1,4 @@
-"""Pictures as text, and keys as names: no terminal needed."""
+"""Test pictures as text and the names of keys, without a terminal."""
 
 import re
 
@@ -32,13 +32,13 @@ def test_256_colours_are_the_nearest_of_the_cube(image):
 
 
 def test_a_colour_is_written_where_it_changes():
-    """A line of one colour is one escape sequence: what makes pictures fit through a slow connection."""
+    """A line of one colour is one escape sequence, so that pictures fit through a slow connection."""
     (line,) = half_blocks(np.full((2, 50, 3), 7, np.uint8))
     assert line == "\x1b[38;2;7;7;7;48;2;7;7;7m" + "▀" * 50 + "\x1b[0m"
 
 
 def test_depth_by_hand():
-    """Near is white, 3 of 6 m middle grey, far black; what was not read is no grey at all."""
+    """Near is white, 3 of 6 m middle grey, far black; a pixel without a reading has a colour."""
     shown = depth_picture(np.array([[1e-6, 3.0, 6.0, 50.0, 0.0]], np.float32))[0]
     assert shown.tolist() == [[255] * 3, [128] * 3, [0] * 3, [0] * 3, list(NO_READING)]
 

@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def frames_read(root: Path) -> tuple[list[int], tuple[str, ...]]:
-    """Return the frames read, by their grey (-2: black), in order, and all notices; depth follows colour."""
+    """Return the grey values of the frames read (-2: black), in order, and all notices; depth follows colour."""
     sequence = load_sequence(root)
     reader = FrameReader(sequence)
     numbers = []
@@ -56,7 +56,7 @@ def lines(path: Path) -> list[str]:
     return path.read_text().splitlines()
 
 
-def assert_said(notices: tuple[str, ...], *words: str) -> None:
+def assert_notice(notices: tuple[str, ...], *words: str) -> None:
     """Assert one notice, a single line with all of these words."""
     assert len(notices) == 1, notices
     assert "\n" not in notices[0]
@@ -64,7 +64,7 @@ def assert_said(notices: tuple[str, ...], *words: str) -> None:
         assert word in notices[0]
 
 
-def test_a_whole_sequence_says_nothing(folder: Path) -> None:
+def test_a_complete_sequence_has_no_notices(folder: Path) -> None:
     assert frames_read(folder) == (list(range(FRAMES)), ())
     (folder / "associations.txt").unlink()
     assert frames_read(folder) == (list(range(FRAMES)), ())
@@ -83,7 +83,7 @@ def test_stamps_out_of_order_are_sorted(folder: Path, associated: bool) -> None:
     index.write_text("\n".join(rows))
     numbers, notices = frames_read(folder)
     assert numbers == list(range(FRAMES))
-    assert_said(notices, index.name, "time runs backwards 2 times", "sorted")
+    assert_notice(notices, index.name, "time runs backwards 2 times", "sorted")
 
 
 @pytest.mark.parametrize("name", ["associations.txt", "rgb.txt", "depth.txt"])
@@ -99,8 +99,8 @@ def test_of_equal_stamps_the_first_counts(folder: Path, name: str) -> None:
     assert any("2 of 10 lines repeat a stamp" in notice and name in notice for notice in notices)
 
 
-def test_gaps_are_said(folder: Path) -> None:
-    """Frames that were never recorded: 0.8 s between two that are."""
+def test_gaps_are_reported(folder: Path) -> None:
+    """A gap of 0.8 s between two recorded frames is reported."""
     rows = lines(folder / "associations.txt")
     moved = [
         row.replace(row.split()[0], f"{float(row.split()[0]) + 0.7 * (i > 3):.6f}", 1) for i, row in enumerate(rows)
@@ -108,7 +108,7 @@ def test_gaps_are_said(folder: Path) -> None:
     (folder / "associations.txt").write_text("\n".join(moved))
     numbers, notices = frames_read(folder)
     assert numbers == list(range(FRAMES))
-    assert_said(notices, "frames are missing once", "0.80 s", "after 0.300000 s")
+    assert_notice(notices, "frames are missing once", "0.80 s", "after 0.300000 s")
 
 
 def test_slow_recordings_have_no_gaps(folder: Path) -> None:
@@ -152,7 +152,7 @@ def test_no_image_at_all_is_refused(folder: Path, associated: bool) -> None:
 @pytest.mark.parametrize("content", [b"", b"not an image", "half", "another size", "another kind"])
 @pytest.mark.parametrize("at", [0, 3])
 def test_a_damaged_image_makes_an_empty_frame(folder: Path, kind: str, content: bytes | str, at: int) -> None:
-    """Black and without depth, as a covered camera would see; said with the file's name."""
+    """The frame is black and has no depth, as with a covered camera; the notice names the file."""
     path = sorted((folder / kind).iterdir())[at]
     whole, other = path.read_bytes(), sorted((folder / {"rgb": "depth", "depth": "rgb"}[kind]).iterdir())[at]
     if isinstance(content, bytes):
@@ -169,7 +169,7 @@ def test_a_damaged_image_makes_an_empty_frame(folder: Path, kind: str, content: 
         return
     numbers, notices = frames_read(folder)
     assert numbers == [i if i != at else -2 for i in range(FRAMES)]
-    assert_said(notices, str(path), "counts as empty")
+    assert_notice(notices, str(path), "counts as empty")
 
 
 def test_a_folder_of_damaged_images_is_refused(folder: Path) -> None:
@@ -208,7 +208,7 @@ def test_a_camera_of_another_size_is_refused(folder: Path) -> None:
 
 @pytest.mark.parametrize("values", [(18.0, 18.0, 15.5, 11.5), (18.0, 18.0, 3.5, 2.5), (18.0, 18.0, 7.5, 300.0)])
 def test_intrinsics_of_another_size_are_refused(folder: Path, values: tuple[float, ...]) -> None:
-    """A principal point at the edge: the numbers of images twice as large, or half."""
+    """A principal point at the edge belongs to images twice as large, or half as large."""
     message = f"middle of the 16x12 images; found cx, cy = {values[2]:g}, {values[3]:g}"
     with pytest.raises(InputError, match=message):
         load_sequence(folder, values)
@@ -240,7 +240,7 @@ def test_colour_without_depth_is_left_out(folder: Path) -> None:
     (folder / "depth.txt").write_text("\n".join([*rows[:4], late, *rows[5:]]))
     numbers, notices = frames_read(folder)
     assert numbers == [0, 1, 2, 3, 5, 6, 7]
-    assert_said(notices, "rgb.txt: 1 of 8 images have no depth image within 20 ms")
+    assert_notice(notices, "rgb.txt: 1 of 8 images have no depth image within 20 ms")
 
 
 milliseconds = st.lists(st.integers(0, 300) | st.integers(0, 30), max_size=30, unique=True)
@@ -249,7 +249,7 @@ stamps = milliseconds.map(lambda ms: 1e-3 * np.sort(np.array(ms, float)))
 
 @given(stamps, stamps)
 def test_association_is_tums(first: np.ndarray, second: np.ndarray) -> None:
-    """Against TUM's own algorithm written out: all pairs within tolerance, nearest first, each stamp once."""
+    """TUM's own algorithm is written out here: all pairs within tolerance, nearest first, each stamp once."""
     near = sorted((abs(a - b), a, b) for a in first for b in second if abs(a - b) < 0.02 + 1e-9)
     left_a, left_b, expected = set(first), set(second), []
     for _, a, b in near:

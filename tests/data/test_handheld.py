@@ -27,7 +27,7 @@ def apartment(request):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_person_around_the_camera_touches_nothing(apartment, seed):
+def test_a_person_around_the_camera_never_collides(apartment, seed):
     """At ten times the frame rate: an upright cylinder of the stated radius, as high as a person, is always free."""
     path = walk(apartment, 40.0, 100.0, seed)
     space = FreeSpace.from_apartment(apartment, path.body, 1.8)
@@ -37,16 +37,16 @@ def test_a_person_around_the_camera_touches_nothing(apartment, seed):
     assert path.T_world_cam[:, 2, 3].max() < 1.6
 
 
-def test_corners_are_not_cut_however_fast(apartment, monkeypatch):
-    """A runner who does not stop to turn: smoothing gives way before walls do."""
+def test_corners_are_not_cut_at_any_speed(apartment, monkeypatch):
+    """Even without stops to turn, smoothing never leads the path through a wall."""
     monkeypatch.setattr("vssm_gym.data.handheld.SPEED", (3.0, 4.0))
     monkeypatch.setattr("vssm_gym.data.handheld.TURN", 100.0)
     path = walk(apartment, 60.0, 100.0)
     assert FreeSpace.from_apartment(apartment, path.body, 1.8).contains(path.T_world_cam[:, :2, 3]).all()
 
 
-def test_the_walk_is_what_hands_can_do(apartment):
-    """Speed, turn and acceleration of each frame at 10 Hz; true velocities come from the poses."""
+def test_the_walk_is_as_smooth_as_a_hand_held_camera(apartment):
+    """Speed, turn rate and acceleration at 10 Hz are bounded; true velocities follow from the poses."""
     path = walk(apartment, 50.0, 10.0, 3)
     np.testing.assert_allclose(path.times, 0.1 * np.arange(len(path.times)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(path.T_world_cam), 1.0)
@@ -78,8 +78,8 @@ def test_every_room_is_visited(apartment):
         assert shapely.contains_xy(shapely.Polygon(room.polygon), xy).any(), room.name
 
 
-def test_the_rate_is_only_how_often_it_is_sampled():
-    """The same path at 10 and at 30 Hz: truth between frames is truth."""
+def test_the_rate_only_sets_the_sampling():
+    """Samples at 10 and at 30 Hz lie on the same path."""
     slow, fast = (walk(two_rooms(), 20.0, rate, 5) for rate in (10.0, 30.0))
     n = min(len(slow.times), (len(fast.times) - 1) // 3 + 1) - 1
     np.testing.assert_allclose(slow.T_world_cam[:n], fast.T_world_cam[: 3 * n : 3], atol=6e-3)
@@ -136,7 +136,7 @@ def test_a_recording_has_the_truth_of_every_frame(tmp_path):
 
 
 def test_a_survey_can_be_noisy_too(tmp_path):
-    """The drive is the same one; its images are not, nor is what is said about them."""
+    """Noise changes the images and their description, and not the drive."""
     save_scene(two_rooms(), tmp_path / "rooms.json")
     for name in ("none", "stereo"):
         record(tmp_path / "rooms.json", tmp_path / name, sensor_noise=name, camera=SMALL)

@@ -262,7 +262,7 @@ def test_poses_between_near_ones_are_interpolated(folder: Path, times: list[floa
         ([5.0], "0.000000"),
     ],
 )
-def test_poses_that_nobody_measured_are_not_invented(folder: Path, times: list[float], at: str) -> None:
+def test_frames_without_a_nearby_pose_are_refused(folder: Path, times: list[float], at: str) -> None:
     assert_refused(folder / "groundtruth.txt", "times", lambda: posed(folder, times))
     with pytest.raises(InputError, match=f"the frame at {at} s has none"):
         posed(folder, times)

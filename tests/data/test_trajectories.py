@@ -103,7 +103,7 @@ def test_interpolation_passes_through_its_nodes(seed: int) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
 def test_interpolation_is_linear_and_geodesic(seed: int, share: float) -> None:
-    """At a share of the way: that share of the distance, and of the angle from one end and the rest from the other."""
+    """At a fraction of the interval, distance and angle from both ends have that fraction and the rest."""
     times, T = np.array([2.0, 4.0]), poses(np.random.default_rng(seed), 2)
     (between,) = interpolate(times, T, np.array([2.0 + 2.0 * share]))
     np.testing.assert_allclose(between[:3, 3], (1 - share) * T[0, :3, 3] + share * T[1, :3, 3], atol=1e-9)
@@ -155,7 +155,7 @@ def test_published_trajectories_load(
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_velocities_carry_each_pose_to_the_next(seed: int) -> None:
+def test_velocities_integrate_to_the_next_pose(seed: int) -> None:
     """World frame, as the rigid body's transition integrates them: ``t' = t + v dt``, ``R' = exp(w dt) R``."""
     rng = np.random.default_rng(seed)
     T, times = poses(rng, 10), np.cumsum(rng.uniform(0.05, 0.3, 10))

@@ -1,4 +1,4 @@
-"""CarNav's contract: spaces, what is observed and executed, chains, ends, rewards, and what bad input says."""
+"""Test CarNav: spaces, observations and commands, chains, ends of episodes, rewards, and errors."""
 
 import math
 import pickle
@@ -100,7 +100,7 @@ def test_the_camera_is_where_the_car_carries_it_and_does_not_see_the_car():
     assert observation["depth"][47, 32] == pytest.approx(CAR.camera_height * fx / (47 - cy), abs=0.01)
 
 
-def test_the_car_drives_as_told_and_poses_are_of_the_rear_axle(physics):
+def test_commands_are_executed_and_poses_are_of_the_rear_axle(physics):
     env = make(physics=physics, targets="points")
     env.reset(options={"task": task(env, goal=(3.5, 0.5))})
     for _ in range(5):
@@ -162,7 +162,7 @@ def test_a_vector_environment_begins_the_next_episode_with_the_step_after_an_arr
     vector.close()
 
 
-def test_a_pose_is_not_reached_across():
+def test_a_pose_with_another_heading_is_not_reached():
     env = make()
     env.reset(options={"task": task(env, goal=(2.0, 1.5, 1.0))})
     assert not any(env.step(act(0.3))[2] for _ in range(70))
@@ -192,7 +192,7 @@ def test_no_contact_in_the_open(physics, noise):
         assert not env.step(rng.uniform(env.action_space.low, env.action_space.high).astype(np.float32))[4]["collision"]
 
 
-def test_a_chain_goes_on_where_it_ended(physics):
+def test_a_chain_continues_where_it_ended(physics):
     env = make(physics=physics, chain=True, noise="mid")
     env.reset(seed=1, options={"task": task(env)})
     for _ in range(80):
@@ -218,7 +218,7 @@ def test_a_chain_goes_on_where_it_ended(physics):
     np.testing.assert_allclose(env.planar, info["task"].start, atol=1e-6)
 
 
-def test_a_chain_goes_on_from_a_wall():
+def test_a_chain_continues_at_a_wall():
     env = make(chain=True)
     env.reset(options={"task": task(env, start=(3.3, 1.0, 0.0), goal=(1.0, 1.0, 0.0))})
     for _ in range(20):
@@ -230,7 +230,7 @@ def test_a_chain_goes_on_from_a_wall():
     assert env.step(act(-0.3))[4]["control"][0] == pytest.approx(-0.3)
 
 
-def test_chained_targets_are_on_the_cars_side():
+def test_chained_targets_are_reachable():
     env = make(scene=two_yards(), chain=True)
     sides = []
     for seed in range(4):
@@ -253,7 +253,7 @@ def test_the_same_seed_gives_the_same_bytes(physics, keywords):
 
 
 def test_the_dynamics_stream_is_its_own():
-    """Tasks do not depend on how far a run went, nor its noise on how many tasks were drawn."""
+    """Tasks do not depend on the length of a run, nor its noise on the number of drawn tasks."""
     env, other = make(noise="high"), make(noise="high")
     env.reset(seed=5)
     for _ in range(7):
@@ -276,7 +276,7 @@ def test_noise_makes_cars_stray_and_differ(level):
 
 
 def test_slip_and_lag_follow_the_noise():
-    """On ice the car hardly starts; a slow servo turns late."""
+    """With low friction the car hardly starts; a slow servo turns late."""
     runs = {}
     for name, noise in (("exact", CarNoise()), ("ice", CarNoise(friction=0.05)), ("slow", CarNoise(steering_lag=0.5))):
         env = make(scene=OPEN, noise=noise)
@@ -317,7 +317,7 @@ def test_sparse_rewards_success_only():
 @pytest.mark.parametrize(
     "state", [(0.3, 0.0, 1.0, 0.0, 0.0), (-0.5, 1.0, 0.0, 0.0, 0.0), (math.nan, 1.0, 0.0, 0.0, 0.0)]
 )
-def test_an_overturned_fallen_or_burst_car_ends_the_episode_and_begins_anew(state, tmp_path, monkeypatch):
+def test_an_invalid_state_of_the_car_ends_the_episode(state, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file there
     env = make(chain=True)
     env.reset(seed=0)

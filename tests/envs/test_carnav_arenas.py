@@ -1,4 +1,4 @@
-"""The arenas drawn for the car: no gap that a centimetre decides, bays to park in, dead ends to back out of, looks."""
+"""Test the car's arenas: gaps of clear width, bays to park in, dead ends to back out of, and textures."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ def standing(scene: str) -> list[tuple[str, shapely.Polygon]]:
 
 
 @pytest.mark.parametrize("scene", DRAWN)
-def test_gaps_are_ways_or_far_too_narrow(scene):
+def test_gaps_are_passable_or_far_too_narrow(scene):
     pieces = standing(scene)
     assert len(pieces) >= 10 and INNER.buffer(1e-6).contains(shapely.union_all([shape for _, shape in pieces]))
     gaps = {(a, b): one.distance(other) for (a, one), (b, other) in itertools.combinations(pieces, 2)}
@@ -38,11 +38,11 @@ def test_gaps_are_ways_or_far_too_narrow(scene):
 
 @pytest.mark.parametrize("scene", DRAWN)
 def test_everything_is_textured(scene):
-    """A tracker needs contrast on the floor, on every wall and on what stands about; no two arenas look alike."""
+    """Floor, walls and objects have contrast for a tracker, and no two arenas have the same materials."""
     apartment = load_scene(scene)
     looks = [box.material.texture for box in apartment.boxes() if box.kind in ("floor", "wall", "furniture")]
     assert "plain" not in looks and "plaster" not in looks
-    # a wall's two faces: the facade is the same all around, the inner looks differ
+    # a wall's two faces: the facade is the same all around, the inner materials differ
     assert len({wall.front.texture for wall in apartment.walls} | {wall.back.texture for wall in apartment.walls}) == 5
     floors = {load_scene(name).rooms[0].floor for name in (*DRAWN, "arena")}
     assert len(floors) == 5
@@ -64,8 +64,8 @@ def test_the_garages_gaps_can_be_parked_in_along_the_wall():
 
 
 @pytest.mark.parametrize("start", [(0.8, 1.12, math.pi), (0.8, 1.8, math.pi), (4.4, 1.88, 0.0), (4.4, 2.44, 0.0)])
-def test_the_docks_alleys_are_left_backwards(start):
-    """No chain of forward arcs leads out, and one backwards does."""
+def test_the_docks_alleys_can_only_be_left_backwards(start):
+    """No chain of forward arcs leads out, and one of backward arcs does."""
     sampler = CarTaskSampler.of(load_scene("dock"), CAR)
     space, inside = sampler.space, (lambda poses: (poses[:, 0] < 1.2) | (poses[:, 0] > 3.9))
     poses = np.array([start])

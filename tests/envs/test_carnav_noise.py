@@ -1,4 +1,4 @@
-"""The car's imperfections obey their laws: first-order lag, rate, play, droop, and the statistics of what is drawn."""
+"""Test the laws of the car's noise: first-order lag, rate, play, droop, and the statistics of its parameters."""
 
 import math
 
@@ -16,7 +16,7 @@ def actuators(seed: int = 0, **fields) -> CarActuators:
 
 
 def hold(servos: CarActuators, speed: float, steering: float, seconds: float) -> np.ndarray:
-    """Set points while a command is held, ``(n, 2)``, one a TICK."""
+    """Return the set points while a command is held, ``(n, 2)``, one a TICK."""
     steps = [servos(np.array([speed, speed]), steering, DT)[0] for _ in range(round(seconds / DT))]
     return np.concatenate(steps)
 
@@ -41,7 +41,7 @@ def test_the_servo_is_no_faster_than_its_rate():
     np.testing.assert_allclose(points[:, 1], np.minimum(2.0 * TICK * np.arange(1, 31), 0.5), rtol=1e-9)
 
 
-def test_play_is_lost_at_every_turn_back():
+def test_play_is_lost_at_every_reversal():
     """A servo that sweeps between +-A moves wheels with a play of b between +-(A - b / 2): a hysteresis."""
     servos = actuators(backlash=0.1)
     assert hold(servos, 0.0, 0.3, 0.1)[-1, 1] == pytest.approx(0.25)
@@ -59,7 +59,7 @@ def test_the_battery_droops_to_its_share():
     assert hold(servos, 0.5, 0.0, DT)[0, 0] == pytest.approx(0.4)
 
 
-def test_what_is_drawn_has_its_standard_deviation():
+def test_drawn_parameters_have_their_standard_deviations():
     noise = {"calibration": 0.05, "trim": 0.02}
     first = np.array([hold(actuators(seed, **noise), 1.0, 0.0, DT)[0] for seed in range(3000)])
     assert first.mean(axis=0) == pytest.approx([1.0, 0.0], abs=0.005)
@@ -79,7 +79,7 @@ def test_a_car_that_stands_does_not_creep():
     assert (hold(actuators(3, **vars(NOISE_LEVELS["high"])), 0.0, 0.2, 1.0)[:, 0] == 0.0).all()
 
 
-def test_every_step_draws_the_same_amount_whatever_is_commanded():
+def test_every_step_draws_the_same_number_of_normals():
     one, other = (np.random.default_rng(7) for _ in range(2))
     for rng, speed in ((one, 0.0), (other, 0.5)):
         servos = CarActuators(NOISE_LEVELS["mid" if speed else "none"], rng)

@@ -1,4 +1,4 @@
-"""Both cars keep a car's laws: they roll as far as their wheels turn, on a bicycle's circles, and walls stop them."""
+"""Test both simulated cars: distance per wheel turn, the bicycle's circles, and collisions with walls."""
 
 import math
 import pickle
@@ -36,7 +36,7 @@ def points(speed: float, steering: float, seconds: float) -> np.ndarray:
 
 
 def rolled(body, speed: float, steering: float, seconds: float) -> np.ndarray:
-    """Poses every 0.1 s, from when the car has come to its speed."""
+    """Return poses every 0.1 s, once the car has reached its speed."""
     body.reset(START)
     assert body.drive(points(speed, steering, 0.5), 1.0) == ()
     poses = [body.pose()]
@@ -93,7 +93,10 @@ def test_motion_does_not_depend_on_where_it_begins(body):
 
 @pytest.mark.parametrize("friction", [1.0, 0.4, 0.2])
 def test_it_brakes_as_hard_as_rear_tyres_allow(body, friction):
-    """Between v^2 / (2 mu g), all weight on the braked axle, and what half of it minus the shift of weight gives."""
+    """The distance lies between that with all weight on the braked axle, v^2 / (2 mu g), and that with half of it.
+
+    The latter includes the shift of weight to the front.
+    """
     body.reset(START)
     body.drive(points(0.6, 0.0, 2.0), friction)
     before, speed = body.pose(), body.speed()
@@ -118,7 +121,7 @@ def test_a_wall_stops_it_and_is_named_and_it_backs_off(body):
     body.reset(np.array([11.95 - nose - 0.1, 6.0, 0.0]))
     assert body.drive(points(0.3, 0.0, 0.2), 1.0) == ()
     assert body.drive(points(0.3, 0.0, 0.5), 1.0) == ("wall 1",)
-    assert body.drive(points(0.3, 0.0, 1.0), 1.0) == ("wall 1",)  # and it goes on touching
+    assert body.drive(points(0.3, 0.0, 1.0), 1.0) == ("wall 1",)  # the contact lasts
     assert body.pose()[0] + nose == pytest.approx(11.95, abs=2e-3)
     assert body.upright()
     body.drive(points(-0.3, 0.0, 0.5), 1.0)
@@ -126,8 +129,8 @@ def test_a_wall_stops_it_and_is_named_and_it_backs_off(body):
     assert body.pose()[0] < 11.95 - nose - 0.1
 
 
-def test_the_touching_footprint_is_the_cars_rectangle(body):
-    """Tail first and cornerwise: contact begins where the rectangle meets the wall, to 2 mm."""
+def test_contact_begins_at_the_cars_rectangle(body):
+    """Backwards and at an angle, contact begins where the rectangle meets the wall, to 2 mm."""
     for heading in (math.pi, 2.4, 0.6):
         body.reset(np.array([11.0, 6.0, heading]))
         speed = 0.1 if math.cos(heading) > 0.0 else -0.1

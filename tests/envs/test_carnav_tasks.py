@@ -1,4 +1,4 @@
-"""Test where the car fits and what it reaches: shapely and hand-made rooms are the oracles."""
+"""Test where the car fits and which poses it reaches: shapely and hand-made rooms are the oracles."""
 
 import math
 import pickle
@@ -45,7 +45,7 @@ CUT = CarTaskSampler.of(two_yards(), CAR)
 
 @given(st.floats(0.1, 2.9), st.floats(0.1, 2.3), st.floats(-4.0, 4.0), st.sampled_from([0.0, 0.03, -0.01]))
 def test_a_pose_is_free_where_its_rectangle_meets_no_box(x, y, heading, margin):
-    """Shapely's intersection is the oracle, but for a nanometre where they touch. The shelf hangs above the car."""
+    """Shapely's intersection is the oracle, up to a nanometre at contact. The shelf hangs above the car."""
     grown = Car(length=CAR.length + 2 * margin, width=CAR.width + 2 * margin, rear_overhang=CAR.rear_overhang + margin)
     away = shapely.Polygon(grown.corners(np.array([x, y, heading]))).distance(SOLID)
     overlap = shapely.Polygon(grown.corners(np.array([x, y, heading]))).intersection(SOLID).area
@@ -58,7 +58,7 @@ def test_off_the_floor_is_not_free():
     assert not SPACE.free(np.array([[-1.0, 1.0, 0.0], [9.0, 1.0, 0.0]])).any()
 
 
-def test_what_is_met_has_a_name():
+def test_the_obstacle_of_a_collision_is_named():
     assert SPACE.obstacles_at(np.array([1.4, 1.0, 0.0])) == ["crate"]
     assert SPACE.obstacles_at(np.array([0.1, 1.2, 0.0])) == ["wall 3"]
     assert SPACE.obstacles_at(np.array([0.6, 0.5, 0.0])) == []
@@ -77,7 +77,7 @@ def test_one_room_is_one_part_and_a_fence_makes_two():
 
 
 def test_a_pocket_without_room_to_turn_or_leave_is_a_part_of_its_own():
-    """A box of 0.6 x 0.4 m inside walls: the car fits, and that is all."""
+    """In a walled box of 0.6 x 0.4 m the car fits and cannot leave."""
     pen = [
         furniture("south", (2.0, 1.75, 0.2), (0.9, 0.1, 0.4)),
         furniture("north", (2.0, 2.25, 0.2), (0.9, 0.1, 0.4)),
@@ -111,7 +111,7 @@ def test_tasks_are_free_apart_and_within_reach(scene, targets):
 
 @pytest.mark.parametrize("scene", ARENAS)
 def test_nearly_all_of_an_arena_is_within_reach(scene):
-    """The rest are single poses of the lattice without a path to its other poses, none of them a place."""
+    """The rest are single poses of the lattice without a path to other poses."""
     sampler = CarTaskSampler.of(load_scene(scene), CAR)
     count = np.bincount(sampler.space.labels[sampler.space.labels >= 0])
     assert count[0] > 0.97 * count.sum() and count[1] < 10

@@ -23,7 +23,7 @@ def make(name: str, **keywords) -> gym.Env:
 
 
 def rollout(env: gym.Env, seed: int, steps: int = 8) -> list[bytes]:
-    """Everything the environment says, in steps of random actions."""
+    """Return all outputs of the environment, in steps of random actions."""
     observation, info = env.reset(seed=seed)
     rng, said = np.random.default_rng(0), []
     low, high = env.action_space.low, env.action_space.high
@@ -85,7 +85,7 @@ def test_a_pickled_environment_goes_on(name):
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_observations_and_infos_are_what_was_promised(name):
+def test_observations_and_infos_are_as_documented(name):
     env = make(name)
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)

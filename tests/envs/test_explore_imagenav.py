@@ -1,4 +1,4 @@
-"""ImageNav and Explore: what they add to PointNav's robot. Laws that hold for every id are in test_environments.py."""
+"""Test what ImageNav and Explore add to PointNav's robot; test_environments.py tests the laws of every id."""
 
 import gymnasium as gym
 import numpy as np
@@ -90,7 +90,7 @@ def test_exploration_ends_when_finished_or_stopped(reward, prize):
     assert terminated and info["success"] is False
 
 
-def test_exploration_shows_the_pose_unless_told_otherwise():
+def test_exploration_observes_the_pose_by_default():
     env = ExploreEnv(**KEYWORDS)
     observation, info = env.reset(seed=0)
     np.testing.assert_allclose(observation["pose"], info["start_pose"], rtol=1e-6)
@@ -101,7 +101,7 @@ def test_exploration_shows_the_pose_unless_told_otherwise():
     ("start", "expected"),
     [((1.0, 3.0, 0.0), "table"), ((50.0, 1.0, 0.0), "floor"), ((1.0, np.nan, 0.0), "finite"), ("here", "here")],
 )
-def test_starts_where_nobody_can_be_are_named(start, expected):
+def test_impossible_starts_are_named(start, expected):
     with pytest.raises(InputError, match=expected):
         ExploreEnv(**KEYWORDS).reset(options={"start": start})
 

@@ -1,4 +1,4 @@
-"""Flight-v0: the body obeys its law, the IMU feels what moves it, the pilot keeps to the reference; the contract."""
+"""Test Flight-v0: the body's dynamics, the IMU, the controller on its reference, and the contract of an environment."""
 
 import pickle
 import warnings
@@ -38,7 +38,7 @@ def make(**keywords) -> FlightEnv:
 
 
 def rollout(env: FlightEnv, seed: int, steps: int = 12) -> bytes:
-    """Everything that an episode of seeded actions shows, as bytes."""
+    """Return all outputs of an episode of seeded actions, as bytes."""
     observation, info = env.reset(seed=seed)
     rng, shown = np.random.default_rng(7), []
     for _ in range(steps):
@@ -52,7 +52,7 @@ def rollout(env: FlightEnv, seed: int, steps: int = 12) -> bytes:
 
 
 def oracle(start: FlightState, command: np.ndarray, drag: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity by an adaptive float64 integration of the law; the rotation is known in closed form."""
+    """Integrate position and velocity adaptively in float64; the rotation is known in closed form."""
 
     def law(t, y):
         R = start.R_world_body @ Rotation.from_rotvec(t * command[3:]).as_matrix()
@@ -77,8 +77,8 @@ def test_free_flight_is_the_integral_of_its_law(seed):
     np.testing.assert_allclose(state.R_world_body, R @ Rotation.from_rotvec(command[3:]).as_matrix(), atol=1e-12)
 
 
-def test_the_environment_flies_as_the_law_says():
-    """MuJoCo between the walls realises the same flight, and the state it reports is where its ball is."""
+def test_the_environment_follows_the_law():
+    """MuJoCo produces the same flight between the walls, and the reported state is its ball's position."""
     env = make()
     env.reset(seed=0)
     start, command = env.state, np.array([0.3, 0.2, 10.2, 0.1, -0.2, 0.3])
@@ -96,8 +96,8 @@ def test_rotation_is_rodrigues(angle):
     np.testing.assert_allclose(rotation(phi), Rotation.from_rotvec(phi).as_matrix(), atol=1e-14)
 
 
-def test_the_imu_feels_what_moves_the_body():
-    """Dead reckoning from perfect readings is the flight: no drag or gust escapes the accelerometer."""
+def test_the_imu_measures_all_forces_on_the_body():
+    """Dead reckoning from exact readings reproduces the flight, drag and gusts included."""
     env = make(noise="high")
     env.reset(seed=3)
     pilot, state = FlightController(env.body), env.state
@@ -113,7 +113,7 @@ def test_the_imu_feels_what_moves_the_body():
     np.testing.assert_allclose(state.R_world_body, env.state.R_world_body, atol=1e-4)
 
 
-def test_gusts_have_their_stated_spread_whatever_the_step():
+def test_gusts_have_the_stated_deviation_for_every_time_step():
     for dt in (0.02, 0.1):
         rng, gust, seen = np.random.default_rng(0), np.zeros(6), []
         noise = FlightNoise(0.5, 0.05)
@@ -126,8 +126,8 @@ def test_gusts_have_their_stated_spread_whatever_the_step():
 
 @pytest.mark.parametrize("name", CURVES)
 @pytest.mark.parametrize(("speed", "scale", "noise", "error"), [(1.0, 1.2, "none", 0.05), (4.0, 4.5, "low", 0.25)])
-def test_the_pilot_keeps_to_the_reference(name, speed, scale, noise, error):
-    """The law alone, without images: no reference needs more than the body has."""
+def test_the_controller_follows_the_reference(name, speed, scale, noise, error):
+    """By the law alone, without images, the body's thrust suffices for every reference."""
     reference = ReferenceFlight(name, speed, Placement((0.0, 0.0), scale, 0.3), drag=BODY.drag)
     start = reference.at(np.zeros(1))
     state = FlightState(start.position[0], start.velocity[0], start.R_world_body[0])
@@ -186,7 +186,7 @@ def test_the_readings_fill_each_step_exactly(rate):
 
 
 def test_a_fast_rate_leaves_time_for_the_whole_flight():
-    """No count of steps ends it: 100 steps a second, and more than 2000 of them."""
+    """A flight of more than 2000 steps, at 100 a second, is completed."""
     env = gym.make(ID, scene=SCENE, noise="none", imu_noise="none", camera=SMALL, flight="star", speed=0.5, rate=100)
     assert env.spec.max_episode_steps is None
     env.reset(seed=0)
@@ -205,7 +205,7 @@ def test_slow_flights_of_many_laps_are_refused():
         make().reset(options={"task": ReferenceFlight("star", 1.0, Placement((0.2, 0.1), 1.5, 0.0), laps=100)})
 
 
-def test_the_camera_goes_on_from_flight_to_flight():
+def test_the_camera_keeps_its_state_between_flights():
     env = make(sensor_noise="kinect")
     env.reset(seed=0)
     camera, imu, *_ = env.sensors
@@ -216,7 +216,7 @@ def test_the_camera_goes_on_from_flight_to_flight():
     assert camera._sensor is not sensor
 
 
-def test_one_who_strays_is_given_up():
+def test_a_large_tracking_error_ends_the_flight():
     env = make()
     env.reset(seed=0)
     terminated, steps = False, 0
@@ -234,7 +234,7 @@ def test_rewards_are_as_documented():
 
 
 @pytest.mark.parametrize("keywords", [{}, {"observe_pose": True, "sensor_noise": "stereo", "noise": "high"}])
-def test_gymnasium_finds_nothing_to_complain_of(keywords):
+def test_gymnasiums_check_passes(keywords):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
         env = gym.make(ID, scene=SCENE, camera=SMALL, **keywords).unwrapped
@@ -251,7 +251,7 @@ def test_same_seed_same_bytes(sensor_noise):
 
 
 def test_images_do_not_shift_the_motion():
-    """One stream each: a noisier camera flies through the same gusts."""
+    """Camera and gusts have separate streams, so that a noisier camera flies through the same gusts."""
     plain, noisy = make(noise="high"), make(noise="high", sensor_noise="stereo", imu_noise="realsense")
     for env in (plain, noisy):
         env.reset(seed=2)
@@ -260,7 +260,7 @@ def test_images_do_not_shift_the_motion():
     np.testing.assert_array_equal(plain.state.position, noisy.state.position)
 
 
-def test_a_pickled_environment_flies_on():
+def test_a_pickled_environment_continues_the_flight():
     env = make(noise="high", sensor_noise="stereo", imu_noise="adis16448")
     env.reset(seed=1)
     env.step(HOVERING)

@@ -1,4 +1,4 @@
-"""LidarMaze's contract: spaces, seeds, stages, pictures, and what bad input says."""
+"""Test LidarMaze: spaces, seeds, phases of a step, pictures, and errors."""
 
 import inspect
 import pickle
@@ -56,7 +56,7 @@ def test_the_same_seed_gives_the_same_bytes(scene):
     assert rollout(env, seed=4) != first
 
 
-def test_info_and_observation_hold_what_they_promise():
+def test_info_and_observation_are_as_documented():
     env = make(noise="low")
     observation, info = env.reset(seed=0)
     assert set(observation) == {"scan", "goal"}  # and so no pose
@@ -78,7 +78,7 @@ def test_pose_is_observed_where_asked_for():
     assert env.observation_space.contains(observation)
 
 
-def test_stages_are_what_a_step_is_made_of():
+def test_phases_in_turn_equal_reset_and_step():
     """The phases that a vector environment calls one after the other do what ``reset`` and ``step`` do."""
     noisy = {"noise": "high", "sensor_noise": "high"}
     env, phased = make(**noisy), make(**noisy)

@@ -1,4 +1,4 @@
-"""Test how the maze's robot moves and what it measures: walls that hold, the laws of both noises, the scan."""
+"""Test the motion and the scan of the maze's robot: walls, and the laws of both noises."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def test_streams_are_independent():
 
 @pytest.mark.parametrize("scene", MAZES)
 def test_the_robot_is_never_in_a_wall(scene):
-    """Thousands of rough steps at high noise: the disc stays out of every box, by shapely, and the heading in range."""
+    """In thousands of steps at high noise the disc stays outside of every box, by shapely, and the heading in range."""
     env = make(scene=scene, tasks=None, noise="high", reward="sparse", beams=4)
     solid = shapely.union_all(
         [footprint(box) for box in env.maze.apartment.boxes() if box.kind in ("wall", "furniture")]
@@ -56,7 +56,7 @@ def test_the_robot_is_never_in_a_wall(scene):
     assert (heading >= -np.pi).all() and (heading < np.pi).all()
 
 
-def test_the_robot_moves_as_the_noise_model_says():
+def test_the_robot_moves_by_the_noise_model():
     env = make(noise="high")
     env.reset(seed=11, options={"task": TASK})
     stream = np.random.default_rng(np.random.SeedSequence(11).spawn(4)[2])
@@ -71,7 +71,7 @@ def test_the_robot_moves_as_the_noise_model_says():
 
 @pytest.mark.parametrize("level", ["low", "mid", "high"])
 def test_motion_errs_by_the_stated_law(level):
-    """Turns of 0.3 rad and steps of 1 cm from one place: normal errors of the stated widths, without bias."""
+    """Turns of 0.3 rad and steps of 1 cm have unbiased normal errors with the stated deviations."""
     noise, rng = MOTION_NOISE[level], np.random.default_rng(0)
     moved = np.array([execute(np.zeros(3), np.array([0.3, 0.0, 0.01]), noise, rng) for _ in range(4000)])
     turn, length = moved[:, 2] - 0.3, np.hypot(moved[:, 0], moved[:, 1]) - 0.01
@@ -115,7 +115,7 @@ def test_the_scan_is_that_of_the_true_pose():
     assert east == pytest.approx(0.27)
 
 
-def test_noise_of_ones_own():
+def test_custom_noise():
     env = make(noise=ExecutionNoise(0.1, 0.0), sensor_noise=LidarNoise(dropout=1.0))
     observation, _ = env.reset(seed=0)
     assert (observation["scan"] == 0.0).all()

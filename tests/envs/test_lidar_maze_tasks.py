@@ -12,7 +12,7 @@ from vssm_gym.envs.tasks.maze_objectives import TILE
 from vssm_gym.errors import InputError
 
 
-def test_stop_ends_the_episode_and_success_is_judged_there():
+def test_stop_ends_the_episode_and_decides_success():
     env = make()
     env.reset(options={"task": TASK})
     *_, terminated, _, info = env.step(act(turn=0.1, step=0.02, stop=1.0))
@@ -26,7 +26,7 @@ def test_stop_ends_the_episode_and_success_is_judged_there():
     assert env.path_length == pytest.approx(0.16)
 
 
-def test_reach_ends_within_a_twentieth_whatever_stop_says():
+def test_reach_ends_within_a_twentieth_for_every_stop_value():
     env = make(end_on="reach")
     env.reset(options={"task": TASK})
     ended = [env.step(act(step=0.02, stop=1.0)) for _ in range(8)]
@@ -122,7 +122,7 @@ def test_a_chained_task_may_begin_where_contacts_left_the_robot():
         ({"goal": (0.5, 0.5)}, "options['task']", "dict"),
     ],
 )
-def test_tasks_that_cannot_be_done_are_named(task, field, expected):
+def test_impossible_tasks_are_named(task, field, expected):
     with pytest.raises(InputError) as error:
         make().reset(options={"task": task})
     assert error.value.field == field and expected in str(error.value)

@@ -1,4 +1,4 @@
-"""The world moves the robot as told in free space, and obstacles stop it without friction."""
+"""Test that the robot executes commands in free space, and that obstacles stop it without friction."""
 
 import math
 import pickle
@@ -16,7 +16,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 ROBOT = HolonomicRobot()
 EMPTY = FloorWorld(two_rooms(), ROBOT)
-WALL = 0.05 + ROBOT.radius  # m from a wall's centre line to the robot's centre when they touch
+WALL = 0.05 + ROBOT.radius  # m from a wall's centre line to the robot's centre at contact
 
 
 @given(
@@ -25,7 +25,7 @@ WALL = 0.05 + ROBOT.radius  # m from a wall's centre line to the robot's centre 
     st.floats(0.0, 0.4),
     st.floats(-1.0, 1.0),
 )
-def test_free_motion_ends_where_it_was_sent(heading, direction, distance, turn):
+def test_free_motion_ends_at_the_commanded_pose(heading, direction, distance, turn):
     start = np.array([1.5, 1.5, heading])
     target = np.add(start, [distance * math.cos(direction), distance * math.sin(direction), turn])
     EMPTY.reset(start)
@@ -48,7 +48,7 @@ def test_many_steps_do_not_accumulate_speed_or_error():
 
 @given(st.floats(-1.3, 1.3), st.floats(0.05, 0.4), st.floats(0.0, 0.3))
 def test_a_wall_stops_the_robot_and_lets_it_slide_and_back_off(angle, distance, gap):
-    """Driving at the wall x = 0 at ``angle`` from its normal: x stays outside, y goes on as without the wall."""
+    """Against the wall x = 0, at ``angle`` from its normal, x stays outside and y advances as without the wall."""
     EMPTY.reset(np.array([WALL + gap, 2.0, 0.0]))
     push = distance * np.array([-math.cos(angle), math.sin(angle) * 0.5, 0.0])
     collided = False
@@ -94,7 +94,7 @@ def test_what_is_at_the_robots_height_blocks_it(low, high, blocks):
 
 
 def test_nothing_is_tunnelled_through():
-    """A 1 cm panel holds against the longest step that high noise can produce."""
+    """A 1 cm panel stops the longest step that high noise can produce."""
     panel = furniture("panel", (2.0, 2.0, 0.5), (0.01, 2.0, 1.0), yaw=0.4)
     world = FloorWorld(two_rooms(pieces=(panel,)), ROBOT)
     normal = np.array([math.cos(0.4), math.sin(0.4)])
@@ -108,7 +108,7 @@ def test_nothing_is_tunnelled_through():
 
 @given(st.integers(0, 2**32 - 1))
 def test_contacts_agree_with_free_space(seed):
-    """Physics and the geometry that tasks come from must tell the same story."""
+    """The physics engine and the geometry of tasks agree on collisions."""
     rng = np.random.default_rng(seed)
     pieces = tuple(
         furniture(
@@ -142,7 +142,7 @@ def test_rays_hit_boxes_and_pass_through_the_robot():
     assert (t[0], hit[0]) == (0.0, -1)
 
 
-def test_a_pickled_world_goes_on_where_it_was():
+def test_a_pickled_world_continues():
     EMPTY.reset(np.array([0.2, 2.0, 0.5]))
     EMPTY.drive(np.array([0.1, 2.0, 0.6]))
     copy = pickle.loads(pickle.dumps(EMPTY))
@@ -153,7 +153,7 @@ def test_a_pickled_world_goes_on_where_it_was():
     np.testing.assert_allclose(copy.pose(), EMPTY.pose(), atol=1e-12)
 
 
-def test_the_spec_is_a_model_others_can_save(tmp_path):
+def test_the_spec_can_be_saved_as_mjcf(tmp_path):
     spec = build_floor_spec(two_rooms(), ROBOT)
     spec.compile()
     xml = spec.to_xml()

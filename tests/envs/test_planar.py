@@ -1,4 +1,4 @@
-"""Rays and sliding discs in the plane against shapely, and against numbers worked out by hand."""
+"""Test rays and sliding discs in the plane against shapely, and against numbers computed by hand."""
 
 import math
 
@@ -31,7 +31,7 @@ pushes = st.tuples(st.floats(0.0, 0.1), st.one_of(st.floats(-4.0, 4.0), st.sampl
 
 
 def solid(rows: np.ndarray) -> shapely.Geometry:
-    """The union of rectangles."""
+    """Return the union of rectangles."""
     shapes = []
     for x, y, c, s, half_x, half_y in rows:
         box = shapely.box(x - half_x, y - half_y, x + half_x, y + half_y)
@@ -95,7 +95,7 @@ def test_a_disc_stays_outside_and_moves_freely_where_nothing_is_near(rows, x, y,
 
 
 def test_sliding_by_hand():
-    """Against the left face of the block: what is along it remains, all of it."""
+    """Against the left face of the block the component along the face remains."""
     x, y, collided = slide(0.3, 0.5, 0.2, 0.1, RADIUS, BLOCK)
     assert collided and (x, y) == (pytest.approx(0.4 - RADIUS - SKIN, abs=1e-12), pytest.approx(0.6))
     x, y, collided = slide(x, y, 0.05, 0.0, RADIUS, BLOCK)
@@ -108,7 +108,7 @@ def test_sliding_by_hand():
 @pytest.mark.parametrize("east", [-1.0, 1.0])
 @pytest.mark.parametrize("north", [-1.0, 1.0])
 def test_a_corner_is_round_to_a_disc(turned, east, north):
-    """Head on against a corner of the block: the normal is the push itself, and nothing is left to slide along."""
+    """Straight against a corner of the block the normal is the direction of the push, so that the disc stops."""
     c, s = math.cos(turned), math.sin(turned)
     block = np.array([[0.5, 0.5, c, s, 0.1, 0.2]])
     corner = np.array([0.5, 0.5]) + np.array([[c, -s], [s, c]]) @ (0.1 * east, 0.2 * north)
@@ -120,7 +120,7 @@ def test_a_corner_is_round_to_a_disc(turned, east, north):
 
 
 def test_a_wedge_holds_a_disc_and_lets_it_out():
-    """Two walls that meet at 60 degrees: pushed into the wedge it stops, pushed out it leaves as if alone."""
+    """Two walls meet at 60 degrees: pushed into the wedge the disc stops, pushed out it moves freely."""
     half = math.radians(30.0)
     rows = []
     for sign in (1.0, -1.0):  # thin walls from the origin along +-30 degrees

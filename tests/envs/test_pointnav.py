@@ -1,4 +1,4 @@
-"""PointNav's contract: spaces, streams, what is observed, when it ends, and what bad input says."""
+"""Test PointNav: spaces, streams, observations, ends of episodes, and errors."""
 
 import inspect
 import math
@@ -39,7 +39,7 @@ def act(turn=0.0, offset=0.0, step=0.0, stop=0.0) -> np.ndarray:
 
 
 def rollout(env: gym.Env, seed: int, steps: int = 12) -> bytes:
-    """Everything the environment says in an episode of random actions."""
+    """Return all outputs of the environment in an episode of random actions."""
     observation, info = env.reset(seed=seed)
     rng, parts = np.random.default_rng(0), []
     for _ in range(steps):
@@ -82,7 +82,7 @@ def test_the_same_seed_gives_the_same_bytes():
 
 
 def test_streams_are_independent():
-    """The tasks do not depend on how much motion noise was drawn, nor the noise on how many tasks were."""
+    """Tasks do not depend on drawn motion noise, nor the noise on drawn tasks."""
     env, other = make(noise="high"), make(noise="high")
     env.reset(seed=5)
     for _ in range(7):
@@ -101,7 +101,7 @@ def test_streams_are_independent():
     np.testing.assert_array_equal(*moved)
 
 
-def test_the_robot_moves_as_the_noise_model_says():
+def test_the_robot_moves_by_the_noise_model():
     env = make(noise="high")
     env.reset(seed=11, options={"task": TASK})
     stream = np.random.default_rng(np.random.SeedSequence(11).spawn(4)[2])
@@ -113,7 +113,7 @@ def test_the_robot_moves_as_the_noise_model_says():
         np.testing.assert_allclose(env.planar, expected, atol=1e-9)
 
 
-def test_info_and_observation_hold_what_they_promise():
+def test_info_and_observation_are_as_documented():
     env = make(noise="low")
     observation, info = env.reset(seed=0)
     assert set(observation) == {"rgb", "depth", "goal"}  # and so no pose
@@ -133,7 +133,7 @@ def test_info_and_observation_hold_what_they_promise():
     assert env.observation_space.contains(observation)
 
 
-def test_the_image_does_not_tell_where_the_robot_is_told_to_go():
+def test_the_image_does_not_depend_on_the_goal():
     env = make()
     one = env.reset(options={"task": TASK})[0]
     other = env.reset(options={"task": SAMPLER.task(TASK.start, (5.0, 3.0))})[0]
@@ -149,7 +149,7 @@ def test_pose_is_observed_where_asked_for():
     assert env.observation_space.contains(observation)
 
 
-def test_stop_ends_the_episode_and_success_is_judged_there():
+def test_stop_ends_the_episode_and_decides_success():
     env = make()
     env.reset(options={"task": TASK})
     before = env.planar
@@ -166,7 +166,7 @@ def test_stop_ends_the_episode_and_success_is_judged_there():
     assert env.path_length == pytest.approx(1.2)
 
 
-def test_reach_ends_on_arrival_whatever_stop_says():
+def test_reach_ends_on_arrival_for_every_stop_value():
     env = make(end_on="reach")
     env.reset(options={"task": TASK})
     for step in range(1, 13):
@@ -211,7 +211,7 @@ def test_goal_distance_follows_the_exact_geodesic(seed):
         assert true - SPACING <= distance(point) <= 1.03 * true + 2.0 * SPACING
 
 
-def test_collisions_are_reported_and_hold_the_robot():
+def test_collisions_are_reported_and_stop_the_robot():
     env = make()
     env.reset(options={"task": SAMPLER.task((0.5, 1.0, math.pi), TASK.goal)})
     collisions = [env.step(act(step=0.16))[4]["collision"] for _ in range(4)]
@@ -343,13 +343,13 @@ def test_bad_actions_are_named_and_change_nothing(action, found):
         ({"goal": (1.0, 1.0)}, "options['task']", "dict"),
     ],
 )
-def test_tasks_that_cannot_be_done_are_named(task, field, expected):
+def test_impossible_tasks_are_named(task, field, expected):
     with pytest.raises(InputError) as error:
         make().reset(options={"task": task})
     assert error.value.field == field and expected in str(error.value)
 
 
-def test_rooms_that_nobody_can_reach_are_named():
+def test_unreachable_rooms_are_named():
     with pytest.warns(UserWarning, match="two_rooms: cut off from the rest: (west|east); tasks are drawn from"):
         make(scene=two_rooms(openness=0.0, leaves=1))
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""Every keyword that takes a preset takes its name, the object and a mapping of its fields, and refuses the rest."""
+"""Test that keywords for presets take a name, the object or a mapping of its fields, and refuse the rest."""
 
 from dataclasses import asdict
 
@@ -23,7 +23,7 @@ NAMED = [(presets, name) for presets in ALL for name in presets.named]
 
 
 @pytest.mark.parametrize(("presets", "name"), NAMED, ids=lambda value: getattr(value, "field", value))
-def test_a_name_an_object_and_its_fields_say_the_same(presets: Presets, name: str) -> None:
+def test_a_name_an_object_and_its_fields_are_equivalent(presets: Presets, name: str) -> None:
     chosen = presets(name)
     assert chosen is presets.named[name]
     assert presets(chosen) is chosen
@@ -32,7 +32,7 @@ def test_a_name_an_object_and_its_fields_say_the_same(presets: Presets, name: st
 
 @pytest.mark.parametrize("presets", ALL, ids=lambda presets: presets.kind.__name__)
 @pytest.mark.parametrize("value", ["loud", 3, None, [1, 2], {"rays": 5}, {1: 2}, ("none",), CameraConfig])
-def test_anything_else_names_the_keyword_and_what_there_is(presets: Presets, value: object) -> None:
+def test_an_error_names_the_keyword_and_the_presets(presets: Presets, value: object) -> None:
     if value is None and presets.default is not None:
         assert presets(value) == presets.default
         return
@@ -44,7 +44,7 @@ def test_anything_else_names_the_keyword_and_what_there_is(presets: Presets, val
 
 
 @pytest.mark.parametrize("presets", ALL, ids=lambda presets: presets.kind.__name__)
-def test_a_field_that_is_no_number_is_refused(presets: Presets) -> None:
+def test_a_field_that_is_not_a_number_is_refused(presets: Presets) -> None:
     for field in asdict(presets.kind() if presets.default else next(iter(presets.named.values()))):
         with pytest.raises(InputError):
             presets({field: "wide"})

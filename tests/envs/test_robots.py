@@ -1,4 +1,4 @@
-"""Laws of the holonomic robot's noisy kinematics."""
+"""Test the laws of the holonomic robot's noisy kinematics."""
 
 import math
 
@@ -27,7 +27,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @given(planars, commands)
-def test_without_noise_the_body_does_what_it_is_told(planar, command):
+def test_without_noise_the_command_is_executed_exactly(planar, command):
     after = execute(planar, command, NONE, np.random.default_rng(0))
     turn, offset, step = command
     phi = planar[2] + offset
@@ -56,7 +56,7 @@ def test_noise_never_reverses_a_motion_and_never_moves_what_is_at_rest(planar, c
 
 
 @given(planars, commands, seeds)
-def test_the_same_error_turns_the_body_and_bends_its_way(planar, command, seed):
+def test_the_same_error_turns_the_body_and_its_path(planar, command, seed):
     noise = ExecutionNoise(turn=0.02, step=0.0)
     turn, offset, step = abs(command[0]) + 0.1, command[1], command[2] + 0.01
     after = execute(planar, np.array([turn, offset, step]), noise, np.random.default_rng(seed))
@@ -126,8 +126,8 @@ any_step = st.one_of(st.just(0.0), st.floats(0.0, ROBOT.max_step, **whole))
 
 
 @given(planars, any_turn, st.floats(-ROBOT.max_offset, ROBOT.max_offset), any_step, noises, seeds)
-def test_it_is_the_twin_of_the_models_law(planar, turn, offset, step, noise, seed):
-    """The same normals give the same pose in NumPy and in JAX; noises far beyond a step are rectified."""
+def test_it_equals_the_models_law(planar, turn, offset, step, noise, seed):
+    """The same normals give the same pose in NumPy and in JAX, also where noise is rectified."""
     command = np.array([turn, offset, step])
     twin = execute(planar, command, noise, np.random.default_rng(seed))
     normal = np.random.default_rng(seed).standard_normal(2)

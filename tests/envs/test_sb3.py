@@ -1,4 +1,4 @@
-"""stable-baselines3: the vector adapter against stable-baselines3's own, the extractor, and a policy that trains."""
+"""Test the vector adapter against stable-baselines3's own, the feature extractor, and the training of a policy."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ MODES = [gym.vector.AutoresetMode.NEXT_STEP, gym.vector.AutoresetMode.DISABLED]
 
 
 class Counter(gym.Env[dict[str, np.ndarray], np.ndarray]):
-    """Observes (episode, step, sum of its actions); episode ``e`` ends after ``2 + (e + first) % 3`` steps.
+    """Observe (episode, step, sum of its actions); episode ``e`` ends after ``2 + (e + first) % 3`` steps.
 
     Episodes end in turn terminated, truncated, and both at once. The reward is the step's number.
     """
@@ -58,7 +58,7 @@ def counters(mode: gym.vector.AutoresetMode = gym.vector.AutoresetMode.NEXT_STEP
 
 
 def same(a: Any, b: Any) -> bool:
-    """Equal dictionaries of arrays, numbers and dictionaries."""
+    """Return True for equal dictionaries of arrays, numbers and dictionaries."""
     if isinstance(a, dict):
         return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     return np.array_equal(a, b)
@@ -108,7 +108,7 @@ def test_an_ending_by_hand():
 
 
 def test_a_terminal_observation_outlives_the_next_steps():
-    """Though the vector environment writes all its observations into the same memory."""
+    """A terminal observation is a copy, although the environment writes all observations into the same memory."""
     env = SB3VecEnv(gym.vector.SyncVectorEnv([lambda: Counter(0)], copy=False))
     env.reset()
     env.step(np.zeros((1, 1), np.float32))
@@ -119,7 +119,7 @@ def test_a_terminal_observation_outlives_the_next_steps():
 
 @pytest.mark.slow
 def test_worker_processes_agree_too():
-    """Through shared memory, spawned as the package's own are."""
+    """Worker processes with shared memory, spawned as the package's own, give the same steps."""
     makers = [lambda i=i: Counter(i) for i in range(2)]
     mine = SB3VecEnv(gym.vector.AsyncVectorEnv(makers, context="spawn"))
     theirs = DummyVecEnv(makers)
@@ -159,7 +159,7 @@ def test_attributes_and_methods_of_the_native_vector_environment():
     env.close()
 
 
-def test_what_resets_in_the_same_step_is_refused():
+def test_same_step_autoreset_is_refused():
     with pytest.raises(InputError, match="one that resets in the next step"):
         counters(gym.vector.AutoresetMode.SAME_STEP)
 
@@ -222,7 +222,7 @@ def test_environments_pass_the_check_of_stable_baselines3(wrap):
 
 
 def train(env: gym.vector.VectorEnv, steps: int) -> PPO:
-    """A small PPO; what a user would write."""
+    """Train a small PPO as a user would."""
     model = PPO(
         "MultiInputPolicy",
         VecMonitor(SB3VecEnv(env)),
@@ -238,7 +238,7 @@ def train(env: gym.vector.VectorEnv, steps: int) -> PPO:
 
 @pytest.mark.slow
 def test_ppo_trains_on_pointnav(tmp_path):
-    """20,000 steps: parameters move and stay finite, episodes end, and the policy acts again after loading."""
+    """In 20,000 steps parameters change and stay finite, episodes end, and a loaded policy acts."""
     camera = {"width": 32, "height": 24}
     native = gym.make_vec(ID, num_envs=8, scene="oak", camera=camera, end_on="reach", max_episode_steps=100)
     env = vector_wrappers.RelativeGoal(native)

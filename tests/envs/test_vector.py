@@ -1,4 +1,4 @@
-"""The native vector environment does what its environments do alone, and restarts episodes as Gymnasium says."""
+"""Test that the native vector environment equals single environments, and restarts episodes as Gymnasium specifies."""
 
 import gymnasium as gym
 import numpy as np
@@ -44,7 +44,7 @@ def same(a: dict, b: dict) -> None:
 
 @pytest.mark.parametrize("name", SIMULATED)
 @pytest.mark.parametrize("threads", [1, 2])
-def test_it_does_what_the_same_environments_do_one_by_one(name, threads):
+def test_it_equals_single_environments(name, threads):
     """Gymnasium's own vectorisation of single environments is the oracle, over episodes that end and restart."""
     keywords = NOISY.get(name, {"noise": "high", "sensor_noise": "kinect"}) | {"max_episode_steps": 4}
     ours = make_vec(name, threads=threads, **keywords)
@@ -69,7 +69,7 @@ def test_it_does_what_the_same_environments_do_one_by_one(name, threads):
     oracle.close()
 
 
-def test_observations_are_the_callers_own():
+def test_observations_are_copies():
     env = make_vec("vssm_gym/PointNav-v0")
     first, _ = env.reset(seed=0)
     kept = {key: value.copy() for key, value in first.items()}
@@ -80,7 +80,7 @@ def test_observations_are_the_callers_own():
 
 @pytest.mark.parametrize("name", SIMULATED)
 def test_some_environments_may_be_reset_alone(name):
-    """The others neither move nor look again: what they say then and afterwards is as if nothing had been."""
+    """The others neither move nor measure; their later outputs are as without the reset."""
     keywords = NOISY.get(name, {"noise": "high", "sensor_noise": "kinect"})
     env, undisturbed = make_vec(name, **keywords), make_vec(name, **keywords)
     env.reset(seed=1)
@@ -172,7 +172,7 @@ def test_environments_take_a_list_of_scenes_in_turn():
     env.close()
 
 
-def test_pictures_of_all_can_be_had():
+def test_all_environments_can_be_rendered():
     env = make_vec("vssm_gym/PointNav-v0", render_mode="rgb_array")
     env.reset(seed=0)
     pictures = env.render()

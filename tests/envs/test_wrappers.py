@@ -1,4 +1,4 @@
-"""Observation wrappers: their laws, Gymnasium's checks, and vector versions that agree with the single ones."""
+"""Test observation wrappers: their laws, Gymnasium's checks, and the agreement of vector and single versions."""
 
 import pickle
 import warnings
@@ -55,7 +55,7 @@ def test_a_wrapped_environment_is_remade_from_its_spec(name):
 @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
 @pytest.mark.parametrize("name", NAMES)
 def test_the_vector_version_is_the_single_one_side_by_side(name, mode):
-    """Through ends of episodes too: environment 1 stops in step 2, and starts anew in the step after it."""
+    """They agree across ends of episodes: environment 1 stops in step 2 and restarts in the next one."""
     vector = getattr(vector_wrappers, name)(make_many(2, mode, max_episode_steps=50))
     single = [getattr(wrappers, name)(make(max_episode_steps=50)) for _ in range(2)]
     rng = np.random.default_rng(0)
@@ -129,7 +129,7 @@ def test_relative_goal_never_uses_the_true_pose(noise):
         (lambda: vector_wrappers.RelativeGoal(make_many(1, "SameStep")), "one that resets in the next step"),
     ],
 )
-def test_what_cannot_be_wrapped_is_refused(wrap, message):
+def test_an_unsuitable_environment_is_refused(wrap, message):
     with pytest.raises(InputError) as refused:
         wrap()
     assert message in str(refused.value)

@@ -1,4 +1,4 @@
-"""Intervals: coverage on synthetic data, clustering by task, exact paired differences, reproducibility."""
+"""Test intervals: coverage on synthetic data, clustering by task, exact paired differences, reproducibility."""
 
 import numpy as np
 import pytest

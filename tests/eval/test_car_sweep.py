@@ -1,6 +1,6 @@
-"""The robot car end to end: 52 of the 1000 targets of ``car.yaml``, on maps that PRISM made of recorded drives.
+"""Test the robot car end to end: 52 of the 1000 targets of ``car.yaml``, on maps that PRISM made of recorded drives.
 
-A car that stops short of a target, or collides in more than one run, is what the sweep is there to find.
+A car that misses a target, or collides in more than one run, fails the test.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""One episode: what the harness measures is the simulator's truth, and each way to fail gets its own reason."""
+"""Test one episode: metrics come from the simulator's ground truth, and each kind of failure has its own reason."""
 
 import json
 
@@ -23,7 +23,7 @@ LIMIT = 40
 
 
 class Scripted:
-    """Repeats one command, says one status, and believes itself where ``pose`` says (a function of the start pose)."""
+    """Repeat one command and one status, and estimate the pose as ``pose``, a function of the start pose."""
 
     name, needs_pose, needs_map = "scripted", False, False
 
@@ -108,7 +108,7 @@ def test_an_agent_that_stops_too_early_stopped_outside(env, sampler):
     assert row["trace"]["estimate"] is None
 
 
-def test_an_agent_that_is_somewhere_else_lost_track(env, sampler):
+def test_an_agent_with_a_wrong_estimate_lost_track(env, sampler):
     drifting = Scripted((0.0, 0.0, 0.16), stop_after=20, pose=lambda start, n: moved(start, 0.16 * (n - 1), 0.06 * n))
     row = run(env, sampler, drifting)
     assert row["failure"].startswith("lost track: 1.26 m off at the end, more than 0.2 m since step 3")
@@ -145,7 +145,7 @@ def reason(**changes):
     return failure_reason(**(facts | changes))
 
 
-def test_the_planner_is_blamed_only_where_the_robot_knew_where_it_was():
+def test_a_failure_is_the_planners_only_with_a_good_estimate():
     gave_up = ["driving"] * 29 + [
         "gave up: no path: everything that is free around the start was searched; localization: ok"
     ]
@@ -156,14 +156,14 @@ def test_the_planner_is_blamed_only_where_the_robot_knew_where_it_was():
 
 @pytest.mark.parametrize("said", ["gave up", "looking around"])
 @pytest.mark.parametrize("status", [s for s in PlanStatus if s is not PlanStatus.FOUND])
-def test_whatever_the_planner_could_not_do_is_its_failure(said, status):
+def test_every_message_of_the_planner_is_its_failure(said, status):
     assert reason(statuses=[f"{said}: {status.message}; localization: ok"]).startswith(f"planner: {said}")
     driving = reason(statuses=[f"{said}: {status.message}", "driving; localization: ok"])
     assert driving.startswith("stopped outside")
 
 
 class Scrambled(gym.Wrapper):
-    """Replaces every value of ``info`` by noise, but for the start pose and the camera that agents are told."""
+    """Replace every value of ``info`` by noise, except the start pose and the camera, which agents receive."""
 
     def __init__(self, env, seed):
         super().__init__(env)
@@ -193,8 +193,8 @@ class Scrambled(gym.Wrapper):
         if agent.robot == "holonomic" and agent.task == "pointgoal"
     ],
 )
-def test_no_agent_acts_on_what_info_says(name, sampler):
-    """Two runs whose infos have nothing in common, and the same actions to the last bit."""
+def test_no_agent_uses_info(name, sampler):
+    """Two runs whose infos have nothing in common have the same actions to the last bit."""
     agent, learned = AGENTS[name](), voxel_map(shapely.box(0.05, 0.05, 5.95, 3.95), [])
     camera = CameraConfig(width=64, height=48)
     made = gym.make(
@@ -225,12 +225,12 @@ def test_a_contact_before_the_error_grew_is_named_and_a_later_one_is_not():
     assert "after a contact" not in reason(estimates=estimates, contacts=after)
 
 
-def test_an_error_that_was_corrected_is_no_loss():
+def test_a_corrected_error_is_no_lost_track():
     estimates = np.zeros((31, 2))
     estimates[10:15] = 3.0
     assert reason(estimates=estimates).startswith("stopped outside: 2.000 m")
 
 
-def test_a_tracker_that_says_so_noticed():
+def test_the_reason_states_that_the_tracker_noticed():
     statuses = [f"driving; localization: {Status.LOST}"] * 30
     assert reason(statuses=statuses, estimates=np.ones((31, 2))).endswith("which the agent noticed")

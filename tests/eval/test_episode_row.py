@@ -1,4 +1,4 @@
-"""Rows read back: what is written is read as it was, rows of earlier states too, and the committed ones in whole."""
+"""Test the round trip of rows, rows of earlier formats, and the committed rows."""
 
 import json
 
@@ -26,7 +26,7 @@ ROWS = {
 
 
 def values(field):
-    """Values of a field's type, by what the schema says of it; whole numbers where it asks for floats, too."""
+    """Generate values of a field's type by its schema, including whole numbers for floats."""
     if field.annotation in (str, str | None):
         return st.text(max_size=8)
     return st.from_type(field.annotation)
@@ -58,7 +58,7 @@ rows = st.fixed_dictionaries(
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(row=rows)
 def test_a_row_that_is_written_reads_back_equal(tmp_path, row):
-    """Absent fields stay absent, nulls stay null: a row says no more after it was read than before."""
+    """Absent fields stay absent, and nulls stay null."""
     (tmp_path / FILE).unlink(missing_ok=True)
     with EpisodeLog(tmp_path / FILE) as log:
         log.append(row)
@@ -72,7 +72,7 @@ def test_rows_of_every_kind_fit_the_schema(name):
 
 
 @pytest.mark.parametrize("folder", BASELINES, ids=lambda path: path.name)
-def test_committed_rows_are_read_in_whole(folder):
+def test_committed_rows_are_complete_when_read(folder):
     """Fields that the files leave out come from ``sweep.json``; a row's own fields stand."""
     rows, manifest = read_rows(folder / FILE), read_manifest(folder / MANIFEST)
     lines = [json.loads(line) for line in (folder / FILE).read_text().splitlines()]
@@ -131,7 +131,7 @@ def test_a_row_with_both_names_of_a_field_is_refused():
         checked(ROWS["car"] | {"touched": True})
 
 
-def test_what_a_row_says_stands_before_what_all_share():
+def test_a_rows_own_fields_come_before_the_shared_ones():
     manifest = {
         "config": {"env": ["a"], "noise": ["low", "mid"], "scenes": ["oak"]},
         "common": {"seed": 1, "version": "1"},
@@ -153,7 +153,7 @@ def test_a_row_that_cannot_be_completed_is_named(tmp_path):
     ("change", "field"),
     [({"spl": 1.5}, "spl"), ({"success": 1}, "success"), ({"steps": "9"}, "steps"), ({"trace": {"tru": []}}, "trace")],
 )
-def test_what_is_no_row_is_not_written(tmp_path, change, field):
+def test_an_invalid_row_is_not_written(tmp_path, change, field):
     with EpisodeLog(tmp_path / FILE) as log, pytest.raises(ValueError, match=field):
         log.append(ROWS["navigation"] | change)
     assert (tmp_path / FILE).read_bytes() == b""

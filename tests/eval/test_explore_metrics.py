@@ -1,4 +1,4 @@
-"""Metrics of explorers on curves made by hand; above all what becomes of runs that never got there."""
+"""Test metrics of explorers on curves made by hand, above all for runs that never reach a level of coverage."""
 
 import math
 
@@ -12,7 +12,7 @@ from vssm_gym.eval.metrics.exploration import Recorder, at, censored_ratio, mean
 BUDGET = STEPS * STEP
 
 
-def test_a_recorder_notes_where_shares_were_reached_to_the_step_and_samples_by_metre_or_second():
+def test_a_recorder_stores_the_step_of_each_level_and_samples_by_metre_or_second():
     calls = []
     recorder = Recorder(lambda: (calls.append(1), (-10.0 * len(calls), 0.1))[1])
     steps = 101  # 20 s at 0.25 m/s, 5 m; coverage 0.2 each metre
@@ -29,7 +29,7 @@ def test_a_recorder_notes_where_shares_were_reached_to_the_step_and_samples_by_m
     assert len(calls) == 6  # what costs is measured when a sample is due, and only then
 
 
-def test_a_run_that_stands_is_sampled_by_the_clock_and_its_end_is_always_there():
+def test_a_standing_robot_is_sampled_by_time_and_the_end_is_always_sampled():
     recorder = Recorder(lambda: (None, None))
     for k in range(120):
         recorder.record(0.0, 0.2 * k, 0.3)
@@ -59,11 +59,11 @@ def test_a_run_that_stands_is_sampled_by_the_clock_and_its_end_is_always_there()
         (run("a", 60.0, ends=5.0), run("b", 60.0, ends=50.0), None),
     ],
 )
-def test_a_censored_way_counts_against_the_agent_whose_lead_is_claimed(first, second, expected):
+def test_a_censored_path_length_counts_against_the_agent_that_is_tested(first, second, expected):
     assert censored_ratio(first, second) == (expected if expected is None else pytest.approx(expected))
 
 
-def test_who_alone_got_there_got_there_first():
+def test_the_only_agent_that_reaches_a_level_is_ahead():
     rows = [run("a", 50.0), run("b", 60.0, ends=40.0, stopped=True)]
     assert (ratio(rows, "a", "b").shorter, ratio(rows, "b", "a").shorter) == (1, 0)
 
@@ -77,14 +77,14 @@ def test_times_are_compared_by_the_same_rules():
     assert censored_ratio(run("a", 60.0, ends=5.0, stopped=True), run("b", 20.0), axis="seconds") == pytest.approx(2.0)
 
 
-def test_ratios_stay_finite_where_the_first_look_shows_it_all():
+def test_ratios_stay_finite_where_the_first_image_shows_everything():
     at_once = run("a", 10.0) | {"metres_90": 0.0}
     assert censored_ratio(at_once, run("b", 1.6)) == pytest.approx(0.1)  # one step counts
     assert censored_ratio(at_once, at_once) == 1.0
 
 
-def test_giving_up_early_never_makes_an_agent_look_better():
-    """The law behind it all: whatever a run is cut to, the ratio that it gives its agent is no better."""
+def test_an_earlier_end_never_improves_the_ratio():
+    """Wherever a run is cut, the ratio of its agent does not improve."""
     rng = np.random.default_rng(0)
     for _ in range(200):
         a, b, cut = rng.uniform(5.0, 60.0, 3)
@@ -98,7 +98,7 @@ def test_giving_up_early_never_makes_an_agent_look_better():
 
 
 def grid_of_runs(metres, **more):
-    """Runs of agents ``a`` and ``b``: ``metres[scene]`` is a list of (metres of a, metres of b)."""
+    """Return runs of agents ``a`` and ``b``; ``metres[scene]`` is a list of (metres of a, metres of b)."""
     return [
         run(agent, driven, scene=scene, task=task, **more)
         for scene, pairs in metres.items()
@@ -120,7 +120,7 @@ def test_the_ratio_is_the_geometric_mean_over_pairs_and_resamples_scenes():
     assert backwards.shorter == 0
 
 
-def test_more_starts_in_a_scene_do_not_make_scenes():
+def test_more_starts_in_a_scene_do_not_narrow_the_interval_over_scenes():
     """Starts of one scene are not independent: a hundred of them narrow nothing but their scene's own mean."""
     few = ratio(grid_of_runs({"oak": [(10.0, 20.0)], "elm": [(9.0, 10.0)]}), "a", "b").interval
     many = ratio(grid_of_runs({"oak": [(10.0, 20.0)] * 50, "elm": [(9.0, 10.0)] * 50}), "a", "b").interval
@@ -128,7 +128,7 @@ def test_more_starts_in_a_scene_do_not_make_scenes():
     assert many.episodes == 100
 
 
-def test_missed_runs_are_counted_and_pairs_without_any_way_say_nothing():
+def test_missed_runs_are_counted_and_pairs_without_a_path_length_are_left_out():
     rows = [
         *(run("a", 10.0, task=0), run("b", 20.0, task=0)),
         *(run("a", 10.0, task=1), run("b", 60.0, ends=40.0, stopped=False, task=1)),
@@ -143,8 +143,8 @@ def test_missed_runs_are_counted_and_pairs_without_any_way_say_nothing():
     assert math.isnan(nothing.interval.mean)
 
 
-def test_a_first_look_around_costs_no_metres_on_the_curve():
-    """All that it shows is known before the first metre, and not gradually along it."""
+def test_the_first_turn_adds_no_metres_to_the_curve():
+    """All that it shows is covered at zero metres, not gradually along the first one."""
     recorder = Recorder(lambda: (None, None))
     for k in range(30):  # turns for 6 s
         recorder.record(0.0, 0.2 * k, k / 40)
@@ -154,7 +154,7 @@ def test_a_first_look_around_costs_no_metres_on_the_curve():
     assert at(row, "coverage", "metres", np.array([0.2, 1.0])).tolist() == [0.75, 0.75]
 
 
-def test_medians_count_who_never_got_there_as_longest():
+def test_medians_count_runs_that_never_reach_the_level_as_longest():
     there = [run("a", metres, task=i) for i, metres in enumerate([10.0, 12.0, 14.0])]
     never = [run("a", 60.0, ends=3.0, task=3 + i) for i in range(2)]
     assert median_to_level(there, 90).mean == 12.0
@@ -188,7 +188,7 @@ def test_curves_are_interpolated_and_end_as_the_run_did(axis):
     assert np.isnan(found[3])  # nobody knows
 
 
-def test_what_was_seen_by_turning_on_the_spot_counts_at_that_length():
+def test_coverage_gained_in_place_counts_at_that_path_length():
     row = run("a", 9.0)
     row["curve"] = {
         "metres": [0.0, 2.0, 2.0, 4.0],

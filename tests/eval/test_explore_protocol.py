@@ -32,7 +32,7 @@ ROOMS = two_rooms(pieces=(furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6)),)
 
 
 class Scripted:
-    """Repeats one command, stops after so many, says one status; keeps a map where it is given one."""
+    """Repeat one command and one status, stop after a number of steps, and keep a map where one is given."""
 
     name, robot, task, needs_pose, needs_map = "scripted", "holonomic", "explore", True, False
 
@@ -66,7 +66,7 @@ def run(env, agent, start=START, seed=3):
     return row
 
 
-def test_a_run_on_the_spot_costs_time_and_no_way(env):
+def test_a_run_in_place_takes_time_and_no_path_length(env):
     agent = Scripted(TURN)
     row = run(env, agent)
     assert agent.keys == {"rgb", "depth", "pose"}
@@ -134,7 +134,7 @@ def test_the_same_seed_gives_the_same_row_and_the_seed_reaches_the_agent(env):
 
 
 class _AsAgent:
-    """A policy ``observation -> action`` as sweeps run it: it keeps no map and no pose."""
+    """Wrap a policy ``observation -> action`` as an agent without map and pose."""
 
     name, robot, task, needs_pose, needs_map = "policy", "holonomic", "explore", True, False
 
@@ -149,7 +149,7 @@ class _AsAgent:
 
 
 class _Random:
-    """Whatever the action space holds, without stopping."""
+    """Sample the action space, without stopping."""
 
     def reset(self, context, observation, seed):
         self.rng, self.limits = np.random.default_rng(seed), np.array(context.limits)
@@ -159,7 +159,7 @@ class _Random:
 
 
 class _Learned:
-    """One layer over the depth image with fixed weights, as a network's ``predict`` is."""
+    """Apply one layer with fixed weights to the depth image, as a network's ``predict`` does."""
 
     def reset(self, context, observation, seed):
         self.limits = np.array(context.limits)
@@ -171,7 +171,7 @@ class _Learned:
 
 
 class _Frontier:
-    """``frontier_nearest`` without its ``map``."""
+    """Run ``frontier_nearest`` without its ``map``."""
 
     def reset(self, context, observation, seed):
         self.agent = AGENTS["frontier_nearest"]()
@@ -182,8 +182,8 @@ class _Frontier:
 
 
 @pytest.mark.parametrize("policy", [_Random, _Learned, _Frontier])
-def test_a_policy_gets_from_the_environment_what_a_sweep_says_of_it(env, policy):
-    """Coverage, path length and time of the same seed, by a plain Gymnasium loop and by the protocol."""
+def test_the_environment_and_the_protocol_agree_on_coverage_path_length_and_time(env, policy):
+    """A plain Gymnasium loop and the protocol run the same seed."""
     agent = _AsAgent(policy())
     row = run(env, agent, seed=7)
     observation, info = env.reset(seed=7, options={"start": START})
@@ -243,12 +243,12 @@ EXPLORE = "env: vssm_gym/Explore-v0\nscenes: rooms.json\ntasks: 1\n"
         ),
     ],
 )
-def test_what_does_not_go_together_is_refused(tmp_path, text, message):
+def test_incompatible_settings_are_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         load_config(written(tmp_path, text))
 
 
-def test_settings_of_explorers_reach_episodes_and_decide_the_hash(tmp_path):
+def test_settings_of_explorers_reach_episodes_and_change_the_hash(tmp_path):
     config = load_config(written(tmp_path, EXPLORE + "agents: random_walk\nexplore: {steps: 40, navigation: 2}\n"))
     (episode,) = expand(config)
     assert episode.explore is not None
@@ -272,7 +272,7 @@ def test_the_configurations_are_of_explorers_in_scenes_of_the_test_split(name):
 
 @pytest.mark.slow
 def test_explorers_from_start_to_report(tmp_path):
-    """Three explorers, cut in the middle and resumed to the same rows; maps are kept and driven on; a report."""
+    """Three explorers are interrupted, resumed to the same rows, their maps used for navigation, and reported."""
     config = load_config(CONFIGS / "exploration_short.yaml")
     log = run_sweep(config, tmp_path / "whole", workers=1)
     rows = read_rows(log)

@@ -1,4 +1,4 @@
-"""Every metric of the registry on stored rows: it agrees with what the row stores, and tables show each one."""
+"""Test every registered metric on stored rows: it equals the stored value, and the tables show it."""
 
 import math
 from html import escape
@@ -22,7 +22,7 @@ DERIVED = {"spl": ("rl",), "collided": ("exploration",)}
 
 
 @pytest.mark.parametrize("name", METRICS)
-def test_a_metric_is_a_number_of_some_stored_row_and_agrees_with_what_is_stored(name):
+def test_a_metric_has_a_value_in_some_stored_row_and_equals_the_stored_one(name):
     metric, said = METRICS[name], 0
     for source, rows in EVERY.items():
         for row in rows:
@@ -38,14 +38,14 @@ def test_a_metric_is_a_number_of_some_stored_row_and_agrees_with_what_is_stored(
 
 
 @pytest.mark.parametrize(("name", "folder"), [(name, folder) for name, of in DERIVED.items() for folder in of])
-def test_what_is_derived_and_stored_is_really_compared(name, folder):
+def test_derived_and_stored_values_are_compared(name, folder):
     rows = [row for row in STORED[folder] if row.get(name) is not None]
     assert rows
     assert all(METRICS[name].function(row) == pytest.approx(row[name], abs=1.01e-4) for row in rows)
 
 
 @pytest.mark.parametrize("name", METRICS)
-def test_a_metric_is_shown_where_it_says(name):
+def test_a_metric_is_shown_in_its_reports(name):
     metric = METRICS[name]
     assert metric.label
     assert metric.reports
@@ -84,12 +84,12 @@ def test_by_hand():
 
 
 def test_spl_is_that_of_the_literature():
-    """One function for the row that is written and for the column that is shown."""
+    """One function computes the field of the row and the column of the table."""
     row = ROWS["car"]
     assert METRICS["spl"].function(row) == navigation.spl(row["success"], row["geodesic"], row["path_length"])
 
 
-def test_directions_are_told():
+def test_the_tables_show_which_direction_is_better():
     said = Measures("navigation").directions(["spl", "steps"])
     assert said == "Higher is better: SPL. Lower is better: steps."
 

@@ -1,4 +1,4 @@
-"""Laws of SPL and SoftSPL, examples a reader can check by hand, and refusals."""
+"""Test laws of SPL and SoftSPL, examples that a reader can check by hand, and errors."""
 
 import hypothesis.strategies as st
 import numpy as np

@@ -22,7 +22,7 @@ def test_clopper_and_pearson_as_in_scipy(n, data):
     assert clopper_pearson(k, n) == pytest.approx((expected.low, expected.high), abs=1e-9)
 
 
-def test_what_never_happened_may_still_happen():
+def test_an_event_that_never_happened_has_an_upper_bound_above_zero():
     interval = percent([episode(t, False) for t in range(1000)], "collided")
     assert (interval.mean, interval.low) == (0.0, 0.0)
     assert interval.high == pytest.approx(100.0 * (1.0 - 0.025 ** (1 / 1000)))  # 0.37 %
@@ -54,8 +54,8 @@ def test_the_paired_interval_covers_the_true_difference(up, down):
 
 
 @pytest.mark.parametrize(("b", "c", "n"), [(1, 7, 21), (0, 3, 40), (5, 5, 30), (0, 0, 50), (2, 0, 9)])
-def test_the_ends_of_the_paired_interval_are_1_96_deviations_off(b, c, n):
-    """The nuisance proportion at each end by brute force: the likeliest of all tables with that difference."""
+def test_the_ends_of_the_paired_interval_are_at_1_96_deviations(b, c, n):
+    """The nuisance proportion at each end is found by brute force, the likeliest of all tables with that difference."""
     for end, side in zip(tango(b, c, n), (1.0, -1.0), strict=True):
         q = np.linspace(max(0.0, -end), (1.0 - end) / 2.0, 400_001)[1:-1]  # of the second alone
         likelihood = stats.multinomial.logpmf(

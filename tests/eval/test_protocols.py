@@ -1,4 +1,4 @@
-"""The table of environments: its rows name what is there, and every environment with a protocol runs in a sweep."""
+"""Test the table of environments: its rows name existing objects, and environments with a protocol run in sweeps."""
 
 import importlib
 import json
@@ -33,7 +33,7 @@ def imported(name: str):
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_a_row_names_what_is_there(name):
+def test_a_row_names_existing_objects(name):
     spec = ENVIRONMENTS[name]
     assert issubclass(imported(spec.env), gym.Env)
     assert callable(imported(spec.vector))
@@ -43,7 +43,7 @@ def test_a_row_names_what_is_there(name):
 
 @pytest.mark.parametrize("name", SWEPT_ENVIRONMENTS)
 def test_every_protocol_has_the_functions_of_the_contract(name):
-    """And its environment has agents: a protocol that nobody can run is decoration."""
+    """Its environment has agents, so that the protocol can run."""
     spec, protocol = SWEPT_ENVIRONMENTS[name], protocol_of(name)
     offered = {method for method in vars(EpisodeProtocol) if not method.startswith("_")}
     assert {method for method in offered if callable(getattr(protocol, method, None))} == offered
@@ -68,7 +68,7 @@ def test_configurations_keep_their_hash(config, folder):
 
 
 def vssm(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command line in a process of its own."""
+    """Run the command line in a process of its own."""
     command = [sys.executable, "-c", "import sys; from vssm_gym.cli.main import main; sys.exit(main())"]
     return subprocess.run(
         [*command, *map(str, arguments)], capture_output=True, text=True, timeout=600, check=False, cwd=CHECKOUT
@@ -132,7 +132,7 @@ def test_more_tasks_than_a_maze_has_are_refused(tmp_path):
 
 
 def test_a_navigating_agent_takes_another_planner_by_name(tmp_path):
-    """It is an agent of its own in rows and tables, and plans with what it names."""
+    """Rows and tables show it as an agent of its own, and it calls the planner that it names."""
     for planner in PLANNERS:
         agent = make_agent(f"oracle+{planner}")
         navigator = agent.act.__self__

@@ -1,4 +1,4 @@
-"""Shards of a sweep: a partition that keeps pairs together, and a merge that leaves what the whole sweep leaves."""
+"""Test shards of a sweep: a partition that keeps pairs together, and a merge that equals the undivided sweep."""
 
 import json
 import shutil
@@ -38,7 +38,7 @@ def units(episodes):
 @given(
     scenes=st.integers(1, 4), tasks=st.integers(1, 9), agents=st.integers(1, 3), noises=st.integers(1, 2), of=st.data()
 )
-def test_every_episode_is_in_one_shard_with_all_that_it_is_paired_with(scenes, tasks, agents, noises, of):
+def test_every_episode_is_in_one_shard_together_with_its_pairs(scenes, tasks, agents, noises, of):
     config = SweepConfig(
         scenes=tuple(f"s{i}" for i in range(scenes)),
         agents=tuple(f"a{i}" for i in range(agents)),
@@ -59,7 +59,7 @@ def test_every_episode_is_in_one_shard_with_all_that_it_is_paired_with(scenes, t
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "2", "a/b", "1/0", "-1/3", "1/3/5", "", "1.0/2"])
-def test_what_is_no_shard_is_refused(text):
+def test_an_invalid_shard_is_refused(text):
     with pytest.raises(InputError, match="shard: expected I/N with 1 <= I <= N, as in 2/5"):
         Shard.parse(text)
 
@@ -72,7 +72,7 @@ def test_more_shards_than_tasks_are_refused():
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory):
-    """A sweep in one piece and in three, run in this process."""
+    """Run a sweep in one piece and in three, in this process."""
     path = tmp_path_factory.mktemp("shards")
     (path / "sweep.yaml").write_text(MAZES)
     config = load_config(path / "sweep.yaml")
@@ -125,7 +125,7 @@ def refused(folders, out, message):
     assert sorted(out.parent.iterdir()) == before  # nothing half written
 
 
-def test_what_is_no_set_of_shards_is_refused(sweep, tmp_path):
+def test_an_incomplete_set_of_shards_is_refused(sweep, tmp_path):
     first, second, third = (sweep / f"part-{i}" for i in (1, 2, 3))
     out = tmp_path / "merged"
     refused([second], out, "folders: expected all 3 shards; 1, 3 of 3 missing")
@@ -150,7 +150,7 @@ def test_what_is_no_set_of_shards_is_refused(sweep, tmp_path):
     refused([first, second, third], sweep / "whole", "folder: expected a new or empty folder")
 
 
-def test_shards_of_other_versions_and_maps_are_told_of(sweep, tmp_path):
+def test_shards_of_other_versions_and_maps_are_reported(sweep, tmp_path):
     for i in (1, 2, 3):
         shutil.copytree(sweep / f"part-{i}", tmp_path / f"{i}")
         (tmp_path / f"{i}" / "maps").mkdir()
@@ -166,7 +166,7 @@ def test_shards_of_other_versions_and_maps_are_told_of(sweep, tmp_path):
 
 @pytest.mark.slow
 def test_shards_with_learned_maps_by_the_command_line(tmp_path):
-    """Two shards of one scene learn the same map; merged, they are what one sweep leaves, pictures included."""
+    """Two shards of one scene learn the same map; merged, they equal one sweep, including its pictures."""
     save_scene(two_rooms(), tmp_path / "rooms.json")
     text = "scenes: rooms.json\nagents: [oracle, random]\ntasks: 2\nvoxel: 0.1\n"
     (tmp_path / "sweep.yaml").write_text(text)

@@ -1,4 +1,4 @@
-"""Studies: what is written is whole and says what was measured."""
+"""Test studies: their files are complete and state what was measured."""
 
 import json
 import shutil
@@ -39,7 +39,7 @@ def arm(steps: int, ms: float, depth: float) -> dict:
     }
 
 
-def test_three_files_and_the_page_needs_no_other(tmp_path) -> None:
+def test_a_study_writes_three_files_and_the_page_is_self_contained(tmp_path) -> None:
     arms = {"closed form": arm(0, 5.0, 0.02), "4 steps": arm(4, 20.0, 0.03)}
     study = Study(
         "map-update", "Which is <faster>?", "This one.", ("way", "ms"), [["a", "1"]], _picture(arms), {"n": 3}, arms
@@ -61,8 +61,8 @@ def test_three_files_and_the_page_needs_no_other(tmp_path) -> None:
     assert write_study(study, tmp_path / "new") == page  # again, in place
 
 
-def test_a_number_that_is_none_is_not_written(tmp_path) -> None:
-    """JSON has no NaN: a study that measured nothing must not look like a result."""
+def test_a_study_with_nan_is_not_written(tmp_path) -> None:
+    """JSON has no NaN, and a study that measured nothing must not look like a result."""
     study = Study("x", "q", "a", ("b",), [["c"]], b"<svg/>", {}, {"value": np.nan})
     with pytest.raises(ValueError, match="JSON"):
         write_study(study, tmp_path)
@@ -97,7 +97,7 @@ def test_the_study_on_a_real_sequence(shared_data, tmp_path) -> None:
 
 
 def frame(index: int, **known: object) -> TrackedFrame:
-    """Tracked and warm; the first one has no belief, as in a real run."""
+    """Return a tracked frame after compilation; the first one has no belief, as in a real run."""
     first = TrackedFrame(index, 0.1 * index, np.eye(4), Status.OK, None, None, None, 1.0, 0.002, 0.0, 0.01,
                          {"track": 0.004, "map": 0.005}, index > 0, None, None, 0)  # fmt: skip
     return replace(first, **known)
@@ -109,7 +109,7 @@ def tangent(delta: np.ndarray) -> np.ndarray:
 
 
 def calibrated_run(frames: int, scale: float = 1.0) -> tuple[SlamRun, SimpleNamespace]:
-    """Errors of poses and velocities drawn from covariances that are then stated ``scale`` times too small.
+    """Draw errors of poses and velocities from covariances that are then stated ``scale`` times too small.
 
     The truth lives in a world of its own, as a motion capture system's does.
     """
@@ -134,8 +134,8 @@ def calibrated_run(frames: int, scale: float = 1.0) -> tuple[SlamRun, SimpleName
 
 
 @pytest.mark.parametrize("scale", [1.0, 4.0])
-def test_a_calibrated_filter_is_found_so(scale: float) -> None:
-    """NEES / 6 and the velocity's RMS come out as drawn, in whatever world the truth is recorded."""
+def test_a_calibrated_filter_has_an_nees_of_one_per_dimension(scale: float) -> None:
+    """NEES / 6 and the velocity's RMS equal those that were drawn, in any world frame of the truth."""
     run, recording = calibrated_run(600, scale)
     evaluated = evaluate(run, recording)
     assert evaluated.poses.summary()["nees_over_dimension"] == pytest.approx(scale, rel=0.05)
@@ -176,7 +176,7 @@ def test_stages_add_up_to_the_mean_step() -> None:
         study_runtime._timed(frames[:1], SimpleNamespace(root=Path("room")))
 
 
-def test_one_thing_is_changed_at_a_time() -> None:
+def test_one_setting_is_varied_at_a_time() -> None:
     chosen = study_runtime.settings((320, 200), 10.0)
     assert [value for varied, value in chosen if varied == "image"] == ["80x60", "160x120"]  # no larger than recorded
     default = SlamOptions()
@@ -190,7 +190,7 @@ def one_run(ate: float | None, lost: int = 0, ms: float = 10.0) -> dict:
     return {"ate_m": ate, "max_m": ate and 2 * ate, "frames": 50, "lost": lost, "steps_ms": [ms, ms + 1.0, ms + 2.0]}
 
 
-def test_the_resolution_table_keeps_the_worst() -> None:
+def test_the_resolution_table_shows_the_worst_run() -> None:
     arm = study_resolution._summary([one_run(0.01), one_run(0.03, lost=4)])
     assert (arm["ate_m"], arm["max_m"], arm["lost"], arm["step_ms"]) == (0.02, 0.06, 4, 11.0)
     assert study_resolution._text("ate_m", arm) == "2.00 (1.00 to 3.00)"
@@ -243,7 +243,7 @@ def test_without_ground_truth_accuracy_is_refused(walk, tmp_path) -> None:
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory) -> Path:
-    """A metre through a small apartment, images of 160x120."""
+    """Record a walk of a metre through a small apartment, images of 160x120."""
     folder = tmp_path_factory.mktemp("study")
     table = furniture("table", (1.5, 2.0, 0.25), (0.6, 0.6, 0.5))
     save_scene(two_rooms(pieces=(table,)), folder / "rooms.json")
@@ -253,7 +253,7 @@ def walk(tmp_path_factory) -> Path:
 
 @pytest.mark.slow
 def test_the_studies_of_the_filter(walk, tmp_path, monkeypatch) -> None:
-    """Each runs whole from its command; on a clean walk the filter stays close and is never lost."""
+    """Each runs completely from its command; on a noise-free walk the filter stays close and is never lost."""
     commands.resolution(walk, tmp_path, voxels="0.07", render_widths="80,160", seeds=2)
     arms = json.loads((tmp_path / "resolution.json").read_text())["figures"]["arms"]
     assert [(arm["voxel"], arm["render_width"]) for arm in arms] == [(0.07, 80), (0.07, 160)]

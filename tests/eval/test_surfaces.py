@@ -1,4 +1,4 @@
-"""Test which surfaces can be seen, and how a map is compared with them: on boxes whose distances are known by hand."""
+"""Test which surfaces are visible, and the distances of a map from them, on boxes with distances known by hand."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def seen(cache):
     return observable_surface(cache)
 
 
-def test_what_can_be_seen_lies_on_faces_and_looks_out_of_the_solid(cache, seen):
+def test_visible_points_lie_on_faces_with_outward_normals(cache, seen):
     boxes = cache.renderer.boxes
     to_boxes = [np.array([signed_distance(box, seen.points + s * seen.normals) for box in boxes]) for s in (0.0, 0.002)]
     assert np.abs(to_boxes[0]).min(axis=0).max() < 1e-5
@@ -42,7 +42,7 @@ def test_what_can_be_seen_lies_on_faces_and_looks_out_of_the_solid(cache, seen):
     np.testing.assert_allclose(np.linalg.norm(seen.normals, axis=1), 1.0)
 
 
-def test_what_no_camera_on_the_robot_sees_belongs_to_no_score(seen):
+def test_surfaces_that_the_robots_camera_cannot_see_are_not_scored(seen):
     x, y, z = seen.points.T
     west = np.ptp(x) < 3.3 and (x.max() < 3.05 or x.min() > 2.95)
     assert west  # the door is shut: one room only
@@ -57,7 +57,7 @@ def test_the_floor_has_about_a_point_every_ten_centimetres(seen):
     assert 0.9 * area / 0.01 < len(floor) < 1.25 * area / 0.01  # cells that a face cuts count as whole ones
 
 
-def test_the_surface_is_the_same_whenever_it_is_asked_for(cache, seen):
+def test_the_surface_is_deterministic(cache, seen):
     np.testing.assert_array_equal(observable_surface(cache).points, seen.points)
     some = seen.thinned(100)
     assert len(some.points) == 100
@@ -76,7 +76,7 @@ def test_a_surface_is_found_within_ten_centimetres_along_its_normal(shift, share
     assert completeness(map_of([WALL], shift), front_of_wall()) == share
 
 
-def test_neither_what_was_never_observed_nor_the_back_of_a_thin_wall_is_a_surface():
+def test_neither_unobserved_cells_nor_the_back_of_a_thin_wall_are_a_surface():
     front = front_of_wall()
     assert completeness(map_of([WALL], observed=False), front) == 0.0
     assert completeness(VoxelMap.prior(np.zeros(3), 0.05, (32, 32, 32)), front) == 0.0
@@ -111,7 +111,7 @@ def test_a_shifted_map_is_off_by_its_shift_both_ways(shift):
     assert found["accuracy"] == pytest.approx(shift * 8.0 / 9.6, abs=4e-3)
 
 
-def test_a_map_that_shows_nothing_has_no_accuracy_and_no_completion():
+def test_an_empty_map_has_no_accuracy_and_no_completion():
     found = mesh_quality(map_of([WALL], observed=False), front_of_wall(), [WALL])
     assert found == {"accuracy": None, "accurate_5cm": None, "completion": surfaces.FAR, "complete_5cm": 0.0}
 

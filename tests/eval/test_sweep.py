@@ -1,4 +1,4 @@
-"""Sweeps with real worker processes: interrupted anywhere and resumed, every episode is there exactly once."""
+"""Test sweeps with real worker processes: interrupted anywhere and resumed, every episode has exactly one row."""
 
 import json
 import os
@@ -27,7 +27,7 @@ TIMED = ("latency",)  # the only fields that may differ between two runs of one 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A scene of two rooms, and a sweep of the random agent over six episodes in it."""
+    """Write a scene of two rooms and a sweep of the random agent over six episodes in it."""
     path = tmp_path_factory.mktemp("sweep")
     save_scene(two_rooms(), path / "rooms.json")
     (path / "sweep.yaml").write_text("scenes: rooms.json\nagents: random\nnoise: mid\ntasks: 3\nseeds: [0, 1]\n")
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finished(folder):
-    """The whole sweep, run once without interruption."""
+    """Run the whole sweep once without interruption."""
     heard = []
     log = run_sweep(
         load_config(folder / "sweep.yaml"), folder / "whole", workers=1, on_progress=lambda *event: heard.append(event)
@@ -48,7 +48,7 @@ def untimed(rows):
     return {episode_key(row): {k: v for k, v in row.items() if k not in TIMED} for row in rows}
 
 
-def test_a_sweep_writes_every_episode_once_with_what_made_it(folder, finished):
+def test_a_sweep_writes_every_episode_once_with_its_configuration(folder, finished):
     log, heard = finished
     rows = read_rows(log)
     assert sorted((row["task"], row["seed"]) for row in rows) == [(t, s) for t in range(3) for s in range(2)]
@@ -65,7 +65,7 @@ def test_a_sweep_writes_every_episode_once_with_what_made_it(folder, finished):
 
 
 def test_a_sweep_cut_in_the_middle_of_a_line_resumes_to_the_same_rows(folder, finished, tmp_path):
-    """As a kill leaves it: four whole lines and a half one. Nothing is lost, nothing doubled, nothing different."""
+    """A kill leaves four whole lines and a half one; no row is then lost, doubled or changed."""
     lines = finished[0].read_bytes().splitlines(keepends=True)
     (tmp_path / FILE).write_bytes(b"".join(lines[:4]) + lines[4][: len(lines[4]) // 2])
     (tmp_path / MANIFEST).write_bytes((folder / "whole" / MANIFEST).read_bytes())
@@ -116,7 +116,7 @@ def test_rooms_that_are_cut_off_are_reported(tmp_path):
     assert f"shut: {notice}" in write_report(tmp_path / "out").read_text()
 
 
-def test_the_hash_is_of_content_not_of_place(folder):
+def test_the_hash_depends_on_the_content_not_on_the_path(folder):
     config = load_config(folder / "sweep.yaml")
     elsewhere = config.model_copy(update={"scenes": ("/elsewhere/rooms.json",)})
     hashes = {config.scenes[0]: "abc", "/elsewhere/rooms.json": "abc"}
@@ -135,7 +135,7 @@ def test_the_hash_is_of_content_not_of_place(folder):
         ("", {"resume": True}, "folder: expected a new or empty folder, or that of a sweep"),
     ],
 )
-def test_what_no_sweep_can_run_with_is_refused_and_left_alone(folder, tmp_path, out, options, message):
+def test_unusable_settings_and_folders_are_refused_and_nothing_is_changed(folder, tmp_path, out, options, message):
     (tmp_path / "file").write_text("years of work")
     with pytest.raises(InputError, match=message):
         run_sweep(load_config(folder / "sweep.yaml"), tmp_path / out, **options)
@@ -143,14 +143,14 @@ def test_what_no_sweep_can_run_with_is_refused_and_left_alone(folder, tmp_path, 
 
 
 @pytest.mark.parametrize("left", [(), (FILE,), (FILE, f".{MANIFEST}.7.tmp"), (FILE, MANIFEST, "notes.txt", "maps")])
-def test_what_an_interrupted_sweep_left_is_a_sweeps_folder(tmp_path, left):
+def test_the_folder_of_an_interrupted_sweep_is_accepted(tmp_path, left):
     for name in left:
         (tmp_path / name).touch()
     check_arguments(tmp_path, workers=1, seed=0)
 
 
 def test_bad_input_that_a_worker_finds_is_shown_as_it_is(folder, tmp_path):
-    """And not as a worker that died: the error crosses from process to process."""
+    """The error of the worker process is raised in the parent, not as a worker that died."""
     episode = next(expand(load_config(folder / "sweep.yaml")))
     job = worker.Job(episode, None, None, tmp_path / "tasks.json", "scene", "hash", "version")
     with EpisodeLog(tmp_path / FILE) as log, pytest.raises(InputError, match=r"tasks\.json: file: expected a readable"):
@@ -166,7 +166,7 @@ def test_the_parent_keeps_its_own_threads():
 
 
 def start(folder, out, stderr=None):
-    """A sweep long enough to be caught in the middle, in a process group of its own."""
+    """Start a sweep, long enough to be interrupted, in a process group of its own."""
     (folder / "long.yaml").write_text("scenes: rooms.json\nagents: random\ntasks: 60\n")
     code = (
         "import sys; from pathlib import Path\n"
@@ -225,7 +225,7 @@ def test_a_killed_sweep_leaves_no_process_and_resumes_to_every_episode_once(fold
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_what_ended(folder, tmp_path):
+def test_ctrl_c_keeps_finished_episodes(folder, tmp_path):
     process = start(folder, tmp_path)
     wait_for_rows(tmp_path, 5)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
@@ -249,7 +249,7 @@ def test_a_worker_that_is_killed_ends_the_sweep_with_one_clear_error(folder, tmp
 
 @pytest.mark.slow
 def test_agents_in_a_learned_map_end_to_end(folder, tmp_path):
-    """Record, map, run a planner without and with images, report; the map is made once and used again."""
+    """A scene is recorded and mapped once; a planner runs with and without images; a report is written."""
     (folder / "agents.yaml").write_text("scenes: rooms.json\nagents: [oracle, dead_reckoning]\ntasks: 3\nvoxel: 0.1\n")
     log = run_sweep(load_config(folder / "agents.yaml"), tmp_path)
     rows = read_rows(log)

@@ -1,4 +1,4 @@
-"""The episode log survives being cut anywhere; the configuration multiplies, and refuses what it does not know."""
+"""Test that the episode log survives a cut at any byte, and that configurations multiply and refuse unknown keys."""
 
 import json
 
@@ -20,8 +20,8 @@ def row(task):
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.integers(0, 10_000), finished=st.integers(0, 4))
-def test_a_log_cut_anywhere_keeps_what_was_whole_and_continues(tmp_path, cut, finished):
-    """Whatever byte a kill stops at, the finished lines are kept, the rest is written again: each episode once."""
+def test_a_log_cut_at_any_byte_keeps_complete_lines_and_continues(tmp_path, cut, finished):
+    """Complete lines are kept and the rest is written again, so that each episode has one row."""
     path = tmp_path / FILE
     path.unlink(missing_ok=True)
     with EpisodeLog(path) as log:
@@ -68,7 +68,7 @@ def test_zeros_that_a_power_cut_leaves_at_the_end_are_dropped(tmp_path):
         ([json.dumps(row(0)), json.dumps(row(0))], "line 2: expected each episode once; it repeats line 1"),
     ],
 )
-def test_a_damaged_log_is_refused_and_left_alone(tmp_path, lines, message):
+def test_a_damaged_log_is_refused_and_not_changed(tmp_path, lines, message):
     path = tmp_path / FILE
     path.write_text("\n".join(lines) + "\n")
     before = path.read_bytes()
@@ -98,7 +98,7 @@ def write(tmp_path, text):
     return path
 
 
-def test_lists_multiply_and_scalars_are_lists_of_one(tmp_path):
+def test_lists_multiply_and_scalars_count_as_lists_of_one(tmp_path):
     text = "scenes: oak\nagents: [random, dead_reckoning]\nnoise: [low, mid]\ntasks: 3\nseeds: [0, 5]\n"
     config = load_config(write(tmp_path, text))
     episodes = list(expand(config))

@@ -1,4 +1,4 @@
-"""Atomic writes: at every moment there is the old file or the whole new one, and afterwards nothing else."""
+"""Test atomic writes: at every moment the old file or the complete new one exists, and no other remains."""
 
 import os
 from pathlib import Path
@@ -26,7 +26,7 @@ def test_the_file_changes_at_the_end_and_at_once(tmp_path: Path, before: str | N
 
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
 @pytest.mark.parametrize("before", ["old", None])
-def test_a_failure_leaves_what_was_there_and_nothing_else(
+def test_a_failure_keeps_the_old_file_and_nothing_else(
     tmp_path: Path, before: str | None, error: BaseException
 ) -> None:
     path = tmp_path / "file.txt"
@@ -48,7 +48,7 @@ def test_a_failed_rename_cleans_up_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_a_folder_appears_whole(tmp_path: Path, exists: bool) -> None:
+def test_a_folder_appears_complete(tmp_path: Path, exists: bool) -> None:
     path = tmp_path / "folder"
     if exists:
         path.mkdir()
@@ -59,7 +59,7 @@ def test_a_folder_appears_whole(tmp_path: Path, exists: bool) -> None:
     assert names(path) == ["deep"] and names(tmp_path) == ["folder"]
 
 
-def test_a_folder_that_fails_or_is_in_the_way_is_removed_whole(tmp_path: Path) -> None:
+def test_a_failed_folder_is_removed_completely(tmp_path: Path) -> None:
     path = tmp_path / "folder"
     with pytest.raises(RuntimeError), atomic_write(path) as temporary:
         (temporary / "deep").mkdir(parents=True)
@@ -72,8 +72,8 @@ def test_a_folder_that_fails_or_is_in_the_way_is_removed_whole(tmp_path: Path) -
     assert names(path) == ["kept"] and names(tmp_path) == ["folder"]
 
 
-def test_what_a_killed_process_left_is_no_obstacle(tmp_path: Path) -> None:
-    """Numbers of processes come again, most of all in containers."""
+def test_files_of_a_killed_process_are_replaced(tmp_path: Path) -> None:
+    """Process ids repeat, above all in containers."""
     path = tmp_path / "folder"
     with atomic_write(path) as temporary:
         temporary.mkdir()

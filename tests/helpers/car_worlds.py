@@ -33,7 +33,7 @@ def solid(grid: np.ndarray) -> shapely.Geometry:
     return shapely.union_all(shapely.box(*(centres - half).T, *(centres + half).T))
 
 
-def touched(shape: shapely.Geometry, poses: np.ndarray) -> np.ndarray:
+def collides(shape: shapely.Geometry, poses: np.ndarray) -> np.ndarray:
     """Return whether the car's exact rectangle at poses ``(n, 3)`` overlaps ``shape``, by shapely."""
     outlines = shapely.polygons(CAR.corners(poses))
     return shapely.area(shapely.intersection(outlines, shape)) > 1e-9

@@ -6,7 +6,7 @@ STEPS, STEP, DT = 500, 0.16, 0.2  # a budget of 80 m and 100 s
 
 
 def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, collided=False, navigation=None, **more):
-    """A straight run at 0.4 m/s that has covered 90 % after ``metres_90`` m and ends after ``ends`` m (at 100 %).
+    """Make the row of a straight run at 0.4 m/s: 90 % after ``metres_90`` m, its end after ``ends`` m (at 100 %).
 
     Entropy falls with coverage by 1 Mnat; completeness is 0.8 of coverage. A run that ends before 90 % has failed.
     """

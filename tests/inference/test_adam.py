@@ -40,7 +40,7 @@ def test_it_finds_the_motion_and_agrees_with_gauss_newton() -> None:
 
 
 def test_keys_differ_by_less_than_a_few_millimetres() -> None:
-    """The mean of the last quarter takes most of the jitter away."""
+    """The mean over the last quarter of the steps removes most of the random variation."""
     poses = [np.asarray(run(key)[0]) for key in range(4)]
     assert np.ptp([T[:3, 3] for T in poses], axis=0).max() < 4e-3
     assert np.ptp([T[:3, 3] for T in poses], axis=0).max() > 0.0
@@ -53,7 +53,7 @@ def test_a_strong_prior_holds() -> None:
 
 
 def test_a_planar_basis_is_kept_exactly() -> None:
-    """Forward, left and turn of a body below a tilted camera: no height, roll or pitch."""
+    """A basis of forward, left and turn of a body below a tilted camera adds no height, roll or pitch."""
     T_body_cam = camera_pose((0.05, 0.0, 0.4), 0.2, 0.1)
     twists = np.zeros((6, 3))
     for i, column in enumerate((0, 1, 5)):
@@ -68,7 +68,7 @@ def test_a_planar_basis_is_kept_exactly() -> None:
 
 
 def test_no_depth_leaves_the_prior() -> None:
-    """Nothing to align: the prior's mean, and an agreement that says so; no number that is none."""
+    """Without pixels to align the result is the prior's mean, with zero coverage and no NaN."""
     blind = jax.tree.map(jnp.zeros_like, OBSERVED)
     T, info = run(observed=blind)
     np.testing.assert_allclose(np.asarray(T), np.eye(4), atol=1e-6)
@@ -117,7 +117,7 @@ def test_the_loss_is_the_published_one(seed: int) -> None:
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:
-    """Between two jumps of association, in every direction; one pixel at a time, so that the others do not drown it."""
+    """It is compared between two jumps of association, in every direction, for one pixel at a time."""
     slope = jax.jit(jax.grad(lambda xi, pixel: data_loss(se3_exp(xi), pixel[None])))
     value = jax.jit(lambda xi, pixel: data_loss(se3_exp(xi), pixel[None]))
     rng, agreed, h = np.random.default_rng(5), 0, 2e-4

@@ -1,4 +1,4 @@
-"""Test the pose by MAP: known motions are recovered, the prior decides where images do not, derivatives are true."""
+"""Test the MAP pose: known motions are recovered, the prior fills unobserved directions, derivatives are exact."""
 
 import jax
 import jax.numpy as jnp
@@ -80,7 +80,7 @@ def test_a_known_motion_is_recovered_from_images(seed: int, metres: float, radia
 @settings(max_examples=12)
 @given(seeds, st.floats(0.0, 0.08), st.floats(0.0, 0.08))
 def test_a_known_motion_is_recovered_from_the_map(seed: int, metres: float, radians: float) -> None:
-    """Against a render of cells of 10 cm, whose edges and colours interpolation blurs: a twentieth of a cell."""
+    """Aligned to a render of 10 cm cells, which blurs edges and colours, the error is below a twentieth of a cell."""
     rng = np.random.default_rng(seed)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, metres, radians)
     T, info = solve(render(known_map(), f32(T_world_ref), CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA))
@@ -101,7 +101,7 @@ def test_the_true_pose_is_a_fixed_point() -> None:
 
 @given(seeds)
 def test_the_start_does_not_matter(seed: int) -> None:
-    """One optimum: from two starts, 5 cm and 3 degrees around it, with a prior that is off to one side."""
+    """Two starts, 5 cm and 3 degrees around the optimum, converge to it, with a prior that is off to one side."""
     rng = np.random.default_rng(seed)
     T_world_ref = room_pose(np.random.default_rng(3))
     reference, observed = (ROOM.image(T, CAMERA) for T in (T_world_ref, T_world_ref @ motion(rng, 0.02, 0.02)))
@@ -116,7 +116,7 @@ def planar_basis(T_body_cam: np.ndarray) -> jax.Array:
 
 @given(seeds)
 def test_a_planar_robot_stays_on_its_floor(seed: int) -> None:
-    """The images ask for a motion with height, roll and pitch; the basis allows none, exactly."""
+    """The images show a motion with height, roll and pitch, and the basis excludes it exactly."""
     rng = np.random.default_rng(seed)
     T_body_cam = camera_pose((0.05, 0.0, 0.4), 0.2, 0.1)
     T_world_body = np.eye(4)
@@ -147,8 +147,8 @@ def blank(image: RGBD) -> RGBD:
 
 
 @pytest.mark.parametrize("empty", ["reference", "observed", "both"])
-def test_without_an_image_the_prior_speaks(empty: str) -> None:
-    """The posterior mode is the prior's mean, wherever the search starts, and the images claim no information."""
+def test_without_an_image_the_posterior_is_the_prior(empty: str) -> None:
+    """The posterior mode is the prior's mean from every start, and the images add no information."""
     rng = np.random.default_rng(5)
     image = ROOM.image(room_pose(rng), CAMERA)
     prior = motion(rng, 0.3, 0.3)
@@ -161,8 +161,8 @@ def test_without_an_image_the_prior_speaks(empty: str) -> None:
     np.testing.assert_array_equal(np.asarray(info.information), 0.0)
 
 
-def test_a_bare_wall_fixes_distance_and_tilt_only() -> None:
-    """Facing one plane of one colour: along it, and about its normal, the prior's mean remains."""
+def test_a_blank_wall_determines_distance_and_tilt_only() -> None:
+    """Before one plane of one colour, the prior's mean remains along it and about its normal."""
     interior = ((-9.0, -9.0, -9.0), (1.5, 9.0, 9.0))
     wall = Room(interior)
     T_world_ref, T_ref_cam = camera_pose((0.0, 0.0, 0.0), 0.0), np.eye(4)
@@ -183,7 +183,7 @@ def test_a_bare_wall_fixes_distance_and_tilt_only() -> None:
 
 
 def test_a_stronger_prior_holds_the_pose_back() -> None:
-    """From none to overwhelming, the estimate moves from the data's pose to the prior's, never further away."""
+    """As its precision grows, the estimate moves monotonically from the data's pose to the prior's."""
     rng = np.random.default_rng(7)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.04, 0.02)
     reference, observed = ROOM.image(T_world_ref, CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA)
@@ -195,8 +195,8 @@ def test_a_stronger_prior_holds_the_pose_back() -> None:
     assert away[-1] < 1e-3
 
 
-def test_another_place_is_told_apart() -> None:
-    """The images' agreement is what loss of track is judged by."""
+def test_another_place_has_a_low_fit_quality() -> None:
+    """Loss of track is decided by the fit quality."""
     here, there = camera_pose((-0.5, 0.0, 0.5), 0.0), camera_pose((0.3, 0.2, 0.9), 2.4, 0.3)
     _, same = solve(ROOM.image(here, CAMERA), ROOM.image(here, CAMERA), precision=1e3 * np.eye(6))
     _, other = solve(ROOM.image(here, CAMERA), ROOM.image(there, CAMERA), precision=1e3 * np.eye(6))
@@ -260,8 +260,8 @@ def information(T_world_ref, T_ref_cam, config: AlignConfig = CONFIG, **more) ->
 
 
 @given(seeds)
-def test_a_reference_that_is_not_sure_says_less(seed: int) -> None:
-    """Spread adds to the variance of the planes: the images say less in every direction."""
+def test_an_uncertain_reference_has_less_information(seed: int) -> None:
+    """Spread adds to the variance of the planes, which lowers the information in every direction."""
     rng = np.random.default_rng(seed)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.01, 0.01)
     sure, unsure = (information(T_world_ref, T_ref_cam, spread=f32(np.full((48, 64), s))) for s in (0.0, 0.02))
@@ -291,8 +291,8 @@ def test_spread_widens_residuals_as_variances_add() -> None:
     np.testing.assert_allclose(np.asarray(wide.residual)[used], expected[used], rtol=1e-3, atol=1e-4)
 
 
-def test_the_image_seen_at_the_reference_pose_is_a_third_witness() -> None:
-    """A rendered image without any texture leaves a turn about a wall's normal to the image that was taken there."""
+def test_the_image_at_the_reference_pose_adds_information() -> None:
+    """Where the rendered image has no texture, a turn about a wall's normal follows from the image taken there."""
     rng = np.random.default_rng(12)
     wall = Room(((-9.0, -9.0, -9.0), (1.5, 9.0, 9.0)))
     T_world_ref = camera_pose((0.0, 0.0, 0.0), 0.0)
@@ -307,7 +307,7 @@ def test_the_image_seen_at_the_reference_pose_is_a_third_witness() -> None:
 
 
 def test_where_the_reference_is_textured_the_image_seen_there_agrees() -> None:
-    """The same image twice: the same pose, and more information about it."""
+    """The same image twice gives the same pose, with more information."""
     rng = np.random.default_rng(13)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.03, 0.03)
     reference, observed = ROOM.image(T_world_ref, CAMERA), ROOM.image(T_world_ref @ T_ref_cam, CAMERA)
@@ -319,8 +319,8 @@ def test_where_the_reference_is_textured_the_image_seen_there_agrees() -> None:
     assert np.trace(gained) > 0
 
 
-def test_fewer_pixels_say_as_much() -> None:
-    """A grid of every third pixel: each counts for the pixels that it stands for."""
+def test_fewer_pixels_have_as_much_information() -> None:
+    """On a grid of every third pixel each is weighted by the pixels that it replaces."""
     rng = np.random.default_rng(14)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.01, 0.01)
     few = AlignConfig(pixels=340)
@@ -333,8 +333,8 @@ def test_fewer_pixels_say_as_much() -> None:
 
 
 @given(seeds, st.floats(0.02, 0.3))
-def test_images_disagree_more_off_the_true_pose(seed: int, away: float) -> None:
-    """The alignment cost is least at the truth, and grows with the distance from it."""
+def test_the_alignment_cost_is_least_at_the_true_pose(seed: int, away: float) -> None:
+    """The cost also grows with the distance from the true pose."""
     rng = np.random.default_rng(seed)
     T_world_ref, T_ref_cam = room_pose(rng), motion(rng, 0.02, 0.02)
     ref = make_reference(ROOM.image(T_world_ref, CAMERA), CAMERA, CONFIG, 2)
@@ -344,8 +344,8 @@ def test_images_disagree_more_off_the_true_pose(seed: int, away: float) -> None:
     assert here < there
 
 
-def test_looking_away_is_no_agreement() -> None:
-    """A pose from which nothing falls on the reference is the worst there is."""
+def test_a_view_without_overlap_has_the_highest_cost() -> None:
+    """A pose from which no pixel falls on the reference has the largest possible cost."""
     image = ROOM.image(room_pose(np.random.default_rng(15)), CAMERA)
     ref, obs = make_reference(image, CAMERA, CONFIG, 2), make_observed(image, CAMERA, 2)
     back = np.linalg.inv(camera_pose((0.0, 0.0, 0.0), 0.0)) @ camera_pose((0.0, 0.0, 0.0), 3.1)
@@ -384,7 +384,7 @@ def test_planes_of_the_reference_are_those_of_the_room(factor: int) -> None:
 
 
 def test_pixels_at_depth_jumps_are_left_out() -> None:
-    """A plane across the edge of a box is no surface."""
+    """A plane fitted across the edge of a box is not a surface."""
     T = camera_pose((-0.5, 0.6, 0.5), 0.15)
     image = ROOM.image(T, CAMERA)
     reference = make_reference(image, CAMERA, CONFIG)
@@ -410,7 +410,7 @@ def test_unknown_surfaces_are_not_aligned_to() -> None:
 
 @pytest.mark.parametrize(("width", "height", "factor"), [(64, 48, 4), (100, 75, 2), (424, 240, 21)])
 def test_shrunk_pixels_are_kept_pixels(width: int, height: int, factor: int) -> None:
-    """Pixel i of the shrunk camera looks where pixel o + i f of the full one does, also where f does not divide."""
+    """Pixel i of the shrunk camera has the ray of pixel o + i f of the full one, also where f does not divide."""
     full = Camera.from_hfov(width, height, 1.2)
     small = shrink_camera(full, factor)
     o = factor // 2
@@ -420,7 +420,7 @@ def test_shrunk_pixels_are_kept_pixels(width: int, height: int, factor: int) -> 
 
 @pytest.mark.parametrize("factor", [1, 2, 4])
 def test_an_image_aligned_to_itself_stays(factor: int) -> None:
-    """At each level alone: shrinking must not move colour against depth."""
+    """This holds at each level alone, because shrinking must not shift colour against depth."""
     image = ROOM.image(room_pose(np.random.default_rng(4)), CAMERA)
     config = AlignConfig(levels=(factor,), iterations=(6,))
     T, _ = align_jit(IDENTITY, NO_PRIOR, IDENTITY, FREE, image, image, CAMERA, config)
@@ -428,7 +428,7 @@ def test_an_image_aligned_to_itself_stays(factor: int) -> None:
 
 
 def test_an_image_shrunk_twice_is_an_image_shrunk_once() -> None:
-    """By 2 and 2 as by 4, up to which of a block's readings is the nearest to its centre."""
+    """Shrinking by 2 and 2 equals shrinking by 4, up to the choice of the reading nearest to a block's centre."""
     image = ROOM.image(room_pose(np.random.default_rng(4)), CAMERA)
     twice, once = shrink_rgbd(shrink_rgbd(image, 2), 2), shrink_rgbd(image, 4)
     np.testing.assert_allclose(np.asarray(twice.rgb), np.asarray(once.rgb), atol=1e-6)

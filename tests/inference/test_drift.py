@@ -34,8 +34,8 @@ def random_covariance(rng: np.random.Generator, std: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_in_world_is_the_spread_of_a_pose_in_a_frame_that_errs(seed: int) -> None:
-    """Sampled with matrix exponentials in float64: ``exp(p) T exp(e)``, ``p ~ N(0, P)``, ``e ~ N(0, Sigma)``."""
+def test_in_world_is_the_covariance_of_a_pose_in_an_uncertain_frame(seed: int) -> None:
+    """It equals samples in float64 of ``exp(p) T exp(e)``, ``p ~ N(0, P)``, ``e ~ N(0, Sigma)``."""
     rng = np.random.default_rng(seed)
     T = expm(twist_matrix(rng.standard_normal(6)))
     P, S = random_covariance(rng, 0.01), random_covariance(rng, 0.005)
@@ -52,7 +52,7 @@ def test_in_world_is_the_spread_of_a_pose_in_a_frame_that_errs(seed: int) -> Non
     np.testing.assert_array_equal(got.covariance[6:], belief_of(T, S).covariance[6:])
 
 
-def test_the_frame_walks_by_the_share_that_the_image_wrote() -> None:
+def test_the_frame_drifts_by_the_proportion_that_the_image_wrote() -> None:
     """By hand: a quarter of the readings new, a quarter known as well as one image tells, half beyond the map."""
     before = 1e-6 * jnp.eye(6)
     T = np.asarray(walked()[1][-1].belief.mean.T_world_body, float)
@@ -83,15 +83,15 @@ def shares(frames, rate: float) -> np.ndarray:
     return np.array(found)
 
 
-def test_a_camera_that_stands_still_soon_walks_no_more() -> None:
+def test_a_standing_camera_soon_stops_drifting() -> None:
     """The n-th image of one place writes 1/n of it at most (cells at the image's rim are written by fewer)."""
     still = shares([0] * 40, 10.0) / ALIKE
     assert (still <= 1.05 / np.arange(2, 42)).all()
     assert still[-10:].sum() < 0.3
 
 
-def test_new_space_counts_whole_whatever_the_rate() -> None:
-    """The same walk in steps of a half and of a third: the walk of the map's frame is that of the way, not of time."""
+def test_drift_in_new_space_does_not_depend_on_the_rate() -> None:
+    """In steps of a half and of a third of the same walk, the drift depends on the path, not on time."""
     coarse, fine = shares(np.arange(2.0, 25.0, 2.0), 5.0), shares(np.arange(1.0, 25.0, 1.0), 10.0)
     assert coarse.sum() / ALIKE > 1.0
     assert fine.sum() == pytest.approx(coarse.sum(), rel=0.5)

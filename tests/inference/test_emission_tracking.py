@@ -32,7 +32,7 @@ def test_the_robot_is_tracked_in_its_map(name: str) -> None:
 
 @each
 @pytest.mark.parametrize("kind", ["another place", "no depth"])
-def test_images_that_do_not_fit_are_not_believed(name: str, kind: str) -> None:
+def test_images_that_do_not_fit_are_rejected(name: str, kind: str) -> None:
     command = drive(1, 5)[0][0]
     blind = RGBD.from_camera(np.full((48, 64, 3), 128, np.uint8), np.zeros((48, 64), np.float32))
     bad = {"another place": see(ELSEWHERE), "no depth": blind}[kind]

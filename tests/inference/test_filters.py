@@ -103,7 +103,7 @@ def off(belief, k: float) -> tuple[float, float]:
 
 @every
 def test_a_body_is_followed(name: str, kind: str) -> None:
-    """See :func:`follow`; Euler's steps along an arc, which no image corrects, are allowed twice as much."""
+    """Assert as :func:`follow` does, with twice the error for Euler steps along an arc without correction by images."""
     allowed = 2.0 if FILTERS[name].blind and kind == "rigid" else 1.0
     follow(name, TRANSITIONS[kind], lambda k: control(kind, k), allowed)
 
@@ -132,8 +132,8 @@ def follow(name: str, transition: Transition, told: Callable[[int], jax.Array], 
 
 
 @every
-def test_darkness_is_said_and_nothing_is_learned_from_it(name: str, kind: str) -> None:
-    """Two images without a reading: no belief gets surer, the map stays, and the next image is taken again."""
+def test_darkness_is_reported_and_changes_no_map(name: str, kind: str) -> None:
+    """Two images without a reading narrow no belief and change no map, and the next image is accepted."""
     tracker, prior = make(name, kind)
     state = tracker.init(prior, see(0), jax.random.key(0))
     state, before = tracker.step(state, control(kind, 0), see(1), DT)
@@ -177,7 +177,7 @@ def test_a_control_of_another_transition_is_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, entry in FILTERS.items() if entry.needs_map or entry.maps])
-def test_a_filter_that_needs_a_map_says_so(name: str) -> None:
+def test_a_filter_without_its_map_is_refused(name: str) -> None:
     tracker, prior = make(name, "planar")
     with pytest.raises(InputError, match="map"):
         tracker.init(Posterior(prior.belief, None), see(0), jax.random.key(0))

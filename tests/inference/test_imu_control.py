@@ -35,7 +35,7 @@ def flown(bias=0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_dead_reckoning_with_the_controls_is_the_flight():
-    """Velocity first: a step of constant acceleration ends a dt^2 / 2 too far, 4 mm here; the filter sees that."""
+    """The velocity is updated first, so a step of constant acceleration ends a dt^2 / 2, here 4 mm, too far."""
     times, poses, velocities, readings = flown(bias=0.05)
     control = ImuControl(readings, T_BODY_CAM, times[0])
     np.testing.assert_allclose(control.gyro_bias, 0.05, atol=1e-6)
@@ -58,7 +58,7 @@ def test_without_readings_it_is_constant_velocity():
     np.testing.assert_array_equal(control(poses[0], np.ones(3), 90.0, 91.0), np.zeros(6))
 
 
-def test_no_rest_is_said():
+def test_a_moving_start_is_refused():
     _, _, _, readings = flown()
     with pytest.raises(InputError, match="at rest"):
         ImuControl(readings + np.sin(20.0 * readings[:, :1]) * np.eye(7)[4], T_BODY_CAM, 0.0)

@@ -38,8 +38,8 @@ def nothing() -> Keyframes:
     return keyframes.empty(CAMERA, RING)
 
 
-def test_poses_that_are_near_a_keyframe_are_not_kept() -> None:
-    """Only what is both close and turned alike is near."""
+def test_poses_near_a_keyframe_are_not_stored() -> None:
+    """A pose is near if both its position and its rotation are close."""
     start = camera_pose((0.0, 0.0, 1.0), 0.0)
     kept = keep(nothing(), start, PICTURES[0])
     assert int(kept.count) == 1
@@ -56,7 +56,7 @@ def test_poses_that_are_near_a_keyframe_are_not_kept() -> None:
         assert int(kept.count) - before == int(is_new), (x, yaw)
 
 
-def test_a_pose_that_is_not_kept_changes_nothing() -> None:
+def test_a_pose_that_is_not_stored_changes_nothing() -> None:
     T = camera_pose((0.0, 0.0, 1.0), 0.0)
     kept = keep(nothing(), T, PICTURES[0])
     before = jax.tree.map(np.asarray, jax.tree.map(jnp.copy, kept))
@@ -66,7 +66,7 @@ def test_a_pose_that_is_not_kept_changes_nothing() -> None:
 
 @settings(max_examples=10)
 @given(seeds)
-def test_the_oldest_go_first(seed: int) -> None:
+def test_the_oldest_are_overwritten_first(seed: int) -> None:
     """After any number of images the ring holds the newest, each with its own pose."""
     many = 1 + seed % (3 * CAPACITY)
     kept = nothing()
@@ -81,7 +81,7 @@ def test_the_oldest_go_first(seed: int) -> None:
         np.testing.assert_allclose(thumbnail, np.asarray(alone.thumbnails[0]), atol=1e-6)
 
 
-def test_an_overwritten_pose_may_come_again() -> None:
+def test_an_overwritten_pose_can_be_stored_again() -> None:
     kept = nothing()
     for k in range(CAPACITY + 1):
         kept = keep(kept, camera_pose((1.0 * k, 0.0, 0.0), 0.0), PICTURES[k])
@@ -101,7 +101,7 @@ def gallery() -> Keyframes:
 
 
 def test_the_most_similar_keyframe_is_found_and_turned() -> None:
-    """A view turned by 3 degrees from a keyframe: that keyframe comes first, turned likewise."""
+    """For a view turned by 3 degrees from a keyframe, that keyframe comes first, with the same turn."""
     kept = gallery()
     for k, T in enumerate(PLACES):
         found = np.asarray(similar(kept, seen(T @ LEFT), CAMERA, CONFIG, 3), float)
@@ -117,14 +117,14 @@ def test_brightness_does_not_matter() -> None:
 
 
 def test_without_keyframes_the_identity_is_guessed() -> None:
-    """And a black image, which is like nothing, finds finite poses."""
+    """A black image, which resembles no keyframe, gives finite poses too."""
     found = np.asarray(similar(nothing(), seen(PLACES[0]), CAMERA, CONFIG, 2))
     np.testing.assert_allclose(found, np.tile(np.eye(4), (2, 1, 1)), atol=1e-5)
     assert np.isfinite(np.asarray(similar(gallery(), jnp.zeros((120, 160)), CAMERA, CONFIG, 2))).all()
 
 
 def test_any_keyframe_is_tried_before_none() -> None:
-    """Also one whose image is the opposite of the one at hand."""
+    """This includes a keyframe with the negative of the image."""
     T = camera_pose((0.3, 0.2, 0.1), 0.2)
     kept = keep(nothing(), T, PICTURES[0])
     found = np.asarray(similar(kept, 1.0 - PICTURES[0], CAMERA, CONFIG, 2), float)

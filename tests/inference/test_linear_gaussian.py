@@ -97,7 +97,7 @@ def test_a_scalar_observation_by_hand() -> None:
     np.testing.assert_allclose([posterior.mean[0], posterior.covariance[0, 0]], [4.0, 0.8], rtol=1e-6)
 
 
-def test_an_exact_observation_leaves_no_doubt() -> None:
+def test_an_exact_observation_leaves_no_variance() -> None:
     prior = Gaussian(jnp.zeros(2), jnp.array([[1.0, 0.5], [0.5, 2.0]]))
     exact = LinearGaussian(jnp.array([[1.0, 0.0]]), jnp.zeros(1), jnp.zeros((1, 1)))
     posterior = invert(prior, exact).given(jnp.array([3.0]))

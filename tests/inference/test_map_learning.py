@@ -71,7 +71,7 @@ def test_held_out_views_are_predicted_better(refined) -> None:
     assert after.hit_share > before.hit_share - 0.01
 
 
-def test_the_map_passed_in_and_the_precisions_stay(refined) -> None:
+def test_the_input_map_and_the_precisions_are_unchanged(refined) -> None:
     m, _ = refined
     again = closed_form(train())
     np.testing.assert_array_equal(np.asarray(known_map().occupancy), np.asarray(again.occupancy))
@@ -79,7 +79,7 @@ def test_the_map_passed_in_and_the_precisions_stay(refined) -> None:
     np.testing.assert_array_equal(np.asarray(m.colour_precision), np.asarray(known_map().colour_precision))
 
 
-def test_the_index_follows(refined) -> None:
+def test_the_empty_space_index_is_updated(refined) -> None:
     """After refinement the skipping search finds what the fixed march finds."""
     m, _ = refined
     T = unseen().T_world_cam[0]
@@ -91,7 +91,7 @@ def test_the_index_follows(refined) -> None:
 
 
 def test_a_step_is_the_gradient_of_the_renderer() -> None:
-    """One step from rays that hit = ``-rate s d(-log p)/dM`` by automatic differentiation through the whole map."""
+    """A step from rays that hit is ``-rate s d(-log p)/dM``, by automatic differentiation through the whole map."""
     config, known = (
         MapLearningConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0),
         known_map(),
@@ -139,7 +139,7 @@ def test_a_missing_surface_grows() -> None:
 
 
 def test_scales_are_learned() -> None:
-    """Towards the mean absolute residual, from both sides."""
+    """They approach the mean absolute residual from both sides."""
     config = MapLearningConfig(images=2, pixels=256, occupancy_rate=0.0, colour_rate=0.0, scale_rate=0.05)
     for start in (EmissionScales(1.0, 1.0), EmissionScales(1e-3, 1e-3)):
         state, key = map_learning.init(known_map(), start), jax.random.key(0)
@@ -151,7 +151,7 @@ def test_scales_are_learned() -> None:
 
 
 def test_held_out_by_hand() -> None:
-    """Means of the residuals and the Laplace density, from the rendered image itself, float64."""
+    """Mean residuals and the Laplace density equal those of the rendered image, in float64."""
     view = unseen()[1:2]
     image = emission.render(known_map(), view.T_world_cam[0], CAMERA)
     both = np.asarray(image.known) & (np.asarray(view.depth[0]) > 0.0)
@@ -172,7 +172,7 @@ def test_an_empty_map_has_no_likelihood() -> None:
     assert got.hit_share == 0.0
 
 
-def test_readings_that_are_no_numbers_are_none() -> None:
+def test_readings_that_are_not_finite_are_ignored() -> None:
     depth = np.full((48, 64), 1.5, np.float32)
     depth[3, 4] = np.nan
     views = Views.stack([(np.zeros((48, 64, 3), np.uint8), depth)], np.eye(4)[None], CAMERA)

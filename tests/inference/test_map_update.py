@@ -116,7 +116,7 @@ def updated(m: VoxelMap, depth: np.ndarray, rgb: np.ndarray, T_world_cam: np.nda
 
 @given(seeds, st.integers(1, 4))
 def test_the_posterior_is_the_dense_one(seed: int, images: int) -> None:
-    """Cell by cell: images folded in one after another equal one dense solve, precisions included."""
+    """Cell by cell, sequential updates equal one dense solve, precisions included."""
     m = empty_map()
     oracle = DensePosterior(m)
     for i in range(images):
@@ -127,8 +127,8 @@ def test_the_posterior_is_the_dense_one(seed: int, images: int) -> None:
 
 
 @given(seeds)
-def test_the_empty_space_index_follows(seed: int) -> None:
-    """After several updates it is the index of the means, block for block."""
+def test_the_empty_space_index_is_updated(seed: int) -> None:
+    """After several updates it equals the index of the means, block for block."""
     m = empty_map()
     for i in range(3):
         m = updated(m, *random_image(seed + i))
@@ -164,25 +164,25 @@ def test_the_order_of_images_does_not_matter(seed: int) -> None:
             np.testing.assert_allclose(np.asarray(x), np.asarray(y), atol=1e-6)
 
 
-def assert_no_touched_block_is_missed(depth: np.ndarray, T_world_cam: np.ndarray) -> bool:
+def assert_every_written_block_is_listed(depth: np.ndarray, T_world_cam: np.ndarray) -> bool:
     """Assert that every block with a cell that the oracle updates is listed; return whether there was one."""
     m = empty_map()
     weight, _, _, _, clear = observation_oracle(depth, np.zeros((15, 20, 3)), T_world_cam, m)
-    touched = np.asarray(m.blocked(jnp.asarray((weight * clear).reshape(m.shape)))).any(axis=1)
+    written = np.asarray(m.blocked(jnp.asarray((weight * clear).reshape(m.shape)))).any(axis=1)
     listed = view(f32(depth), f32(np.linalg.inv(T_world_cam)))
-    assert not (touched & ~listed).any()
-    return bool(touched.any())
+    assert not (written & ~listed).any()
+    return bool(written.any())
 
 
 @given(seeds)
 def test_no_block_in_view_is_missed(seed: int) -> None:
     depth, _, T = random_image(seed)
-    assert_no_touched_block_is_missed(depth, T)
+    assert_every_written_block_is_listed(depth, T)
 
 
 @given(seeds)
 def test_no_block_behind_a_single_pixel_is_missed(seed: int) -> None:
-    """All but one reading are holes: a block is found even where one corner of it alone reaches that pixel."""
+    """With a single reading, a block is found even where only one of its corners projects to that pixel."""
     rng, found = np.random.default_rng(seed), 0
     for _ in range(8):
         T, depth = camera_pose((0.0, 0.0, 0.0), *rng.uniform(-3.0, 3.0, 3)), np.zeros((15, 20), np.float32)
@@ -191,7 +191,7 @@ def test_no_block_behind_a_single_pixel_is_missed(seed: int) -> None:
         pixel = np.array([u, v, 1.0]) + np.append(rng.uniform(-0.49, 0.49, 2), 0.0)
         T[:3, 3] = corner - T[:3, :3] @ np.linalg.inv(CAMERA.K) @ pixel * d  # the pixel sees that corner of a block
         depth[v, u] = d
-        found += assert_no_touched_block_is_missed(depth, T)
+        found += assert_every_written_block_is_listed(depth, T)
     assert found > 4
 
 
@@ -208,7 +208,7 @@ def test_no_block_in_the_band_behind_a_wall_is_missed(seed: int) -> None:
         distance = rng.uniform(0.5, 3.0)
         T = camera_pose(tuple(cell + distance * outward), yaw, pitch, rng.uniform(-3.0, 3.0))
         depth = np.full((15, 20), distance - rng.uniform(0.0, TRUNCATION), np.float32)
-        found += assert_no_touched_block_is_missed(depth, T)
+        found += assert_every_written_block_is_listed(depth, T)
     assert found > 0
 
 
@@ -224,8 +224,8 @@ def view(depth: jax.Array, T_cam_world: jax.Array) -> np.ndarray:
 list_view = jax.jit(lambda depth, T: blocks_in_view(empty_map(), depth, T, CAMERA, CONFIG))
 
 
-def test_blocks_out_of_view_are_left_alone() -> None:
-    """A camera outside the grid that looks away lists nothing; one that sees a near wall lists nothing behind it."""
+def test_blocks_out_of_view_are_not_listed() -> None:
+    """A camera that faces away from the grid lists nothing; one before a wall lists nothing behind it."""
     depth, away = np.full((15, 20), 2.0), camera_pose((1.6, 0.3, 1.1), 0.0)
     assert not view(f32(depth), f32(np.linalg.inv(away))).any()
     towards = camera_pose((-1.5, 0.3, 1.1), 0.0)
@@ -267,7 +267,7 @@ def test_one_pixel_by_hand() -> None:
     np.testing.assert_allclose(colour[6], 0.0)
 
 
-def test_readings_that_are_none_change_nothing() -> None:
+def test_invalid_readings_change_nothing() -> None:
     _, rgb, _ = random_image(3)
     T = camera_pose((0.0, 0.2, 1.0), 0.4)
     before = updated(empty_map(), np.full((15, 20), 1.0), rgb, T)
@@ -278,7 +278,7 @@ def test_readings_that_are_none_change_nothing() -> None:
 
 
 @given(seeds)
-def test_a_bad_reading_spoils_no_other(seed: int) -> None:
+def test_an_invalid_reading_affects_no_other(seed: int) -> None:
     """NaN and out-of-range pixels are left out; the others update as if those were not there."""
     depth, rgb, T = random_image(seed)
     bad = np.random.default_rng(seed).choice([np.nan, np.inf, 50.0], depth.shape)
@@ -324,7 +324,7 @@ def test_one_sample_is_the_plain_update(seed: int) -> None:
 
 @given(seeds, st.sampled_from([0.003, 0.03, 0.3]))
 def test_moments_over_samples_agree_with_float64(seed: int, std: float) -> None:
-    """Cell by cell: mean sum w o / sum w, precision mean(w) / (1 + Var(o) / sigma^2), for occupancy and for colour."""
+    """Cell by cell the mean is sum w o / sum w and the precision mean(w) / (1 + Var(o) / sigma^2)."""
     depth, rgb, T = random_image(seed)
     poses, m = around(T, 4, std, seed), empty_map()
     parts = [observation_oracle(depth, rgb, pose, m) for pose in poses]
@@ -347,8 +347,8 @@ def test_moments_over_samples_agree_with_float64(seed: int, std: float) -> None:
     np.testing.assert_allclose(flat(m, after.colour)[clear], expected_c[clear], atol=1e-3)
 
 
-def test_the_less_certain_the_pose_the_less_is_learned_near_surfaces() -> None:
-    """Precision in the band before a wall falls with the pose's noise; free air far from it is known all the same."""
+def test_an_uncertain_pose_gives_less_precision_near_surfaces() -> None:
+    """Precision in the band before a wall falls with the pose's noise; free space far from it is not affected."""
     T, rgb = camera_pose((-1.1, 0.25, 1.0), 0.0), np.full((15, 20, 3), 0.5)
     gains = []
     for std in (0.0, 0.01, 0.03, 0.1):
@@ -393,8 +393,11 @@ def map_from_both_sides(voxel: float) -> VoxelMap:
 
 @pytest.mark.parametrize("voxel", [0.05, 0.07])
 def test_a_thin_wall_mapped_from_both_sides_is_still_a_wall(voxel: float) -> None:
-    """Solid in its middle, no hole, never thinner. Where the band of one side reaches past the wall into the air before
-    the other, both sides vote "inside": the faces move out by the truncation less the thickness, 4 cm at 7 cm cells."""
+    """The wall is solid in its middle, without holes, never thinner.
+
+    Where the band of one side reaches past the wall into the free space before the other, both sides observe "inside":
+    the faces move out by the truncation less the thickness, 4 cm for cells of 7 cm.
+    """
     m = map_from_both_sides(voxel)
     y, z = np.meshgrid(np.linspace(-0.6, 0.6, 41), np.linspace(0.2, 1.3, 37))
     middle = np.stack([np.zeros_like(y), y, z], axis=-1)

@@ -52,8 +52,8 @@ def error(state: PrismState, planar: np.ndarray) -> tuple[float, float]:
     return float(np.hypot(*delta[:2])), abs(float(wrap_angle(delta[2:])[0]))
 
 
-def test_a_room_that_nobody_knew_is_mapped_where_it_is() -> None:
-    """A noisy circle: the pose stays within 2 cm where the commands alone are off by several, and so do the walls."""
+def test_an_unknown_room_is_mapped_at_its_true_place() -> None:
+    """On a noisy circle pose and walls stay within 2 cm, where the commands alone are off by several."""
     rng, planar, reckoned, state = np.random.default_rng(3), START, START, begin()
     exact = ExecutionNoise(0.0, 0.0)
     for _ in range(30):
@@ -73,8 +73,8 @@ def test_a_room_that_nobody_knew_is_mapped_where_it_is() -> None:
     assert np.median(np.abs(np.asarray(seen.depth - true.depth))[both]) < 0.03
 
 
-def test_images_that_do_not_fit_leave_the_map_alone_and_track_is_found_again() -> None:
-    """Three covered images while the robot goes on: the pose follows the commands, then the map takes it back."""
+def test_rejected_images_leave_the_map_unchanged_and_the_robot_is_relocalised() -> None:
+    """During three covered images the pose follows the commands; then the robot is relocalised in the map."""
     rng, planar, state = np.random.default_rng(5), START, begin()
     command = np.array([0.1, 0.0, 0.05])
     for i in range(12):
@@ -99,8 +99,8 @@ def survey(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_map_at_estimated_poses_is_that_at_recorded_ones(survey):
-    """Two rooms: poses to a few centimetres without ground truth, and so the surfaces."""
+def test_a_map_at_estimated_poses_equals_that_at_true_poses(survey):
+    """In two rooms poses and surfaces agree to a few centimetres without ground truth."""
     sequence = load_sequence(survey)
     true, estimate = sequence.true_poses(), estimate_poses(sequence, 0.05)
     assert estimate.accepted.mean() > 0.98
@@ -115,7 +115,7 @@ def test_a_map_at_estimated_poses_is_that_at_recorded_ones(survey):
     assert np.median(np.abs(np.asarray(images[0].depth - images[1].depth))[both]) < 0.03
 
 
-def test_a_recording_that_no_robot_drove_has_no_estimate(survey, tmp_path):
+def test_a_recording_without_commands_is_refused(survey, tmp_path):
     for path in survey.iterdir():
         if path.name != PROVENANCE:
             (tmp_path / path.name).symlink_to(path)

@@ -48,7 +48,7 @@ FRAMES = 12
 
 @pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
 def test_a_smooth_walk_is_tracked(config: PrismConfig) -> None:
-    """27 cm and 13 degrees in cells of 8 cm: below 1 cm and half a degree at every frame."""
+    """Over 27 cm and 13 degrees, in cells of 8 cm, every frame is within 1 cm and half a degree."""
     _, infos = walked(FRAMES, config)
     assert [info.status for info in infos] == [OK] * FRAMES
     off = np.array([error(info.belief, true_pose(k)) for k, info in enumerate(infos, 1)])
@@ -77,7 +77,7 @@ def track(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
-    """Steps 1, 3 and 4 in float64: ``q(pose) q(velocity | pose)``, the Laplace pose, and their product.
+    """Compare steps 1, 3 and 4 in float64: ``q(pose) q(velocity | pose)``, the Laplace pose, and their product.
 
     The joint's precision is the predicted one plus what the smoothed pose gained over the predicted pose: dense
     12 x 12 algebra with neither a split nor a conditional in it.
@@ -112,7 +112,7 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
 
 
 def test_an_overwhelming_prior_holds_the_pose() -> None:
-    """Step 2 is MAP: a prior surer than all pixels keeps its mean, a vague one gives way to the images."""
+    """In step 2 a prior more precise than all pixels keeps its mean, and a vague one gives the images' pose."""
     state, _ = walked(FRAMES)
     sure = np.diag(np.repeat([1e-7, 1e-7, 1e-9, 1e-9], 3)) ** 2
     still = Rigid(RigidNoise(1e-7, 1e-7, 1e-7, 1e-7))
@@ -126,8 +126,8 @@ def test_an_overwhelming_prior_holds_the_pose() -> None:
 # The velocity
 
 
-def test_velocity_is_in_its_band_on_a_path_of_constant_velocity() -> None:
-    """0.2 m/s and 0.1 rad/s: within 4 standard deviations, and those within a tenth of what was unknown at first."""
+def test_velocity_is_within_its_deviation_on_a_path_of_constant_velocity() -> None:
+    """The error is below 4 standard deviations, which fall below a tenth of the first ones."""
     v, w = np.array([0.17, 0.08, -0.05]), np.array([0.02, -0.05, 0.08])
     T_room_world = true_pose(0)
 
@@ -150,7 +150,7 @@ def test_velocity_is_in_its_band_on_a_path_of_constant_velocity() -> None:
     assert (std < [0.3] * 3 + [0.5] * 3).all()
 
 
-def test_a_steady_hand_narrows_the_prior_and_a_jerk_widens_it() -> None:
+def test_smooth_motion_narrows_the_prior_and_a_jerk_widens_it() -> None:
     state, _ = walked(FRAMES)
     assert (np.asarray(state.past.noise_scale) < 0.8).all()
     steady = track(state, FRAMES + 1)
@@ -164,7 +164,7 @@ def test_a_steady_hand_narrows_the_prior_and_a_jerk_widens_it() -> None:
 
 
 def test_a_known_acceleration_is_added() -> None:
-    """The control moves the prediction as the transition says, and nothing else."""
+    """The control changes the prediction as the transition does, and nothing else."""
     state, _ = walked(FRAMES)
     state_before = copy(state)
     control = jnp.asarray([0.1, -0.2, 0.05, 0.0, 0.1, 0.0])
@@ -184,7 +184,7 @@ def test_a_known_acceleration_is_added() -> None:
 
 
 def test_precision_never_falls() -> None:
-    """Every cell, occupancy and colour, at every step; and somewhere it rises."""
+    """This holds for every cell, in occupancy and colour, at every step; in some cell it rises."""
     first = start()
     before = [np.array(first.map.occupancy_precision), np.array(first.map.colour_precision)]
     for state, _ in walk(first, range(1, 6)):
@@ -195,8 +195,8 @@ def test_precision_never_falls() -> None:
         before = after
 
 
-def test_the_map_is_the_room() -> None:
-    """Rendered from a pose between two frames: half of the depths to 5 mm."""
+def test_the_map_renders_the_room() -> None:
+    """From a pose between two frames half of the depths agree to 5 mm."""
     state, _ = walked(FRAMES)
     T_room_cam = true_pose(7.5)
     T = jnp.asarray(np.linalg.inv(true_pose(0)) @ T_room_cam, jnp.float32)
@@ -207,8 +207,8 @@ def test_the_map_is_the_room() -> None:
     assert np.median(off) < 0.005
 
 
-def test_an_uncertain_pose_teaches_the_map_less() -> None:
-    """In expectation over three poses: the wider the belief, the less is learnt, and no cell learns more than at the
+def test_an_uncertain_pose_adds_less_precision_to_the_map() -> None:
+    """In expectation over three poses, a wider belief adds less, and no cell gains more than at the
     mean alone."""
     state, _ = walked(FRAMES, EXPECTED)
     seen = image(FRAMES)
@@ -257,8 +257,8 @@ def test_time_must_pass(dt: float) -> None:
         step(walked(FRAMES)[0], image(FRAMES + 1), dt)
 
 
-def test_the_reference_view_serves_until_the_camera_has_left_it() -> None:
-    """Farther than its distance or its angle it is taken anew, at the pose of that image."""
+def test_the_reference_view_is_kept_until_the_camera_has_left_it() -> None:
+    """Beyond the distance or the angle a new one is rendered at the pose of that image."""
     taken = 0
     for state, info in walk(start(), range(1, FRAMES + 1)):
         apart = np.asarray(se3_log(inverse(state.reference.T_world_cam) @ info.belief.mean.T_world_body))
@@ -269,7 +269,7 @@ def test_the_reference_view_serves_until_the_camera_has_left_it() -> None:
 
 
 def test_the_window_follows_a_camera_that_leaves_it() -> None:
-    """Backwards through a cube of 2 m: by whole blocks, and what falls off before the camera is counted."""
+    """Backwards through a cube of 2 m it moves by whole blocks, and dropped blocks before the camera are counted."""
     first = 26
     state = start(extent=1.92, first=image(first))
     block, moves, forgotten = 8 * 0.08, 0, 0
@@ -295,7 +295,7 @@ def test_the_window_follows_a_camera_that_leaves_it() -> None:
 
 @pytest.mark.parametrize("solver", ["gauss_newton", "adam"])
 def test_the_same_seed_gives_the_same_bytes(solver: str) -> None:
-    """And with the published solver, which draws pixels, another seed gives others."""
+    """With the published solver, which draws pixels, another seed gives other bytes."""
     config = PrismConfig(tracking=TrackingConfig(solver=solver))
     ends = []
     for seed in (0, 0, 1):

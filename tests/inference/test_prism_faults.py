@@ -74,7 +74,7 @@ def stds(info: FilterInfo) -> np.ndarray:
 
 
 def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
-    """Assert that from frame ``k`` on the camera is tracked as without the fault, and the map is whole."""
+    """Assert that from frame ``k`` on the camera is tracked as without the fault, and the map shows the room."""
     for j in range(k, k + frames):
         state, info = step(state, image(j))
         assert info.status in TRACKED, f"frame {j}: {info.status.message}"
@@ -88,7 +88,7 @@ def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
 
 @pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
 def test_frames_that_are_dropped(config: PrismConfig) -> None:
-    """Half a second without an image, while the hand moves 12 cm and 6 degrees."""
+    """Half a second has no image, while the camera moves 12 cm and 6 degrees."""
     state, _ = walked(WALKED, config)
     state, info = step(state, image(WALKED + 5), 0.5, config)
     assert info.status in TRACKED
@@ -98,7 +98,7 @@ def test_frames_that_are_dropped(config: PrismConfig) -> None:
 
 @pytest.mark.parametrize(("what", "frames"), [("black", 10), ("no depth", 10), ("no depth", 1)])
 def test_images_without_a_reading(what: str, frames: int) -> None:
-    """Said to have none; the map stays bit for bit, the pose where it was and its spread grows."""
+    """The status reports it; map and pose are unchanged, and the pose's covariance grows."""
     state, infos = walked(WALKED)
     before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body), 0.0
     for k in range(WALKED + 1, WALKED + 1 + frames):
@@ -111,8 +111,8 @@ def test_images_without_a_reading(what: str, frames: int) -> None:
 
 
 @pytest.mark.parametrize("pixels", [1, 10, 100])
-def test_next_to_no_depth_is_no_reading(pixels: int) -> None:
-    """So few readings fit anywhere: they move neither pose nor map."""
+def test_too_little_depth_counts_as_no_reading(pixels: int) -> None:
+    """A few readings fit at any pose, so that they change neither pose nor map."""
     state, infos = walked(WALKED)
     before, stood = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body)
     few = np.zeros(60 * 80, bool)
@@ -129,7 +129,7 @@ def test_next_to_no_depth_is_no_reading(pixels: int) -> None:
 
 @pytest.mark.parametrize("gain", [0.3, 0.5, 1.7, 2.2])
 def test_a_camera_that_changes_its_exposure(gain: float) -> None:
-    """At once and by so much: tracked, and the map keeps the brightness it had."""
+    """After a sudden large change the camera is tracked, and the map keeps its brightness."""
     state, _ = walked(WALKED)
     for k in range(WALKED + 1, WALKED + 6):
         seen = image(k)
@@ -146,7 +146,7 @@ def test_a_camera_that_changes_its_exposure(gain: float) -> None:
 
 @pytest.mark.parametrize(("frames", "dt"), [(50, 0.02), (10, 0.1), (2, 0.5)])
 def test_the_spread_of_a_lost_camera_grows_with_time_not_with_images(frames: int, dt: float) -> None:
-    """A second of darkness at an unknown speed of half a metre a second: half a metre, whatever the rate of images."""
+    """A second of darkness at an unknown speed of 0.5 m/s gives 0.5 m, at every rate of images."""
     state, _ = walked(WALKED)
     for _ in range(frames):
         state, info = step(state, black(), dt)
@@ -163,8 +163,8 @@ def test_a_map_cannot_start_from_an_image_without_depth() -> None:
 @pytest.mark.parametrize(
     ("value", "share"), [(np.nan, 0.3), (np.inf, 0.3), (-1.0, 0.3), (0.0, 0.7), (1e9, 0.1), (1e-9, 0.1)]
 )
-def test_readings_that_are_none(value: float, share: float) -> None:
-    """Every strange number in a depth image is no reading there; the others count."""
+def test_invalid_depths_are_no_reading(value: float, share: float) -> None:
+    """An invalid number in a depth image is no reading there; the others count."""
     state, _ = walked(WALKED)
     rng = np.random.default_rng(0)
     for k in range(WALKED + 1, WALKED + 4):
@@ -190,8 +190,8 @@ def test_a_depth_image_of_nan_alone() -> None:
 
 
 @pytest.mark.parametrize("to", [0, 4])
-def test_a_camera_carried_back_to_where_it_was(to: int) -> None:
-    """In one step, by 35 cm and 15 degrees: found again there."""
+def test_a_camera_moved_to_a_mapped_place_is_relocalised(to: int) -> None:
+    """One step moves the camera by 35 cm and 15 degrees."""
     state, _ = walked(14)
     state, info = step(state, image(to))
     assert info.status in TRACKED
@@ -199,8 +199,8 @@ def test_a_camera_carried_back_to_where_it_was(to: int) -> None:
     back_on_the_walk(state, to + 1)
 
 
-def test_a_camera_carried_to_where_it_never_was() -> None:
-    """Lost, and said so, while it is there; the map stays bit for bit. Found again when it comes back."""
+def test_a_camera_moved_to_an_unmapped_place_is_lost() -> None:
+    """While it is there the status is lost and the map unchanged; back in the room it is relocalised."""
     state, _ = walked(WALKED)
     before = copy(state).map
     for _ in range(5):
@@ -211,7 +211,7 @@ def test_a_camera_carried_to_where_it_never_was() -> None:
 
 
 def test_noise_in_place_of_an_image() -> None:
-    """A broken cable: colours and depths at random."""
+    """Colours and depths are random, as from a broken cable."""
     state, _ = walked(WALKED)
     before = copy(state).map
     rng = np.random.default_rng(1)
@@ -224,7 +224,7 @@ def test_noise_in_place_of_an_image() -> None:
 
 
 def test_the_same_image_again() -> None:
-    """A camera that hangs: the pose stays, the belief of a standstill is kept."""
+    """When the camera repeats an image, the pose stays and the velocity is that of a standstill."""
     state, _ = walked(WALKED)
     for _ in range(5):
         state, info = step(state, image(WALKED))

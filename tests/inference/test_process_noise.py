@@ -1,4 +1,4 @@
-"""Test the adaptive process noise: the scale that a hand of known unsteadiness gets."""
+"""Test the adaptive process noise: the noise scale that a hand with known acceleration gets."""
 
 import jax
 import jax.numpy as jnp
@@ -37,8 +37,8 @@ def innovations(rng: np.random.Generator, std: tuple[float, float], dt: float, n
 
 @pytest.mark.parametrize("dt", [1 / 30, 0.1, 0.5])
 @pytest.mark.parametrize("std", [(0.05, 0.3), (0.3, 0.5), (0.4, 0.02)])
-def test_the_level_is_the_hands_own_times_a_margin(std: tuple[float, float], dt: float) -> None:
-    """Mean over a long time: ``(c s)^2``, or the floor; translation and rotation apart from each other."""
+def test_the_scale_is_the_hands_own_times_a_margin(std: tuple[float, float], dt: float) -> None:
+    """Its mean over a long time is ``(c s)^2``, or the floor, for translation and rotation separately."""
     level, seen = process_noise.full(), []
     for e in innovations(np.random.default_rng(0), std, dt, 600):
         level = adapt(level, e, dt)
@@ -52,8 +52,8 @@ def test_the_level_is_the_hands_own_times_a_margin(std: tuple[float, float], dt:
     st.floats(0.001, 10.0),
     st.floats(CONFIG.floor**2, 1.0),
 )
-def test_the_level_stays_in_its_range(e: list[float], dt: float, before: float) -> None:
-    """No innovation, however large or small, leads out of it, nor past what that innovation speaks for."""
+def test_the_scale_stays_in_its_range(e: list[float], dt: float, before: float) -> None:
+    """No innovation, however large or small, moves it out of the range or beyond the scale of that innovation."""
     start = jnp.full(2, before)
     level = np.asarray(adapt(start, e, dt))
     assert (level >= CONFIG.floor**2 - 1e-6).all()
@@ -65,7 +65,7 @@ def test_the_level_stays_in_its_range(e: list[float], dt: float, before: float) 
     )
 
 
-def test_at_a_level_the_variances_are_scaled_by_it() -> None:
+def test_the_variances_are_multiplied_by_the_scale() -> None:
     """Translation and linear velocity by one factor, rotation and angular velocity by the other, in every block."""
     factors = np.asarray(process_noise.scale(RIGID, jnp.asarray([0.25, 0.09])))
     np.testing.assert_allclose(factors, np.tile(np.repeat([0.5, 0.3], 3), 2), rtol=1e-6)
@@ -81,8 +81,8 @@ def test_at_a_level_the_variances_are_scaled_by_it() -> None:
     np.testing.assert_array_equal(process_noise.full(), [1.0, 1.0])
 
 
-def test_an_image_that_tells_nothing_changes_nothing() -> None:
-    """In front of a bare wall the prior holds, and nothing is moved: that says nothing of the hand."""
+def test_an_image_without_information_changes_nothing() -> None:
+    """In front of a blank wall the pose is the prior's, which is no evidence of a steady hand."""
     level = jnp.asarray([0.3, 0.7])
     np.testing.assert_allclose(adapt(level, np.zeros(6), 0.1, left=1.0), level, rtol=1e-5)
     half = np.asarray(adapt(level, np.zeros(6), 0.1, left=0.5))
@@ -90,10 +90,10 @@ def test_an_image_that_tells_nothing_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("blind", [[], [0], [0, 1]], ids=["sees", "one axis blind", "two axes blind"])
-def test_a_hand_is_judged_by_what_is_seen_of_it(blind: list[int]) -> None:
-    """A Kalman filter of position and velocity per axis in float64, its process noise adapted in the loop.
+def test_the_scale_depends_on_observed_directions_only(blind: list[int]) -> None:
+    """Run a Kalman filter of position and velocity per axis in float64, its process noise adapted in the loop.
 
-    The hand is as unsteady as configured. An axis that the image does not see must not lower the level: the variances
+    The hand has the configured noise. An axis that the image does not see must not lower the scale: the variances
     that the filter claims of the blind axes, whose errors grow, stay about right (NEES over dimension near 1).
     """
     rng, dt = np.random.default_rng(0), 0.1

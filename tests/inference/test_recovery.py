@@ -70,7 +70,7 @@ def test_a_camera_carried_off_is_found_from_a_keyframe(seed: int, metres: float,
 
 
 def test_the_best_of_the_starts_is_taken() -> None:
-    """Whatever its number among them; starts that lead nowhere do not matter."""
+    """Its position in the list and bad starts do not matter."""
     now = place(np.random.default_rng(4))
     image = ROOM.image(now, CAMERA)
     near, away, behind = off(now, np.random.default_rng(1), 0.05, 3.0), np.eye(4), camera_pose((1.5, 0.0, 1.0), 3.0)
@@ -83,7 +83,7 @@ def test_the_best_of_the_starts_is_taken() -> None:
 @settings(max_examples=8)
 @given(seeds)
 def test_a_picture_of_another_place_does_not_fit(seed: int) -> None:
-    """Another room, of the same wallpaper, from starts all over this one."""
+    """An image of another room with the same wallpaper fits from no start in this one."""
     rng = np.random.default_rng(seed)
     starts = np.stack([place(rng), place(rng), camera_pose((0.2, 0.0, 1.0), 2.5)])
     image = OTHER.image(camera_pose((-1.6, 0.3, 1.3), rng.uniform(-0.3, 0.6), 0.3), CAMERA)
@@ -95,8 +95,8 @@ def blank(image: RGBD) -> RGBD:
 
 
 @pytest.mark.parametrize("what", ["an image without depth", "starts outside the map"])
-def test_nothing_to_go_by_does_not_fit(what: str) -> None:
-    """And gives finite poses all the same."""
+def test_without_depth_or_a_start_in_the_map_nothing_fits(what: str) -> None:
+    """The poses are finite nevertheless."""
     now = place(np.random.default_rng(4))
     image, starts = ROOM.image(now, CAMERA), np.stack([now, now, now])
     if what == "an image without depth":

@@ -92,8 +92,8 @@ def test_an_image_and_itself_are_not_turned(seed: int) -> None:
 
 
 @pytest.mark.parametrize("grey", [0.0, 0.5, 1.0])
-def test_images_without_texture_ask_for_no_rotation(grey: float) -> None:
-    """Not a NaN, whatever stands on the other side."""
+def test_images_without_texture_give_no_rotation(grey: float) -> None:
+    """The result is the identity and no NaN, for every other image."""
     blank, image = jnp.full((120, 160), grey), seen(room_pose(3))
     for last, now in ((blank, blank), (blank, image)):
         np.testing.assert_allclose(np.asarray(find(now, last, CAMERA, CONFIG)), np.eye(3), atol=1e-5)
@@ -104,15 +104,15 @@ def test_images_without_texture_ask_for_no_rotation(grey: float) -> None:
 @settings(max_examples=10)
 @given(seeds)
 def test_noise_gives_a_rotation_all_the_same(seed: int) -> None:
-    """Two images of nothing in common: some rotation, finite and orthogonal."""
+    """Two unrelated images give some rotation, finite and orthogonal."""
     a, b = np.random.default_rng(seed).uniform(size=(2, 120, 160))
     R = np.asarray(find(jnp.asarray(a, jnp.float32), jnp.asarray(b, jnp.float32), CAMERA, CONFIG), float)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-4)
     assert np.linalg.det(R) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_brighter_image_is_turned_as_far() -> None:
-    """Exposure changes by a few grey levels: beyond the elbow of the residual's loss it hardly counts."""
+def test_a_brighter_image_gives_the_same_rotation() -> None:
+    """A change of a few grey levels beyond the elbow of the robust loss has little effect."""
     T, R = room_pose(2), turn(2, 3.0)
     found = np.asarray(find(seen(turned(T, R)) + 0.03, seen(T), CAMERA, CONFIG), float)
     assert angle(R.T @ found) < 0.5

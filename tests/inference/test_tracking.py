@@ -70,7 +70,7 @@ def dead_reckoning_error(drive: list[tuple[np.ndarray, np.ndarray]]) -> float:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_robot_is_tracked_in_its_map(seed: int) -> None:
-    """30 steps round the room: within 1 cm and half a degree, never lost, while commands alone are off by far more."""
+    """In 30 steps round the room the error is below 1 cm and half a degree; that of commands alone is far larger."""
     state, path = start(), drive(30, seed)
     for command, planar in path:
         state, info = step(state, command, see(planar))
@@ -83,7 +83,7 @@ def test_the_robot_is_tracked_in_its_map(seed: int) -> None:
 
 
 def test_a_map_made_from_images_serves_as_well() -> None:
-    """Closed-form updates at known poses, then another drive: the whole path from images to location."""
+    """The map is made by closed-form updates at known poses, and another drive is tracked in it."""
     m = VoxelMap.prior(*GRID)
     for heading in np.arange(0.0, 2 * np.pi, np.pi / 5):
         for xy in ((-0.5, -0.4), (0.2, 0.3)):
@@ -99,8 +99,8 @@ def test_a_map_made_from_images_serves_as_well() -> None:
     assert np.sqrt(np.mean(np.square(offs))) < 0.02
 
 
-def test_frame_to_frame_tracking_drifts_but_holds() -> None:
-    """The "no map" baseline: better than commands alone. Its errors add up, and its covariance says so."""
+def test_frame_to_frame_tracking_drifts_within_its_covariance() -> None:
+    """Without a map the error is smaller than by commands alone, and the covariance grows with every step."""
     state, path, spread = start(BY_FRAMES), drive(30, 0), []
     for command, planar in path:
         state, info = step(state, command, see(planar), BY_FRAMES)
@@ -112,7 +112,7 @@ def test_frame_to_frame_tracking_drifts_but_holds() -> None:
 
 
 def test_images_only_add_information() -> None:
-    """``Sigma^-1 = 2 J^T J + P`` (PRISM, step 3): never less certain than the prediction, in any direction."""
+    """``Sigma^-1 = 2 J^T J + P`` (PRISM, step 3) is at least the prediction's precision in every direction."""
     state = start()
     for command, planar in drive(5, 4):
         predicted = MOTION.predict(state.past.belief, jnp.asarray(command, jnp.float32), ROBOT.dt)
@@ -126,8 +126,8 @@ def test_images_only_add_information() -> None:
         assert np.linalg.eigvalsh(spread - posterior).min() > -1e-9
 
 
-def test_a_robot_at_rest_does_not_creep() -> None:
-    """A robot that stands still in front of what it sees stays where it is, to a millimetre."""
+def test_a_robot_at_rest_does_not_drift() -> None:
+    """The estimate of a standing robot stays within a millimetre."""
     state = start()
     for _ in range(5):
         state, info = step(state, np.zeros(3), see(START))
@@ -141,8 +141,8 @@ ELSEWHERE = np.array([0.5, 0.0, -0.6])
 
 
 @pytest.mark.parametrize("kind", ["another place", "no depth", "black"])
-def test_images_that_do_not_fit_are_not_believed(kind: str) -> None:
-    """The status says so, the belief follows the dynamics and widens, and the next good image brings it back."""
+def test_images_that_do_not_fit_are_rejected(kind: str) -> None:
+    """The status reports it, the belief follows the prediction and widens, and the next good image corrects it."""
     (first_command, first_pose), (second_command, second_pose), (_, third_pose) = drive(3, 5)
     state, info = step(start(), first_command, see(first_pose))
     assert info.status is OK
@@ -166,8 +166,8 @@ def test_images_that_do_not_fit_are_not_believed(kind: str) -> None:
     assert third_pose.shape == (3,)
 
 
-def test_readings_that_are_no_numbers_are_none() -> None:
-    """A sensor's NaN or infinity is a hole in the image, not a hole in the estimate."""
+def test_readings_that_are_not_finite_are_ignored() -> None:
+    """NaN or infinity in an image counts as no reading."""
     (command, planar) = drive(1, 6)[0]
     image = see(planar)
     depth = np.array(image.depth)
@@ -180,7 +180,7 @@ def test_readings_that_are_no_numbers_are_none() -> None:
 
 
 def test_covariance_in_world_axes_by_hand() -> None:
-    """Facing world y, what the body calls ahead is y: std 0.1 ahead and 0.3 to the left are 0.3 in x and 0.1 in y."""
+    """For a body that faces world y, stds 0.1 ahead and 0.3 to the left are 0.3 in x and 0.1 in y."""
     belief = planar_belief(jnp.array([1.0, 2.0, np.pi / 2]), jnp.diag(jnp.array([0.01, 0.09, 0.04])))
     np.testing.assert_allclose(np.asarray(world_covariance(belief)), np.diag([0.09, 0.01, 0.04]), atol=1e-7)
 
@@ -202,13 +202,13 @@ def test_an_observation_is_what_the_camera_delivered() -> None:
     np.testing.assert_array_equal(np.asarray(image.hit), depth > 0)
 
 
-def test_every_status_has_words() -> None:
+def test_every_status_has_a_message() -> None:
     assert len({status.message for status in Status}) == len(Status)
     assert [status for status in Status if status.accepted] == [Status.OK, Status.RECOVERED]
 
 
 def test_tracking_compiles_once() -> None:
-    """Whatever the poses, commands, maps and images, lost or not."""
+    """Poses, commands, maps and images, lost or not, need no second compilation."""
     before = camera_filter.track._cache_size()
     for m in (known_map(), VoxelMap.prior(*GRID)):
         state, frames = start(m=m), start(BY_FRAMES)
@@ -226,7 +226,7 @@ def test_steps_are_deterministic() -> None:
 
 
 def test_the_rig_takes_any_camera() -> None:
-    """The camera's place on the body is the rig's, not the tracker's: one that looks back tracks as well."""
+    """The camera's mounting is part of the rig: a camera that faces backwards tracks as well."""
     T_body_cam = planar_to_matrix(np.array([-0.05, 0.02, np.pi])) @ ROBOT.T_body_cam
     tracker = MapTracker(Rig.of(CAMERA, T_body_cam), MOTION)
 

@@ -148,8 +148,8 @@ def test_sparse_precision_never_falls(seed: int) -> None:
 
 
 @given(seeds)
-def test_what_does_not_fit_is_told_and_harms_nothing(seed: int) -> None:
-    """With too few slots: every stored block is as it would be, every other one is at the prior, and both are said."""
+def test_blocks_without_a_slot_are_reported_and_change_nothing(seed: int) -> None:
+    """With too few slots every stored block is exact, every other one is at the prior, and both are counted."""
     dense, full = seen(seed, 1, None), seen(seed, 1, 12)
     needed = int(np.asarray(dense.occupancy_precision > 0.02).any(axis=1).sum())
     assume(needed > 11)
@@ -171,14 +171,14 @@ def test_the_mesh_of_a_sparse_map() -> None:
     np.testing.assert_array_equal(a.faces, b.faces)
 
 
-def test_means_that_are_replaced_leave_the_prior_alone() -> None:
+def test_replaced_means_leave_the_prior_unchanged() -> None:
     m = seen(1, 2, SLOTS)
     shifted = m.with_occupancy(m.occupancy + 0.05)
     assert_sound(m.with_occupancy(m.occupancy))
     np.testing.assert_array_equal(np.asarray(shifted.occupancy[PRIOR_SLOT]), np.float32(PRIOR_OCCUPANCY_MEAN))
 
 
-def test_a_large_grid_costs_what_it_stores() -> None:
+def test_a_large_grid_needs_memory_for_stored_blocks_only() -> None:
     """2000^3 cells, 8 x 10^9, of which 100 blocks may be observed."""
     m = VoxelMap.sparse_cube((0.0, 0.0, 0.0), extent=100.0, voxel_size=0.05, slots=100)
     assert m.shape == (2000, 2000, 2000)
@@ -224,7 +224,7 @@ def shifted(array: np.ndarray, shift: np.ndarray, fill: float) -> np.ndarray:
 
 @given(seeds, st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(-10, 10)), st.booleans())
 @example(181, (0, -2, -6), True)  # blocks without storage, whose surface lay in a block that left
-def test_what_the_windows_share_is_kept(seed: int, shift: tuple[int, int, int], is_sparse: bool) -> None:
+def test_the_overlap_of_both_windows_is_kept(seed: int, shift: tuple[int, int, int], is_sparse: bool) -> None:
     m = seen(seed, 3, SLOTS if is_sparse else None)
     before = {name: np.asarray(m.dense(getattr(m, name))) for name in ARRAYS}
     origin = np.asarray(m.origin, float)
@@ -247,7 +247,7 @@ def test_what_the_windows_share_is_kept(seed: int, shift: tuple[int, int, int], 
 
 @pytest.mark.parametrize("shift", [(-1, 0, 0), (0, -1, 0), (0, 0, -2), (1, 1, -1)])
 def test_the_index_follows_surfaces_at_the_windows_border(shift: tuple[int, int, int]) -> None:
-    """Solid up to its faces: blocks that come in beside it have surfaces, those at its end lose their neighbours."""
+    """In a solid window, new blocks beside it have surfaces, and those at its end lose their neighbours."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     moved, _ = move(m.with_occupancy(jnp.full_like(m.occupancy, 0.2)), jnp.asarray(shift, jnp.int32))
     fresh = build(moved.occupancy, None)
@@ -255,8 +255,8 @@ def test_the_index_follows_surfaces_at_the_windows_border(shift: tuple[int, int,
     np.testing.assert_array_equal(np.asarray(moved.empty.level), np.asarray(fresh.level))
 
 
-def test_a_window_that_moves_and_maps_for_ever_needs_no_more_slots() -> None:
-    """A walk of 40 moves: the slots of what falls off are used again, and the map keeps up."""
+def test_a_rolling_window_reuses_its_slots() -> None:
+    """In a walk of 40 moves the slots of dropped blocks are used again, and no block is missing."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE, SLOTS)
     for i in range(40):
         shift = np.array([2 if i % 2 else -1, (-1) ** (i // 3), 0])
@@ -298,6 +298,6 @@ def test_set_flags_are_listed_in_order(n: int, share: float) -> None:
     np.testing.assert_array_equal(some, np.append(expected, np.full(50, n))[:50])
 
 
-def test_files_of_a_dense_map_stay_version_1(tmp_path: Path) -> None:
+def test_files_of_a_dense_map_have_version_1(tmp_path: Path) -> None:
     VoxelMap.prior(ORIGIN, VOXEL, (8, 8, 8)).save(tmp_path / "map.npz")
     assert read_metadata(tmp_path / "map.npz")["version"] == 1

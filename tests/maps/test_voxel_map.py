@@ -71,7 +71,7 @@ def test_the_field_agrees_with_float64_interpolation(kind: str, seed: int) -> No
 
 @given(kinds, seeds)
 def test_the_field_stays_between_its_eight_cells(kind: str, seed: int) -> None:
-    """A convex combination: the reason why empty boxes can be certified at all."""
+    """The field is a convex combination of the cells, which is why empty boxes can be certified."""
     m, p = random_map(kind, seed), points(seed)
     cells = np.asarray(m.dense(m.occupancy))
     low = np.clip(np.floor((p.astype(float) - np.array(ORIGIN)) / VOXEL), 0, np.array(SHAPE) - 2).astype(int)
@@ -137,7 +137,7 @@ def test_block_storage_is_a_bijection(blocks: tuple[int, int, int]) -> None:
 
 
 def test_observed_share_counts_cells_seen_in_depth_and_colour() -> None:
-    """Half way between a cell that was observed and one that was not: one half; without colour: nothing."""
+    """Halfway between an observed and an unobserved cell it is one half; without colour it is zero."""
     m = VoxelMap.prior((0.0, 0.0, 0.0), 1.0, (8, 8, 8))
     grid = np.zeros((8, 8, 8))
     grid[:4] = 1.0
@@ -182,7 +182,7 @@ def test_metadata_travels_with_the_map(saved: Path) -> None:
     assert (metadata["scene"], metadata["frames"], metadata["version"]) == ("oak", 7, 1)
 
 
-def test_nothing_is_left_beside_the_file(saved: Path) -> None:
+def test_no_temporary_file_is_left(saved: Path) -> None:
     assert [p.name for p in saved.parent.iterdir()] == ["map.npz"]
 
 
@@ -239,7 +239,7 @@ def test_truncated_file(tmp_path_factory, share: float) -> None:
 
 
 @given(st.floats(0.0, 0.999), st.binary(min_size=1, max_size=40))
-def test_a_damaged_file_is_never_a_traceback(tmp_path_factory, share: float, garbage: bytes) -> None:
+def test_a_damaged_file_is_refused_or_loads_the_same_map(tmp_path_factory, share: float, garbage: bytes) -> None:
     """Overwritten bytes are refused, or lie in a field of the zip that nothing reads; they never load another map."""
     path = tmp_path_factory.mktemp("map") / "map.npz"
     m = random_map("blobs", 1)
@@ -280,7 +280,7 @@ def test_other_archives_are_not_maps(tmp_path: Path) -> None:
 
 
 def test_pickles_are_refused(saved: Path) -> None:
-    """An object array would run code when it is read; nothing in it may be touched."""
+    """An object array would run code when it is read, so that nothing of it may be read."""
 
     class Bomb:
         def __reduce__(self):
@@ -299,7 +299,7 @@ def test_other_versions_are_refused(saved: Path, change: dict) -> None:
 
 
 @pytest.mark.parametrize("content", [b"[1, 2]", b'"map"', b"7"])
-def test_a_header_that_is_no_record_is_refused(saved: Path, content: bytes) -> None:
+def test_an_invalid_header_is_refused(saved: Path, content: bytes) -> None:
     rewrite(saved, header=np.frombuffer(content, np.uint8))
     assert_refused(saved, "version")
 

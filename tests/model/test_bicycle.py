@@ -72,7 +72,7 @@ def test_the_arc_is_smooth_where_its_series_ends(turn: float) -> None:
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_prediction_agrees_with_samples(control: tuple[float, float]) -> None:
-    """A belief pushed through the linearisation against 1e5 cars drawn from it and driven."""
+    """The linearised prediction agrees with 1e5 cars drawn from the belief and driven."""
     rng = np.random.default_rng(1)
     root = np.array([[0.03, 0.0, 0.0], [0.01, 0.02, 0.0], [-0.01, 0.015, 0.04]])
     mean = f32([0.4, -0.7, 3.0])
@@ -88,7 +88,7 @@ def test_prediction_agrees_with_samples(control: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("control", [(1.5, 0.5), (-2.0, 0.3)])
 def test_prediction_is_linearised_as_autodiff_does(control: tuple[float, float]) -> None:
-    """Long steps of half a radian and more, steering noise alone: the frame of the noise's columns shows."""
+    """Steps of half a radian and more with steering noise alone test the frame of the noise's columns."""
     start, u, dt = f32([0.4, -0.7, 3.0]), f32(control), 0.4
     noise = BicycleNoise(0.1, 0.1, 0.0, 0.0, 0.0)
     car = Bicycle(noise, L)
@@ -102,8 +102,8 @@ def test_prediction_is_linearised_as_autodiff_does(control: tuple[float, float])
     np.testing.assert_allclose(np.asarray(predicted.covariance, float), expected, atol=2e-3 * np.abs(expected).max())
 
 
-def test_what_a_step_displaces_does_not_depend_on_how_time_is_cut() -> None:
-    """Driving straight: variances along the road after one step of 0.4 s and after four of 0.1 s."""
+def test_variances_do_not_depend_on_the_division_of_time() -> None:
+    """On a straight line the variances after one step of 0.4 s equal those after four of 0.1 s."""
     start = planar_belief(jnp.zeros(3), jnp.zeros((3, 3)))
     control = f32([1.0, 0.0])
     once, many = CAR.predict(start, control, 0.4), start
@@ -113,7 +113,7 @@ def test_what_a_step_displaces_does_not_depend_on_how_time_is_cut() -> None:
         np.testing.assert_allclose(float(once.covariance[i, i]), float(many.covariance[i, i]), rtol=1e-4)
 
 
-def test_a_car_that_stands_only_slips() -> None:
+def test_a_standing_car_only_slips() -> None:
     start = planar_belief(f32([1.0, 2.0, 0.5]), jnp.zeros((3, 3)))
     after = CAR.predict(start, f32([0.0, 0.4]), DT)
     np.testing.assert_allclose(np.asarray(after.mean), [1.0, 2.0, 0.5], atol=1e-6)

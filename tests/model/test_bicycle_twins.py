@@ -142,7 +142,7 @@ EXACT: dict[str, Callable[[], tuple[np.ndarray, np.ndarray]]] = {
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_a_twin_moves_as_the_transition_does(name):
+def test_an_implementation_moves_as_the_transition_does(name):
     found, expected = EXACT[name]()
     assert len(found) >= 6
     assert_same(found, expected, 1e-9)
@@ -156,7 +156,7 @@ def test_a_twin_moves_as_the_transition_does(name):
     ],
 )
 def test_short_parts_add_up_to_an_arc(part, chord, most):
-    """The compiled searches' approximate chords, over 1.2 m at full lock, against the arc in one piece."""
+    """The approximate chords of the compiled searches, over 1.2 m at full lock, end at the end of the arc."""
     for steering in (CAR.max_steering, -0.2):
         for gear in (1.0, -1.0):
             pose, count = (0.3, 0.2, 1.0), round(1.2 / part)

@@ -16,8 +16,8 @@ import vssm_gym  # noqa: F401  (registers the environments)
 from tests.helpers.box_rooms import two_rooms
 from tests.inference import test_filters
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.robots.differential import WHEEL_NOISE, DifferentialRobot
-from vssm_gym.envs.robots.differential import WheelNoise as Noise
+from vssm_gym.envs.robots.differential import NOISE_LEVELS, DifferentialRobot
+from vssm_gym.envs.robots.differential import DifferentialExecutionNoise as Noise
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.inference.registry import filters_for
@@ -57,14 +57,14 @@ def test_without_noise_it_solves_the_differential_equation(planar: np.ndarray, c
     speed, rate = command.mean(), (command[1] - command[0]) / ROBOT.track
     slope = lambda _, z: [speed * np.cos(z[2]), speed * np.sin(z[2]), rate]
     truth = solve_ivp(slope, (0.0, 1.0), planar, rtol=1e-10, atol=1e-12).y[:, -1]
-    after = executed(planar, command, WHEEL_NOISE["none"], 0)
+    after = executed(planar, command, NOISE_LEVELS["none"], 0)
     np.testing.assert_allclose(after[:2], truth[:2], atol=1e-8)
     assert differs(after[2], truth[2]) < 1e-8 and -math.pi <= after[2] < math.pi
 
 
 def test_by_hand() -> None:
-    """Both wheels: straight ahead. One wheel: about the other one. Against each other: on the spot."""
-    none = WHEEL_NOISE["none"]
+    """Equal wheels drive straight, one wheel turns about the other, opposite wheels turn in place."""
+    none = NOISE_LEVELS["none"]
     np.testing.assert_allclose(executed(np.zeros(3), np.array([0.1, 0.1]), none, 0), [0.1, 0.0, 0.0])
     spun = executed(np.zeros(3), np.array([-0.08, 0.08]), none, 0)
     np.testing.assert_allclose(spun, [0.0, 0.0, 1.0], atol=1e-12)
@@ -87,8 +87,8 @@ def test_noise_never_reverses_a_wheel_and_never_moves_one_at_rest(planar, comman
 
 @pytest.mark.parametrize("level", ["low", "mid", "high"])
 @pytest.mark.parametrize("travel", [0.02, -0.16])
-def test_wheels_stray_by_the_stated_widths_and_independently(level: str, travel: float) -> None:
-    noise, rng = WHEEL_NOISE[level], np.random.default_rng(1)
+def test_wheel_errors_are_independent_with_the_stated_deviations(level: str, travel: float) -> None:
+    noise, rng = NOISE_LEVELS[level], np.random.default_rng(1)
     command = np.array([travel, travel])
     wheels = np.array([rolled(START, ROBOT.execute(START, command, noise, rng)) for _ in range(20_000)])
     # Rectified, the mean and width of a Gaussian cut at zero differ from its own only where it reaches there.
@@ -101,12 +101,14 @@ def test_wheels_stray_by_the_stated_widths_and_independently(level: str, travel:
 
 def test_levels_grow_and_turn_about_as_much_as_the_holonomic_robots() -> None:
     for level, degrees in (("low", 3.0), ("mid", 6.0), ("high", 9.0)):
-        noise = WHEEL_NOISE[level]
+        noise = NOISE_LEVELS[level]
         wheel = math.hypot(noise.slip * ROBOT.max_travel, noise.play)
         assert math.degrees(math.sqrt(2.0) * wheel / ROBOT.track) == pytest.approx(degrees, rel=0.15)
-    with pytest.raises(InputError, match="environment: noise: expected one of none, low, mid, high, or a WheelNoise"):
+    with pytest.raises(
+        InputError, match="environment: noise: expected one of none, low, mid, high, or a DifferentialExecutionNoise"
+    ):
         ROBOT.parse_noise("loud")
-    with pytest.raises(InputError, match="WheelNoise: slip"):
+    with pytest.raises(InputError, match="DifferentialExecutionNoise: slip"):
         Noise(slip=-1.0, play=0.0)
 
 
@@ -114,7 +116,7 @@ def test_levels_grow_and_turn_about_as_much_as_the_holonomic_robots() -> None:
 
 
 @given(planars, commands, noises, seeds)
-def test_the_robot_is_the_twin_of_the_models_law(planar, command, noise, seed) -> None:
+def test_the_robot_equals_the_models_law(planar, command, noise, seed) -> None:
     """The same normals give the same pose in NumPy and in JAX, rectified noise included."""
     twin, normal = executed(planar, command, noise, seed), np.random.default_rng(seed).standard_normal(2)
     with jax.enable_x64(True):
@@ -178,8 +180,8 @@ def make(**keywords) -> gym.Env:
     return gym.make("vssm_gym/PointNav-v0", **given | keywords)
 
 
-def test_it_stands_where_the_holonomic_robot_does() -> None:
-    """The same cylinder, camera and step: the same tasks, and the same image at the start."""
+def test_it_starts_as_the_holonomic_robot_does() -> None:
+    """Cylinder, camera and step are the same, and so are tasks and the first image."""
     round_one = HolonomicRobot()
     for measure in ("body_length", "height", "camera_height", "dt", "radius"):
         assert getattr(ROBOT, measure) == getattr(round_one, measure)
@@ -191,7 +193,7 @@ def test_it_stands_where_the_holonomic_robot_does() -> None:
 
 
 @pytest.mark.parametrize("name", ["PointNav", "ImageNav", "Explore"])
-def test_it_drives_its_law_and_slides_along_walls(name: str) -> None:
+def test_it_follows_its_law_and_slides_along_walls(name: str) -> None:
     env = gym.make(
         f"vssm_gym/{name}-v0",
         scene=two_rooms(),
@@ -202,7 +204,7 @@ def test_it_drives_its_law_and_slides_along_walls(name: str) -> None:
     assert env.action_space.shape == (3,)
     env.reset(seed=2)
     simulation, stream = env.unwrapped.simulation, np.random.default_rng(np.random.SeedSequence(2).spawn(4)[2])
-    assert simulation.noise == WHEEL_NOISE["mid"]
+    assert simulation.noise == NOISE_LEVELS["mid"]
     met = free = 0
     for step in range(60):
         before = simulation.planar
@@ -236,14 +238,14 @@ def test_gymnasium_accepts_it() -> None:
     check_env(make(sensors=["lidar"]).unwrapped, skip_render_check=True)
 
 
-def test_an_unknown_robot_names_those_there_are() -> None:
+def test_an_unknown_robot_is_refused_and_the_known_ones_are_listed() -> None:
     with pytest.raises(InputError, match="robot: expected one of 'holonomic', 'differential'; found 'tracked'"):
         make(robot="tracked")
 
 
 @pytest.mark.parametrize("name", filters_for(DifferentialDrive(DifferentialNoise(0.05, 0.004))))
 def test_every_filter_takes_it(name: str) -> None:
-    """The arc of the filters' room, driven on two wheels."""
+    """Every filter tracks the arc of the filters' room, driven on two wheels."""
     drive = DifferentialDrive(DifferentialNoise(0.05, 0.004))
     outer = 0.5 * test_filters.TURN * drive.track
     travel = jnp.array([test_filters.STEP - outer, test_filters.STEP + outer])

@@ -71,7 +71,7 @@ def assert_same_hits(m: VoxelMap, centre: np.ndarray, directions: np.ndarray) ->
 
 @given(kinds, seeds)
 def test_search_finds_the_hits_of_the_march(kind: str, seed: int) -> None:
-    """Random rays from inside and outside the grid, a third of them parallel to one or two faces, a few across the
+    """Draw random rays from inside and outside the grid, a third of them parallel to one or two faces, a few across the
     diagonals of cubes; as long as a camera's, 1 at the middle of the image and more towards its corners."""
     rng = np.random.default_rng([seed, 2])
     extent = VOXEL * np.array(SHAPE)
@@ -87,7 +87,7 @@ def test_search_finds_the_hits_of_the_march(kind: str, seed: int) -> None:
 
 @given(kinds, seeds, st.sampled_from([0.0, 0.5, 0.25]))
 def test_search_finds_the_hits_from_the_lattice(kind: str, seed: int, fraction: float) -> None:
-    """Rays that start on cell centres and run exactly along the planes between cubes, or across their edges."""
+    """The rays start on cell centres and run exactly along the planes between cubes, or across their edges."""
     rng = np.random.default_rng([seed, 3])
     centre = np.array(ORIGIN) + VOXEL * (rng.integers(-4, 28, 3) + fraction)
     directions = rng.integers(-1, 2, (RAYS, 3)).astype(float)
@@ -98,7 +98,7 @@ def test_search_finds_the_hits_from_the_lattice(kind: str, seed: int, fraction: 
 
 @given(kinds, seeds)
 def test_march_takes_the_first_sample_above_the_threshold(kind: str, seed: int) -> None:
-    """The reference itself against the definition, float64, sample by sample."""
+    """The reference search agrees with the definition in float64, sample by sample."""
     m, rng = random_map(kind, seed), np.random.default_rng([seed, 4])
     centre = ORIGIN + VOXEL * np.array(SHAPE) * rng.uniform(-0.2, 1.2, 3)
     directions = rng.uniform(-1.2, 1.2, (RAYS, 3))
@@ -115,7 +115,7 @@ def test_march_takes_the_first_sample_above_the_threshold(kind: str, seed: int) 
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_parallel_ray_beside_the_grid_ends(axis: int, side: int) -> None:
-    """It never meets the grid: the search says so at once, though the ray "enters" it at sample 1e9 or beyond."""
+    """The search ends at once for a ray that never meets the grid, although it "enters" at sample 1e9 or beyond."""
     m = random_map("empty", 0)
     low, high = np.array(ORIGIN), np.array(ORIGIN) + VOXEL * (np.array(SHAPE) - 1)
     for beside in np.ndindex(2, 2):
@@ -142,8 +142,10 @@ def test_box_room_depths_are_those_computed_by_hand() -> None:
 
 @given(st.floats(-0.8, -0.2), st.floats(-0.5, 0.1), st.floats(-3.1, 3.1), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5))
 def test_room_depths_agree_with_the_closed_form(x: float, y: float, yaw: float, pitch: float, roll: float) -> None:
-    """Anywhere in the room, at any attitude: exact on the flats, where the field is affine. Near an edge interpolation
-    rounds it off, and a pixel at a silhouette may fall on either side of it: few err by half a voxel."""
+    """Depths are exact on flat surfaces, where the field is affine, from every pose.
+
+    Interpolation rounds edges off, and a pixel at a silhouette may fall on either side of it: few err by half a voxel.
+    """
     T = camera_pose((x, y, 1.1), yaw, pitch, roll)
     image = look(known_map(), T)
     truth = ROOM.depth(T, CAMERA)
@@ -180,7 +182,7 @@ def wall_field(occupancy_of_x: np.ndarray) -> VoxelMap:
 
 
 def test_the_first_sample_never_counts_as_a_hit() -> None:
-    """The camera stands 5 mm inside a slab that ends behind sample 1 and faces a wall: it sees the wall."""
+    """A camera inside a slab that ends 5 mm beyond sample 1 sees the wall that it faces."""
     x = ORIGIN[0] + VOXEL * np.arange(SHAPE[0])
     slab_end = ORIGIN[0] + 5 * VOXEL + 0.005  # occupancy falls through zero here
     m = wall_field(np.where(x < 0.0, slab_end - x, x - 0.5))
@@ -216,14 +218,14 @@ def test_a_pose_that_is_not_a_number_renders_nothing() -> None:
 
 
 def test_surfaces_beyond_the_depth_range_are_not_seen() -> None:
-    """The wall is 1.40 m away: out of range at 1.3 m, in range at 1.5 m."""
+    """A wall 1.40 m away is out of range at 1.3 m, and in range at 1.5 m."""
     T = camera_pose((-0.42, 0.0, 1.1), 0.0)
     assert not bool(look(known_map(), T, 1.3).hit[4:8, 6:10].any())
     assert bool(look(known_map(), T, 1.5).hit[4:8, 6:10].all())
 
 
 def test_the_unseen_back_of_a_wall_is_not_known() -> None:
-    """Behind the band that images update, the field falls back to "just free": a crossing that is no surface."""
+    """Behind the band that images update the field returns to the prior, a zero crossing that is not a surface."""
     room = Room(interior=((-1.2, -0.9, 0.3), (0.5, 1.4, 1.8)))  # a wall from x = 0.5 to the end of the grid
     camera = Camera.from_hfov(20, 15, np.radians(80))
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
@@ -409,7 +411,7 @@ def test_log_prob_is_normalised() -> None:
         assert np.trapezoid(density, t) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_pixels_without_depth_say_nothing() -> None:
+def test_pixels_without_depth_do_not_count() -> None:
     rgb = np.full(3, 0.5)
     for seen, predicted in ((True, False), (False, True), (False, False)):
         value = log_prob(flat_image(1.0, rgb, seen), flat_image(2.0, rgb, predicted), EmissionScales())

@@ -49,7 +49,7 @@ def seen() -> VoxelMap:
     [(100.0, 0.0, 0.0, 0.93, 1.07), (100.0, 0.25, 0.2, 0.93, 1.07), (9.0, 0.25, 0.2, 0.75, 1.1)],
 )
 def test_propagation_agrees_with_sampled_maps(count: float, yaw: float, pitch: float, low: float, high: float) -> None:
-    """200 maps of a wall, straight on and aslant: variances averaged over pixels, sampled over propagated.
+    """Mean variances over pixels, in 200 sampled maps of a wall, equal the propagated ones, straight on and aslant.
 
     Cells of 7 cm known to 3 mm are linear to a few percent; known to 1 cm, the crossing moves through cells of other
     weights, and propagation says a fifth too much.
@@ -90,27 +90,27 @@ def test_depth_std_is_the_renderers_own_sensitivity() -> None:
 
 
 def test_a_wall_by_hand() -> None:
-    """Nine readings of 3 cm: 1 cm a cell; at a cell's centre 1 cm in depth, between eight of them 1 / sqrt(8)."""
+    """Nine measurements with std 3 cm: in depth 1 cm at a cell's centre, 1 / sqrt(8) cm between eight cells."""
     m, T = wall(9.0), pose()
     std = np.asarray(image_std(m, T, VIEW, render(m, T, VIEW))[0])
     assert 0.01 / np.sqrt(8) - 1e-4 < std.min() < std.max() < 0.01 + 1e-4
 
 
-def test_more_readings_mean_less_doubt() -> None:
+def test_more_measurements_reduce_the_uncertainty() -> None:
     T = pose()
     once, often = (image_std(m, T, VIEW, render(m, T, VIEW)) for m in (wall(1.0), wall(16.0)))
     np.testing.assert_allclose(np.asarray(once[0]) / np.asarray(often[0]), 4.0, rtol=1e-4)
     np.testing.assert_allclose(np.asarray(once[1]) / np.asarray(often[1]), 4.0, rtol=1e-3)
 
 
-def test_the_std_of_one_reading_scales_the_image() -> None:
+def test_the_measurement_noise_scales_the_image() -> None:
     m, T = wall(4.0), pose()
     image = render(m, T, VIEW)
     standard, doubled = (image_std(m, T, VIEW, image, r)[0] for r in (MeasurementNoise(), MeasurementNoise(depth=0.06)))
     np.testing.assert_allclose(np.asarray(doubled), 2.0 * np.asarray(standard), rtol=1e-5)
 
 
-def test_what_was_not_seen_is_unknown(seen: VoxelMap) -> None:
+def test_unobserved_pixels_have_no_finite_std(seen: VoxelMap) -> None:
     T = jnp.asarray(camera_pose((-1.0, 0.0, 1.0), 0.9), jnp.float32)
     image = render(seen, T, CAMERA)
     depth_std, rgb_std = image_std(seen, T, CAMERA, image)
@@ -122,7 +122,7 @@ def test_what_was_not_seen_is_unknown(seen: VoxelMap) -> None:
         assert (std[known] >= 0.0).all()
 
 
-def test_sampled_maps_leave_the_unknown_and_the_bounds_alone(seen: VoxelMap) -> None:
+def test_sampled_maps_keep_unobserved_cells_and_the_bounds(seen: VoxelMap) -> None:
     drawn = sample_map(jax.random.key(1), seen)
     before, after = np.asarray(seen.occupancy), np.asarray(drawn.occupancy)
     observed = np.asarray(seen.occupancy_precision) > OBSERVED_PRECISION
@@ -136,7 +136,7 @@ def test_sampled_maps_leave_the_unknown_and_the_bounds_alone(seen: VoxelMap) -> 
 
 
 def test_sampled_maps_are_searched_by_their_own_index(seen: VoxelMap) -> None:
-    """A stale index would let rays skip surfaces that the draw made: the fixed march skips nothing."""
+    """With a stale index rays would skip surfaces of the sample; the fixed march skips nothing."""
     drawn = sample_map(jax.random.key(2), seen)
     T = jnp.asarray(camera_pose((-1.0, 0.0, 1.0), 0.2), jnp.float32)
     image = render(drawn, T, CAMERA)

@@ -35,7 +35,7 @@ def test_a_resting_imu_stays() -> None:
     np.testing.assert_allclose(np.asarray(after.velocity), 0.0, atol=1e-5)
 
 
-def test_a_falling_imu_reads_nothing_and_follows_its_parabola() -> None:
+def test_a_falling_imu_measures_zero_and_follows_its_parabola() -> None:
     """Two seconds at 10 Hz, tumbling: ``t = v t - g t^2 / 2`` exactly, ``R = R0 exp(w t)``."""
     rate = np.array([0.3, -0.8, 1.1])
     start = state([1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
@@ -47,8 +47,8 @@ def test_a_falling_imu_reads_nothing_and_follows_its_parabola() -> None:
     np.testing.assert_allclose(np.asarray(after.velocity), [1.0, 2.0, 3.0 - G * 2.0, *(R @ rate)], atol=1e-4)
 
 
-def test_a_body_on_a_carousel_returns() -> None:
-    """Radius 1 m, 1 rad/s, facing along its path: it measures ``w^2 r`` to its left and g upwards; 200 Hz."""
+def test_a_body_on_a_circle_returns() -> None:
+    """On a circle of 1 m at 1 rad/s, a body that faces along its path measures ``w^2 r`` to its left and g upwards."""
     n = 1256
     control = np.array([0.0, 1.0, G, 0.0, 0.0, 1.0], np.float32)
     start = state([1.0, 0.0, 0.0, 0.0, 0.0, 1.0], np.eye(3), (0.0, -1.0, 0.0))
@@ -79,7 +79,7 @@ def test_prediction_is_linearised_as_autodiff_does(dt: float) -> None:
 
 
 def test_prediction_agrees_with_samples() -> None:
-    """1e5 bodies from a belief: a tilt of a degree pushes the body aside with g."""
+    """The prediction agrees with 1e5 bodies drawn from a belief, in which a tilt of a degree adds an acceleration."""
     n, rng = 100_000, np.random.default_rng(3)
     P = np.diag(np.repeat([0.02, 0.02, 0.1, 0.1], 3) ** 2)
     start = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), state([1.0, 0.5, 0.0, 0.2, 0.0, 0.3]))

@@ -123,8 +123,8 @@ def test_the_joint_density_is_the_sum_of_its_terms_in_float64(room: VoxelMap) ->
 
 
 @pytest.mark.slow  # the renderer's gradient inside a loop takes long to compile
-def test_the_density_prefers_the_truth_and_says_which_way(room: VoxelMap) -> None:
-    """Moving one pose of a path off the truth lowers the images' term, and its gradient points back."""
+def test_the_density_is_larger_at_the_truth_and_its_gradient_points_there(room: VoxelMap) -> None:
+    """A displaced pose lowers the images' term, whose gradient points back."""
     spatial = planar_model(room)
     path = np.array([[-1.0, 0.0, 0.0], [-0.95, 0.0, 0.05], [-0.9, 0.0, 0.1]])
     cameras = [np.asarray(PLANAR.pose(f32(p)), float) @ ROBOT.T_body_cam for p in path]
@@ -157,7 +157,7 @@ def test_rollouts_from_a_known_start_without_noise_are_the_motion(room: VoxelMap
 
 
 def test_rollouts_agree_with_the_environments_robot(room: VoxelMap) -> None:
-    """Mean and covariance of 4000 futures against 4000 runs of the simulator's robot, after every step."""
+    """After every step mean and covariance of 4000 futures equal those of 4000 runs of the simulator's robot."""
     rng, n = np.random.default_rng(2), 4000
     u, (mean, covariance) = commands(rng, 6), random_belief(rng)
     spatial = planar_model(room, (0.0, 0.0, 0.0))
@@ -175,7 +175,7 @@ def test_rollouts_agree_with_the_environments_robot(room: VoxelMap) -> None:
 
 @pytest.mark.parametrize("which", ["mean map", "sampled maps"])
 def test_imagined_images_are_those_of_the_futures(room: VoxelMap, which: str) -> None:
-    """Rendered at each future's own pose; with sampled maps they differ from the mean's by a cell's doubt."""
+    """Each is rendered at its future's own pose; with sampled maps they differ by the map's uncertainty."""
     spatial = planar_model(room)
     belief = planar_belief(f32([-1.0, 0.0, 0.0]), jnp.eye(3) * 1e-4)
     u = f32(commands(np.random.default_rng(3), 2))
@@ -188,7 +188,7 @@ def test_imagined_images_are_those_of_the_futures(room: VoxelMap, which: str) ->
     difference = np.abs(np.asarray(futures.images.depth[2, 1] - expected.depth))
     if which == "mean map":
         assert difference.max() < 1e-4
-    else:  # ten readings of 3 cm, averaged over eight cells
+    else:  # ten measurements with std 3 cm, averaged over eight cells
         assert 1e-3 < np.median(difference) < 0.01
 
 
@@ -206,7 +206,7 @@ def test_rollouts_are_repeatable(room: VoxelMap) -> None:
 
 
 def test_envelopes_are_the_moments_of_a_gaussian() -> None:
-    """One step's states drawn from a known Gaussian: mean and covariance back, radius the chi-square quantile."""
+    """States drawn from a known Gaussian give its mean and covariance, and the chi-square quantile as radius."""
     rng = np.random.default_rng(5)
     T = Rotation.from_rotvec([1.0, 2.0, -0.5]).as_matrix()
     mean = RigidState(jnp.eye(4).at[:3, :3].set(f32(T)), f32(rng.normal(size=6)))
@@ -223,8 +223,8 @@ def test_envelopes_are_the_moments_of_a_gaussian() -> None:
     assert abs(float(predictive.inside(RIGID, region, states).mean()) - 0.95) < 0.003
 
 
-def test_small_samples_do_not_make_small_regions() -> None:
-    """40 samples of twelve coordinates: new draws still lie inside 95 % of the time, not 60 %."""
+def test_regions_from_few_samples_keep_their_coverage() -> None:
+    """With 40 samples of twelve coordinates new draws still lie inside 95 % of the time, not 60 %."""
     rng, held = np.random.default_rng(6), []
     start = RigidState(jnp.eye(4), jnp.zeros(6))
     for _ in range(60):
@@ -236,7 +236,7 @@ def test_small_samples_do_not_make_small_regions() -> None:
 
 
 def test_a_region_without_volume_holds_its_samples() -> None:
-    """A robot that stands without slip: all futures are one, and nothing is NaN."""
+    """All futures of a standing robot without slip are equal, and nothing is NaN."""
     states = jnp.broadcast_to(f32([1.0, 2.0, 0.5]), (50, 3, 3))
     region = predictive.envelope(PLANAR, states)
     assert np.isfinite(np.asarray(region.covariance)).all()

@@ -128,7 +128,7 @@ def test_the_maps_density_belongs_to_its_samples(storage: str) -> None:
 
 @every
 def test_entropies_are_those_of_the_parts(kind: str, storage: str) -> None:
-    """The map's: every observed cell knows ``1/2 log(precision / prior)`` nats more than the prior does."""
+    """The map's entropy falls by ``1/2 log(precision / prior)`` nats with every observed cell."""
     posterior = made(kind, storage)
     entropy = posterior.entropy()
     assert entropy.state == pytest.approx(float(posterior.belief.entropy()))
@@ -164,8 +164,8 @@ class Either(eqx.Module):
         return -self.log_prob(drawn).mean()
 
 
-def test_a_belief_need_not_be_gaussian(tmp_path: Path) -> None:
-    """A robot that is at one of two places: sampled and scored; only a Gaussian has a file."""
+def test_a_mixture_can_be_a_belief(tmp_path: Path) -> None:
+    """A belief over two places is sampled and scored, but only a Gaussian is saved."""
     near = planar_belief(f32([0.0, 0.0, 0.0]), 1e-4 * jnp.eye(3))
     far = planar_belief(f32([5.0, 0.0, 0.0]), 1e-4 * jnp.eye(3))
     mixed = Either(near, far)
@@ -187,7 +187,7 @@ def test_a_belief_need_not_be_gaussian(tmp_path: Path) -> None:
 
 
 @every
-def test_what_is_saved_is_read_back(tmp_path: Path, kind: str, storage: str) -> None:
+def test_saved_posteriors_are_read_back(tmp_path: Path, kind: str, storage: str) -> None:
     posterior, path = made(kind, storage), tmp_path / "posterior.npz"
     posterior.save(path, sequence="room", frames=7)
     again = Posterior.load(path)
@@ -217,7 +217,7 @@ def assert_refused(path: Path, field: str = "") -> None:
     assert "\n" not in str(raised.value)
 
 
-def test_a_map_without_a_belief_and_what_is_no_file_are_refused(tmp_path: Path) -> None:
+def test_files_without_a_belief_are_refused(tmp_path: Path) -> None:
     m = tiny_map("dense")
     assert m is not None
     m.save(tmp_path / "map.npz")
@@ -258,7 +258,7 @@ def with_header(path: Path, header: Any) -> None:
 
 @pytest.mark.parametrize("name", CHANGES)
 @pytest.mark.parametrize("storage", ["none", "dense"])
-def test_a_belief_that_is_none_is_refused(tmp_path: Path, storage: str, name: str) -> None:
+def test_an_invalid_belief_is_refused(tmp_path: Path, storage: str, name: str) -> None:
     path = tmp_path / "posterior.npz"
     made("planar", storage).save(path)
     header = header_of(path)
@@ -277,7 +277,7 @@ def test_a_later_version_is_refused(tmp_path: Path) -> None:
 
 
 @given(st.data())
-def test_damage_is_one_error_or_a_whole_posterior(tmp_path_factory: Any, data: st.DataObject) -> None:
+def test_a_damaged_file_is_refused_or_loads_a_valid_posterior(tmp_path_factory: Any, data: st.DataObject) -> None:
     """Headers with parts removed or replaced by nonsense, and bytes cut, overwritten or repeated."""
     path = tmp_path_factory.mktemp("posterior") / "posterior.npz"
     made("planar", "none").save(path)

@@ -41,8 +41,10 @@ def correlated(rng: np.random.Generator, n: int, scale: float) -> np.ndarray:
 
 
 @given(triples, sixes, sixes, st.booleans())
-def test_a_step_is_eulers(t: np.ndarray, velocity: np.ndarray, control: np.ndarray, velocity_first: bool) -> None:
-    """The law of motion in NumPy, the rotation by a matrix exponential."""
+def test_a_step_is_one_of_eulers_method(
+    t: np.ndarray, velocity: np.ndarray, control: np.ndarray, velocity_first: bool
+) -> None:
+    """A step equals the law of motion in NumPy, with the rotation by a matrix exponential."""
     after = velocity + control * DT
     used = after if velocity_first else velocity
     wx, wy, wz = used[3:] * DT
@@ -53,7 +55,7 @@ def test_a_step_is_eulers(t: np.ndarray, velocity: np.ndarray, control: np.ndarr
     np.testing.assert_allclose(np.asarray(moved.T_world_body), pose(t + used[:3] * DT, R), atol=1e-5)
 
 
-def test_constant_velocity_is_a_group() -> None:
+def test_steps_of_constant_velocity_compose() -> None:
     """Two steps of constant velocity are one of twice the length, however the steps are taken."""
     state, rest = moving(np.array([0.3, -0.2, 0.1, 0.7, 0.5, -0.9])), jnp.zeros(6)
     twice = Rigid().mean(Rigid(velocity_first=False).mean(state, rest, DT), rest, DT)
@@ -62,7 +64,7 @@ def test_constant_velocity_is_a_group() -> None:
 
 
 def test_a_thrown_body_follows_its_parabola() -> None:
-    """Velocity first falls ``g h^2 n (n + 1) / 2``, pose first ``g h^2 n (n - 1) / 2``: half a step beside it."""
+    """It falls ``g h^2 n (n + 1) / 2`` with velocity first and ``g h^2 n (n - 1) / 2`` with pose first."""
     n, control = 20, jnp.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
     for velocity_first, sum_of_steps in ((True, n * (n + 1) / 2), (False, n * (n - 1) / 2)):
         state = RigidState(jnp.eye(4), jnp.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -141,7 +143,7 @@ def test_prediction_is_linearised_as_autodiff_does(velocity_first: bool, speed: 
 
 @ORDERS
 def test_prediction_agrees_with_monte_carlo(velocity_first: bool) -> None:
-    """1e5 bodies drawn from the belief and the noise, moved without any linearisation."""
+    """The prediction agrees with 1e5 bodies drawn from belief and noise and moved without linearisation."""
     rng = np.random.default_rng(5)
     control = np.array([0.5, 1.0, -0.3, 2.0, 0.0, -1.0])
     P = correlated(rng, 12, 0.06)
@@ -192,7 +194,7 @@ def test_variances_grow_with_time() -> None:
 
 
 def test_the_split_of_a_prediction_gives_velocity_from_pose() -> None:
-    """PRISM, steps 1 and 4: ``q(pose) q(vel | pose)`` is the prediction, and a pose that is seen ahead means speed."""
+    """``q(pose) q(vel | pose)`` is the prediction (PRISM, steps 1 and 4); a pose further ahead means a higher speed."""
     belief = rigid_belief(RigidState(jnp.eye(4), jnp.zeros(6)), jnp.diag(jnp.full(12, 0.1)))
     noise = RigidNoise(0.03, 1e-3, 0.03, 1e-3)
     still = rigid_belief(belief.mean, belief.covariance.at[:6, :6].set(jnp.eye(6) * 1e-6))

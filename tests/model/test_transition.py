@@ -92,7 +92,7 @@ def test_prediction_from_a_known_pose_agrees_with_simulation(command: tuple[floa
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_prediction_of_a_belief_agrees_with_simulation(command: tuple[float, float, float]) -> None:
-    """The old uncertainty is carried along: correlated, and larger than the noise of the step."""
+    """The belief before the step is correlated and wider than the noise of the step."""
     u, rng = np.array(command), np.random.default_rng(2)
     root = np.array([[0.03, 0.0, 0.0], [0.01, 0.02, 0.0], [-0.01, 0.015, 0.02]])
     xi = rng.standard_normal((SAMPLES, 3)) @ root.T
@@ -316,7 +316,7 @@ def test_samples_are_independent_and_batched(name: str) -> None:
 
 @each
 def test_the_default_jacobian_is_the_transitions_own(name: str) -> None:
-    """By forward differentiation on the manifold: the oracle of every linearisation that is written out."""
+    """Forward differentiation on the manifold is the oracle of every linearisation in closed form."""
     transition, state, control, dt = EVERY[name]
     expected = eqx.filter_jit(partial(Transition.jacobian, transition))(state, control, dt)
     np.testing.assert_allclose(
@@ -364,7 +364,7 @@ def test_paths_without_noise_are_repeated_means(name: str) -> None:
 
 
 def test_paths_of_many_sequences_are_those_of_each() -> None:
-    """The bicycle's: planners score hundreds of sequences of controls at once."""
+    """This is tested on the bicycle, since planners evaluate hundreds of control sequences at once."""
     car, controls = Bicycle(), f32(np.random.default_rng(0).uniform([-1, -0.5], [1, 0.5], (5, 6, 2)))
     paths = car.mean_path(f32(START), controls, DT)
     for k in range(5):
@@ -372,7 +372,7 @@ def test_paths_of_many_sequences_are_those_of_each() -> None:
 
 
 def test_the_planar_sample_never_reverses_a_motion() -> None:
-    """Noise far larger than the command: turns keep their sign, steps are not negative, rest stays rest."""
+    """With noise far larger than the command, turns keep their sign, steps are not negative, and rest stays rest."""
     transition, n = Planar(MotionNoise(1.0, 1.0), (0.0, 0.0, 0.0)), 2000
     start = jnp.zeros((n, 3))
     draw = lambda u: np.asarray(transition.sample(jax.random.key(0), start, jnp.broadcast_to(f32(u), (n, 3)), DT))
@@ -399,7 +399,7 @@ def test_the_density_of_a_belief_belongs_to_its_samples(name: str) -> None:
 
 @each
 def test_the_entropy_of_a_belief_is_its_mean_surprise(name: str) -> None:
-    """``E[-log q(z)] = H(xi) + E[log |det Jr(xi)|]``: of the states, with the volume that the errors take there."""
+    """``E[-log q(z)] = H(xi) + E[log |det Jr(xi)|]``, which includes the volume of the manifold."""
     transition, state, *_ = EVERY[name]
     manifold, n = transition.manifold, dimensions(transition)
     covariance = some_covariance(n, scale=0.3)
@@ -419,7 +419,7 @@ def test_the_entropy_of_a_belief_is_its_mean_surprise(name: str) -> None:
 
 @each
 def test_a_known_direction_is_sampled_at_the_mean(name: str) -> None:
-    """A covariance of rank 2: draws err along two directions only; of rank 0, not at all, with entropy -inf."""
+    """Samples vary along two directions for rank 2, and not at all for rank 0, where the entropy is -inf."""
     transition, state, *_ = EVERY[name]
     manifold, n = transition.manifold, dimensions(transition)
     axes = np.linalg.qr(np.random.default_rng(2).normal(size=(n, n)))[0]

@@ -1,4 +1,4 @@
-"""A* against Dijkstra on an independently built graph, and the any-angle path against a visibility graph."""
+"""Test A* against Dijkstra on an independently built graph, and the any-angle path against a visibility graph."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ MOVES = [(i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) ==
 
 
 def cells_under(move: tuple[int, int]) -> set[tuple[int, int]]:
-    """Cells with a weight in the bilinear interpolation somewhere along a move from (0, 0): by brute force."""
+    """Return the cells with a bilinear weight somewhere along a move from (0, 0), by brute force."""
     cells = set()
     for t in np.linspace(0.0, 1.0, 61):
         x, y = t * move[0], t * move[1]
@@ -38,7 +38,7 @@ UNDER = {move: cells_under(move) for move in MOVES}
 
 
 def distances(free: np.ndarray, start: tuple[int, int]) -> np.ndarray:
-    """Dijkstra's costs from ``start`` over the graph of all free moves, ``(nx, ny)``, in cells."""
+    """Return Dijkstra's costs from ``start`` over the graph of all free moves, ``(nx, ny)``, in cells."""
     nodes = {(int(i), int(j)) for i, j in np.argwhere(free)}
     index = {node: k for k, node in enumerate(sorted(nodes))}
     rows, columns, lengths = [], [], []
@@ -59,7 +59,7 @@ def length(path: np.ndarray) -> float:
 
 
 def along(path: np.ndarray, spacing: float = 0.004) -> np.ndarray:
-    """Points all along a polyline."""
+    """Return points along a polyline."""
     pieces = [path[:1]]
     for a, b in itertools.pairwise(path):
         n = 1 + int(np.linalg.norm(b - a) / spacing)
@@ -92,7 +92,7 @@ def test_cost_is_dijkstras(occupied, seed, radius):
 
 
 def scene(obstacles: list[shapely.Polygon], seed: int) -> tuple[ClearanceMap, np.ndarray, np.ndarray]:
-    """A random room with a start and a goal that both have room for the robot."""
+    """Generate a random room with a start and a goal that both have room for the robot."""
     plan_map = clearance_map(ROOM, shapely.union_all(obstacles))
     rng = np.random.default_rng(seed)
     free = np.argwhere(plan_map.clearance > RADIUS + 0.06)
@@ -103,7 +103,7 @@ def scene(obstacles: list[shapely.Polygon], seed: int) -> tuple[ClearanceMap, np
 @settings(max_examples=20)
 @given(layouts, seeds, st.sampled_from([0.0, 0.03]), st.sampled_from([0.0, 0.4]))
 def test_any_angle_path(obstacles, seed, margin, goal_radius):
-    """Feasible, no longer than the grid's path, no shorter than the straight line."""
+    """The path is feasible, no longer than the grid's path, and no shorter than the straight line."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS, margin=margin, goal_radius=goal_radius)
     grid = plan(start, goal, plan_map, RADIUS, margin=margin, goal_radius=goal_radius, any_angle=False)
@@ -125,8 +125,8 @@ def test_any_angle_path(obstacles, seed, margin, goal_radius):
 
 @settings(max_examples=20)
 @given(layouts, seeds)
-def test_taut(obstacles, seed):
-    """No bend can be moved by 2 cm so that the path gets shorter and stays clear of everything."""
+def test_no_bend_can_be_moved_to_shorten_the_path(obstacles, seed):
+    """No displacement of a bend by 2 cm gives a shorter path with the required clearance."""
     plan_map, start, goal = scene(obstacles, seed)
     path = plan(start, goal, plan_map, RADIUS).path
     for i in range(1, len(path) - 1):
@@ -140,7 +140,7 @@ def test_taut(obstacles, seed):
 @settings(max_examples=20)
 @given(layouts, seeds)
 def test_length_against_a_visibility_graph(obstacles, seed):
-    """Never shorter than the shortest path of a slightly thinner disc, within 1 % of that of a slightly thicker one."""
+    """The length is between those of the shortest paths of a slightly thinner disc and, within 1 %, a thicker one."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS, goal_radius=0.4)
     thin = Geodesics(free_space(obstacles, RADIUS - 0.02)).length(start, goal, 0.4)
@@ -150,7 +150,7 @@ def test_length_against_a_visibility_graph(obstacles, seed):
 
 
 def test_round_one_corner_by_hand():
-    """From (0.5, 1) to (2.5, 1) past a thin wall that ends at y = 2: two tangents to a circle and the arc between."""
+    """Past a thin wall that ends at y = 2 the path is two tangents to a circle and the arc between them."""
     floor = shapely.box(0.0, 0.0, 3.0, 3.0)
     plan_map = clearance_map(floor, shapely.box(1.4999, 0.0, 1.5001, 2.0), 0.02)
     result = plan(np.array([0.5, 1.0]), np.array([2.5, 1.0]), plan_map, RADIUS)
@@ -165,14 +165,14 @@ def test_round_one_corner_by_hand():
 CUT = clearance_map(ROOM, shapely.box(2.4, 0.0, 2.6, 4.0))  # a wall from side to side
 
 
-def test_no_path_says_so():
+def test_a_missing_path_is_reported():
     result = plan(np.array([1.0, 1.0]), np.array([4.0, 1.0]), CUT, RADIUS)
     assert result.status is PlanStatus.NO_PATH
     assert "no path" in result.status.message
     assert result.expansions > 1000
 
 
-def test_a_goal_without_a_free_place_says_so():
+def test_a_goal_without_a_free_place_is_reported():
     boxed = clearance_map(ROOM, shapely.box(2.0, 1.0, 4.0, 3.0))
     inside = np.array([3.0, 2.0])
     assert plan(np.array([1.0, 1.0]), inside, boxed, RADIUS, goal_radius=0.4).status is PlanStatus.GOAL_BLOCKED
@@ -181,7 +181,7 @@ def test_a_goal_without_a_free_place_says_so():
     assert np.linalg.norm(reached.path[-1] - inside) <= 1.2 + 1e-9
 
 
-def test_a_start_deep_inside_says_so():
+def test_a_start_deep_inside_an_obstacle_is_reported():
     boxed = clearance_map(ROOM, shapely.box(2.0, 1.0, 4.0, 3.0))
     assert plan(np.array([3.0, 2.0]), np.array([1.0, 1.0]), boxed, RADIUS).status is PlanStatus.START_BLOCKED
     assert plan(np.array([-9.0, 2.0]), np.array([1.0, 1.0]), boxed, RADIUS).status is PlanStatus.START_BLOCKED
@@ -206,7 +206,7 @@ def test_already_there():
 
 @given(st.floats(-0.05, 0.12), st.floats(0.3, 3.7))
 def test_leaving_a_wall(room_left, y):
-    """A robot that touches the wall, or stands in it by error, leaves it steadily, at no detour to speak of."""
+    """A robot at the wall, or inside it by an error of the estimate, leaves it monotonically without a detour."""
     start, goal = np.array([2.4 - room_left, y]), np.array([1.0, 2.0])
     result = plan(start, goal, CUT, RADIUS, margin=0.03)
     assert result.found
@@ -221,7 +221,7 @@ def test_leaving_a_wall(room_left, y):
 @settings(max_examples=20)
 @given(layouts, seeds, st.floats(0.0, 1.0))
 def test_following_a_plan(obstacles, seed, share):
-    """From a place on its plan the robot's way is no longer than what is left of it, and as clear."""
+    """From a place on its plan the path is no longer than the rest of the plan, with the same clearance."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS, margin=0.03, goal_radius=0.4)
     if not result.found or len(result.path) < 2:
@@ -239,8 +239,8 @@ def test_following_a_plan(obstacles, seed, share):
     assert plan_map.at(along(followed)).min() >= RADIUS + 0.012
 
 
-def test_a_plan_out_of_sight_is_given_up():
-    """Pushed to the other side of a wall, nothing of the old plan can be driven to."""
+def test_a_plan_that_cannot_be_reached_is_given_up():
+    """A robot that was pushed to the other side of a wall can reach no point of the old plan."""
     old = np.array([[4.0, 1.0], [4.5, 2.0], [4.0, 3.0]])
     assert shorten_path(CUT, old, np.array([4.0, 3.0]), 0.1, requirement_from(CUT, old[0], RADIUS)) is not None
     old[0] = 1.0, 1.0

@@ -21,7 +21,7 @@ def plan(cells: np.ndarray) -> FloorPlan:
 
 
 def corner(angle: float, size: int = 160) -> FloorPlan:
-    """Two walls at a right angle, 10 cm thick, 2.5 and 2 m long from a corner in the middle; all else unknown."""
+    """Return two walls at a right angle, 10 cm thick, 2.5 and 2 m long from a corner; all else is unknown."""
     xy = (np.stack(np.meshgrid(*2 * [np.arange(size)], indexing="ij"), axis=-1) - 0.5 * size) * CELL
     along, across = xy @ (math.cos(angle), math.sin(angle)), xy @ (-math.sin(angle), math.cos(angle))
     wall = (np.abs(across) <= 0.05) & (along > -0.05) & (along < 2.5)
@@ -59,7 +59,7 @@ def test_the_outline_grows_with_what_is_known() -> None:
     assert after[10, 80] and not outline(before)[10, 80]
 
 
-def test_where_nothing_is_known_there_is_no_outline() -> None:
+def test_an_unknown_plan_has_no_outline() -> None:
     empty = plan(np.full((40, 30), UNKNOWN, np.int8))
     np.testing.assert_array_equal(expected_surfaces(empty, 0.5, 3.0), np.float32(0.5))
     h = expected_surfaces(corner(0.0), 0.5, 3.0)

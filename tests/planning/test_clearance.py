@@ -1,4 +1,4 @@
-"""Clearance: exact where the surface is a line, 1-Lipschitz on any grid, and honest about what was never observed."""
+"""Test clearance: exact for straight surfaces, 1-Lipschitz on any grid, and obstacles in unobserved space."""
 
 import hypothesis.strategies as st
 import numpy as np
@@ -14,7 +14,7 @@ ROOM = shapely.box(0.0, 0.0, 3.0, 2.0)
 
 @given(st.floats(0.0, np.pi), st.floats(-0.3, 0.3))
 def test_distance_to_a_straight_wall(angle, offset):
-    """Off a half-plane the only error is the spacing of the crossings along its border."""
+    """The only error of a half-plane is the spacing of the zero crossings along its border."""
     resolution = 0.025
     x, y = np.meshgrid(np.arange(-1.0, 1.0, resolution), np.arange(-1.0, 1.0, resolution), indexing="ij")
     depth = np.cos(angle) * x + np.sin(angle) * y - offset
@@ -26,13 +26,13 @@ def test_distance_to_a_straight_wall(angle, offset):
 
 
 def of_cells(occupied: np.ndarray, resolution: float) -> np.ndarray:
-    """The clearance where surfaces run half-way between an occupied and a free centre."""
+    """Return the clearance of surfaces halfway between occupied and free centres."""
     return ClearanceMap.from_occupancy(np.where(occupied, resolution, -resolution), np.zeros(2), resolution).clearance
 
 
 @given(grids())
 def test_signed_and_lipschitz(occupied):
-    """Positive exactly in free cells; between neighbours it changes by no more than their distance."""
+    """Clearance is positive exactly in free cells, and changes between neighbours by at most their distance."""
     clearance = of_cells(occupied, 0.1)
     assert np.array_equal(clearance > 0.0, ~occupied)
     for axis in (0, 1):
@@ -59,7 +59,7 @@ def test_no_obstacle_and_no_free_cell():
 
 @given(st.lists(st.tuples(st.floats(-0.3, 3.3), st.floats(-0.3, 2.3)), min_size=1, max_size=20))
 def test_at_interpolates(points):
-    """Between cells ``at`` keeps the field's Lipschitz bound; on cells it is the stored value; outside it says so."""
+    """``at`` is the stored value on cells, Lipschitz between them, and OUTSIDE beyond the grid."""
     plan = clearance_map(ROOM, shapely.box(1.0, 1.0, 1.5, 1.4))
     xy = np.array(points)
     shape = np.array(plan.clearance.shape)
@@ -73,7 +73,7 @@ def test_at_interpolates(points):
     assert np.allclose(plan.at(plan.to_world(cell)), plan.clearance[tuple(cell.T)], atol=1e-6)
 
 
-def test_felt_obstacle_only_takes_room_away():
+def test_an_added_obstacle_only_lowers_clearance():
     plan = clearance_map(ROOM, shapely.box(1.0, 1.0, 1.5, 1.4))
     felt = plan.with_obstacle(np.array([2.0, 0.5]), 0.03)
     assert np.all(felt.clearance <= plan.clearance)
@@ -83,7 +83,7 @@ def test_felt_obstacle_only_takes_room_away():
 
 @pytest.fixture(scope="module")
 def learned():
-    """A room with a thin wall, a table top at robot height, a lamp above it, a rug below it, and a dark corner."""
+    """Return a room with a thin wall, a table top at robot height, a lamp above, a rug below, and an unseen corner."""
     solids = [
         (shapely.box(1.45, 0.0, 1.55, 1.2), 0.0, 1.0),
         (shapely.box(2.0, 0.2, 2.6, 0.8), 0.35, 0.47),
@@ -94,7 +94,7 @@ def learned():
 
 
 def test_learned_clearance_is_that_of_the_floor_plan(learned):
-    """Within a centimetre of the exact plan wherever a robot could stand, on both sides of a 10 cm wall."""
+    """Wherever a robot fits, on both sides of a 10 cm wall, it is within a centimetre of the exact plan's."""
     found = ClearanceMap.from_voxel_map(learned)
     solid = shapely.union_all(
         [shapely.box(1.45, 0.0, 1.55, 1.2), shapely.box(2.0, 0.2, 2.6, 0.8), shapely.box(0.0, 0.0, 0.5, 0.5)]

@@ -1,4 +1,4 @@
-"""Floor plans of beliefs, ways and candidates in them, and tours: against exact geometry and enumeration."""
+"""Test floor plans of beliefs, roadmaps and candidates in them, and tours, against exact geometry and enumeration."""
 
 import itertools
 
@@ -21,12 +21,12 @@ NONE = np.empty((0, 2))
 
 @pytest.fixture(scope="module")
 def west():
-    """The plan of a map in which only x < 3.5 was ever seen."""
+    """Return the plan of a map in which only x < 3.5 was observed."""
     seen = voxel_map(FLOOR, [(WALL, 0.0, 1.0)], observed=lambda x, y, z: (x < 3.5) & (y == y) & (z == z))
     return seen, FloorPlan.of(seen, 0.08, 0.5)
 
 
-def test_plan_says_what_is_there(west):
+def test_the_plan_shows_free_occupied_and_unknown_cells(west):
     _, plan = west
     assert plan.state(np.array([[1.0, 1.0], [3.0, 2.5], [2.43, 1.0], [4.5, 1.0], [90.0, 0.0]])).tolist() == [
         FREE,
@@ -43,7 +43,7 @@ def test_plan_says_what_is_there(west):
     assert PAD > 0.3
 
 
-def test_body_disproves_and_sight_adds(west):
+def test_the_body_frees_cells_and_observations_add_obstacles(west):
     voxels, _ = west
     shape = voxels.shape[:2]
     at = lambda x, y: tuple(np.round((np.array([x, y]) - np.asarray(voxels.origin)[:2]) / VOXEL).astype(int))
@@ -64,7 +64,7 @@ def test_clearance_agrees_with_the_finer_one(west):
     assert window.clearance.shape == (21, 21)
 
 
-def test_ways_lead_around_walls(west):
+def test_roadmap_distances_lead_around_walls(west):
     _, plan = west
     roadmap = Roadmap.of(plan, START, 0.15)
     there = np.array([3.2, 1.0])
@@ -77,7 +77,7 @@ def test_ways_lead_around_walls(west):
     assert (roadmap.headroom[finite] >= 0.15).all()
 
 
-def test_a_robot_at_a_wall_gets_away_from_it(west):
+def test_a_robot_at_a_wall_can_leave_it(west):
     _, plan = west
     assert Roadmap.of(plan, np.array([0.08, 1.0]), 0.15).reaches(START)
 
@@ -141,7 +141,7 @@ def test_best_order_by_enumeration(n):
 
 
 def test_a_small_pocket_nearby_comes_before_a_large_room_far_away():
-    """Greedy gain leaves the pocket and comes back for it; the least sum of what is left does not."""
+    """Greedy gain leaves the pocket for later and returns; the minimum-latency tour visits it first."""
     start, weight = np.array([0.5, 6.0]), np.array([1.0, 10.0])
     between = np.array([[0.0, 5.5], [5.5, 0.0]])
     assert np.argmax(weight) == 1

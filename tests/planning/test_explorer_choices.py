@@ -1,4 +1,4 @@
-"""Test what explorers choose in beliefs made by hand, where anyone can see the right choice, and how often."""
+"""Test the choices of explorers, and their rate, in beliefs made by hand whose right choice is evident."""
 
 import itertools
 import math
@@ -34,7 +34,7 @@ CORRIDOR = drawn("\n".join(["#" * 127, *["#" + "?" * LEFT + "." * FREE + "?" * R
 
 
 def believed(plan: FloorPlan, xy: tuple[float, float], **more: Any) -> Situation:
-    """A robot at ``xy`` (m) in a plan, looking along x; ``more`` replaces fields."""
+    """Return the situation of a robot at ``xy`` (m) in a plan, facing along x; ``more`` replaces fields."""
     robot = HolonomicRobot()
     roadmap = Roadmap.of(plan, np.array(xy), ROOM)
     camera = Camera.from_hfov(64, 48, 0.5 * math.pi)
@@ -46,14 +46,14 @@ def believed(plan: FloorPlan, xy: tuple[float, float], **more: Any) -> Situation
 
 
 def chosen(strategy: ExplorationStrategy, situation: Situation) -> Choice:
-    """A strategy's first choice."""
+    """Return a strategy's first choice."""
     strategy.reset(0)
     choice = strategy.choose(situation)
     assert choice is not None
     return choice
 
 
-def test_the_nearest_frontier_is_the_nearest():
+def test_the_nearest_frontier_has_the_shortest_path():
     for x, end in ((5.0, 0.6), (6.0, 10.5)):
         goal = chosen(NearestFrontier(), believed(CORRIDOR, (x, 0.55))).goal
         assert goal is not None
@@ -61,8 +61,8 @@ def test_the_nearest_frontier_is_the_nearest():
 
 
 @pytest.mark.parametrize("looking", [False, True])
-def test_gain_at_the_frontier_counts_against_the_way_there(looking):
-    """Four times the area is worth a way that is up to log(4) / 0.2 = 6.9 m longer."""
+def test_gain_at_the_frontier_is_weighed_against_path_length(looking):
+    """Four times the area outweighs a path that is up to log(4) / 0.2 = 6.9 m longer."""
     strategy = FrontierGainScan(FrontierGainScanConfig()) if looking else FrontierGain(FrontierGainConfig())
     for x, end in ((5.0, 10.5), (2.5, 10.5), (1.5, 0.6)):  # ways to the left end shorter by 1, 5 and 8 m
         choice = chosen(strategy, believed(CORRIDOR, (x, 0.55)))
@@ -72,7 +72,7 @@ def test_gain_at_the_frontier_counts_against_the_way_there(looking):
         assert abs(np.ptp(choice.target[:, 1]) - 0.9) < 0.01  # the whole end, ten cells
 
 
-def test_who_looks_on_the_way_turns_once_in_every_metre():
+def test_a_scanning_explorer_turns_once_in_every_metre():
     strategy = FrontierGainScan(FrontierGainScanConfig())
     strategy.reset(0)
     turns = []
@@ -84,8 +84,8 @@ def test_who_looks_on_the_way_turns_once_in_every_metre():
     assert turns == [7, 14, 21]  # 1.12 m
 
 
-def test_a_random_candidate_is_gone_to_and_no_place_twice():
-    """A place that was looked at promises nothing any more: the robot ends, though its map never changes."""
+def test_random_viewpoints_are_not_visited_twice():
+    """A visited place has no gain any more, so that the robot stops although its map never changes."""
     strategy = RandomViewpoint(RandomViewpointConfig())
     strategy.reset(3)
     at, goals = (5.0, 0.55), []
@@ -103,7 +103,7 @@ def test_a_random_candidate_is_gone_to_and_no_place_twice():
     assert min(math.dist(a, b) for a, b in itertools.combinations(goals, 2)) >= SAME_PLACE
 
 
-def test_a_random_candidate_that_was_not_reached_may_be_drawn_again():
+def test_an_unreached_random_viewpoint_can_be_drawn_again():
     strategy = RandomViewpoint(RandomViewpointConfig())
     strategy.reset(3)
     for _ in range(60):  # carried out, and always still where it began
@@ -116,14 +116,14 @@ KNATS = np.array([13.0, 30.0, 40.0])  # what a look around in front of each is s
 
 
 def with_niches() -> FloorPlan:
-    """The corridor; each niche is 40 cm wide and 50 cm deep."""
+    """Return the corridor with niches, each 40 cm wide and 50 cm deep."""
     unknown = [any(abs(0.1 * i - x) < 0.21 for x in NICHES) for i in range(126)]
     wall = "".join("?" if u else "#" for u in unknown)
     return drawn("\n".join(["#" * 126, *["#" + "." * 124 + "#"] * 10, *[wall] * 5, "#" * 126]))
 
 
 def told(_map: Any, views: np.ndarray, paths: np.ndarray, *_rest: Any) -> Gain:
-    """Gains by hand: of the first place in front of each niche; nothing for looks into it from another one."""
+    """Return gains by hand: that of the first place in front of each niche, and none for other views of it."""
     away = np.abs(views[paths[0], None, 0, 3] - NICHES)
     gained, seen = np.zeros(len(away)), set()
     for k, (niche, gap) in enumerate(zip(away.argmin(axis=1), away.min(axis=1), strict=True)):
@@ -144,12 +144,12 @@ def told(_map: Any, views: np.ndarray, paths: np.ndarray, *_rest: Any) -> Gain:
         (MiExplorerConfig(mode="difference", price=10_000.0), 0),
     ],
 )
-def test_the_explorer_goes_to_the_place_that_its_mode_asks_for(config, niche, monkeypatch):
+def test_the_explorer_goes_to_the_place_of_its_mode(config, niche, monkeypatch):
     monkeypatch.setattr(mi_explorer, "gain_of_paths", told)
     plan = with_niches()
     nothing_known = VoxelMap.prior(np.array([0.0, 0.0, 0.0]), 0.1, (128, 24, 8))
     situation = believed(plan, (3.0, 0.55), map=nothing_known)
-    strategy = MutualInformation(replace(config, least_look=math.inf))  # no looks from here: a place
+    strategy = MutualInformation(replace(config, least_look=math.inf))  # no view from here: a place
     choice, tour, roadmap = chosen(strategy, situation), strategy.tour, situation.roadmap
     assert tour is not None
     assert choice.goal is not None
@@ -163,8 +163,8 @@ def test_the_explorer_goes_to_the_place_that_its_mode_asks_for(config, niche, mo
 
 
 @pytest.mark.parametrize("name", EXPLORERS)
-def test_all_explorers_choose_anew_at_the_same_rate(name):
-    """A difference between their scores is one between their choices: driver, margins and map are the same."""
+def test_all_explorers_choose_again_at_the_same_rate(name):
+    """Driver, margins and map are the same too, so that scores differ by the choices alone."""
     explorer = AGENTS[name]()._explorer
     assert explorer._config == ExplorationConfig()
     assert explorer._own_config == OwnMapConfig()

@@ -1,4 +1,4 @@
-"""Frontiers on plans drawn by hand: which cells they are, how they group, where one goes for them, what they show."""
+"""Test frontiers on plans drawn by hand: their cells, groups, viewpoints and gains."""
 
 import math
 
@@ -29,7 +29,7 @@ CORRIDOR = """
 
 
 def drawn(text: str) -> FloorPlan:
-    """A plan from rows of signs, lowest y first."""
+    """Return a plan from rows of signs, lowest y first."""
     rows = text.strip().splitlines()
     cells = np.array([[SIGNS[sign] for sign in row] for row in rows], np.int8).T
     depth = np.where(cells == OCCUPIED, 0.05, -0.05).astype(np.float32)
@@ -67,7 +67,7 @@ def test_small_groups_and_dismissed_ones_are_left_out():
     assert not frontiers(plan, roadmap.distance, least=3, near=0.35, dismissed=group.xy)
 
 
-def test_what_is_left_of_a_door_is_not_given_up_with_what_was_looked_at():
+def test_unseen_parts_of_a_door_are_not_dismissed_with_the_seen_ones():
     plan = drawn("\n".join(["." * 20] * 4 + ["?" * 20]))
     roadmap = Roadmap.of(plan, np.array([0.3, 0.3]), 0.05)
     (door,) = frontiers(plan, roadmap.distance, length=10.0)
@@ -76,7 +76,7 @@ def test_what_is_left_of_a_door_is_not_given_up_with_what_was_looked_at():
     assert len(half) - 3 <= len(left.cells) < len(door.cells)
 
 
-def test_a_wide_frontier_is_cut_in_pieces():
+def test_a_wide_frontier_is_divided():
     text = "\n".join(["." * 40] * 4 + ["?" * 40])
     plan = drawn(text)
     distance = np.zeros(plan.cells.shape, np.float32)
@@ -88,14 +88,14 @@ def test_a_wide_frontier_is_cut_in_pieces():
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_frontier_cells_by_definition(seed):
-    """Against the definition, cell by cell, and against a dilation of what is unknown."""
+    """They equal the definition, cell by cell, and a dilation of unknown space."""
     cells = np.random.default_rng(seed).choice([FREE, OCCUPIED, UNKNOWN], (9, 7)).astype(np.int8)
     beside = ndimage.binary_dilation(cells == UNKNOWN) & (cells != UNKNOWN)
     assert np.array_equal(frontier_cells(cells), beside & (cells == FREE))
 
 
-def test_what_a_doorway_shows():
-    """Through an opening of one cell, straight ahead: nothing beside the beam is seen; walls end rays."""
+def test_the_gain_of_a_doorway():
+    """Through an opening of one cell straight ahead no cell beside the beam is seen, and walls end rays."""
     plan = drawn("\n".join(["??????????", "#####.####", "#........#", "#........#", "##########"][::-1]))
     seen = visible_unknown(plan.cells, 5.0, 2.0, 20.0, np.zeros(plan.cells.shape, np.float32), RAYS)
     assert set(np.unique(seen)) <= {0.0, 1.0}
@@ -104,15 +104,15 @@ def test_what_a_doorway_shows():
     assert seen[:, :4].sum() == 0.0
 
 
-def test_hazard_discounts_by_the_way_through_the_unknown():
-    """In the open, p = exp(-hazard * way): checked along an axis, and 0 hazard counts every cell in reach once."""
+def test_hazard_discounts_by_the_length_through_unknown_space():
+    """In the open p = exp(-hazard * length), checked along an axis; zero hazard counts every cell in range once."""
     cells = np.full((41, 41), UNKNOWN, np.int8)
     plan = FloorPlan(cells, np.zeros(cells.shape, np.float32), np.zeros(2), CELL)
     p = visible_unknown(cells, 20.0, 20.0, 10.0, np.full(cells.shape, 0.2, np.float32), RAYS)
     for k in (1, 4, 9):
         assert p[20 + k, 20] == pytest.approx(math.exp(-0.2 * (k - 1)), rel=0.12)  # the robot's own cell is no way
     area = seen_unknown(plan, np.array([[2.0, 2.0]]), 0.0, 1.0).sum() * CELL**2
-    assert area == pytest.approx(math.pi * 1.05**2, rel=0.05)  # of the cells that such rays touch
+    assert area == pytest.approx(math.pi * 1.05**2, rel=0.05)  # of the cells that such rays cross
     less = seen_unknown(plan, np.array([[2.0, 2.0]]), 2.0, 1.0).sum() * CELL**2
     x, y = np.meshgrid(*[CELL * (np.arange(41) - 20)] * 2)
     away = np.hypot(x, y)
@@ -120,7 +120,7 @@ def test_hazard_discounts_by_the_way_through_the_unknown():
     assert less == pytest.approx(expected, rel=0.12)
 
 
-def test_nothing_known_and_nothing_unknown():
+def test_plans_without_known_or_without_unknown_cells():
     free = drawn("....\n....")
     assert frontiers(free, np.zeros(free.cells.shape, np.float32)) == []
     assert seen_unknown(free, np.array([[0.1, 0.1]])).shape == (1, 0)

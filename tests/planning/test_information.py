@@ -1,4 +1,4 @@
-"""Expected information against the map update itself, hand enumeration, and the laws of mutual information."""
+"""Test expected information against the map update itself, enumeration by hand, and the laws of mutual information."""
 
 from itertools import permutations
 from typing import Any
@@ -38,7 +38,7 @@ ALL = InformationConfig(pixels=None, every=1, update=CLEAR, max_depth=2.5)
 
 
 def random_poses(rng: np.random.Generator, n: int, spread: float = 0.25) -> np.ndarray:
-    """Camera poses in the middle of the grid, level to within 20 degrees."""
+    """Draw camera poses in the middle of the grid, level to within 20 degrees."""
     middle = np.array(ORIGIN) + 0.5 * VOXEL * np.array(SHAPE)
     size = spread * VOXEL * np.array(SHAPE)
     poses = [(middle + size * rng.uniform(-1, 1, 3), rng.uniform(-0.35, 0.35, 3) * (9, 1, 1)) for _ in range(n)]
@@ -55,7 +55,7 @@ def partial_map(seed: int, images: int = 2, sparse: bool = False) -> VoxelMap:
 
 
 def brute_force(m: VoxelMap, T_world_cam: np.ndarray, config: InformationConfig) -> np.ndarray:
-    """Entropy before less entropy after each image imagined in ``m`` is folded in by the map update, one trajectory."""
+    """Return the fall of entropy as the map update adds each image imagined in ``m`` along one trajectory."""
     start, depths, along = entropy(m), imagine(m, T_world_cam, CAMERA, config.max_depth), []
     m = jax.tree.map(jnp.copy, m)
     for depth, T in zip(depths, T_world_cam, strict=True):
@@ -85,8 +85,8 @@ def test_the_gain_is_the_entropy_that_the_update_takes_away(update_config: MapUp
 
 
 @given(seeds)
-def test_a_view_is_the_cells_that_the_update_makes_more_precise(seed: int) -> None:
-    """Cell by cell, on images with holes and jumps, from poses in and around the grid."""
+def test_a_view_holds_the_cells_whose_precision_the_update_raises(seed: int) -> None:
+    """This holds cell by cell, on images with holes and jumps, from poses in and around the grid."""
     rng = np.random.default_rng(seed)
     depth = (rng.uniform(0.1, 2.0) + rng.uniform(0, 1.5, (15, 20)) * (rng.uniform(size=(15, 20)) < 0.3)).astype(
         np.float32
@@ -108,7 +108,7 @@ def test_a_view_is_the_cells_that_the_update_makes_more_precise(seed: int) -> No
 
 
 def cells_of(view: Observed, blocks: int, every: int) -> np.ndarray:
-    """``(blocks, 512)`` flags of the bits of a view; each block is listed once."""
+    """Return ``(blocks, 512)`` flags of the bits of a view; each block is listed once."""
     assert len(set(view.block)) == len(view.block)
     flags = np.zeros((blocks, BLOCK**3), bool)
     bits = (view.words[:, :, None] >> np.arange(64, dtype=np.uint64)) & np.uint64(1)
@@ -117,7 +117,7 @@ def cells_of(view: Observed, blocks: int, every: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("every", [2, 4, 8])
-def test_every_plane_of_cells_has_its_share_of_the_subset(every: int) -> None:
+def test_the_subset_has_cells_of_every_plane_in_proportion(every: int) -> None:
     chosen = np.zeros(BLOCK**3, bool)
     chosen[np.arange(64) * BLOCK + heights(every)] = True
     planes = chosen.reshape(BLOCK, BLOCK, BLOCK)
@@ -126,7 +126,7 @@ def test_every_plane_of_cells_has_its_share_of_the_subset(every: int) -> None:
 
 
 def test_a_map_of_3x3x1_cells_by_hand() -> None:
-    """Cells a metre apart, each with a precision of its own; around them everything is known for sure.
+    """Enumerate cells a metre apart, each with a precision of its own, in fully known surroundings.
 
     The middle cell is solid and its neighbours are 0.5 m before the surface, so the surface is halfway between them. A
     band of a quarter of a cell: from each side only the three cells in front of it are seen, the corners by the outer
@@ -175,13 +175,13 @@ def test_laws_of_information(seed: int, kind: str) -> None:
     assert (added[paths == -1] == 0.0).all()
     # Submodular: a look adds no more after others than on its own, and no step is worth more than all.
     assert (added <= np.where(paths >= 0, single[paths], 0.0) * (1 + 1e-9) + 1e-9).all()
-    # The order of the looks, and what else is asked in the same call, change nothing.
+    # The order of the views, and other trajectories in the same call, change nothing.
     np.testing.assert_allclose(gain_of_paths(m, T, paths[:, ::-1], CAMERA, config).total, gain.total, rtol=1e-9)
     alone = gain_of_paths(m, T, paths[3:4], CAMERA, config)
     np.testing.assert_allclose(alone.along[0], gain.along[3], rtol=1e-9)
 
 
-def test_looking_again_adds_what_the_next_look_adds() -> None:
+def test_a_repeated_view_adds_what_the_next_update_adds() -> None:
     m, T = VoxelMap.prior(ORIGIN, VOXEL, SHAPE), random_poses(np.random.default_rng(0), 1)
     gain = expected_gain(m, np.repeat(T[None], 4, axis=1), CAMERA, ALL)
     cells = gain.along[0, 0] / (0.5 * np.log(1 + PRIOR_OCCUPANCY_STD**2))
@@ -190,7 +190,7 @@ def test_looking_again_adds_what_the_next_look_adds() -> None:
     np.testing.assert_allclose(gain.along[0], cells * 0.5 * np.log(1 + n * PRIOR_OCCUPANCY_STD**2), rtol=1e-6)
 
 
-def test_steps_that_do_not_exist_are_as_if_the_trajectory_were_shorter() -> None:
+def test_padded_steps_do_not_change_a_trajectory() -> None:
     m, T = partial_map(3), random_poses(np.random.default_rng(3), 6).reshape(2, 3, 4, 4)
     valid = np.array([[True, True, False], [False, False, False]])
     gain = expected_gain(m, np.where(valid[..., None, None], T, np.nan), CAMERA, ALL, valid)
@@ -199,7 +199,7 @@ def test_steps_that_do_not_exist_are_as_if_the_trajectory_were_shorter() -> None
     assert (gain.along[1] == 0.0).all()
 
 
-def test_nothing_to_choose_from() -> None:
+def test_no_candidates() -> None:
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     none, no_steps = (expected_gain(m, np.zeros((*n, 4, 4)), CAMERA) for n in ((0, 3), (2, 0)))
     assert none.along.shape == (0, 3) and none.total.shape == (0,)
@@ -220,7 +220,7 @@ def test_entropy_counts_from_the_prior() -> None:
     assert entropy(dense) == pytest.approx(absolute - at_prior, rel=1e-6)
 
 
-def test_unknown_space_is_worth_something_and_what_is_behind_a_wall_is_not() -> None:
+def test_unknown_space_has_gain_and_space_behind_a_wall_has_none() -> None:
     m, middle = partial_map(0, images=1), np.array(ORIGIN) + 0.5 * VOXEL * np.array(SHAPE)
     empty = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     T = camera_pose(tuple(middle), 0.3)[None]
@@ -232,7 +232,7 @@ def test_unknown_space_is_worth_something_and_what_is_behind_a_wall_is_not() -> 
     assert 0.0 < expected_gain(walled, T[None], CAMERA, ALL).total[0] < 0.9 * seen
 
 
-def test_known_cells_have_nothing_to_tell_where_they_are_left_out() -> None:
+def test_known_cells_have_no_gain_where_they_are_left_out() -> None:
     m, T = partial_map(2), random_poses(np.random.default_rng(2), 1)[None]
     everything = expected_gain(m, T, CAMERA, ALL).total[0]
     config = InformationConfig(pixels=None, every=1, update=CLEAR, max_depth=2.5, known=0.5)
@@ -245,8 +245,8 @@ def test_known_cells_have_nothing_to_tell_where_they_are_left_out() -> None:
 
 
 @pytest.mark.slow
-def test_rays_go_about_as_far_into_unknown_space_of_a_sample_as_it_says() -> None:
-    """``E[min(d, D)] = L (1 - exp(-D / L))`` of readings where obstacles are a Poisson process."""
+def test_rays_in_sampled_unknown_space_have_the_configured_mean_length() -> None:
+    """``E[min(d, D)] = L (1 - exp(-D / L))`` for obstacles that are a Poisson process."""
     m = VoxelMap.prior((0.0, 0.0, 0.0), 0.1, (48, 48, 48))
     camera = Camera.from_hfov(20, 15, 0.5)  # rays about as long as their z-depth
     T = np.stack([camera_pose((2.4, 2.4, 2.4), yaw, pitch) for yaw in (0.0, 0.4, 0.8) for pitch in (0.0, 0.5)])
@@ -255,7 +255,7 @@ def test_rays_go_about_as_far_into_unknown_space_of_a_sample_as_it_says() -> Non
         assert read == pytest.approx(mean_free_path * (1 - np.exp(-2.0 / mean_free_path)), rel=0.15)
 
 
-def test_samples_of_a_map_agree_with_its_mean_where_all_is_known() -> None:
+def test_samples_of_a_known_map_agree_with_its_mean() -> None:
     m, T = ROOM.to_map(ORIGIN, VOXEL, SHAPE), random_poses(np.random.default_rng(5), 6)[:, None]
     config = InformationConfig(pixels=None, every=1, update=CLEAR, max_depth=2.5, samples=2)
     mean, sampled = expected_gain(m, T, CAMERA, ALL).total, expected_gain(m, T, CAMERA, config).total
@@ -276,7 +276,7 @@ def test_nothing_is_compiled_again_for_other_candidates() -> None:
     assert (counter.count, len(information_sum._count.signatures)) == (0, signatures)
 
 
-def test_an_imagined_image_shows_the_whole_view_in_at_least_the_pixels_asked_for() -> None:
+def test_an_imagined_image_covers_the_view_with_at_least_the_configured_pixels() -> None:
     small = imagined_camera(Camera.from_hfov(160, 120, 1.2), 1200)
     assert (small.width, small.height) == (40, 30)
     odd = imagined_camera(Camera.from_hfov(101, 67, 1.2), 1200)

@@ -1,4 +1,4 @@
-"""Expected information on a map learned in an apartment: sparse pixels, truth, and ``bench information``."""
+"""Test expected information on a map learned in an apartment: sparse pixels, true gains, and ``bench information``."""
 
 import json
 
@@ -16,7 +16,7 @@ from vssm_gym.planning.exploration.information import InformationConfig, expecte
 
 
 @pytest.mark.slow
-def test_sparse_pixels_rank_candidates_as_all_of_them_do_and_as_the_truth_does():
+def test_sparse_pixels_rank_candidates_as_all_pixels_and_as_the_true_gain():
     apartment, robot = load_scene("oak"), HolonomicRobot()
     eye = make_camera(apartment.boxes(), CameraConfig())
     looks = bench_information.survey_poses(apartment, robot, seed=1)
@@ -29,7 +29,7 @@ def test_sparse_pixels_rank_candidates_as_all_of_them_do_and_as_the_truth_does()
 
 
 @pytest.mark.slow
-def test_the_bench_writes_what_it_measured(tmp_path, monkeypatch, capsys):
+def test_the_benchmark_writes_its_measurements(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_information, "VIEWPOINTS", (2,))
     chosen = {name: bench_information.ESTIMATES[name] for name in ("default", "all pixels and cells")}
     monkeypatch.setattr(bench_information, "ESTIMATES", chosen)

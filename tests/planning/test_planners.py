@@ -1,4 +1,4 @@
-"""Every planner of the registry on every kind of space, held to one protocol and to an exact visibility graph."""
+"""Test every registered planner on every kind of space, against one protocol and an exact visibility graph."""
 
 import inspect
 import itertools
@@ -33,24 +33,24 @@ SOLID = shapely.union_all([*BOXES, SEALED])
 
 
 def from_occupancy() -> ClearanceMap:
-    """Exact distances to the floor plan's borders on a grid."""
+    """Return exact distances to the floor plan's borders on a grid."""
     return clearance_map(ROOM, SOLID)
 
 
 def function() -> ClearanceField:
-    """The same as a function of the place, which knows nothing of grids."""
+    """Return the same distances as a function of the position, without a grid."""
     blocked = SOLID | (ROOM.buffer(1.0) - ROOM)
     low, high = np.split(np.array(ROOM.bounds), 2)
     return ClearanceField(lambda xy: -signed_depth(blocked, xy[:, 0], xy[:, 1]), low - 0.2, high + 0.2, 0.025)
 
 
 def learned() -> ClearanceMap:
-    """The clearance of a learned map of the room."""
+    """Return the clearance of a learned map of the room."""
     return ClearanceMap.from_voxel_map(voxel_map(ROOM, [(SOLID, 0.0, 1.0)]))
 
 
 def explored() -> ClearanceMap:
-    """The coarse clearance of an explorer's floor plan."""
+    """Return the coarse clearance of an explorer's floor plan."""
     return FloorPlan.of(voxel_map(ROOM, [(SOLID, 0.0, 1.0)]), 0.08, 0.5).clearance()
 
 
@@ -72,7 +72,7 @@ def space(request: pytest.FixtureRequest) -> tuple[str, Space]:
 
 @pytest.fixture(scope="module")
 def geodesics() -> dict[float, Geodesics]:
-    """Exact shortest paths of discs of some radii."""
+    """Return exact shortest paths of discs of some radii."""
     radii = {round(RADIUS + sign * (error + 0.01), 3) for error in SURFACE_ERROR.values() for sign in (-1.0, 1.0)}
     return {radius: Geodesics(free_space([SOLID], radius)) for radius in radii}
 
@@ -87,7 +87,7 @@ def length(path: np.ndarray) -> float:
 
 
 def along(path: np.ndarray, spacing: float = 0.005) -> np.ndarray:
-    """Points all along a polyline."""
+    """Return points along a polyline."""
     pieces = [path[:1]]
     for a, b in itertools.pairwise(path):
         n = 1 + int(np.linalg.norm(b - a) / spacing)
@@ -104,7 +104,7 @@ def test_every_row_has_the_protocols_signature(planner):
 
 @pytest.mark.parametrize("goal_radius", [0.0, 0.35])
 def test_paths_are_free_short_and_end_right(space, planner, geodesics, goal_radius):
-    """Clear as asked all along; no shorter than a thinner disc's shortest path, hardly longer than a thicker one's.
+    """Paths have the required clearance; they are no shorter than a thinner disc's, hardly longer than a thicker one's.
 
     The comparison brackets the error of the space's surfaces. Theta*'s bends lie on nodes, so 2 % and two cells.
     """
@@ -135,7 +135,7 @@ def test_a_margin_is_kept(space, planner):
 
 
 def test_a_tight_start_is_left_along_a_ramp(space, planner):
-    """From 6 cm off a wall a disc of 10 cm gets out, and has what is asked as soon as the ramp allows."""
+    """A disc of 10 cm leaves a place 6 cm off a wall, and has its clearance as soon as the ramp allows."""
     grid, start = on_grid(space[1]), np.array([2.34, 0.6])
     result = planner(start, np.array([0.5, 3.5]), space[1], RADIUS)
     assert result.found
@@ -157,7 +157,7 @@ def reasons(planner: Planner, where: Space) -> dict[PlanStatus, PlanResult]:
 
 
 def test_failures_are_values_with_a_message(planner):
-    """Deep inside a wall, a goal without room, a goal behind walls, too few expansions."""
+    """Failures are a start deep inside a wall, a goal without room, a goal behind walls, and too few expansions."""
     where = clearance_map(ROOM, SOLID | shapely.box(2.2, 0.7, 2.9, 1.3))
     for status, result in reasons(planner, where).items():
         assert result.status is status
@@ -195,7 +195,7 @@ def test_the_same_question_has_the_same_answer(space, planner):
         ("goal_radius", (np.array(PLACES[0]), PLACES[1], RADIUS), {"goal_radius": -1.0}),
     ],
 )
-def test_what_is_no_number_is_an_error(planner, field, arguments, keywords):
+def test_nan_and_infinite_arguments_are_errors(planner, field, arguments, keywords):
     start, goal, radius = arguments
     with pytest.raises(InputError, match=field):
         planner(start, goal, from_occupancy(), radius, **keywords)
@@ -254,7 +254,7 @@ def test_agents_take_their_planner_by_configuration(name):
 
 @pytest.mark.parametrize("outcome", [PlanStatus, ValueStatus, MpcStatus, SafeKind, DwaStatus])
 def test_every_outcome_has_a_message_of_its_own(outcome):
-    """Planners, value iteration, controllers and what is safe say how they ended in one manner."""
+    """Planners, value iteration, controllers and the safety layer share one kind of outcome."""
     assert issubclass(outcome, Outcome)
     messages = [member.message for member in outcome]
     assert len(outcome.__members__) == len(set(messages)) >= 4  # a message told twice would make two outcomes one

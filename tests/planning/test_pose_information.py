@@ -24,14 +24,14 @@ def test_a_known_pose_learns_nothing() -> None:
     assert gain(CORNER, camera_pose((0.0, 0.0, 0.4), 0.4), (0.0, 0.0, 0.0)) == 0.0
 
 
-def test_a_wall_tells_the_way_to_it_and_nothing_of_the_way_along_it() -> None:
+def test_a_wall_determines_the_distance_to_it_and_not_the_position_along_it() -> None:
     T, pixels = camera_pose((0.0, 0.0, 0.4), 0.0), (CAMERA.width - 1) * (CAMERA.height - 1)
     towards = 0.5 * np.log(1.0 + pixels * (0.1 / MEASUREMENT_STD) ** 2)
     assert gain(WALL, T, (0.1, 0.0, 0.0)) == pytest.approx(towards, rel=1e-4)
     assert gain(WALL, T, (0.0, 0.1, 0.0)) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_turn_is_told_by_the_lever() -> None:
+def test_the_information_about_a_turn_grows_with_the_lever_arm() -> None:
     """A turn by ``a`` brings the wall's point at ``y`` nearer by ``a y``."""
     T = camera_pose((0.0, 0.0, 0.4), 0.0)
     u = np.arange(CAMERA.width - 1)
@@ -40,14 +40,14 @@ def test_a_turn_is_told_by_the_lever() -> None:
     assert gain(WALL, T, (0.0, 0.0, 0.05)) == pytest.approx(0.5 * np.log(1.0 + 0.05**2 * fisher), rel=1e-3)
 
 
-def test_a_corner_tells_more_than_a_wall_and_all_at_once() -> None:
+def test_a_corner_gives_more_information_than_a_wall() -> None:
     std = (0.05, 0.05, 0.1)
     T = camera_pose((0.5, 0.0, 0.4), 0.6)
     assert gain(CORNER, T, std) > gain(WALL, T, std) + 0.5
     assert gain(CORNER, T, (0.0, 0.05, 0.0)) > 1.0
 
 
-def test_more_pixels_tell_the_same_again() -> None:
+def test_the_information_does_not_depend_on_the_number_of_pixels() -> None:
     T, fine = camera_pose((0.5, 0.0, 0.4), 0.6), Camera.from_hfov(120, 90, np.radians(75))
     depth = np.asarray(CORNER.image(T, fine).depth, np.float64)[None]
     std = np.array([0.05, 0.05, 0.1])
@@ -55,7 +55,7 @@ def test_more_pixels_tell_the_same_again() -> None:
     assert many == pytest.approx(gain(CORNER, T, tuple(std)), rel=0.03)
 
 
-def test_what_is_not_known_tells_nothing() -> None:
+def test_unknown_surfaces_have_no_information() -> None:
     T = camera_pose((0.5, 0.0, 0.4), 0.6)
     depth = np.asarray(CORNER.image(T, CAMERA).depth, np.float64)[None]
     std = np.array([0.05, 0.05, 0.1])
@@ -67,7 +67,7 @@ def test_what_is_not_known_tells_nothing() -> None:
 
 
 @given(turn=st.floats(-3.0, 3.0), xy=st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
-def test_it_does_not_matter_where_the_world_lies(turn: float, xy: tuple[float, float]) -> None:
+def test_the_gain_is_invariant_to_the_world_frame(turn: float, xy: tuple[float, float]) -> None:
     """Equal standard deviations along x and y: turning and shifting the world changes nothing."""
     T = camera_pose((0.5, 0.0, 0.4), 0.6)
     moved = camera_pose((*xy, 0.0), turn) @ np.linalg.inv(camera_pose((0.0, 0.0, 0.0), 0.0)) @ T

@@ -1,4 +1,4 @@
-"""The controller: always within the limits, on the path's segments, arriving, and turning no more than it must."""
+"""Test the path follower: commands within limits, motion along the path's segments, arrival, and few turns."""
 
 import math
 

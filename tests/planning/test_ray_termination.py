@@ -22,7 +22,7 @@ FAR = np.full((2, CAMERA.height, CAMERA.width), 3.0, np.float32)
 
 
 def poses(seed: int) -> np.ndarray:
-    """Two camera poses in the grid."""
+    """Return two camera poses in the grid."""
     rng = np.random.default_rng(seed)
     low = np.array(ORIGIN)
     places = low + VOXEL * np.array(SHAPE) * rng.uniform(0.1, 0.9, (2, 3))
@@ -30,7 +30,7 @@ def poses(seed: int) -> np.ndarray:
 
 
 def speckled(seed: int, sparse: bool) -> VoxelMap:
-    """A map of which a random half of the cells, in lumps, was observed."""
+    """Return a map of which a random half of the cells, in clusters, was observed."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     known = np.random.default_rng(seed).random(SHAPE) < 0.5
     precision = np.where(known, 1.0, PRIOR_OCCUPANCY_STD**-2).astype(np.float32)
@@ -45,7 +45,7 @@ def speckled(seed: int, sparse: bool) -> VoxelMap:
     return eqx.tree_at(lambda m: (m.occupancy_precision, m.table), m, (jnp.asarray(rows), table))
 
 
-def test_without_either_nothing_changes() -> None:
+def test_without_ground_and_hazard_nothing_changes() -> None:
     np.testing.assert_array_equal(end_rays(FAR, poses(0), CAMERA, speckled(0, False), 0.0, -np.inf), FAR)
 
 
@@ -62,8 +62,8 @@ def test_rays_end_at_the_ground(seed: int, ground: float) -> None:
 
 
 @given(seed=seeds, unknown=st.floats(0.05, 2.0))
-def test_where_nothing_is_known_rays_are_as_long_as_was_said(seed: int, unknown: float) -> None:
-    """Inside the map and beside it."""
+def test_in_unknown_space_rays_have_the_configured_length(seed: int, unknown: float) -> None:
+    """This holds inside the map and outside of it."""
     T = poses(seed)
     ended = end_rays(FAR, T, CAMERA, VoxelMap.prior(ORIGIN, VOXEL, SHAPE), 1.0 / unknown, -np.inf)
     for pose, image in zip(T, ended, strict=True):
@@ -74,8 +74,8 @@ def test_where_nothing_is_known_rays_are_as_long_as_was_said(seed: int, unknown:
 @pytest.mark.parametrize("sparse", [False, True])
 @settings(max_examples=12)
 @given(seed=seeds, unknown=st.floats(0.2, 2.0))
-def test_the_way_through_unknown_cells_is_used_up(sparse: bool, seed: int, unknown: float) -> None:
-    """Against the same integral by steps of a fiftieth: to within a cell's diagonal on average, never far off."""
+def test_the_length_through_unknown_cells_is_limited(sparse: bool, seed: int, unknown: float) -> None:
+    """The limit agrees with the same integral in steps of a fiftieth, on average to within a cell's diagonal."""
     m, T = speckled(seed, sparse), poses(seed)
     precision = np.asarray(m.dense(m.occupancy_precision)).reshape(m.shape)
     ended = end_rays(FAR, T, CAMERA, m, 1.0 / unknown, -np.inf)
@@ -94,8 +94,8 @@ def test_the_way_through_unknown_cells_is_used_up(sparse: bool, seed: int, unkno
     assert np.abs(off).max() < 0.5 * unknown + 5.0 * VOXEL
 
 
-def test_surfaces_are_met_where_they_are_expected() -> None:
-    """A field over the columns: the same everywhere is a number; a dense stripe ends what looks across it, there."""
+def test_a_hazard_field_ends_rays_where_surfaces_are_expected() -> None:
+    """A uniform field over the columns equals a number; a dense stripe ends the rays across it."""
     m = VoxelMap.prior(ORIGIN, VOXEL, SHAPE)
     np.testing.assert_array_equal(
         end_rays(FAR, poses(1), CAMERA, m, np.full(SHAPE[:2], 0.8), -np.inf),
@@ -113,8 +113,8 @@ def test_surfaces_are_met_where_they_are_expected() -> None:
     np.testing.assert_array_equal(behind, FAR[0])
 
 
-def test_less_is_expected_of_the_unknown() -> None:
-    """Gains fall with what rays may go through; below the ground there is nothing to learn."""
+def test_the_expected_gain_falls_with_the_hazard_and_below_the_ground() -> None:
+    """A larger hazard ends rays earlier, and a ray that ends at the ground observes nothing below it."""
     m, T = VoxelMap.prior(ORIGIN, VOXEL, SHAPE), poses(3)[:, None]
     clear = MapUpdateConfig(max_depth=3.0)
 

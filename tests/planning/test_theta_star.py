@@ -1,4 +1,4 @@
-"""Theta* against A*'s grid and taut paths, against sight, and round one corner by hand."""
+"""Test Theta* against A*'s paths with and without shortening, against lines of sight, and at one corner by hand."""
 
 import itertools
 import math
@@ -19,7 +19,7 @@ RADIUS = 0.1  # m
 
 
 def scene(obstacles: list[shapely.Polygon], seed: int) -> tuple[ClearanceMap, np.ndarray, np.ndarray]:
-    """A random room with a start and a goal that both have room for the robot."""
+    """Generate a random room with a start and a goal that both have room for the robot."""
     plan_map = clearance_map(ROOM, shapely.union_all(obstacles))
     free = np.argwhere(plan_map.clearance > RADIUS + 0.06)
     rng = np.random.default_rng(seed)
@@ -29,8 +29,8 @@ def scene(obstacles: list[shapely.Polygon], seed: int) -> tuple[ClearanceMap, np
 
 @settings(max_examples=20)
 @given(layouts, seeds)
-def test_between_the_taut_path_and_the_grids(obstacles, seed):
-    """No longer than A*'s path over the grid's edges, within 2 % and a cell of the taut one, found where A* finds."""
+def test_the_length_lies_between_the_shortened_and_the_grid_path(obstacles, seed):
+    """It is no longer than A*'s path over the grid's edges, and within 2 % and a cell of the shortened one."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS)
     taut = astar.plan(start, goal, plan_map, RADIUS)
@@ -46,7 +46,7 @@ def test_between_the_taut_path_and_the_grids(obstacles, seed):
 @settings(max_examples=20)
 @given(layouts, seeds)
 def test_bends_at_obstacles_only(obstacles, seed):
-    """Every bend stands within four cells of where the disc may not be; between two bends nothing is in the way."""
+    """Every bend lies within four cells of a place in collision, and the segment between two bends is free."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS)
     path, required = plan_map.to_grid(result.path), requirement_from(plan_map, start, RADIUS)
@@ -58,7 +58,7 @@ def test_bends_at_obstacles_only(obstacles, seed):
             assert plan_map.at(plan_map.to_world(bend)) <= RADIUS + 4.0 * plan_map.resolution
 
 
-def test_nothing_between_is_a_straight_line():
+def test_without_obstacles_the_path_is_a_straight_line():
     room = clearance_map(ROOM, shapely.Point(9.0, 9.0).buffer(0.1))
     start, goal = np.array([0.512, 0.537]), np.array([4.391, 2.846])
     result = plan(start, goal, room, RADIUS)
@@ -68,7 +68,7 @@ def test_nothing_between_is_a_straight_line():
 
 
 def test_round_one_corner_by_hand():
-    """From (0.5, 1) to (2.5, 1) past a thin wall that ends at y = 2: two tangents to a circle and the arc between."""
+    """Past a thin wall that ends at y = 2 the path is two tangents to a circle and the arc between them."""
     floor = shapely.box(0.0, 0.0, 3.0, 3.0)
     plan_map = clearance_map(floor, shapely.box(1.4999, 0.0, 1.5001, 2.0), 0.02)
     result = plan(np.array([0.5, 1.0]), np.array([2.5, 1.0]), plan_map, RADIUS)

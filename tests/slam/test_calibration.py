@@ -51,7 +51,7 @@ def test_the_residual_is_the_models_own_tangent() -> None:
 
 @given(seeds)
 def test_moving_both_trajectories_changes_nothing(seed: int) -> None:
-    """And a residual seen from another body frame, its covariance carried by the adjoint, has the same NEES."""
+    """A residual in another body frame, with its covariance transformed by the adjoint, has the same NEES too."""
     rng = np.random.default_rng(seed)
     T_est = np.stack([expm(hat(d)) for d in rng.uniform(-1, 1, (5, 6))])
     T_true = T_est @ np.stack([expm(hat(d)) for d in rng.uniform(-0.1, 0.1, (5, 6))])
@@ -75,7 +75,7 @@ def test_nees_is_the_squared_mahalanobis_distance(seed: int, d: int) -> None:
 
 @pytest.mark.parametrize("d", [3, 6])
 def test_samples_of_the_stated_gaussian_are_calibrated(d: int) -> None:
-    """Mean NEES = d, whitened axes standard normal and uncorrelated, the curve the diagonal, 95 % within 95 %."""
+    """The mean NEES is d, whitened axes are standard normal, and the calibration curve is the diagonal."""
     rng = np.random.default_rng(0)
     S = covariances(rng, 5000, d)
     c = Calibration.of(samples(rng, S), S)
@@ -93,8 +93,8 @@ def test_samples_of_the_stated_gaussian_are_calibrated(d: int) -> None:
 
 
 @pytest.mark.parametrize(("factor", "side"), [(4.0, -1.0), (0.25, 1.0)])
-def test_the_side_of_the_diagonal_tells_which_way_it_is_wrong(factor: float, side: float) -> None:
-    """Errors of four times the stated covariance: overconfident, below; of a quarter: pessimistic, above."""
+def test_the_curve_is_below_the_diagonal_for_overconfidence(factor: float, side: float) -> None:
+    """Errors of four times the stated covariance put the curve below the diagonal, errors of a quarter above it."""
     rng = np.random.default_rng(1)
     S = covariances(rng, 3000)
     c = Calibration.of(samples(rng, S, factor), S)
@@ -105,7 +105,7 @@ def test_the_side_of_the_diagonal_tells_which_way_it_is_wrong(factor: float, sid
     assert c.summary()["nees_over_dimension"] == pytest.approx(factor, rel=0.06)
 
 
-def test_the_scale_is_the_likeliest_and_comes_from_other_sequences() -> None:
+def test_the_scale_maximises_the_likelihood_on_other_sequences() -> None:
     rng = np.random.default_rng(2)
     S = covariances(rng, 800)
     factors = {"a": 4.0, "b": 4.0, "c": 1.0}
@@ -121,7 +121,7 @@ def test_the_scale_is_the_likeliest_and_comes_from_other_sequences() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 0.0])
-def test_what_is_no_covariance_is_refused(bad: float) -> None:
+def test_an_invalid_covariance_is_refused(bad: float) -> None:
     S = np.tile(np.eye(6), (3, 1, 1))
     S[1, 2, 2] = bad
     with pytest.raises(InputError, match="covariances"):

@@ -53,8 +53,8 @@ def test_a_recorded_flight_is_a_closed_path_with_commands_and_imu(recording):
     assert (depth > 0.0).all()
 
 
-def test_the_imu_of_a_recording_explains_its_poses(recording):
-    """Mean force and rate between two frames, up to bias and noise, are what the true poses say."""
+def test_the_recorded_imu_agrees_with_the_poses(recording):
+    """Mean force and rate between two frames are those of the true poses, up to bias and noise."""
     sequence = load_sequence(recording)
     times, poses = sequence.times, sequence.true_poses()
     assert (np.diff(sequence.imu[:, 0]) > 0.0).all()
@@ -79,7 +79,7 @@ def test_slam_follows_a_flight(recording, imu):
     assert row["length_m"] > 20.0
 
 
-def test_an_imu_that_is_not_there_is_missed(recording, tmp_path):
+def test_a_missing_imu_file_is_refused(recording, tmp_path):
     shutil.copytree(recording, tmp_path / "blind")
     (tmp_path / "blind" / "imu.txt").unlink()
     with pytest.raises(InputError, match=r"imu\.txt"):
@@ -91,7 +91,7 @@ def test_an_imu_that_is_not_there_is_missed(recording, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_study_says_what_it_measured(tmp_path):
+def test_the_study_states_its_measurements(tmp_path):
     heard = []
     options = SlamOptions(**FAR)
     study = study_flight.run(

@@ -33,7 +33,7 @@ def recording(tmp_path_factory):
     return folder / "drive", frames, heard
 
 
-def test_a_recording_is_a_tum_folder_with_what_made_it(recording):
+def test_a_recording_is_a_tum_folder_with_its_provenance(recording):
     folder, frames, heard = recording
     sequence = load_sequence(folder)
     assert len(sequence.frames) == frames == len(sequence.controls)
@@ -54,8 +54,8 @@ def test_a_recording_is_a_tum_folder_with_what_made_it(recording):
     assert heard[-1][1] == heard[-1][2] == len(heard)
 
 
-def test_every_viewpoint_is_looked_around_from(recording):
-    """Headings at a place cover the circle: the drive turns around once at each viewpoint."""
+def test_the_robot_turns_around_at_every_viewpoint(recording):
+    """Headings at each viewpoint cover the circle, since the drive turns around there once."""
     poses = load_sequence(recording[0]).true_poses()
     still = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1) < 1e-4
     heading = np.unwrap(np.arctan2(poses[:, 1, 2], poses[:, 0, 2]))
@@ -114,7 +114,7 @@ def test_cells_too_small_for_memory_are_refused(recording):
 
 @pytest.mark.slow
 def test_the_map_has_its_surfaces_where_the_walls_are(recording):
-    """West wall's face at x = 0.05, the 0.1 m wall between the rooms at x = 2.95 and 3.05, the table's top at 0.5 m."""
+    """Faces are at x = 0.05 (west wall), 2.95 and 3.05 (wall between the rooms), the table's top at 0.5 m."""
     sequence = load_sequence(recording[0])
     voxel_map = build_map(sequence, 0.05)
     low, high = voxel_map.bounds
@@ -138,7 +138,7 @@ def test_the_map_has_its_surfaces_where_the_walls_are(recording):
 
 @pytest.fixture
 def drives(recording, monkeypatch):
-    """Make :func:`ensure_map` fast: a recording is a note of its arguments, a map one empty block."""
+    """Make :func:`ensure_map` fast: a recording is a list of its arguments, a map one empty block."""
     made = []
 
     def record_note(scene, out, *, noise, seed, on_progress):
@@ -152,7 +152,7 @@ def drives(recording, monkeypatch):
     return made
 
 
-def test_a_map_is_made_anew_where_anything_that_decides_it_differs(recording, drives, tmp_path):
+def test_a_map_is_made_again_if_any_of_its_inputs_differs(recording, drives, tmp_path):
     scene = str(recording[0].parent / "rooms.json")
     path = ensure_map(scene, tmp_path, voxel=0.1, seed=0)
     known = read_metadata(path)
@@ -173,7 +173,7 @@ def test_a_map_is_made_anew_where_anything_that_decides_it_differs(recording, dr
     assert len(drives) == 5
 
 
-def test_what_is_not_ours_is_neither_removed_nor_replaced(recording, drives, tmp_path):
+def test_other_files_are_neither_removed_nor_replaced(recording, drives, tmp_path):
     scene = str(recording[0].parent / "rooms.json")
     photos = tmp_path / "recordings" / "rooms"
     photos.mkdir(parents=True)

@@ -90,7 +90,7 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     assert latency["track"]["p50"] + latency["map"]["p50"] <= 1.2 * latency["whole step"]["p50"]
     assert latency["whole step"]["p50"] <= latency["whole step"]["p95"] <= latency["whole step"]["max"]
     assert "recover" not in latency
-    assert stats["notices"] == stats["found_again"] == []
+    assert stats["notices"] == stats["relocalised"] == []
     assert stats["calibration"] is None  # too few frames that have a true velocity
     assert stats["version"]
 
@@ -124,8 +124,8 @@ def learned(recording, tmp_path_factory) -> Path:
     return path
 
 
-def test_the_tracker_locates_a_camera_in_a_map_that_is_known(vssm, recording, learned, tmp_path):
-    """From a start that is 15 cm and 5 degrees off; the map stays as it is, and the outputs are those of PRISM."""
+def test_the_tracker_localises_a_camera_in_a_known_map(vssm, recording, learned, tmp_path):
+    """The start is off by 15 cm and 5 degrees; the map is unchanged, and the outputs are those of PRISM."""
     start = "0.1,-0.1,0.05,0.02,0.0436,0,0.9988"
     options = ("--method", "tracker", "--map", learned, "--start", start)
     code, printed, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options)
@@ -142,12 +142,12 @@ def test_the_tracker_locates_a_camera_in_a_map_that_is_known(vssm, recording, le
     assert stats["map"]["voxel"] == pytest.approx(0.08)
 
 
-def test_a_tracker_that_starts_elsewhere_is_lost_and_says_so(vssm, recording, learned, tmp_path):
+def test_a_tracker_with_a_wrong_start_is_lost(vssm, recording, learned, tmp_path):
     """No pose beyond the map is accepted; recovery then tries the map's origin, where the camera is."""
     options = ("--method", "tracker", "--map", learned, "--start", "50,0,0,0,0,0,1")
     code, printed, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options)
     assert code == 0, err
-    assert "1 lost, 1 found again" in printed
+    assert "1 lost, 1 relocalised" in printed
     stats = json.loads((tmp_path / "out" / "stats.json").read_text())
     assert [frame["index"] for frame in stats["lost"]] == [0]
     _, poses = poses_of(tmp_path / "out" / "trajectory.txt")
@@ -167,7 +167,7 @@ def test_a_tracker_that_starts_elsewhere_is_lost_and_says_so(vssm, recording, le
         (["--method", "tracker", "--map", "nowhere.npz"], "an existing map file"),
     ],
 )
-def test_a_tracker_that_cannot_be_is_one_line(vssm, recording, learned, tmp_path, options, message):
+def test_bad_options_of_the_tracker_are_one_line(vssm, recording, learned, tmp_path, options, message):
     told = [word.format(map=learned) for word in options]
     code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *told)
     assert code == 2
@@ -175,8 +175,8 @@ def test_a_tracker_that_cannot_be_is_one_line(vssm, recording, learned, tmp_path
     assert not (tmp_path / "out").exists()
 
 
-def test_a_lost_frame_is_said_to_be_lost_and_leaves_the_map_alone(vssm, tmp_path):
-    """Without ground truth: the report says that too, and nothing is measured against it."""
+def test_a_lost_frame_is_reported_and_does_not_change_the_map(vssm, tmp_path):
+    """The recording has no ground truth: the report states that, and has no errors."""
     source = write_sequence(tmp_path / "room", strange=6)
     (source / "groundtruth.txt").unlink()
     code, printed, err = vssm("slam", source, "--out", tmp_path / "out", "--size", SIZE, *GRID)
@@ -227,7 +227,7 @@ def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch
 
 
 def test_the_readings_outside_a_small_grid_are_counted(recording):
-    """A cube that ends before the far wall: what it cannot hold is known exactly from the depths."""
+    """For a cube that ends before the far wall, the depths give the exact proportion outside."""
     sequence = load_sequence(recording)
     small = replace(sequence, frames=sequence.frames[:1])
     run = run_slam(small, SlamOptions(size=(80, 60), voxel=0.08, extent=4.8))
@@ -320,8 +320,8 @@ def test_missing_folders_and_files_are_named(vssm, recording, tmp_path):
     assert (code, "folder" in err) == (2, True)
 
 
-def test_a_truth_of_another_time_costs_nothing_but_the_errors(vssm, recording, tmp_path):
-    """Its stamps lie elsewhere: the map is made all the same, and the reason is said."""
+def test_ground_truth_of_another_time_only_removes_the_errors(vssm, recording, tmp_path):
+    """With ground truth of other times the map is made nevertheless, and the reason is reported."""
     source = tmp_path / "room"
     shutil.copytree(recording, source)
     truth = source / "groundtruth.txt"
@@ -333,7 +333,7 @@ def test_a_truth_of_another_time_costs_nothing_but_the_errors(vssm, recording, t
     assert names(tmp_path / "out") == FILES
 
 
-def test_readings_beyond_the_map_are_warned_of(vssm, recording, tmp_path):
+def test_readings_outside_the_map_give_a_warning(vssm, recording, tmp_path):
     """A depth scale five times too small puts the room's walls outside the cube."""
     source = tmp_path / "room"
     shutil.copytree(recording, source)
@@ -344,7 +344,7 @@ def test_readings_beyond_the_map_are_warned_of(vssm, recording, tmp_path):
     assert "depth readings lie outside the map's cube" in err and "depth scale" in err
 
 
-def test_a_folder_with_other_content_is_left_alone(vssm, recording, tmp_path):
+def test_a_folder_with_other_content_is_refused(vssm, recording, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     code, _, err = vssm("slam", recording, "--out", tmp_path)
     assert code == 2
@@ -353,8 +353,8 @@ def test_a_folder_with_other_content_is_left_alone(vssm, recording, tmp_path):
 
 
 @pytest.mark.parametrize(("fault", "result"), [("damaged", "10 frames, 1 lost"), ("missing", "9 frames, 0 lost")])
-def test_a_bad_image_is_warned_of_and_costs_one_frame(vssm, recording, tmp_path, fault, result):
-    """A file that is not there is no frame; one that cannot be read is a frame without a reading."""
+def test_a_bad_image_gives_a_warning_and_loses_one_frame(vssm, recording, tmp_path, fault, result):
+    """A missing file is no frame; one that cannot be read is a frame without a reading."""
     source = tmp_path / "room"
     shutil.copytree(recording, source)
     bad = sorted((source / "depth").iterdir())[5]
@@ -395,7 +395,7 @@ def test_a_sequence_without_any_depth_is_refused(vssm, tmp_path):
 
 
 def test_given_intrinsics_replace_those_of_the_folder(recording):
-    """They are of the recorded images; at half the size they are half, about the images' edges."""
+    """Intrinsics are those of the recorded images; at half the size they are halved about the images' edges."""
     sequence = load_sequence(recording, (60.0, 50.0, 30.0, 20.0, 0.1, 0.0, 0.0, 0.0, 0.0))
     reader = FrameReader(sequence, (40, 30))
     np.testing.assert_allclose(reader.camera.K, [[30.0, 0.0, 14.75], [0.0, 25.0, 9.75], [0.0, 0.0, 1.0]])

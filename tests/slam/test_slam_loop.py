@@ -22,8 +22,8 @@ def test_the_map_starts_at_the_first_depth(tmp_path):
 
 
 @pytest.mark.parametrize("first", ["a strip", "another place"])
-def test_a_map_that_starts_from_a_bad_image_starts_anew(tmp_path, first):
-    """Nothing fits it: after three readable frames the map starts again, and that is said."""
+def test_a_map_that_starts_from_a_bad_image_is_restarted(tmp_path, first):
+    """No image fits it: after three readable frames the map is restarted, which is reported."""
     rgb, depth = frame_of(0)
     bad = {
         "a strip": (rgb, depth * (np.arange(80) < 8)),
@@ -36,7 +36,7 @@ def test_a_map_that_starts_from_a_bad_image_starts_anew(tmp_path, first):
     assert np.linalg.norm(run.poses[-1, :3, 3] - expected[:3, 3]) < 0.02
 
 
-def test_a_black_first_image_with_depth_is_tracked_by_its_shapes(tmp_path):
+def test_a_black_first_image_is_tracked_by_its_depth(tmp_path):
     rgb, depth = frame_of(0)
     run = run_slam(load_sequence(write_sequence(tmp_path / "room", first=(0 * rgb, depth))), options())
     assert not run.lost.any()

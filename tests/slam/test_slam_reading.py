@@ -66,7 +66,7 @@ def test_images_arrive_in_order_and_a_bad_one_raises_in_its_turn():
         next(images)
 
 
-def test_reading_stops_when_nobody_asks():
+def test_reading_stops_when_the_consumer_does():
     reader = SlowReader()
     images = prefetch(reader, list(range(100)))
     next(images)

@@ -68,8 +68,8 @@ def long_sequence(tmp_path_factory):
     return replace(sequence, truth=(times, poses))
 
 
-def test_a_filter_that_errs_as_it_says_is_calibrated(long_sequence):
-    """In the camera's tangent and in the world: an error of order, frame or side would show in the NEES at once."""
+def test_a_filter_whose_errors_follow_its_covariance_is_calibrated(long_sequence):
+    """This holds in the camera's tangent and in the world; a wrong order, frame or side would change the NEES."""
     run = made_up_run(long_sequence, 300)
     truth = slam_states.Truth.of(run, long_sequence)
     summary = slam_states.calibration_summary(run, truth)
@@ -92,7 +92,7 @@ def test_the_calibration_does_not_depend_on_the_frame_of_the_truth(long_sequence
         assert summaries[0][state]["nees"] == pytest.approx(summaries[1][state]["nees"], rel=1e-6)
 
 
-def test_lost_frames_have_no_velocity_and_are_no_part_of_the_calibration(long_sequence):
+def test_lost_frames_have_no_velocity_and_are_left_out_of_the_calibration(long_sequence):
     lost = {"status": Status.LOST, "covariance": np.eye(12), "velocity": np.zeros(6), "photometric": np.nan}
     run = made_up_run(long_sequence, 40, at_7=lost)
     truth = slam_states.Truth.of(run, long_sequence)
@@ -103,8 +103,8 @@ def test_lost_frames_have_no_velocity_and_are_no_part_of_the_calibration(long_se
     assert slam_states.calibrations(run, truth)["velocity"].whitened.shape == (38, 6)
 
 
-def test_every_status_is_said(long_sequence):
-    """A lost frame, one without depth, one found again, a grid that moved, a warning; and a map that holds nothing."""
+def test_the_report_shows_every_status(long_sequence):
+    """A lost frame, one without depth, one relocalised, a grid that moved, a warning; and an empty map."""
     run = made_up_run(
         long_sequence,
         10,
@@ -120,14 +120,14 @@ def test_every_status_is_said(long_sequence):
         (3, Status.LOST.message),
         (4, Status.NO_READING.message),
     ]
-    assert [frame["index"] for frame in stats["found_again"]] == [5]
+    assert [frame["index"] for frame in stats["relocalised"]] == [5]
     assert stats["map"]["blocks_forgotten"] == 12
     assert stats["map"]["storage"] == "dense"
     assert stats["latency_ms"]["recover"]["n"] == 2
     assert stats["notices"] == ["rgb.txt: odd"]
     stats["map"] |= {"vertices": 0, "faces": 0}
     shown = slam_report.page(run, long_sequence, truth, surface_mesh(run.map), stats, options().tracking)
-    for text in ("2 of 10 frames were lost", "found again 1 time", "12 observed blocks", "1 warning.", "rgb.txt: odd"):
+    for text in ("2 of 10 frames were lost", "relocalised 1 time", "12 observed blocks", "1 warning.", "rgb.txt: odd"):
         assert text in shown
     for status in (Status.LOST, Status.NO_READING, Status.RECOVERED):
         assert status.message in shown
@@ -145,7 +145,7 @@ def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:
 
 
 def test_slices_read_a_sparse_map_as_a_dense_one():
-    """Cells and known points are found by storage row, without laying out the cube."""
+    """Cells and known points are found by their storage row, without a dense copy of the cube."""
     image, config = RGBD.from_camera(*frame_of(0)), options().filter(CAMERA).config.update
     dense = update(options().prior().map, image.depth, image.rgb, jnp.eye(4), CAMERA, config)
     sparse = stored_sparsely(dense, 900)
@@ -164,7 +164,7 @@ def test_slices_read_a_sparse_map_as_a_dense_one():
     assert np.nanmax(std) <= 1.0
 
 
-def test_storage_that_ran_out_is_said(long_sequence):
+def test_exhausted_storage_is_reported(long_sequence):
     run = made_up_run(long_sequence, 2)
     full = eqx.tree_at(lambda m: m.table.refused, stored_sparsely(run.map, 8), jnp.int32(5))
     assert slam_output.notices(run) == ()

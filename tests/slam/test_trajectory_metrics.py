@@ -154,7 +154,7 @@ def test_association_is_the_nearest_stamp(short: list[float], long: list[float],
 
 
 def test_angles_by_hand() -> None:
-    """A quarter turn of the last frame, and a tiny one that an arccos would round away."""
+    """One case is a quarter turn of the last frame, the other a tiny turn that an arccos would round to zero."""
     for angle in (90.0, 180.0, 1e-7):
         T_true = np.tile(np.eye(4), (2, 1, 1))
         T_est = T_true.copy()
@@ -177,7 +177,7 @@ def test_bad_input_names_the_field() -> None:
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_alignment_of_the_first_pose(seed: int) -> None:
-    """No error at the start whatever the frame; there, drift is all that counts; ``none`` keeps a wrong frame wrong."""
+    """It removes the error at the start for any frame; without alignment a wrong frame remains an error."""
     rng = np.random.default_rng(seed)
     T_true, A = random_poses(rng, 30), random_motion(rng)
     first = trajectory_error.ate(A @ T_true, T_true, "first")
@@ -192,7 +192,7 @@ def test_alignment_of_the_first_pose(seed: int) -> None:
     np.testing.assert_allclose(unaligned, np.linalg.norm((A @ T_true - T_true)[:, :3, 3], axis=1))
 
 
-def test_straight_lines_need_no_best_rotation() -> None:
+def test_straight_lines_have_errors_without_a_best_rotation() -> None:
     line = np.tile(np.eye(4), (5, 1, 1))
     line[:, 0, 3] = np.arange(5)
     result = trajectory_error.evaluate(np.arange(5.0), line, np.arange(5.0), line, alignments=("first", "none"))

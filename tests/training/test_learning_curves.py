@@ -1,4 +1,4 @@
-"""``vssm-gym curves``: what it reads of trainings, what it draws and tells, and what it refuses."""
+"""Test ``vssm-gym curves``: reading of trainings, figures and tables, and refused input."""
 
 import json
 import math
@@ -21,7 +21,7 @@ Point = tuple[float, float, float]  # seconds, steps, success
 def run(
     folder: Path, points: list[Point], name: str = "imagined", seed: int = 0, world: str = "0" * 16, **config: Any
 ) -> Path:
-    """A folder as `vssm-gym train` leaves it; the return is 10 x success - 5; an episode of all robots is 100 steps."""
+    """Write a folder as `vssm-gym train` does; the return is 10 x success - 5; all robots' episode has 100 steps."""
     folder.mkdir(parents=True)
     where = {"id": "vssm_gym/WorldModelNav-v0", "map": f"{folder}.npz", "num_envs": 4, "max_episode_steps": 25}
     told = {"name": name, "environment": where, "algorithm": {"name": "ppo"}, "steps": 10**6, "seed": seed} | config
@@ -35,12 +35,12 @@ def run(
 
 
 def straight(minutes: float, steps: float, last: float) -> list[Point]:
-    """Success grows evenly from 0 at 100 steps and no time."""
+    """Return success that grows linearly from 0 at 100 steps and zero time."""
     return [(0.0, 100, 0.0), (30.0 * minutes, 100 + 0.5 * (steps - 100), 0.5 * last), (60.0 * minutes, steps, last)]
 
 
 def test_a_training_is_read_from_where_all_robots_had_an_episode(tmp_path):
-    """Ninety steps are fewer than four robots' whole episodes: the success of one fast episode says nothing."""
+    """Ninety steps are fewer than four robots' whole episodes, and the success of one short episode is no estimate."""
     points = [(10.0, 0, 0.0), (20.0, 90, 1.0), (30.0, 100, 0.25), (60.0, 200, 0.75)]
     folder = run(tmp_path / "a", points)
     with (folder / "progress.jsonl").open("a") as file:
@@ -62,7 +62,7 @@ def test_lines_before_the_first_episode_are_no_success(tmp_path):
 
 
 def test_times_by_hand(tmp_path):
-    """0.8 after ten minutes and 1100 steps: a half after 6.25 minutes and 725 steps, nine tenths never."""
+    """With 0.8 after ten minutes and 1100 steps, a half is reached after 6.25 minutes and 725 steps, 0.9 never."""
     one = read_training(run(tmp_path / "a", straight(10.0, 1100, 0.8)))
     np.testing.assert_allclose(time_to(one, 0.5), (6.25, 725.0))
     assert time_to(one, 0.9) == (math.inf, math.inf)
@@ -72,7 +72,7 @@ def test_times_by_hand(tmp_path):
 
 
 def test_a_curve_is_the_mean_as_far_as_all_seeds_go(tmp_path):
-    """Slopes of 0.1 and 0.05 a minute: the mean has 0.075, from the later start to the earlier end."""
+    """The mean of slopes 0.1 and 0.05 a minute is 0.075, from the later start to the earlier end."""
     long = [(0.0, 100, 0.0), (600.0, 1100, 1.0)]
     late = [(120.0, 300, 0.1), (480.0, 900, 0.4)]
     group = [read_training(run(tmp_path / str(i), points, seed=i)) for i, points in enumerate((long, late))]
@@ -123,7 +123,7 @@ def test_seeds_that_never_succeed_count_in_the_median(tmp_path, lasts, minutes, 
 
 @pytest.fixture
 def vssm(monkeypatch, capsys):
-    """Runs the console script in this process: ``vssm("curves", ...) -> (exit code, stdout, stderr)``."""
+    """Run the console script in this process: ``vssm("curves", ...) -> (exit code, stdout, stderr)``."""
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
@@ -162,7 +162,7 @@ def test_trainings_become_a_picture_and_a_table(vssm, tmp_path, kind):
 
 
 def broken(folder: Path, what: str) -> list[Path]:
-    """Folders that cannot be drawn, of a kind each."""
+    """Write folders that cannot be drawn, one of each kind."""
     good = straight(10.0, 1100, 0.8)
     if what == "missing":
         return [folder / "nowhere"]
@@ -221,7 +221,7 @@ def broken(folder: Path, what: str) -> list[Path]:
         ("apart", "curves: imagined: expected seeds that are known over the same minutes"),
     ],
 )
-def test_what_cannot_be_drawn_is_said_in_one_line(vssm, tmp_path, what, said):
+def test_unusable_folders_are_refused_in_one_line(vssm, tmp_path, what, said):
     folders = broken(tmp_path, what)
     code, printed, err = vssm("curves", *folders, "--out", tmp_path / "curves.svg")
     assert (code, printed, err.count("\n")) == (2, "", 1)
@@ -229,7 +229,7 @@ def test_what_cannot_be_drawn_is_said_in_one_line(vssm, tmp_path, what, said):
     assert not (tmp_path / "curves.svg").exists()
 
 
-def test_the_axis_of_minutes_ends_where_it_is_told(vssm, tmp_path):
+def test_the_axis_of_minutes_ends_at_the_given_time(vssm, tmp_path):
     folder = run(tmp_path / "a", straight(300.0, 1100, 0.8))
     assert figure(grouped([read_training(folder)]), minutes=20.0).axes[0].get_xlim() == (0.0, 20.0)
     assert vssm("curves", folder, "--out", tmp_path / "curves.svg", "--minutes", 20)[0] == 0
@@ -245,7 +245,7 @@ def test_the_axis_of_minutes_ends_where_it_is_told(vssm, tmp_path):
         ("none/curves.svg", "folder: expected a folder that exists"),
     ],
 )
-def test_what_cannot_be_written_is_said_before_anything_is_read(vssm, tmp_path, out, said):
+def test_unwritable_outputs_are_refused_before_anything_is_read(vssm, tmp_path, out, said):
     code, _, err = vssm("curves", tmp_path / "nowhere", "--out", tmp_path / out)
     assert (code, err.count("\n")) == (2, 1)
     assert said in err

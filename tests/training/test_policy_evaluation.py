@@ -17,7 +17,7 @@ from vssm_gym.training.imagined_episodes import STEPS, imagine, real_return
 
 @pytest.fixture
 def ahead():
-    """2 m straight ahead, the success region 1.6 m away."""
+    """Return tasks with the goal 2 m straight ahead, the success region 1.6 m away."""
     one = task((1.0, 1.2, 0.0), (3.0, 1.2))
     object.__setattr__(one, "geodesic", 1.6)
     return one
@@ -34,7 +34,7 @@ def test_an_imagined_success_by_hand(tmp_path, ahead):
 
 
 def test_an_imagined_failure_by_hand(tmp_path, ahead):
-    """It stands still until time is out: nothing is gained, and every step costs."""
+    """The robot stands still until the time limit: no progress, and a cost for every step."""
     room().save(tmp_path / "room.npz")
     (row,) = imagine(straight(step=-1.0), tmp_path / "room.npz", [ahead], "none")
     assert not row["success"] and row["spl"] == 0.0 and row["steps"] == STEPS
@@ -44,7 +44,7 @@ def test_an_imagined_failure_by_hand(tmp_path, ahead):
 
 @pytest.mark.slow
 def test_the_gap_is_what_imagination_adds(tmp_path):
-    """Through the sweep in ``oak``; means and gap are those of the rows, task by task."""
+    """The sweep in ``oak`` gives rows; means and gap are those of the rows, task by task."""
     file, out = tmp_path / "straight.npz", tmp_path / "out"
     policy_file.save(file, straight())
     found = evaluate_policy(file, out, scene="oak", tasks=4)

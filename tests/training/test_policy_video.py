@@ -1,4 +1,4 @@
-"""A policy's run beside what it imagined: what is recorded of both, how it is drawn, the option that asks for it."""
+"""Test videos of a policy's simulated and imagined runs: recording, drawing, and the command's option."""
 
 import importlib
 import json
@@ -28,7 +28,7 @@ TABLE = furniture("table", (1.0, 3.0, 0.3), (0.6, 0.5, 0.6))
 
 
 def run(n: int, success: bool, plan: CroppedPlan) -> PolicyRun:
-    """Along x for n moments, from (1, 1)."""
+    """Return a run along x for n moments, from (1, 1)."""
     moments = tuple(
         PolicyMoment(
             0.2 * i,
@@ -46,7 +46,7 @@ def run(n: int, success: bool, plan: CroppedPlan) -> PolicyRun:
 
 @pytest.fixture(scope="module")
 def rooms(tmp_path_factory) -> Path:
-    """Tasks are drawn by the scene's name: the first one of this leads straight ahead."""
+    """Write a scene whose first task, drawn by the scene's name, leads straight ahead."""
     path = tmp_path_factory.mktemp("scene") / "rooms.json"
     save_scene(two_rooms(pieces=(TABLE,)).model_copy(update={"name": "flat"}), path)
     return path
@@ -62,8 +62,8 @@ def both(rooms) -> PolicyRuns:
 # what is recorded
 
 
-def test_rays_end_where_the_scan_says():
-    """Facing north at (1, 2): the first ray is 63/64 m left of each metre ahead, the last one as far right."""
+def test_rays_end_at_the_scans_readings():
+    """At (1, 2) facing north, the first ray is 63/64 m to the left for each metre ahead, the last one to the right."""
     scan = np.zeros(BEAMS, np.float32)
     scan[[0, 63]] = 2.0, 1.0
     ends = ray_ends(np.array([1.0, 2.0, np.pi / 2.0]), scan, np.pi / 2.0)
@@ -90,8 +90,8 @@ def test_the_true_plan_is_the_scene(rooms, xy, kind):
 
 
 @pytest.mark.slow
-def test_one_task_is_imagined_as_it_is_among_all(tmp_path):
-    """Number 1 of three with seed 7 is alone with seed 8; the spectator sees its every step."""
+def test_a_task_alone_is_imagined_as_among_all(tmp_path):
+    """Number 1 of three with seed 7 equals the only one with seed 8; the callback gets its every step."""
     room().save(tmp_path / "room.npz")
     tasks = [task((0.5, 0.5, 0.0), (1.5, 2.5)), task((1.0, 1.2, 0.0), (3.0, 1.2)), task((4.5, 2.5, 3.0), (3.2, 1.0))]
     for one in tasks:
@@ -112,7 +112,7 @@ def test_one_task_is_imagined_as_it_is_among_all(tmp_path):
 # how it is drawn
 
 
-def test_the_one_that_has_ended_waits_for_the_other(both):
+def test_the_run_that_ends_first_is_held(both):
     sheet = Sheet(both)
     assert len(both) == 7
     frames = [sheet.draw(i).astype(int) for i in range(len(both))]
@@ -152,7 +152,7 @@ def test_a_video_that_fails_leaves_nothing(both, tmp_path, monkeypatch):
 
 @pytest.fixture
 def vssm(monkeypatch, capsys):
-    """Runs the console script in this process: ``vssm("evaluate", ...) -> (exit code, stdout, stderr)``."""
+    """Run the console script in this process: ``vssm("evaluate", ...) -> (exit code, stdout, stderr)``."""
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
@@ -190,7 +190,7 @@ def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_an_evaluation_with_a_video(vssm, rooms, tmp_path):
-    """Record, map, evaluate and film, all by the one command."""
+    """A recording, its map, an evaluation and its video are made by the commands."""
     pytest.importorskip("imageio_ffmpeg", reason="videos need the extra vssm-gym[viz]")
     policy_file.save(tmp_path / "policy.npz", straight())
     out = tmp_path / "out"

@@ -1,4 +1,4 @@
-"""Trainings: configurations, what an environment shows, a run from start to resume, and cloning."""
+"""Test training: configurations, observations, a run with interruption and resume, and cloning."""
 
 import json
 import os
@@ -31,7 +31,7 @@ SAC = {"name": "sac", "buffer_size": 500, "learning_starts": 32, "batch_size": 1
 
 
 class Corridor(VectorEnv):
-    """Robots on a line: the goal is ``left`` m ahead, a step drives there, and within 0.4 m the episode ends."""
+    """Simulate robots on a line: the goal is ``left`` m ahead, and within 0.4 m of it the episode ends."""
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
     single_observation_space = gym.spaces.Dict(
@@ -86,7 +86,7 @@ def config(**changes: Any) -> TrainingConfig:
 
 @pytest.fixture
 def corridor(monkeypatch):
-    """Trainings take place in the corridor, whatever map they name; needs the extra."""
+    """Make all trainings run in the corridor, for any map; skip without the extra."""
     pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
     from vssm_gym.training import train as training
 
@@ -105,15 +105,15 @@ def written(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("path", [*CONFIGS.glob("ppo_*.yaml"), *CONFIGS.glob("bc_*.yaml")], ids=lambda path: path.stem)
-def test_the_committed_configurations_are_good(path):
+def test_the_committed_configurations_are_valid(path):
     imagined = "WorldModelNav" in path.read_text()
     found = load_training(path, map_file=Path("oak.npz") if imagined else None, seed=3)
     assert found.seed == 3 and found.policy.hidden == (128, 128)
     assert found.minutes == (None if "few" in path.stem else 12.0)
 
 
-def test_what_is_compared_differs_in_what_it_says_alone():
-    """Cloning and PPO see the same tasks and errors; few steps in the map have the settings of those in MuJoCo."""
+def test_compared_trainings_differ_in_the_compared_setting_only():
+    """Cloning and PPO share tasks and errors; the short training in the map has the settings of that in MuJoCo."""
     stored = {name: yaml.safe_load((CONFIGS / f"{name}.yaml").read_text()) for name in
               ("ppo_oak", "bc_oak", "ppo_oak_simulated", "ppo_oak_few")}  # fmt: skip
     ppo, cloned, simulated, few = stored.values()
@@ -125,7 +125,7 @@ def test_what_is_compared_differs_in_what_it_says_alone():
     assert ppo["policy"] == cloned["policy"] == simulated["policy"] == few["policy"]
 
 
-def test_the_comparison_names_what_the_trainings_make():
+def test_the_comparison_names_the_files_of_the_trainings():
     """One policy file for each of five seeds of each training, under the names that its comments give."""
     text = (CONFIGS / "rl.yaml").read_text()
     agents = yaml.safe_load(text)["agents"]
@@ -170,7 +170,7 @@ def test_paths_start_at_the_file_and_hashes_at_the_content(tmp_path):
     assert training_hash(found, "a") != training_hash(load_training(path, seed=1), "a")
 
 
-def test_a_missing_map_is_said_before_anything_is_written(tmp_path):
+def test_a_missing_map_is_refused_before_anything_is_written(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
     wanted = load_training(written(tmp_path, BASE + "environment: {map: none.npz}\n"))
     with pytest.raises(InputError, match=r"none.npz: file: expected an existing map file"):
@@ -188,7 +188,7 @@ def test_actions_span_the_robots_commands():
     np.testing.assert_allclose(high, [*BODY.high, 0.0], atol=1e-6)
 
 
-def test_a_view_shows_features_and_says_who_arrived():
+def test_a_view_has_features_and_marks_arrivals():
     env = PolicyView(Corridor(2), ("scan", "goal"))
     first, _ = env.reset()
     np.testing.assert_array_equal(first, features(env.shown, ("scan", "goal")))
@@ -200,7 +200,7 @@ def test_a_view_shows_features_and_says_who_arrived():
     assert infos[11]["_is_success"][1] and not infos[11]["is_success"][1]
 
 
-def test_contacts_cost_what_the_configuration_says():
+def test_collisions_have_the_configured_cost():
     free, dear = (PolicyView(Corridor(2), ("goal",), cost) for cost in (0.0, 0.25))
     rewards = []
     for env in (free, dear):
@@ -266,7 +266,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_ends_it(corridor, tmp_path):
 
 
 class Bomb:
-    """Unpickling it would leave a file."""
+    """Write a file when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -300,7 +300,7 @@ def test_a_damaged_checkpoint_is_refused_and_runs_no_code(corridor, tmp_path, da
         {"variables": {"policy": 0}},
     ],
 )
-def test_a_checkpoint_sets_nothing_but_what_it_is_for(corridor, tmp_path, change):
+def test_a_checkpoint_with_other_variables_is_refused(corridor, tmp_path, change):
     import torch
 
     run_training(config(), tmp_path / "run")
@@ -311,8 +311,8 @@ def test_a_checkpoint_sets_nothing_but_what_it_is_for(corridor, tmp_path, change
         run_training(config(), tmp_path / "run", resume=True)
 
 
-def test_a_training_killed_before_its_first_checkpoint_begins_anew(corridor, tmp_path):
-    """Its log is dropped: the steps along a curve never decrease."""
+def test_a_training_killed_before_its_first_checkpoint_restarts(corridor, tmp_path):
+    """Its log is dropped, so that steps along a curve never decrease."""
     run_training(config(), tmp_path)
     for name in ("checkpoint.pt", "policy.npz"):
         (tmp_path / name).unlink()
@@ -323,7 +323,7 @@ def test_a_training_killed_before_its_first_checkpoint_begins_anew(corridor, tmp
 
 @pytest.mark.parametrize("changed", [{}, {"steps": 80}])
 def test_a_finished_policy_is_not_overwritten(corridor, tmp_path, changed):
-    """Also where there is no checkpoint beside it, as after cloning."""
+    """This holds without a checkpoint too, as after cloning."""
     path = run_training(config(), tmp_path)
     (tmp_path / "checkpoint.pt").unlink()
     before = path.read_bytes()
@@ -332,13 +332,13 @@ def test_a_finished_policy_is_not_overwritten(corridor, tmp_path, changed):
     assert path.read_bytes() == before
 
 
-def test_a_foreign_folder_is_left_alone(corridor, tmp_path):
+def test_a_folder_with_other_files_is_refused(corridor, tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(InputError, match=r"it holds thesis.tex"):
         run_training(config(), tmp_path)
 
 
-def test_a_log_has_one_writer_and_forgets_what_was_not_kept(tmp_path):
+def test_a_log_has_one_writer_and_drops_lines_after_the_checkpoint(tmp_path):
     with ProgressLog(tmp_path / "log") as log:
         for steps in (10, 20, 30):
             log.append({"steps": steps})
@@ -349,7 +349,7 @@ def test_a_log_has_one_writer_and_forgets_what_was_not_kept(tmp_path):
     assert [row["steps"] for row in read_progress(tmp_path / "log")] == [10, 20, 25]
 
 
-def test_the_second_interrupt_does_not_wait():
+def test_a_second_interrupt_stops_at_once():
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), deferred_interrupt() as seen:
         assert not seen()
@@ -359,7 +359,7 @@ def test_the_second_interrupt_does_not_wait():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_cloning_fits_what_it_is_shown():
+def test_cloning_fits_its_data():
     pytest.importorskip("torch", reason="needs the extra vssm-gym[rl]")
     from vssm_gym.training.sb3.cloning import fit
 
@@ -377,7 +377,7 @@ def test_cloning_fits_what_it_is_shown():
 
 
 @pytest.mark.slow
-def test_interrupted_cloning_writes_no_policy_and_goes_on(tmp_path):
+def test_interrupted_cloning_writes_no_policy_and_is_resumed(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
     from tests.helpers.imagined_room import room
 
@@ -401,8 +401,8 @@ def test_interrupted_cloning_writes_no_policy_and_goes_on(tmp_path):
     assert [row["steps"] for row in rows] == sorted(row["steps"] for row in rows)
 
 
-def test_trackers_errors_are_added_to_the_simulators_poses():
-    """With the standard deviations asked for, from an exact start on; the goal is shown from there."""
+def test_tracking_errors_are_added_to_the_simulators_poses():
+    """They have the configured standard deviations, from an exact start; the goal is relative to the erroneous pose."""
     where = {"id": "vssm_gym/PointNav-v0", "scene": "oak", "num_envs": 4, "max_episode_steps": 40}
     exact, tracked = (
         make_observing(EnvironmentSettings(**where, pose_std=std)) for std in ((0.0, 0.0, 0.0), (0.02, 0.04, 0.01))
@@ -425,7 +425,7 @@ def test_trackers_errors_are_added_to_the_simulators_poses():
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "bc"])
 def test_a_training_in_a_learned_map(tmp_path, algorithm, monkeypatch):
-    """From a map file to a policy file, through the command line; then imagined in the same map."""
+    """The command line trains from a map file to a policy file, which then runs in the same map."""
     pytest.importorskip("stable_baselines3", reason="needs the extra vssm-gym[rl]")
     from tests.helpers.imagined_room import room, task
     from vssm_gym.cli.train import train

@@ -57,7 +57,7 @@ def distance_inside(polygon: shapely.Polygon, xy: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.1, 0.13])
 @pytest.mark.parametrize("height", [0.5, 1.0])
 def test_the_plan_reads_back_where_it_is_in_the_world(learned, tmp_path, resolution, height):
-    """Off borders by a cell and a voxel at most: the room is free, what stands in it and its walls are occupied."""
+    """The room is free, its walls and furniture are occupied; borders err by at most a cell and a voxel."""
     write_ros_map(tmp_path / "map.yaml", OccupancyGrid.from_voxel_map(learned, resolution, height))
     states, centres = read_ros_map(tmp_path / "map.yaml")
     free_floor = ROOM.difference(CUPBOARD)
@@ -79,7 +79,7 @@ def test_the_plan_reads_back_where_it_is_in_the_world(learned, tmp_path, resolut
 
 
 def test_a_conservative_plan_grows_with_its_cells(learned):
-    """A cell is occupied where any part of it is: halving a map's cells can only free some of what was occupied."""
+    """A cell is occupied if any part of it is, so that halving the cells only frees occupied space."""
     fine, coarse = (OccupancyGrid.from_voxel_map(learned, r) for r in (0.025, 0.05))
     x, y = (fine.origin[a] + fine.resolution * (np.arange(fine.cells.shape[a]) + 0.5) for a in (0, 1))
     i = np.floor((x - coarse.origin[0]) / coarse.resolution).astype(int).clip(0, coarse.cells.shape[0] - 1)
@@ -87,8 +87,8 @@ def test_a_conservative_plan_grows_with_its_cells(learned):
     assert (coarse.cells[np.ix_(i, j)][fine.cells == OCCUPIED] == OCCUPIED).mean() > 0.99
 
 
-def test_what_was_never_seen_is_unknown(tmp_path):
-    """Half of the room was never looked at; unknown cells survive the file, whose grey is not free to any reader."""
+def test_unobserved_space_is_unknown(tmp_path):
+    """Half of the room is unobserved; its cells are unknown in the file, and not free for any reader."""
     learned = voxel_map(ROOM, [], lambda x, y, z: np.broadcast_to(x < 0.5, np.broadcast_shapes(x.shape, z.shape)))
     write_ros_map(tmp_path / "map.yaml", OccupancyGrid.from_voxel_map(learned))
     states, centres = read_ros_map(tmp_path / "map.yaml")
@@ -118,7 +118,7 @@ def test_the_files_by_hand(tmp_path):
     ("arguments", "field"),
     [({"resolution": 0.0}, "resolution"), ({"resolution": float("nan")}, "resolution"), ({"height": 0.05}, "height")],
 )
-def test_a_plan_that_cannot_be_is_refused(learned, arguments, field):
+def test_an_impossible_plan_is_refused(learned, arguments, field):
     with pytest.raises(InputError) as refused:
         OccupancyGrid.from_voxel_map(learned, **arguments)
     assert refused.value.field == field
@@ -130,7 +130,7 @@ def test_an_empty_map_has_no_plan():
 
 
 def test_the_glb_reads_back_in_another_library(learned, tmp_path):
-    """The same triangles, y up in glTF's frame; colours in glTF's linear scale are ours in sRGB."""
+    """Triangles are the same, with y up in glTF's frame; linear colours in glTF are ours in sRGB."""
     mesh = surface_mesh(learned)
     write_glb(tmp_path / "mesh.glb", mesh)
     scene = trimesh.load(tmp_path / "mesh.glb", process=False)
@@ -146,14 +146,14 @@ def test_the_glb_reads_back_in_another_library(learned, tmp_path):
 
 
 def test_linear_colours_by_hand():
-    """Black, white, and sRGB's 188, which is half of the light."""
+    """Black, white, and 188 in sRGB, which is half of the light, have known linear values."""
     levels = linear(np.array([[0, 188, 255]], np.uint8))[0] / 65535.0
     np.testing.assert_allclose(levels, [0.0, 0.5, 1.0], atol=3e-3)
 
 
 @pytest.mark.parametrize("faces", [0, 1])
-def test_the_glb_is_laid_out_as_the_specification_says(tmp_path, faces):
-    """Header, chunks of whole words, and lengths that add up; without a triangle there is no buffer at all."""
+def test_the_glb_follows_the_specification(tmp_path, faces):
+    """Header, chunks of whole words and lengths are right; without a triangle there is no buffer."""
     n = 3 * faces
     nothing = Mesh(np.eye(3, dtype=np.float32)[:n], np.arange(n).reshape(-1, 3), np.zeros((n, 3), np.uint8), np.ones(n))
     write_glb(tmp_path / "mesh.glb", nothing)
@@ -202,7 +202,7 @@ def test_the_command_writes_everything_at_once(vssm, learned, tmp_path):
 
 
 def test_a_map_in_a_cameras_frame_has_no_plan(vssm, learned, tmp_path):
-    """A map of `slam` has its z axis ahead: a horizontal cut through it is no floor plan."""
+    """A map of `slam` has its z axis ahead, so that a horizontal cut through it is not a floor plan."""
     learned.save(tmp_path / "map.npz", sequence="desk", frames=7)
     code, out, err = vssm("map", "export", str(tmp_path / "map.npz"), "--out", str(tmp_path / "export"))
     assert (code, out, err.count("\n")) == (2, "", 1)
@@ -210,7 +210,7 @@ def test_a_map_in_a_cameras_frame_has_no_plan(vssm, learned, tmp_path):
     assert not (tmp_path / "export").exists()
 
 
-def test_no_map_is_one_line(vssm, tmp_path):
+def test_a_missing_map_is_one_line(vssm, tmp_path):
     code, _, err = vssm("map", "export", str(tmp_path / "none.npz"), "--out", str(tmp_path / "export"))
     assert (code, err.count("\n")) == (2, 1)
     assert "none.npz: file: expected an existing map file" in err

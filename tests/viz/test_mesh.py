@@ -39,8 +39,8 @@ def ball_map() -> VoxelMap:
     return ball()
 
 
-def test_a_ball_is_where_it_is_in_the_world(ball_map):
-    """Closed, of the ball's size, and right side out: the volume of an inside-out mesh is negative."""
+def test_a_ball_has_its_place_and_volume(ball_map):
+    """The mesh is closed, with outward faces: the volume of an inside-out mesh is negative."""
     mesh = surface_mesh(ball_map)
     off = np.linalg.norm(mesh.vertices - CENTRE, axis=1) - RADIUS
     assert np.abs(off).max() < 0.03 * VOXEL  # the distance to a ball is not linear along an edge, hence not exact
@@ -58,7 +58,7 @@ def test_vertices_hold_the_beliefs_colour_and_variance(ball_map):
 
 @pytest.mark.parametrize(("seed", "smoothing"), [(0, 0), (1, 1), (2, 2), (3, 0)])
 def test_vertices_lie_on_the_zero_of_any_field(seed, smoothing):
-    """On an edge of the grid exactly; the few in the middle of an ambiguous cube within it."""
+    """They lie exactly on an edge of the grid; the few in the middle of an ambiguous cube lie inside it."""
     cells = np.random.default_rng(seed).normal(size=(8, 16, 8))
     for _ in range(smoothing):
         cells = (cells + sum(np.roll(cells, d, axis) for axis in range(3) for d in (-1, 1))) / 7.0
@@ -77,7 +77,7 @@ def test_vertices_lie_on_the_zero_of_any_field(seed, smoothing):
     np.testing.assert_allclose(mesh.variance, 0.25, rtol=1e-5)  # on the grid's faces too
 
 
-def test_faces_look_into_free_space(ball_map):
+def test_faces_point_into_free_space(ball_map):
     mesh = surface_mesh(ball_map)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     step = 0.3 * VOXEL * solid.face_normals
@@ -88,8 +88,8 @@ def test_faces_look_into_free_space(ball_map):
     assert (ahead < behind)[large].all()
 
 
-def test_what_was_never_observed_is_not_meshed():
-    """Behind the wall's band the mean returns to "just free": marching over all cells finds a second sheet there."""
+def test_unobserved_space_is_not_meshed():
+    """Behind the wall's band the mean returns to the prior, where marching over all cells finds a second sheet."""
     room = Room(((-3.0, -3.0, -3.0), (2.0, 3.0, 3.0)))
     camera = Camera.from_hfov(80, 60, np.radians(70.0))
     T = camera_pose((0.0, 0.02, 0.03), 0.0)
@@ -97,13 +97,13 @@ def test_what_was_never_observed_is_not_meshed():
     m = update(VoxelMap.cube((0.0, 0.0, 0.0), 6.0, VOXEL), image.depth, image.rgb, jnp.asarray(T, jnp.float32), camera)
     mesh = surface_mesh(m)
     assert len(mesh.vertices) > 100
-    np.testing.assert_allclose(mesh.vertices[:, 0], 2.0, atol=1e-3 * VOXEL)  # the wall it looks at
+    np.testing.assert_allclose(mesh.vertices[:, 0], 2.0, atol=1e-3 * VOXEL)  # the observed wall
     everywhere = marching_cubes(np.array(m.dense(m.occupancy)), 0.0)[0] * VOXEL + np.asarray(m.origin)
     assert (everywhere[:, 0] > 2.0 + VOXEL).any()
 
 
-def test_a_slanting_surface_seen_at_a_grazing_angle_is_whole():
-    """The band behind it is hardly a cell deep: cubes with eight observed cells are few, yet the surface is known."""
+def test_a_surface_seen_at_a_grazing_angle_has_no_holes():
+    """The band behind it is hardly a cell deep, so that few cubes have eight observed cells."""
     room = Room(((-3.0, -3.0, -0.73), (9.0, 3.0, 3.0)))
     camera = Camera.from_hfov(160, 120, np.radians(70.0))
     T = camera_pose((0.0, 0.02, 0.03), 0.0, 0.4)

@@ -59,7 +59,7 @@ def test_a_face_is_seen_from_its_front_only():
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_what_is_higher_hides_what_is_below_in_any_order(first):
+def test_higher_faces_hide_lower_ones_in_any_order(first):
     parts = [FLOOR, ((1, 1, 0.5), (1, 0, 0), (0, 1, 0), GREEN)]
     image = mesh_picture(squares(parts[first], parts[1 - first]), 300)
     assert share(image, GREEN) == pytest.approx(1 / 12, rel=0.05)

@@ -48,11 +48,11 @@ def test_an_empty_surface_and_a_short_path_are_not_drawn(tmp_path):
     assert "/world/path" not in text
 
 
-def test_nothing_was_shown(tmp_path):
+def test_an_empty_stream(tmp_path):
     assert "/world/path" not in "\n".join(show(tmp_path / "run.rrd", 0, NOTHING))
 
 
-def test_without_the_extra_one_sentence_says_which(monkeypatch):
+def test_without_the_extra_the_error_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(InputError, match=r"--viewer: rerun: expected .*vssm-gym\[viz\]"):
         open_viewer("test", CAMERA)

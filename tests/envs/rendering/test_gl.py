@@ -1,4 +1,4 @@
-"""The GL camera against the raycast camera, which the laws of test_raycast.py hold: one geometry, two renderers."""
+"""Test that the GL camera agrees with the raycast camera, which test_raycast.py tests against its laws."""
 
 import math
 import os
@@ -33,7 +33,7 @@ VIEWS = [
 
 @pytest.fixture(scope="module")
 def gl():
-    """``gl(boxes, camera)``: a GL camera; skips where there is no OpenGL."""
+    """Return ``gl(boxes, camera)``, which makes a GL camera; skip without OpenGL."""
     try:
         find_backend()
     except InputError as reason:
@@ -61,7 +61,7 @@ def apartment(name: str):
 
 
 def poses(scene, n: int, seed: int = 0) -> list[np.ndarray]:
-    """Free robot poses, the camera pitched and rolled a little: nothing is axis-aligned by chance."""
+    """Draw free robot poses with the camera slightly pitched and rolled, so that nothing is axis-aligned by chance."""
     space = TaskSampler(scene, ROBOT).space
     rng = np.random.default_rng(seed)
     at = space.sample(rng, n, margin=1e-3)
@@ -76,7 +76,7 @@ def poses(scene, n: int, seed: int = 0) -> list[np.ndarray]:
 
 
 def off_edges(depth: np.ndarray) -> np.ndarray:
-    """Pixels whose neighbours lie on the same plane: inverse depth is linear there."""
+    """Return True for pixels whose neighbours lie on the same plane, where inverse depth is linear."""
     w = 1.0 / np.where(depth > 0.0, depth, 1e-3)
     middle = 2.0 * w[1:-1, 1:-1]
     bend = np.maximum(np.abs(w[1:-1, 2:] - middle + w[1:-1, :-2]), np.abs(w[2:, 1:-1] - middle + w[:-2, 1:-1]))
@@ -87,8 +87,8 @@ def off_edges(depth: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("view", range(len(VIEWS)))
 @pytest.mark.parametrize("name", SCENES)
-def test_depth_is_the_raycast_cameras(gl, name, view):
-    """To 1 mm at the 99th percentile off edges, whatever the intrinsics; colours to a few grey levels.
+def test_images_equal_the_raycast_cameras(gl, name, view):
+    """Off edges depths agree to 1 mm at the 99th percentile, for all intrinsics, and colours to a few grey levels.
 
     Right before a wall the head lamp, which OpenGL knows at the corners of cells alone, is missed: 14 % of the light.
     """
@@ -113,7 +113,7 @@ def test_depth_is_the_raycast_cameras(gl, name, view):
 
 
 def distance_to_surface(boxes: list[SolidBox], p_world: np.ndarray) -> np.ndarray:
-    """Unsigned distance of points to the nearest face of any box, m."""
+    """Return the unsigned distance of points to the nearest face of any box, m."""
     nearest = np.full(len(p_world), np.inf)
     for box in boxes:
         c, s = math.cos(box.yaw), math.sin(box.yaw)
@@ -176,7 +176,7 @@ def test_where_nothing_is_drawn_depth_is_zero_and_the_sky_shows(gl):
 
 
 def test_any_thread_may_draw_and_the_bytes_are_the_same(gl):
-    """Again, from another thread, pickled, closed and opened: one picture."""
+    """A second image, another thread, a pickled copy and a reopened camera give the same picture."""
     scene = apartment("oak")
     T, eye = poses(scene, 1)[0], gl(scene.boxes(), VIEWS[0])
     expected = [image.tobytes() for image in eye.render(T)]
@@ -194,7 +194,7 @@ def test_any_thread_may_draw_and_the_bytes_are_the_same(gl):
         assert [image.tobytes() for image in answer] == expected
 
 
-def test_the_choice_is_named_and_the_environment_left_alone(gl):
+def test_the_backend_is_named_and_the_environment_variable_unchanged(gl):
     before = os.environ.get("MUJOCO_GL")
     eye = make_camera(load_scene("oak").boxes(), CameraConfig(64, 48), "gl")
     assert eye.name in {f"gl-{backend.name}" for backend in BACKENDS}
@@ -215,8 +215,8 @@ def test_a_scan_is_an_image_of_one_row(gl):
         assert np.mean(np.abs(depth[0] - three) > 1e-3) < 0.05
 
 
-def test_without_opengl_the_error_says_what_the_doctor_says(monkeypatch):
-    """All reasons and remedies, in one line; never another renderer instead."""
+def test_without_opengl_the_error_lists_the_doctors_reasons(monkeypatch):
+    """The error holds all reasons and remedies in one line, and no other renderer takes over."""
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl_backends, "try_python", lambda code: (False, "no such library"))
     gl_backends._find.cache_clear()
@@ -228,7 +228,7 @@ def test_without_opengl_the_error_says_what_the_doctor_says(monkeypatch):
     assert "vssm-gym doctor" in str(failure.value) and "\n" not in str(failure.value)
 
 
-def test_mujoco_gl_is_the_users(monkeypatch):
+def test_mujoco_gl_set_by_the_user_is_kept(monkeypatch):
     tried = []
     monkeypatch.setattr(gl_backends, "try_python", lambda code: (bool(tried.append(code)) or True, "draws"))
     gl_backends._find.cache_clear()

@@ -1,4 +1,4 @@
-"""The raycast camera and the tracers against hand-computed rooms, a ray-box oracle and each other."""
+"""Test the raycast camera and the tracers against hand-computed rooms, a ray-box oracle and each other."""
 
 import math
 import pickle
@@ -32,7 +32,7 @@ def solid(center, size, yaw=0.0, material=PLAIN, kind="furniture") -> SolidBox:
 
 
 def room(width: float, depth: float, height: float, t: float = 0.2) -> list[SolidBox]:
-    """A closed room [0, width] x [0, depth] x [0, height]."""
+    """Return a closed room [0, width] x [0, depth] x [0, height]."""
     w, d, h = width, depth, height
     return [
         solid((w / 2, d / 2, -t / 2), (w, d, t), kind="floor"),
@@ -49,7 +49,7 @@ def look(x: float, y: float, heading: float) -> np.ndarray:
 
 
 def hits(box: SolidBox, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Slab intersection of rays with one box, float64: the oracle. Infinite where it is missed."""
+    """Return the distances at which rays hit one box, by slab intersection in float64; infinite for a miss."""
     c, s = math.cos(box.yaw), math.sin(box.yaw)
     R_box_world = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     o, d = R_box_world @ (origin - box.center), directions @ R_box_world.T
@@ -98,7 +98,7 @@ def embree(boxes: list[SolidBox], T_world_cam: np.ndarray, rays: np.ndarray) -> 
 
 
 def tilted(heading: float, pitch: float, roll: float) -> np.ndarray:
-    """A camera at the origin's usual height that also nods and leans."""
+    """Return a pitched and rolled camera above the origin, at the usual height."""
     T = look(0.0, 0.0, heading)
     (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (pitch, roll))
     nod, lean = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]]), np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
@@ -127,8 +127,8 @@ def test_depth_and_box_agree_with_slab_intersection(first, layout, heading, pitc
 
 
 @pytest.mark.parametrize("scene", ["oak", "arena", "hall"])
-def test_images_are_what_embree_traces(scene):
-    """Depths of whole furnished scenes, pixel by pixel, from places all over."""
+def test_images_equal_embrees(scene):
+    """Depths of whole furnished scenes agree pixel by pixel, from random poses."""
     boxes = load_scene(scene).boxes()
     camera, tracer = RaycastCamera(boxes, CAMERA), EmbreeTracer(boxes)
     low, high = (edge([box.center for box in boxes], axis=0) for edge in (np.min, np.max))
@@ -146,7 +146,7 @@ def test_images_are_what_embree_traces(scene):
 
 @given(layouts, angles, angles, angles)
 def test_no_ray_slips_between_faces(layout, heading, pitch, roll):
-    """Inside a closed room every pixel sees something, whatever stands there and however the camera leans."""
+    """Inside a closed room every pixel hits a surface, for all contents and all tilts of the camera."""
     boxes = [*room(8.0, 8.0, 4.0), *(solid(*box) for box in layout)]
     T_world_cam = tilted(heading, pitch, roll)
     T_world_cam[:3, 3] += 4.0, 4.0, 1.0
@@ -155,7 +155,7 @@ def test_no_ray_slips_between_faces(layout, heading, pitch, roll):
 
 @pytest.mark.parametrize(("width", "height"), [(161, 121), (64, 1), (33, 3)])
 @pytest.mark.parametrize("roll", [0.0, 1e-14, -1e-10])
-def test_a_face_seen_edge_on_makes_no_depths_up(width, height, roll):
+def test_a_face_seen_edge_on_has_no_false_depths(width, height, roll):
     """A table top exactly at the eye's height, in an image with a row of pixels exactly at the horizon."""
     camera = Camera.from_hfov(width, height, math.pi / 2)
     boxes = [*room(8, 8, 2.5), solid((5.0, 4.0, 0.3), (0.6, 0.6, 0.2), 0.5)]
@@ -172,7 +172,7 @@ def test_a_face_seen_edge_on_makes_no_depths_up(width, height, roll):
 
 
 def test_where_faces_coincide_the_first_box_shows():
-    """And not one of them here and the other there, as rounding has it."""
+    """The first box shows everywhere on the common face, independently of rounding."""
     boxes = [solid((3.0, 0.0, 0.4), (1.0, 2.0, 2.0)), solid((3.0, 0.4, 0.4), (1.0, 2.0, 2.0))]
     T_world_cam = tilted(0.37, 0.2, 0.1)
     depth, box = RaycastCamera(boxes, CAMERA).first_boxes(T_world_cam)
@@ -188,14 +188,14 @@ def test_a_sheet_without_thickness_is_seen():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("entry", [(0, 3), (1, 1)])
-def test_a_pose_that_is_no_pose_is_refused(value, entry):
+def test_an_invalid_pose_is_refused(value, entry):
     T_world_cam = look(1.0, 1.0, 0.3)
     T_world_cam[entry] = value
     with pytest.raises(InputError, match="T_world_cam"):
         RaycastCamera(room(4.0, 4.0, 2.5), CAMERA).render(T_world_cam)
 
 
-def test_a_camera_without_anything_to_see_is_refused():
+def test_a_camera_in_an_empty_scene_is_refused():
     with pytest.raises(InputError, match="boxes"):
         RaycastCamera([], CAMERA)
 
@@ -222,7 +222,7 @@ def test_where_nothing_is_hit_depth_is_zero_and_the_sky_shows():
 
 
 def quarters(names):
-    """A picture with red upper left, green upper right, blue lower left, white lower right."""
+    """Return a picture with red upper left, green upper right, blue lower left, white lower right."""
     image = np.zeros((128, 128, 3), np.uint8)
     image[:64, :64, 0], image[:64, 64:, 1], image[64:, :64, 2] = 255, 255, 255
     image[64:, 64:] = 255
@@ -256,7 +256,7 @@ def test_a_wall_in_two_pieces_looks_like_one():
 
 
 def test_far_away_a_texture_shows_its_mean():
-    """Sampling averages the tiles that a pixel covers: a tracker would take shimmer for motion."""
+    """Sampling averages the tiles that a pixel covers, because aliasing would mislead a tracker."""
     fine = Material(color=(1, 1, 1), texture="brick", scale=0.02)
     plain_value = shading.texture_atlas(["brick"])[0].reshape(-1, 3).mean(axis=0)
     rgb, _ = RaycastCamera([solid((4.0, 0.0, 0.0), (0.2, 20.0, 20.0), material=fine)], CAMERA).render(look(0, 0, 0))
@@ -284,7 +284,7 @@ def test_a_pickled_camera_renders_the_same():
     assert rgb.tobytes() == again[0].tobytes() and depth.tobytes() == again[1].tobytes()
 
 
-def test_without_embree_the_fallback_says_so(monkeypatch):
+def test_without_embree_the_fallback_warns(monkeypatch):
     world = FloorWorld(two_rooms(), ROBOT)
     assert make_tracer(world).name == "embree"
     monkeypatch.setitem(sys.modules, "embreex", None)  # makes the import fail as it does without a wheel

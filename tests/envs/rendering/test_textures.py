@@ -1,4 +1,4 @@
-"""Procedural textures: determinism, contrast where a camera sees it, seams."""
+"""Test procedural textures: determinism, contrast in small images, seams."""
 
 import numpy as np
 import pytest
@@ -56,8 +56,8 @@ def test_surfaces_repeat_without_a_seam(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["planks", "laminate", "parquet", "tiles", "mosaic", "checker", "hexagons", "brick", "carpet"]
 )
-def test_no_part_of_a_floor_looks_like_another(name: str) -> None:
-    """Shifted by anything but nothing, a floor correlates clearly less with itself: a tracker cannot slip by a tile."""
+def test_no_part_of_a_floor_repeats_another(name: str) -> None:
+    """A shifted floor correlates clearly less with itself, so that a tracker cannot slip by a tile."""
     image = grey(name)
     centred = image - image.mean()
     correlation = np.fft.ifft2(np.abs(np.fft.fft2(centred)) ** 2).real / (centred**2).sum()

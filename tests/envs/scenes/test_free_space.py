@@ -1,4 +1,4 @@
-"""Free space against the definition: a disc at a free position touches nothing; little of what is free is missing."""
+"""Test free space against its definition: a disc at a free position never collides, and little is missing."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ RADIUS = 0.1
 
 
 def true_clearance(obstacles: list[shapely.Polygon], points: np.ndarray) -> np.ndarray:
-    """Distance to the nearest obstacle or room border, straight from the definition."""
+    """Return the distance to the nearest obstacle or room border, from the definition."""
     solid = shapely.union_all([*obstacles, ROOM.exterior])
     return shapely.distance(solid, shapely.points(points)) * shapely.contains_xy(ROOM, points)
 
@@ -58,7 +58,7 @@ def test_samples_are_uniform() -> None:
 
 
 def test_two_rooms_by_hand() -> None:
-    """West room 3 x 4 with half-walls: inner 2.9..; the doorway joins the rooms, outer walls hold the robot in."""
+    """The west room of 3 x 4 m loses half a wall on each side; the doorway joins the rooms, outer walls are closed."""
     space = FreeSpace.from_apartment(two_rooms(), RADIUS, 0.5)
     assert len(space.region.geoms) == 1 and space.cut_off_rooms() == []
     assert space.notice([]) == ""

@@ -1,4 +1,4 @@
-"""Laws that every apartment from code obeys: by seed in three sizes, and the built-in scenes.
+"""Test the laws of every generated apartment: by seed in three sizes, and the built-in scenes.
 
 The geometry is checked from the solid boxes alone, with shapely and not with the generator's own arithmetic.
 """
@@ -34,19 +34,19 @@ scene = cache(load_scene)
 
 
 def low(box: SolidBox) -> bool:
-    """Return true for what stops a ground robot."""
+    """Return True for a box that stops a ground robot."""
     return box.center[2] - 0.5 * box.size[2] < 0.5 and box.center[2] + 0.5 * box.size[2] > 0.01
 
 
 def bounds(boxes: list[SolidBox]) -> np.ndarray:
-    """(n, 2, 3) low and high corners; everything in a home is axis-parallel."""
+    """Return low and high corners ``(n, 2, 3)``; everything in a home is axis-parallel."""
     flat = np.array([footprint(box).bounds for box in boxes])
     z, h = np.array([(box.center[2], 0.5 * box.size[2]) for box in boxes]).T
     return np.stack([np.column_stack([flat[:, :2], z - h]), np.column_stack([flat[:, 2:], z + h])], axis=1)
 
 
 def meet(a: np.ndarray, b: np.ndarray, apart: float) -> np.ndarray:
-    """(n, m) whether boxes come nearer than ``apart``; where it is negative, whether they share as much."""
+    """Return ``(n, m)``, True where boxes are nearer than ``apart``; a negative value asks for as much overlap."""
     shared = np.minimum(a[:, None, 1], b[None, :, 1]) - np.maximum(a[:, None, 0], b[None, :, 0])
     return (shared > -apart).all(axis=-1)
 
@@ -59,21 +59,21 @@ def furniture(apartment: Apartment) -> list[SolidBox]:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_robot_reaches_every_room_by_ways_that_no_centimetre_decides(name: str) -> None:
+def test_a_robot_reaches_every_room_by_passages_of_clear_width(name: str) -> None:
     apartment = scene(name)
     for radius in (0.1, 0.15, 0.2):
         FreeSpace.from_apartment(apartment, radius, 0.5).check_connected()
     floor = shapely.union_all([shapely.Polygon(room.polygon) for room in apartment.rooms])
     solid = [box for box in apartment.boxes() if low(box) and box.kind not in ("floor", "ceiling")]
     free = floor.difference(shapely.union_all([footprint(box) for box in solid]))
-    # What a disc of 0.13 m covers and one of 0.44 m does not are rounded corners, never a way.
+    # What a disc of 0.13 m covers and one of 0.44 m does not are rounded corners, never a passage.
     between = free.buffer(-0.065).buffer(0.065).difference(free.buffer(-0.22).buffer(0.225))
     for part in shapely.get_parts(between):
-        assert part.area < 0.03, f"a narrow way at {part.representative_point()}"
+        assert part.area < 0.03, f"a narrow passage at {part.representative_point()}"
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_no_two_things_share_a_place(name: str) -> None:
+def test_no_two_boxes_overlap(name: str) -> None:
     apartment = scene(name)
     boxes = [box for box in apartment.boxes() if box.kind != "floor" and box.center[2] + 0.5 * box.size[2] > 0.01]
     piece = np.array([box.kind == "furniture" for box in boxes])
@@ -122,7 +122,7 @@ def test_furniture_stands_in_its_room_and_nothing_floats(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_surfaces_give_a_tracker_something_to_hold(name: str) -> None:
+def test_enough_surfaces_are_textured_for_a_tracker(name: str) -> None:
     apartment = scene(name)
     assert len({box.material.texture for box in apartment.boxes()} - {"plain"}) >= 10
     assert all(room.floor.texture != "plain" for room in apartment.rooms)
@@ -153,12 +153,12 @@ GOLDEN = {
 }
 
 
-def test_the_same_seed_gives_the_same_bytes_for_ever() -> None:
+def test_the_same_seed_gives_the_frozen_bytes() -> None:
     for (seed, size), expected in GOLDEN.items():
         assert generate(seed, size).content_hash() == expected  # type: ignore[arg-type]
 
 
-def test_twice_the_same_and_every_seed_and_size_another(tmp_path: Path) -> None:
+def test_scenes_repeat_and_differ_by_seed_and_size(tmp_path: Path) -> None:
     for k in range(2):
         save_scene(generate(5, "small"), tmp_path / f"{k}.json")
     assert (tmp_path / "0.json").read_bytes() == (tmp_path / "1.json").read_bytes()
@@ -197,7 +197,7 @@ def test_bad_arguments(seed: object, size: object) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(MAKERS))
-def test_the_files_are_what_the_code_makes(name: str, tmp_path: Path) -> None:
+def test_the_files_equal_what_the_code_generates(name: str, tmp_path: Path) -> None:
     """If this fails a plan or the catalogue changed: `built_in.write_built_in()` writes files and tasks anew."""
     save_scene(MAKERS[name](), tmp_path / "made.json")
     assert json.loads((tmp_path / "made.json").read_text()) == json.loads((ASSETS / f"{name}.json").read_text())

@@ -1,4 +1,4 @@
-"""HouseExpo plans: what is free is the polygon itself, doors stand where it is narrow, and damage is refused."""
+"""Test HouseExpo plans: free space is the polygon, doors stand at narrow passages, and damaged files are refused."""
 
 import json
 import math
@@ -38,7 +38,7 @@ PLAN: dict[str, Any] = {
 
 
 def obstacles(flat: Apartment) -> shapely.Geometry:
-    """Return what is solid below 0.5 m."""
+    """Return the solid area below 0.5 m."""
     low = [b for b in flat.boxes() if b.center[2] - b.size[2] / 2 < 0.5 and b.center[2] + b.size[2] / 2 > 0.01]
     return shapely.union_all([footprint(box) for box in low])
 
@@ -70,7 +70,7 @@ def _ell(x: float, y: float, width: float, angle: float) -> list[list[float]]:
 
 @st.composite
 def outlines(draw: st.DrawFn) -> list[list[float]]:
-    """Simple polygons of many shapes: stars around a centre, turned L-shapes, and the two rooms turned."""
+    """Generate simple polygons: stars around a centre, rotated L-shapes, and the rotated two rooms."""
     kind = draw(st.sampled_from(["star", "ell", "rooms"]))
     angle = draw(st.floats(-math.pi, math.pi))
     if kind == "ell":
@@ -87,7 +87,7 @@ def outlines(draw: st.DrawFn) -> list[list[float]]:
 @given(outlines())
 @settings(max_examples=60, deadline=None)
 def test_free_space_is_the_outline(verts: list[list[float]]) -> None:
-    """Rooms tile the outline; walls stay outside of it (by 1 cm where a corner is very sharp) and leave no gap."""
+    """Rooms tile the outline; walls lie outside of it (up to 1 cm inside at very sharp corners) and leave no gap."""
     outline = square_corners(shapely.orient_polygons(Polygon(verts)))
     flat = import_houseexpo({"verts": verts}, "plan", "plan.json")
     rooms = [Polygon(room.polygon) for room in flat.rooms]
@@ -115,8 +115,8 @@ def test_doors_are_where_the_plan_is_narrow(width: float, doors: int) -> None:
     assert all(opening.width == pytest.approx(width) for opening in openings)
 
 
-def test_a_corridor_is_not_cut_in_pieces() -> None:
-    """Nothing is wider than the corridor itself: its bends are no doors."""
+def test_a_corridor_is_not_divided() -> None:
+    """No place is wider than the corridor itself, so that its bends are not doors."""
     bend = [[0, 0], [8, 0], [8, 5], [7, 5], [7, 1], [0, 1]]
     assert len(split_rooms(Polygon(bend))[0]) == 1
 

@@ -1,4 +1,4 @@
-"""The seven mazes and their tasks: connected, different, frozen; what is no maze is refused with the reason."""
+"""Test the seven mazes and their tasks: connected, different, frozen; an invalid maze is refused with the reason."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from vssm_gym.envs.tasks.mazes import FOLDER, GRID, MAZES, ROBOT, grid_tasks, lo
 from vssm_gym.envs.tasks.navigation import SUCCESS, load
 from vssm_gym.errors import InputError
 
-# Closed loops of free space, each around something solid that touches no border: what makes mazes differ most.
+# Closed loops of free space, each around a solid that is not connected to the border, distinguish mazes best.
 LOOPS = {
     "pillars-v1": 11,
     "rings-v1": 4,
@@ -34,7 +34,7 @@ def test_success_is_within_a_twentieth_of_the_maze():
     assert pytest.approx(0.05) == RADIUS
 
 
-def test_seven_are_built_in():
+def test_seven_mazes_are_built_in():
     assert len(MAZES) == 7 and sorted(MAZES) == sorted(path.stem for path in FOLDER.glob("*.json"))
     assert len({load_maze(name).apartment.content_hash() for name in MAZES}) == 7
     assert set(LOOPS) == set(MAZES)
@@ -94,12 +94,12 @@ def test_frozen_tasks_are_those_made_today(name):
         assert made.model_copy(update={"geodesic": task.geodesic}) == task
 
 
-def test_ways_of_the_serpentine_are_long_and_those_between_pillars_are_not():
+def test_paths_are_long_in_the_serpentine_and_short_between_pillars():
     assert max(task.geodesic for task in load_maze("serpentine-v1").tasks.tasks) > 3.5
     assert max(task.geodesic for task in load_maze("pillars-v1").tasks.tasks) < 1.2
 
 
-def test_a_maze_of_ones_own(tmp_path):
+def test_a_custom_maze(tmp_path):
     blocked = changed(furniture=(furniture("crate", (0.1, 0.1, 0.05), (0.06, 0.06, 0.1)),))
     path = tmp_path / "mine.json"
     save_scene(blocked, path)
@@ -131,7 +131,7 @@ def walls_without(index: int) -> tuple:
         (changed(furniture=(furniture("rock", (0.5, 0.5, 0.05), (0.99, 0.99, 0.1)),)), "rooms", "no position is free"),
     ],
 )
-def test_what_is_no_maze_is_refused(spec, field, expected):
+def test_an_invalid_maze_is_refused(spec, field, expected):
     with pytest.raises(InputError) as error:
         load_maze(spec)
     assert error.value.field == field and expected in str(error.value)

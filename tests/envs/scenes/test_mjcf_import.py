@@ -1,4 +1,4 @@
-"""MJCF scenes: upright boxes exactly, other shapes within a cell, floors found, and files that mean harm refused."""
+"""Test MJCF scenes: upright boxes are exact, other shapes within a cell, floors are found, harmful files refused."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -176,7 +176,7 @@ def test_document_types_and_other_roots_are_refused(tmp_path: Path) -> None:
             load_scene(tmp_path / "scene.xml")
 
 
-def test_what_is_left_out_is_said(tmp_path: Path) -> None:
+def test_omitted_elements_are_reported(tmp_path: Path) -> None:
     body = '<composite type="cable" count="3 1 1"/><geom size=".1" pos="0 0 1"/>'
     assert "left out: composite (1)" in load_scene(written(tmp_path, body)).notes
 

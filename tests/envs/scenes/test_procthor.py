@@ -1,4 +1,4 @@
-"""The ProcTHOR importer: a small house whose numbers one can compute by hand, laws, and the real houses."""
+"""Test the ProcTHOR importer: a small house whose numbers one can compute by hand, laws, and the real houses."""
 
 import copy
 import gzip
@@ -263,7 +263,7 @@ def test_the_order_and_direction_of_faces_do_not_matter(order: list[int], from_o
         assert ours.symmetric_difference(theirs).area < 1e-6
 
 
-def test_looks_are_the_same_every_time_and_follow_the_words() -> None:
+def test_materials_are_deterministic_and_follow_the_names() -> None:
     assert surface_material("Walldrywall3Tiled", None, "wall").texture == "plaster"  # drywall is not a tile
     assert surface_material("SubwayTilesAO", None, "wall").texture == "subway"
     assert surface_material("PureWhite", (0.1, 0.2, 0.3), "wall").color == (0.1, 0.2, 0.3)
@@ -349,7 +349,7 @@ def test_files_and_the_missing_asset_database(tmp_path: Path) -> None:
 
 @cache
 def real() -> dict[str, tuple[dict[str, Any], Apartment]]:
-    """Every house of the ProcTHOR files: its JSON and what became of it."""
+    """Return every house of the ProcTHOR files: its JSON and its import."""
     database = DATA / "asset-database.json"
     assets = read_assets(json.loads(database.read_text()), database)
     houses = {path.stem: json.loads(path.read_text()) for path in sorted((DATA / "houses").glob("*.json"))}
@@ -359,14 +359,14 @@ def real() -> dict[str, tuple[dict[str, Any], Apartment]]:
 
 
 def side_points(wall: Wall, along: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Points 0.1 m off the wall's line to its left and to its right."""
+    """Return points 0.1 m off the wall's line, to its left and to its right."""
     c, s = math.cos(wall.yaw), math.sin(wall.yaw)
     x, y = wall.start[0] + c * along, wall.start[1] + s * along
     return (x - 0.1 * s, y + 0.1 * c), (x + 0.1 * s, y - 0.1 * c)
 
 
 @needs_data
-def test_every_real_house_is_imported_whole() -> None:
+def test_every_real_house_is_imported_completely() -> None:
     assert len(real()) == 43
 
     def count(items: list[dict[str, Any]]) -> int:
@@ -402,8 +402,10 @@ def test_real_pictures_hang_on_the_walls_not_in_them() -> None:
 
 @needs_data
 def test_holes_are_measured_from_the_first_corner_of_wall0() -> None:
-    """The evidence of the importer's docstring: the space in front of a hole is free of objects if its x runs from the
-    first corner, and often is not if it runs from the second."""
+    """The space in front of a hole is free of objects if its x runs from the first corner.
+
+    If x ran from the second corner, it often would not be. The importer's docstring relies on this.
+    """
     first, second, only_second, total = 0, 0, 0, 0
     for _, flat in real().values():
         boxes = [box for piece in flat.furniture for box in piece.boxes]

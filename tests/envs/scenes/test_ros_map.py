@@ -1,4 +1,4 @@
-"""ROS maps: every free cell is floor, every other cell beside it is wall, whatever the origin and the format."""
+"""Test ROS maps: every free cell is floor, every other cell beside it is wall, for all origins and formats."""
 
 import math
 import time
@@ -41,7 +41,7 @@ SETTINGS: dict[str, Any] = {
 
 
 def grey_room() -> np.ndarray:
-    """Rows from the top: 6 x 4 m of free cells with a 1 m pillar, inside a wall of one cell, unknown beyond."""
+    """Return rows from the top: 6 x 4 m of free cells with a 1 m pillar, a wall of one cell, unknown beyond."""
     grey = np.full((50, 70), UNKNOWN, np.uint8)
     grey[4:46, 4:66] = OCCUPIED
     grey[5:45, 5:65] = FREE
@@ -136,7 +136,7 @@ def test_formats_and_modes_give_one_scene(tmp_path: Path, mode: str, image: str)
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
-def test_rectangles_cover_what_they_must_and_nothing_that_they_must_not(seed: int) -> None:
+def test_rectangles_cover_all_needed_cells_and_only_allowed_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     allowed = ndimage.gaussian_filter(rng.standard_normal(rng.integers(1, 30, 2)), 1.0) > 0.0
     needed = allowed & (rng.uniform(size=allowed.shape) < 0.5)
@@ -213,7 +213,7 @@ def png_of_size(width: int, height: int) -> bytes:
         (png_of_size(16, 16), "PGM (P2, P5) or PNG"),
     ],
 )
-def test_images_that_lie_are_refused(tmp_path: Path, content: bytes, expected: str) -> None:
+def test_images_with_a_false_header_are_refused(tmp_path: Path, content: bytes, expected: str) -> None:
     path = written(tmp_path, grey_room())
     (tmp_path / "map.pgm").write_bytes(content)
     with pytest.raises(InputError) as caught:
@@ -277,7 +277,7 @@ def test_rooms_within_rooms_are_rooms_of_their_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("resolution", "expected"), [(0.05, "at most 20,000 walls"), (1.0, "a floor of at most 250 m across")]
 )
-def test_noise_is_refused_at_once(tmp_path: Path, resolution: float, expected: str) -> None:
+def test_noise_is_refused_quickly(tmp_path: Path, resolution: float, expected: str) -> None:
     grey = np.full((1500, 1500), FREE, np.uint8)
     grey[np.random.default_rng(0).random(grey.shape) < 0.2] = OCCUPIED
     began = time.process_time()

@@ -1,4 +1,4 @@
-"""Apartments: geometry laws of the solid boxes, files, errors, the built-in scene."""
+"""Test apartments: geometric laws of the solid boxes, files, errors, the built-in scenes."""
 
 import copy
 import json
@@ -32,7 +32,7 @@ PAINT, PAPER = Material(texture="plaster"), Material(texture="wallpaper")
 
 
 def inside(boxes: list[SolidBox], points: np.ndarray, slack: float = 0.0) -> np.ndarray:
-    """(boxes, points) whether each point is inside each box grown by slack."""
+    """Return ``(boxes, points)``, True where a point is inside a box that is grown by ``slack``."""
     rows = []
     for box in boxes:
         c, s = math.cos(box.yaw), math.sin(box.yaw)
@@ -49,7 +49,7 @@ def footprint(box: SolidBox) -> shapely.Polygon:
 
 
 def one_wall(length: float = 4.0, yaw: float = 0.0, doors=(), windows=(), two_sided: bool = False, **wall) -> Apartment:
-    """A room of 30 x 30 m with a single free-standing wall from (1, 2)."""
+    """Return a room of 30 x 30 m with a single free-standing wall from (1, 2)."""
     end = (1 + length * math.cos(yaw), 2 + length * math.sin(yaw))
     shape = {"thickness": 0.1, "height": 2.5, "front": PAINT, "back": PAPER if two_sided else PAINT} | wall
     return Apartment(
@@ -64,7 +64,7 @@ def one_wall(length: float = 4.0, yaw: float = 0.0, doors=(), windows=(), two_si
 
 @st.composite
 def walls_with_holes(draw):
-    """A wall and two disjoint holes in it, the first a door, the second a window."""
+    """Generate a wall and two disjoint holes in it, the first a door, the second a window."""
     length = draw(st.floats(2.0, 8.0))
     cuts = sorted(draw(st.lists(st.floats(0, length), min_size=4, max_size=4)))
     if cuts[1] - cuts[0] < 0.05 or cuts[3] - cuts[2] < 0.05:
@@ -196,7 +196,7 @@ def test_a_wall_that_continues_straight_on_does_not_overlap_the_next() -> None:
 
 @st.composite
 def floor_plans(draw):
-    """Two rooms: an L (rectilinear) and a triangle or a rectangle beside it."""
+    """Generate two rooms: an L (rectilinear) and a triangle or a rectangle beside it."""
     w, d, a, b = (draw(st.floats(1.0, 5.0)) for _ in range(4))
     ell = [(0, 0), (w + a, 0), (w + a, d), (w, d), (w, d + b), (0, d + b)]
     beside = [(-a, 0), (0, 0), (0, d)] + ([(-a, d)] if draw(st.booleans()) else [])
@@ -265,7 +265,7 @@ def test_a_failed_save_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.M
 
 
 def change(data: dict, where: str, value: object) -> dict:
-    """A copy of data with the field at "a.0.b" set, or removed where value is `...`."""
+    """Return a copy of data with the field at "a.0.b" set, or removed where value is `...`."""
     data = copy.deepcopy(data)
     *path, last = [int(part) if part.isdigit() else part for part in where.split(".")]
     target = data
@@ -370,7 +370,7 @@ def test_built_in_scenes_are_sound(name: str) -> None:
     assert all(door.width >= 0.85 for door in apartment.doors)
 
 
-def test_oak_has_five_rooms_and_no_passage_that_a_centimetre_decides() -> None:
+def test_oak_has_five_rooms_and_passages_of_clear_width() -> None:
     oak = load_scene("oak")
     assert len(oak.rooms) == 5 and oak.ceiling_height == 2.6
     low = [

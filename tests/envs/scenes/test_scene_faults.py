@@ -1,4 +1,4 @@
-"""Test the warnings about scenes: each names its item once: missing walls, objects where none can be."""
+"""Test the warnings about scenes: missing walls and misplaced objects are each named once."""
 
 import json
 import warnings
@@ -25,7 +25,7 @@ def box(x: float, y: float, z: float, size: tuple[float, float, float] = (0.6, 0
 
 
 def room(*furniture: tuple[str, Box], walls: int = 4, height: float = 2.5) -> Apartment:
-    """4 x 3 m with the first of its walls: at y = 0, x = 4, y = 3, x = 0."""
+    """Return a room of 4 x 3 m with the first of its walls, in the order y = 0, x = 4, y = 3, x = 0."""
     sides = zip(CORNERS, (*CORNERS[1:], CORNERS[0]), strict=True)
     made = [Wall(start=a, end=b, thickness=0.1, height=height, front=PLAIN, back=PLAIN) for a, b in sides]
     pieces = [Furniture(name=name, category="thing", boxes=(one,)) for name, one in furniture]
@@ -61,11 +61,11 @@ def test_furniture_may_stand_for_a_wall() -> None:
         (box(2, 1, 0.3, (1e-6, 1e-6, 1e-6)), "thing is smaller than 1 mm"),
     ],
 )
-def test_objects_that_nobody_can_meet_are_named(at: Box, sentence: str | None) -> None:
+def test_unreachable_objects_are_named(at: Box, sentence: str | None) -> None:
     assert misplaced(room(("thing", at))) == ([] if sentence is None else [sentence])
 
 
-def test_large_things_in_the_air_are_named() -> None:
+def test_large_floating_objects_are_named() -> None:
     table, lamp = ("table", box(2, 1, 0.35, (1.0, 1.0, 0.7))), ("lamp", box(2, 1, 2.2))
     assert floating(room(table, ("chest", box(2, 1, 1.0)), lamp)) == []  # on the table; from the ceiling
     assert floating(room(("board", box(0.36, 1.5, 1.5)))) == []  # at the wall
@@ -73,7 +73,7 @@ def test_large_things_in_the_air_are_named() -> None:
     assert floating(room(("cup", box(2, 1, 1.2, (0.1, 0.1, 0.1))))) == []
 
 
-def test_what_is_found_is_a_warning_and_a_note_and_no_other_scene() -> None:
+def test_a_fault_adds_a_warning_and_a_note_and_leaves_the_scene_unchanged() -> None:
     odd = room(*((f"chair {i}", box(9, i, 0.3)) for i in range(MOST + 5)), walls=3)
     with pytest.warns(UserWarning, match=r"room: Den has no wall along .*; chair 0 is outside the walls") as caught:
         said = with_notes(odd, open_edges, misplaced)
@@ -85,14 +85,14 @@ def test_what_is_found_is_a_warning_and_a_note_and_no_other_scene() -> None:
     assert with_notes(room(), open_edges, misplaced, floating) == room()
 
 
-def test_our_own_files_are_looked_over(tmp_path: Path) -> None:
+def test_scene_files_are_checked(tmp_path: Path) -> None:
     save_scene(room(("chair", box(9, 1, 0.3)), ("bed", box(2, 1, 1.3)), walls=3), tmp_path / "mine.json")
     with pytest.warns(UserWarning, match="no wall along.*chair is outside the walls.*bed hangs in the air"):
         scene = load_scene(tmp_path / "mine.json")
     assert len(scene.notes) == 3
 
 
-def test_a_wall_taken_out_of_a_built_in_scene_is_missed(tmp_path: Path) -> None:
+def test_a_removed_wall_of_a_built_in_scene_is_reported(tmp_path: Path) -> None:
     oak = load_scene("oak")
     holes = {door.wall for door in oak.doors} | {window.wall for window in oak.windows}
     for number in [i for i in range(len(oak.walls)) if i > max(holes)] or [len(oak.walls) - 1]:
@@ -101,14 +101,14 @@ def test_a_wall_taken_out_of_a_built_in_scene_is_missed(tmp_path: Path) -> None:
         assert open_edges(less), number
 
 
-def test_built_in_scenes_have_nothing_odd() -> None:
+def test_built_in_scenes_have_no_faults() -> None:
     scenes: list[Any] = [*built_in_scenes(), *(FOLDER / f"{maze}.json" for maze in MAZES), "procedural:3"]
     for scene in scenes:
         apartment = load_scene(scene)
         assert open_edges(apartment) + misplaced(apartment) + floating(apartment) == [], scene
 
 
-def test_houses_say_what_is_outside_and_which_wall_is_missing() -> None:
+def test_houses_report_objects_outside_and_missing_walls() -> None:
     house = small_house()
     house["objects"][0]["position"] = vec(20, 0.4, 1)
     with pytest.warns(UserWarning, match="table is outside the walls"):
@@ -123,7 +123,7 @@ def test_houses_say_what_is_outside_and_which_wall_is_missing() -> None:
         assert any("has no wall along" in note for note in imported(house).notes)
 
 
-def test_models_say_what_is_outside_and_what_lies_under_the_floor(tmp_path: Path) -> None:
+def test_models_report_objects_outside_and_below_the_floor(tmp_path: Path) -> None:
     geoms = (
         '<geom type="plane" name="floor" size="3 3 .1"/><geom type="box" name="far" size=".2 .2 .2" pos="9 0 .2"/>'
         '<geom type="box" name="deep" size=".2 .2 .2" pos="0 0 -1"/><geom type="box" size=".2 .2 .2" pos="1 1 .2"/>'
@@ -135,7 +135,7 @@ def test_models_say_what_is_outside_and_what_lies_under_the_floor(tmp_path: Path
     assert any("1 geom under the floor" in note for note in notes)
 
 
-def test_plans_say_which_categories_lie_beside_them() -> None:
+def test_plans_report_categories_outside_of_them() -> None:
     plan = {
         "verts": [[0, 0], [4, 0], [4, 3], [0, 3]],
         "room_category": {"Kitchen": [[0, 0, 4, 3]], "Hall": [[9, 9, 12, 12]], "Bedroom": [[1, 1, 1, 2]]},
@@ -144,7 +144,7 @@ def test_plans_say_which_categories_lie_beside_them() -> None:
     assert [note.split(" has ")[0] for note in notes] == ["room_category 'Hall'", "room_category 'Bedroom'"]
 
 
-def test_a_plain_scene_loads_without_a_word(tmp_path: Path) -> None:
+def test_a_sound_scene_loads_without_a_warning(tmp_path: Path) -> None:
     (tmp_path / "oak.json").write_text(json.dumps(load_scene("oak").model_dump(mode="json")))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,4 @@
-"""Files of scenes: told apart, read within bounds, and never believed: damaged houses are refused or valid."""
+"""Test scene files: formats are detected, reading is bounded, and damaged houses are refused or valid."""
 
 import gzip
 import json
@@ -25,7 +25,7 @@ DATABASE = {"DiningTable": [{"assetId": "Table_1", "objectType": "DiningTable", 
 
 
 def houses(folder: Path, name: str, number: int = 3) -> Path:
-    """Houses without objects, one a line, the first named after nothing, the others with a wider room."""
+    """Return houses without objects, one a line: the first without a name, the others with a wider room."""
     (folder / "asset-database.json").write_text(json.dumps(DATABASE))
     house = small_house() | {"objects": []}
     text = "".join(json.dumps(house | {"metadata": {"warnings": {"Line": str(i)}}}) + "\n" for i in range(number))
@@ -48,7 +48,7 @@ def test_a_line_is_a_house(tmp_path: Path, name: str) -> None:
     ("ending", "expected"),
     [("", "as in few.jsonl.gz#0"), ("#3", "below 3"), ("#999999999999", "below 1,000,000"), ("#x", "built-in")],
 )
-def test_lines_that_are_not_there(tmp_path: Path, ending: str, expected: str) -> None:
+def test_missing_lines_are_refused(tmp_path: Path, ending: str, expected: str) -> None:
     path = houses(tmp_path, "few.jsonl.gz")
     with pytest.raises(InputError, match="expected") as caught:
         load_scene(f"{path}{ending}")

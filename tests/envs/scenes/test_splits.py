@@ -1,4 +1,4 @@
-"""Scene splits: frozen, hashed, never mixed."""
+"""Test scene splits: frozen, hashed, and disjoint."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ from vssm_gym.errors import InputError
 
 
 def test_every_built_in_scene_has_one_split_and_is_what_was_frozen():
-    """A scene that was added or changed fails here: `splits.freeze()` after its name is in the file."""
+    """Every scene has its frozen hash; after a scene is added or changed, list its name and run `splits.freeze()`."""
     frozen = frozen_splits()
     assert set(built_in_scenes()) <= set(scenes("train")) | set(scenes("test"))
     assert frozen.changed() == []
@@ -54,12 +54,12 @@ def test_other_scenes_belong_to_none(scene):
 
 
 @pytest.mark.parametrize("call", [lambda: scenes("both"), lambda: scenes("train", 10_001), lambda: scenes("test", -1)])
-def test_what_a_split_does_not_have_is_refused(call):
+def test_a_scene_outside_of_the_split_is_refused(call):
     with pytest.raises(InputError, match=r"splits: (split|procedural): expected"):
         call()
 
 
-def test_freezing_what_is_frozen_changes_no_byte(tmp_path):
+def test_freezing_again_changes_no_byte(tmp_path):
     copy = tmp_path / "scenes.json"
     copy.write_text(FROZEN.read_text())
     freeze(copy)

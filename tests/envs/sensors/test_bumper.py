@@ -1,4 +1,4 @@
-"""The bumper: which side of the robot met an obstacle, by the simulators' own contacts."""
+"""Test the bumper: the side of the robot that met an obstacle, from the simulators' own contacts."""
 
 import math
 
@@ -24,7 +24,7 @@ FRONT, LEFT, REAR, RIGHT = range(4)
 
 
 def closed(bearings: list[float], sectors: int = 4) -> list[int]:
-    """Switches that obstacles in these directions close."""
+    """Return the switches that obstacles in these directions close."""
     body = GroundBody.at(np.zeros(3), np.eye(4), 0.2, np.array(bearings, float))
     sensor = BumperSensor(BumperConfig(sectors))
     reading = sensor.measure(body)["bumper"]
@@ -50,7 +50,7 @@ def test_impossible_sectors_are_refused(sectors: object) -> None:
 
 @pytest.mark.parametrize("heading", np.linspace(-math.pi, math.pi, 9)[:-1])
 def test_contacts_point_at_the_wall(heading: float) -> None:
-    """Pushed east against a wall, whichever way it looks: the obstacle is east of it."""
+    """A robot that is pushed east against a wall has the obstacle east of it, for every heading."""
     world = FloorWorld(two_rooms(), ROBOT)  # the west room is [0.05, 2.95] x [0.05, 3.95]
     world.reset(np.array([2.80, 0.7, heading]))
     assert len(world.contact_bearings()) == 0
@@ -67,7 +67,7 @@ def test_contacts_point_at_the_wall(heading: float) -> None:
 
 
 def test_among_furniture_every_collision_has_a_direction_that_leads_to_an_obstacle() -> None:
-    """Hundreds of collisions in a furnished apartment: a radius along each bearing, somewhere on the path, is a box."""
+    """In hundreds of collisions, some point of the path has a box at one radius along the bearing."""
     apartment, rng = load_scene("oak"), np.random.default_rng(0)
     world, space = FloorWorld(apartment, ROBOT), FreeSpace.from_apartment(apartment, ROBOT.radius, ROBOT.height)
     boxes = apartment.boxes()
@@ -91,7 +91,7 @@ def test_among_furniture_every_collision_has_a_direction_that_leads_to_an_obstac
 
 
 def walk(env: gym.Env, actions: np.ndarray) -> tuple[int, int]:
-    """Steps with and without a collision; in each of them the bumper says what ``info`` does."""
+    """Drive steps with and without a collision; in each of them the bumper agrees with ``info``."""
     observation, info = env.reset(seed=1)
     met = free = 0
     for action in actions:
@@ -104,7 +104,7 @@ def walk(env: gym.Env, actions: np.ndarray) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("name", ["PointNav", "ImageNav", "Explore"])
-def test_a_robot_feels_each_of_its_collisions_and_nothing_else(name: str) -> None:
+def test_the_robots_bumper_closes_on_collisions_only(name: str) -> None:
     env = gym.make(
         f"vssm_gym/{name}-v0", scene=two_rooms(), camera={"width": 32, "height": 24}, noise="high", sensors=["bumper"]
     )
@@ -126,7 +126,7 @@ CRASHES = [
 
 @pytest.mark.parametrize("physics", ["mujoco", "bullet"])
 @pytest.mark.parametrize(("start", "speed", "expected"), CRASHES)
-def test_a_car_feels_on_which_side_it_met_a_wall(physics: str, start: tuple, speed: float, expected: list) -> None:
+def test_the_cars_bumper_shows_the_side_of_the_wall(physics: str, start: tuple, speed: float, expected: list) -> None:
     if physics == "bullet":
         pytest.importorskip("pybullet", reason="the bullet extra is not installed")
     env = gym.make(

@@ -1,4 +1,4 @@
-"""GPS and compass: the pose relative to the start, by the stated law of errors, and in Habitat's axes."""
+"""Test GPS and compass: the pose relative to the start, the stated law of errors, and Habitat's axes."""
 
 import math
 
@@ -33,7 +33,7 @@ def body(planar: np.ndarray) -> GroundBody:
 
 
 def measured(start: np.ndarray, now: np.ndarray, noise: str | GpsCompassNoise = "none", seed: int = 0) -> np.ndarray:
-    """Forward, left and heading in one array."""
+    """Return forward, left and heading in one array."""
     sensor = GpsCompassSensor(GpsCompassConfig(noise))
     sensor.seed(np.random.default_rng(seed))
     sensor.begin(body(start))
@@ -43,7 +43,7 @@ def measured(start: np.ndarray, now: np.ndarray, noise: str | GpsCompassNoise = 
 
 
 def test_by_hand() -> None:
-    """Looking north at the start: a metre north is forward, a metre west is left, and east is a quarter right."""
+    """From a start that faces north, a metre north is forward, a metre west is left, and east is a quarter right."""
     start = np.array([2.0, 3.0, math.pi / 2])
     np.testing.assert_allclose(measured(start, start), 0.0)
     np.testing.assert_allclose(measured(start, [2.0, 4.0, math.pi / 2]), [1.0, 0.0, 0.0], atol=1e-6)
@@ -61,7 +61,7 @@ def test_it_is_the_relative_pose(start: np.ndarray, now: np.ndarray) -> None:
 
 
 def habitat(start: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, float]:
-    """``gps`` and ``compass`` as habitat-lab computes them, of poses in its frame: x right, y up, -z forward.
+    """Return ``gps`` and ``compass`` as habitat-lab computes them, of poses in its frame: x right, y up, -z forward.
 
     World x, y, z here are its -z, -x, y there; a heading turns about y there by the same angle.
     """
@@ -109,7 +109,7 @@ def test_impossible_noise_is_refused(change: dict) -> None:
 
 @pytest.mark.parametrize("name", ["PointNav", "ImageNav", "Explore", "CarNav"])
 def test_every_environment_measures_from_the_start_of_its_episode(name: str) -> None:
-    """Against the true pose, episode after episode; a robot that stands at its start reads zero."""
+    """The measurement equals the true relative pose in every episode; at its start a robot measures zero."""
     scene = yard(3.0, 3.0) if name == "CarNav" else two_rooms()
     env = gym.make(f"vssm_gym/{name}-v0", scene=scene, camera={"width": 32, "height": 24}, sensors=["gps_compass"])
     for seed in (0, None):

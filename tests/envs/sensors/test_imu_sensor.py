@@ -1,4 +1,4 @@
-"""The simulated IMU: what it reads of a trajectory is what the model integrates; its errors follow the stated laws."""
+"""Test the simulated IMU: the model integrates its readings to the trajectory; errors follow the stated laws."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from vssm_gym.model.transition import Imu, RigidState
 
 
 def flight(seconds: float, dt: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses ``(n, 4, 4)`` and world velocities ``(n, 3)`` of a smooth tumbling flight, in closed form."""
+    """Return poses ``(n, 4, 4)`` and world velocities ``(n, 3)`` of a smooth tumbling flight, in closed form."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds + dt / 2, dt)[:, None]
     amplitude, phase, speed = rng.uniform(0.3, 2.0, 3), rng.uniform(-3, 3, 3), rng.uniform(0.5, 2.5, 3)
@@ -26,7 +26,7 @@ def flight(seconds: float, dt: float, seed: int) -> tuple[np.ndarray, np.ndarray
 
 
 def integrated(T: np.ndarray, v: np.ndarray, controls: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and velocities that :meth:`vssm_gym.model.transition.imu.Imu.mean` makes of readings."""
+    """Integrate readings to poses and velocities by :meth:`vssm_gym.model.transition.imu.Imu.mean`."""
     start = RigidState(jnp.asarray(T[0], jnp.float32), jnp.asarray(np.r_[v[0], np.zeros(3)], jnp.float32))
 
     def step(state: RigidState, control: jax.Array) -> tuple[RigidState, tuple[jax.Array, jax.Array]]:
@@ -40,7 +40,7 @@ def integrated(T: np.ndarray, v: np.ndarray, controls: np.ndarray, dt: float) ->
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("rate", [50.0, 200.0])
 def test_the_model_integrates_the_readings_to_the_trajectory(rate: float, seed: int) -> None:
-    """Ten seconds: orientation and velocity to rounding, position to the error of its trapezoid rule."""
+    """Over ten seconds, orientation and velocity are exact to rounding, position to the error of the trapezoid rule."""
     T, v = flight(10.0, 1.0 / rate, seed)
     poses, velocities = integrated(T, v, readings(T, v, 1.0 / rate), 1.0 / rate)
     np.testing.assert_allclose(poses[:, :3, :3], T[1:, :3, :3], atol=2e-4)
@@ -48,8 +48,8 @@ def test_the_model_integrates_the_readings_to_the_trajectory(rate: float, seed: 
     np.testing.assert_allclose(poses[:, :3, 3], T[1:, :3, 3], atol=0.01)
 
 
-def test_a_tilted_sensor_left_out_would_be_noticed() -> None:
-    """The test above has teeth: gravity of the wrong sign, or rates of the other frame, miss by metres."""
+def test_a_wrong_gravity_or_frame_misses_by_metres() -> None:
+    """The test above can fail: gravity of the wrong sign, or rates of the other frame, miss by metres."""
     T, v = flight(10.0, 0.02, 0)
     exact = readings(T, v, 0.02)
     up = exact + np.concatenate([2.0 * np.einsum("nji,j->ni", T[:-1, :3, :3], [0, 0, -9.81]), np.zeros((500, 3))], 1)
@@ -59,7 +59,7 @@ def test_a_tilted_sensor_left_out_would_be_noticed() -> None:
 
 
 @given(st.tuples(*[st.floats(-3, 3)] * 3))
-def test_at_rest_it_feels_the_ground_and_in_fall_nothing(angles: tuple[float, float, float]) -> None:
+def test_specific_force_is_minus_gravity_at_rest_and_zero_in_free_fall(angles: tuple[float, float, float]) -> None:
     R = Rotation.from_euler("ZYX", angles).as_matrix()
     np.testing.assert_allclose(specific_force(R, np.zeros(3)), R.T @ [0.0, 0.0, 9.81], atol=1e-12)
     np.testing.assert_allclose(specific_force(R, np.array([0.0, 0.0, -9.81])), np.zeros(3), atol=1e-12)
@@ -75,7 +75,7 @@ def test_white_noise_is_its_density_times_the_root_of_the_rate(rate: float) -> N
 
 
 @pytest.mark.parametrize("dt", [0.005, 0.1])
-def test_the_bias_walks(dt: float) -> None:
+def test_the_bias_is_a_random_walk(dt: float) -> None:
     """Its variance after a time t is ``walk^2 t``, whatever the rate."""
     noise = ImuSensorNoise(accel_walk=0.01, gyro_walk=0.002)
     for seconds in (1.0, 4.0):
@@ -88,7 +88,7 @@ def test_the_bias_walks(dt: float) -> None:
         np.testing.assert_allclose(np.std(ends, axis=0), expected, rtol=0.15)
 
 
-def test_allan_deviation_falls_and_rises_as_the_sheet_says() -> None:
+def test_allan_deviation_falls_and_rises_as_specified() -> None:
     """``density / sqrt(tau)`` while noise dominates clusters of time tau, ``walk sqrt(tau / 3)`` once the bias does."""
     noise, dt, n = ImuSensorNoise(gyro_density=1e-3, gyro_walk=1e-3), 0.01, 2**18
     read = NoisyImu(noise, np.random.default_rng(0))(np.zeros((n, 6)), dt)[:, 3:]
@@ -99,7 +99,7 @@ def test_allan_deviation_falls_and_rises_as_the_sheet_says() -> None:
         assert deviation == pytest.approx(np.sqrt(1e-6 / tau + 1e-6 * tau / 3.0), rel=0.1)
 
 
-def test_switched_on_it_has_a_bias() -> None:
+def test_the_initial_bias_is_random() -> None:
     biases = [NoisyImu(PRESETS["realsense"], np.random.default_rng(seed)).bias for seed in range(1000)]
     expected = np.repeat([PRESETS["realsense"].accel_bias, PRESETS["realsense"].gyro_bias], 3)
     np.testing.assert_allclose(np.std(biases, axis=0), expected, rtol=0.08)

@@ -1,4 +1,4 @@
-"""The laser scanner: ranges in a room by hand, its noise against the stated law, its conventions."""
+"""Test the laser scanner: ranges in a room by hand, its noise against the stated law, its conventions."""
 
 import math
 import pickle
@@ -139,8 +139,8 @@ CONFIG = LidarConfig(beams=45, fov=math.pi, max_range=3.0, height=0.4)
 
 
 @pytest.mark.parametrize("name", ["PointNav", "ImageNav", "Explore"])
-def test_a_robot_may_have_a_scanner(name: str) -> None:
-    """Its scan is that of its true pose, and its noise leaves image and motion alone."""
+def test_a_robot_can_have_a_scanner(name: str) -> None:
+    """Its scan is that of its true pose, and its noise changes neither image nor motion."""
     keywords = {"scene": ROOMS, "camera": {"width": 32, "height": 24}, "noise": "mid", "sensor_noise": "kinect"}
     plain = gym.make(f"vssm_gym/{name}-v0", **keywords)
     exact = gym.make(f"vssm_gym/{name}-v0", sensors=[CONFIG], **keywords)
@@ -179,7 +179,7 @@ def test_scanners_in_a_vector_environment_scan_as_single_ones() -> None:
 
 
 @pytest.mark.parametrize("fields", [{"rays": 5}, {"beams": 0}, {"fov": "wide"}, {"noise": "loud"}])
-def test_a_scanner_that_is_none_is_refused(fields: dict) -> None:
+def test_an_invalid_scanner_is_refused(fields: dict) -> None:
     with pytest.raises(InputError, match=r"lidar|LidarConfig"):
         gym.make("vssm_gym/PointNav-v0", scene=ROOMS, sensors=[{"sensor": "lidar", **fields}])
 

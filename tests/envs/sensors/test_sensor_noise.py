@@ -1,4 +1,4 @@
-"""The sensor's noise against its stated law: statistics on planes, shadows by hand, one sensor at every size."""
+"""Test the camera's noise against its stated law: statistics on planes, shadows by hand, all image sizes."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ GREY = np.full((120, 160, 3), 128, np.uint8)
 
 
 def plane(camera: Camera, normal: tuple[float, float, float], distance: float) -> np.ndarray:
-    """z-depth of the plane ``n . p = distance``; 0 where rays miss it."""
+    """Return the z-depth of the plane ``n . p = distance``; 0 where rays miss it."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     n = np.array(normal) / np.linalg.norm(normal)
     along = n[0] * (u - camera.cx) / camera.fx + n[1] * (v - camera.cy) / camera.fy + n[2]
@@ -29,7 +29,7 @@ def sensor(noise: SensorNoise | str, camera: Camera = CAMERA, seed: int = 0) -> 
 
 
 def measured(noise: SensorNoise | str, depth: np.ndarray, camera: Camera = CAMERA, frames: int = 1) -> np.ndarray:
-    """Depth images ``(frames, height, width)`` of the same view."""
+    """Measure depth images ``(frames, height, width)`` of the same view."""
     rgb = np.full((camera.height, camera.width, 3), 128, np.uint8)
     s = sensor(noise, camera)
     return np.stack([s(rgb, depth, 0.1)[1] for _ in range(frames)])
@@ -37,7 +37,7 @@ def measured(noise: SensorNoise | str, depth: np.ndarray, camera: Camera = CAMER
 
 @given(st.integers(0, 1000))
 def test_without_noise_the_image_is_exact(seed: int) -> None:
-    """Byte for byte, holes included: what was recorded before there was a noise model stays what it was."""
+    """Images are equal byte for byte, holes included."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.05, 60.0, (12, 16)).astype(np.float32) * (rng.random((12, 16)) > 0.1)
     rgb = rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)
@@ -56,7 +56,7 @@ def test_the_same_stream_gives_the_same_bytes() -> None:
 @pytest.mark.parametrize("name", ["kinect", "stereo"])
 @pytest.mark.parametrize("distance", [0.7, 1.5, 3.0, 5.0])
 def test_depth_follows_its_law(name: str, distance: float) -> None:
-    """No bias, and the stated standard deviation with the quantisation in it, on a wall seen nearly face on.
+    """Depth has no bias and the stated standard deviation, quantisation included, on a wall seen nearly face on.
 
     The wall is slightly slanted so that readings fall all over the quantisation steps.
     """
@@ -106,7 +106,7 @@ def test_incidence_on_a_plane_is_exact(tilt: float, around: float) -> None:
     )
 
 
-def test_the_shadow_of_a_post_is_as_wide_as_triangulation_says() -> None:
+def test_the_shadow_of_a_post_has_the_width_of_triangulation() -> None:
     """A post at 1 m before a wall at 3 m: to its left ``b (1 - 1/3)`` of the wall, as a tangent, has no depth."""
     camera = Camera.from_hfov(1600, 12, 1.2)
     x = (np.arange(1600) - camera.cx) / camera.fx
@@ -134,7 +134,7 @@ def test_readings_near_an_edge_are_lost_and_slanted_floors_are_not() -> None:
 
 @pytest.mark.parametrize(("grey", "distance"), [(20, 2.0), (12, 3.0), (128, 3.0), (40, 4.0), (0, 0.5)])
 def test_dark_surfaces_return_nothing_from_afar(grey: int, distance: float) -> None:
-    """Lost are ``1.5 - s / min_signal``, within [0, 1], of the readings, ``s = brightness cos / distance^2``."""
+    """The lost proportion is ``1.5 - s / min_signal``, clipped to [0, 1]; ``s = brightness cos / distance^2``."""
     noise = SensorNoise(min_signal=0.006)
     rgb = np.full((120, 160, 3), grey, np.uint8)
     s = sensor(noise)
@@ -193,7 +193,7 @@ def test_colour_noise_grows_with_light_and_averages_over_wide_pixels() -> None:
 
 @pytest.mark.parametrize("width", [160, 320, 640])
 def test_one_sensor_at_every_size(width: int) -> None:
-    """Share of lost readings and error statistics do not depend on the size of the image."""
+    """Neither the proportion of lost readings nor the errors' statistics depend on the size of the image."""
     camera = Camera.from_hfov(width, width * 3 // 4, 1.2)
     x = (np.arange(width) - camera.cx) / camera.fx
     depth = np.tile(np.where((x > -0.2) & (x < 0.1), 1.0, 2.5), (camera.height, 1))
@@ -214,7 +214,7 @@ def test_neighbouring_errors_are_alike_over_the_stated_angle() -> None:
 
 
 def test_exposure_wanders_slowly() -> None:
-    """The gain's logarithm: stationary from the first image, forgotten over ``exposure_time`` whatever the rate."""
+    """The gain's logarithm is stationary from the first image, with the correlation time ``exposure_time``."""
     noise = SensorNoise(exposure=0.1, exposure_time=2.0)
     tiny, depth = Camera.from_hfov(8, 8, 1.2), np.ones((8, 8))
     rgb = np.full((8, 8, 3), 100, np.uint8)

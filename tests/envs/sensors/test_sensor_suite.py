@@ -27,7 +27,7 @@ ROOMS = two_rooms()
 
 
 def loaded(path: str) -> Any:
-    """The object at ``module:name``."""
+    """Import the object at ``module:name``."""
     module, name = path.split(":")
     return getattr(import_module(module), name)
 
@@ -51,7 +51,7 @@ def settings(name: str, more: dict, **keywords) -> dict:
 
 
 def rollout(env: gym.Env, seed: int = 3, steps: int = 12) -> list[dict[str, bytes]]:
-    """Every reading of an episode at full speed ahead, which soon ends at a wall; each is in its space."""
+    """Return every reading of an episode at full speed ahead, which soon ends at a wall; each is in its space."""
     action = env.action_space.high.copy()
     action[:-1] *= [0.05, 0.0, 1.0] if len(action) == 4 else [1.0]
     action[-1] = 0.0
@@ -83,7 +83,7 @@ def test_a_sensor_adds_its_keys_and_changes_no_byte_of_the_others(name, more, se
 
 @each_world
 @each_sensor
-def test_the_same_seed_gives_the_same_readings_whatever_else_is_carried(name, more, sensor):
+def test_readings_do_not_depend_on_the_other_sensors(name, more, sensor):
     one, all_of_them = (gym.make(name, **settings(name, more, sensors=s)) for s in ([sensor], [*reversed(SENSORS)]))
     said = rollout(one)
     assert rollout(one) == said  # again, in the same environment
@@ -137,7 +137,7 @@ def test_names_configurations_and_mappings_ask_for_the_same(sensor):
 
 
 @pytest.mark.parametrize("value", ["lidar", 3, None, {"sensor": "lidar"}, ["radar"], [3], [None], [{"beams": 3}]])
-def test_a_list_that_is_none_names_what_there_is(value):
+def test_an_invalid_list_names_the_known_sensors(value):
     with pytest.raises(InputError) as error:
         parse_sensors("Explore", value)
     assert (error.value.source, error.value.field) == ("Explore", "sensors")
@@ -152,8 +152,8 @@ def test_an_unknown_field_and_a_sensor_that_is_listed_twice_are_refused(sensor):
         parse_sensors("test", [sensor, SENSORS[sensor]()])
 
 
-class Teller:
-    """An environment that tells how often it was asked."""
+class CallCounter:
+    """Measure how many times the measurement was called."""
 
     def __init__(self) -> None:
         self.asked = 0
@@ -164,13 +164,13 @@ class Teller:
 
 
 def test_two_sensors_of_one_key_are_refused():
-    space, tell = gym.spaces.Box(0.0, 1.0, (1,), np.float32), Teller().tell
+    space, tell = gym.spaces.Box(0.0, 1.0, (1,), np.float32), CallCounter().tell
     with pytest.raises(InputError, match="'a' would be measured twice"):
         SensorSuite("test", [TaskObservation(key, space, tell) for key in "aba"])
 
 
 def test_a_suite_measures_once_a_pose_and_hands_out_copies():
-    teller, space = Teller(), gym.spaces.Box(0.0, 9.0, (1,), np.float32)
+    teller, space = CallCounter(), gym.spaces.Box(0.0, 9.0, (1,), np.float32)
     suite: SensorSuite[None] = SensorSuite("test", [TaskObservation("a", space, teller.tell)])
     suite.begin(None)
     for _ in range(3):
@@ -182,8 +182,8 @@ def test_a_suite_measures_once_a_pose_and_hands_out_copies():
     assert suite.reading("a") == 2.0
 
 
-def test_what_is_told_keeps_no_environment_in_memory():
-    """A closed environment is gone with its last name, not when the garbage collector comes."""
+def test_sensors_keep_no_closed_environment_in_memory():
+    """A closed environment is freed with its last reference, without the garbage collector."""
     gc.collect()
     gc.disable()
     try:

@@ -1,4 +1,4 @@
-"""The choice of camera: its configuration in every form, and the smallest images."""
+"""Test the configuration of the camera in every form, and the smallest images."""
 
 import math
 
@@ -51,7 +51,7 @@ def test_an_unknown_renderer_is_refused() -> None:
 @pytest.mark.parametrize(("width", "height"), [(64, 1), (8, 1), (8, 64), (9, 2), (17, 5)])
 @pytest.mark.parametrize("noise", ["none", "kinect", "stereo"])
 def test_images_of_any_size_are_measured(width, height, noise) -> None:
-    """A scan is an image of one row; what is not lost is the wall, within the noise."""
+    """A scan is an image of one row; its readings are the wall within the noise."""
     eye = make_camera(WORLD.boxes, CameraConfig(width, height, 1.2))
     rgb, depth = eye.render(planar_to_matrix(np.array([1.0, 1.0, 0.3])) @ HolonomicRobot().T_body_cam)
     assert rgb.shape == (height, width, 3) and depth.shape == (height, width) and depth.min() > 0.0

@@ -1,4 +1,4 @@
-"""Coverage counts what a camera can see from where a robot can be, and nothing else."""
+"""Test that coverage counts exactly what a camera can see from free places."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_all_of_an_empty_room_can_be_seen_and_nothing_beyond_its_walls():
     assert seen.area == pytest.approx((floor - thick).area, rel=0.06)  # cells that walls cut count whole
 
 
-def test_what_is_shut_off_cannot_be_seen():
+def test_a_closed_off_room_is_not_observable():
     both, _ = observable()
     one, space = observable(openness=0.0, leaves=1)
     room = next(room for room in space.rooms.values() if room.intersects(space.largest))
@@ -44,7 +44,7 @@ def test_what_is_shut_off_cannot_be_seen():
     assert shapely.contains_xy(room.buffer(CELL), centres(one)[one.cells]).all()
 
 
-def test_a_wardrobe_is_not_seen_inside_and_a_low_table_is_seen_over():
+def test_a_wardrobe_occludes_and_a_low_table_does_not():
     empty, _ = observable()
     tall, _ = observable(pieces=(furniture("wardrobe", (1.5, 2.0, 1.0), (1.0, 1.0, 2.0)),))
     low, _ = observable(pieces=(furniture("table", (1.5, 2.0, 0.15), (1.0, 1.0, 0.3)),))
@@ -52,7 +52,7 @@ def test_a_wardrobe_is_not_seen_inside_and_a_low_table_is_seen_over():
     assert empty.area == pytest.approx(low.area, abs=0.05)
 
 
-def test_coverage_grows_never_falls_and_can_be_completed():
+def test_coverage_never_falls_and_can_be_completed():
     seen, space = observable()
     coverage = Coverage(seen, np.pi / 2)
     rng, before = np.random.default_rng(0), 0.0
@@ -66,7 +66,7 @@ def test_coverage_grows_never_falls_and_can_be_completed():
 
 
 def test_a_camera_sees_a_sector_as_long_as_its_reach():
-    """In a hall without obstacles nearby: the area of a circular sector."""
+    """In a hall without obstacles nearby, the visible area is that of a circular sector."""
     seen, space = observable()
     coverage = Coverage(seen, np.pi / 3)
     xy = np.array(space.largest.representative_point().coords[0])
@@ -79,7 +79,7 @@ def test_a_camera_sees_a_sector_as_long_as_its_reach():
 
 
 def test_neighbouring_rays_leave_no_cell_out():
-    """Whatever the angle of view, a cell inside the sector and in sight is marked."""
+    """For every field of view, each visible cell inside the sector is marked."""
     seen, space = observable()
     xy = np.array(space.largest.representative_point().coords[0])
     fine, coarse = np.zeros_like(seen.cells), Coverage(seen, np.pi / 2)

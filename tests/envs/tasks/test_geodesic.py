@@ -1,4 +1,4 @@
-"""Geodesics against closed forms, an exhaustive visibility graph, a fine grid, and the axioms of a metric."""
+"""Test geodesics against closed forms, an exhaustive visibility graph, a fine grid, and the axioms of a metric."""
 
 import math
 
@@ -25,7 +25,7 @@ def space_or_reject(obstacles: list, radius: float) -> FreeSpace:
 
 
 def exhaustive(region: shapely.Geometry, ends: np.ndarray) -> np.ndarray:
-    """Shortest lengths between ``ends`` over every pair of border vertices and ends that sees each other, no filter."""
+    """Return shortest lengths between ``ends`` over all visible pairs of border vertices and ends, without a filter."""
     nodes = np.concatenate([ends, shapely.get_coordinates(region)])
     i, j = np.triu_indices(len(nodes), 1)
     shapely.prepare(region)
@@ -47,7 +47,7 @@ def test_empty_room_is_euclidean() -> None:
 
 
 def test_around_one_corner_by_hand() -> None:
-    """A point over a box: two diagonals; a disc: two tangents, two arcs and the top between them."""
+    """The path of a point is two diagonals; that of a disc has two tangents, two arcs and the top between them."""
     box = shapely.box(2.0, -1.0, 3.0, 2.0)
     start, goal = np.array([1.0, 1.0]), np.array([4.0, 1.0])
     point = Geodesics(free_space([box], 0.0))
@@ -63,7 +63,7 @@ def test_around_one_corner_by_hand() -> None:
 
 
 def test_goal_disc_partly_in_an_obstacle_by_hand() -> None:
-    """Goal inside a wall: its disc is entered at the end of the free arc, beyond the wall, where no projection goes."""
+    """The disc of a goal inside a wall is entered at the end of its free arc, beyond the wall."""
     box = shapely.box(2.0, -1.0, 3.0, 2.0)
     geodesics = Geodesics(free_space([box], 0.0))
     start, goal, radius = np.array([1.0, 1.5]), np.array([2.9, 1.0]), 0.5
@@ -77,7 +77,7 @@ def test_goal_disc_partly_in_an_obstacle_by_hand() -> None:
     assert thin.length(np.array([1.0, 1.5]), np.array([2.3, 1.5]), 0.35) > 2.0
 
 
-def test_no_way_is_infinite() -> None:
+def test_without_a_path_the_distance_is_infinite() -> None:
     geodesics = Geodesics(free_space([shapely.box(2.0, -1.0, 2.2, 5.0)], 0.1))
     left, right, wall = np.array([1.0, 1.0]), np.array([4.0, 1.0]), np.array([2.1, 1.0])
     assert geodesics.length(left, right) == math.inf and geodesics.path(left, right).shape == (0, 2)
@@ -88,7 +88,7 @@ def test_no_way_is_infinite() -> None:
 
 @pytest.mark.parametrize("radius", [0.0, 0.1])
 def test_straight_along_collinear_corners(radius: float) -> None:
-    """Boxes whose corners lie on one line must not block the way along that line."""
+    """Boxes whose corners lie on one line must not block the path along that line."""
     boxes = [shapely.box(x, 0.5, x + 0.3, 1.7) for x in (0.9, 1.7, 2.9, 3.3)]
     geodesics = Geodesics(free_space(boxes, radius))
     for y in (1.7 + radius * 1.01 + 1e-4, 1.7 + radius):  # just above the line, and a hair below it
@@ -108,7 +108,7 @@ def test_agrees_with_exhaustive_visibility_graph(obstacles: list, radius: float,
 @settings(max_examples=10)
 @given(obstacles=layouts, seed=seeds)
 def test_lies_between_finely_rounded_robots(obstacles: list, seed: int) -> None:
-    """Never shorter than for the exact disc, never longer than for one 1 mm wider: 1 % of 0.1 m."""
+    """The length lies between those of the exact disc and of one that is 1 mm wider (1 % of 0.1 m)."""
     space = space_or_reject(obstacles, 0.1)
     ends = random_points(space, seed, 2)
     solid = shapely.union_all(obstacles) if obstacles else shapely.Polygon()
@@ -133,7 +133,7 @@ def test_within_one_percent_of_finely_rounded_corners() -> None:
 
 @given(obstacles=layouts, seed=seeds, goal_radius=st.sampled_from([0.2, 0.4]))
 def test_success_region_against_dense_samples(obstacles: list, seed: int, goal_radius: float) -> None:
-    """No free point of the circle is nearer than ours, and ours is one that the path reaches."""
+    """No free point of the circle is nearer than the end of the path."""
     space = space_or_reject(obstacles, 0.1)
     start, goal = random_points(space, seed, 2)
     geodesics = Geodesics(space)
@@ -183,7 +183,7 @@ def test_path_is_free_and_as_long_as_claimed(obstacles: list, seed: int, goal_ra
 @settings(max_examples=8)
 @given(obstacles=layouts, seed=seeds)
 def test_not_longer_than_on_a_fine_grid(obstacles: list, seed: int) -> None:
-    """A path over free cells is a path: the shortest one is never longer."""
+    """The geodesic is never longer than a path over free cells."""
     space = space_or_reject(obstacles, 0.1)
     cell = 0.02
     x, y = np.meshgrid(np.arange(0.0, 5.0, cell), np.arange(0.0, 4.0, cell), indexing="ij")

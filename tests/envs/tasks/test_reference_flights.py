@@ -1,4 +1,4 @@
-"""Reference flights: closed, smooth, as fast as asked, flyable by rotors that push along body z, clear of obstacles."""
+"""Test reference flights: closed, smooth, of the given speed, feasible for rotors along body z, clear of obstacles."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_no_curve_stops_or_has_a_corner(name):
 
 @given(flights)
 @settings(deadline=None, max_examples=30)
-def test_the_attitude_is_what_thrust_and_heading_ask_for(flight):
+def test_the_attitude_follows_from_thrust_and_heading(flight):
     t = np.linspace(0.0, flight.duration, 200)
     motion = flight.at(t)
     R = motion.R_world_body
@@ -109,7 +109,7 @@ def test_a_placement_keeps_its_distance(name):
     assert flight.place.scale > 2.0
 
 
-def test_what_cannot_be_flown_is_refused():
+def test_an_infeasible_flight_is_refused():
     with pytest.raises(InputError, match="space for the flight"):
         place(hall(width=2.5), "star")
     with pytest.raises(InputError, match="ceiling_height"):

@@ -1,4 +1,4 @@
-"""A survey sees every free place, visits every room, touches nothing, and is hardly longer than it must be."""
+"""Test surveys: they see every free place, visit every room, do not collide, and are nearly as short as possible."""
 
 import itertools
 
@@ -32,7 +32,7 @@ def viewpoints(route: list[Waypoint]) -> np.ndarray:
 
 
 def unseen(apartment: Apartment, route: list[Waypoint], space: FreeSpace, reach: float, n: int) -> np.ndarray:
-    """Random free places without a viewpoint within reach and in sight past the obstacles themselves."""
+    """Return random free places that no viewpoint sees within its range past the obstacles."""
     places = space.sample(np.random.default_rng(0), n)
     views = viewpoints(route)
     solid = [
@@ -71,7 +71,7 @@ def test_sees_everything_and_collides_with_nothing(boxes: list, seed: int) -> No
 
 
 @pytest.mark.parametrize("gap", [0.05, 0.025, 0.01, 0.003])
-def test_what_lies_behind_a_passage_that_just_fits_is_seen(gap: float) -> None:
+def test_space_behind_a_narrow_passage_is_seen(gap: float) -> None:
     """The door, 0.9 m wide, left open by the robot's diameter and ``gap``: the clearance that is kept goes by it."""
     width = 2.0 * ROBOT.radius + gap
     block = furniture("block", (3.0, 1.5 + width + 0.5, 0.3), (0.6, 1.0, 0.6))
@@ -92,7 +92,7 @@ def test_built_in_apartment() -> None:
 
 
 def test_closed_door() -> None:
-    """The room behind it is left out; the survey of the other is whole."""
+    """The room behind it is left out; the survey of the other room is complete."""
     check(two_rooms(openness=0.0, leaves=1))
 
 
@@ -116,7 +116,7 @@ def test_fewer_viewpoints_with_more_reach() -> None:
 
 @given(seed=seeds, n=st.integers(1, 7))
 def test_tour_is_short(seed: int, n: int) -> None:
-    """Every place once; within a tenth of the best of all orders."""
+    """Every place is visited once, and the tour is within a tenth of the shortest order."""
     places = np.random.default_rng(seed).uniform(0.0, 1.0, (n, 2))
     lengths = np.linalg.norm(places[:, None] - places, axis=2)
     tour = short_tour(lengths)

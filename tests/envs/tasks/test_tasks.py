@@ -1,4 +1,4 @@
-"""Tasks obey their definition, repeat with their seed, never mix splits, and survive a file unchanged or not at all."""
+"""Test tasks: their definition, seeds, disjoint splits, and files that are read unchanged or refused."""
 
 import json
 import re
@@ -32,7 +32,7 @@ SOFA = furniture("sofa", (1.2, 2.0, 0.3), (0.8, 1.6, 0.6))
 
 
 def check_definition(tasks: TaskSet, sampler: TaskSampler) -> None:
-    """Tasks are free with a margin, apart, long enough, and of this scene."""
+    """Assert that tasks are free with a margin, apart, long enough, and of this scene."""
     starts, goals = np.array([t.start for t in tasks.tasks]), np.array([t.goal for t in tasks.tasks])
     geodesic = np.array([t.geodesic for t in tasks.tasks])
     border = sampler.space.region.boundary
@@ -219,7 +219,7 @@ def test_bad_requests() -> None:
 
 
 @pytest.mark.parametrize("house", ["house_0", "house_1", "house_987654321"])
-def test_houses_that_nobody_here_made(house: str, shared_data: Path) -> None:
+def test_published_houses(house: str, shared_data: Path) -> None:
     """Tasks and a whole set of checks on ProcTHOR houses; house_0 says itself that a room may be out of reach."""
     apartment = load_scene(shared_data / "procthor" / "houses" / f"{house}.json")
     sampler = TaskSampler(apartment, ROBOT)

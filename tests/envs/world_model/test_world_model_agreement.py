@@ -1,4 +1,4 @@
-"""Imagined and real agree: the same commands without noise, in a map learned from images."""
+"""Test that imagined and simulated robots agree, by the same commands without noise in a map learned from images."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def learned(tmp_path_factory) -> Path:
     return ensure_map("oak", tmp_path_factory.mktemp("learned"), voxel=0.05, seed=0)
 
 
-def test_positions_scans_and_rewards_of_imagined_robots_are_the_real_ones(learned):
+def test_positions_scans_and_rewards_of_imagined_robots_equal_the_simulated_ones(learned):
     """Medians over rollouts of 5 s: position within 2 cm, scans within 5 cm."""
     found = replay("oak", learned, rollouts=100, seed=0)
     assert found["all"]["position_m"]["p50"] < 0.02

@@ -1,4 +1,4 @@
-"""Test how imagined robots move: the simulator's laws of noise number by number, servos, distances to goals."""
+"""Test the motion of imagined robots: the simulator's laws of noise, servos, and distances to goals."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,7 @@ RADIUS = HolonomicRobot().radius
 
 
 class Listed:
-    """A stream that gives these standard normals."""
+    """Return given standard normals in place of a random stream."""
 
     def __init__(self, values: np.ndarray) -> None:
         self.values = values
@@ -32,8 +32,8 @@ class Listed:
 
 
 @pytest.mark.parametrize("level", NOISE_LEVELS)
-def test_a_noisy_step_is_the_simulators(level):
-    """Same normals, same pose: turns to both sides, none at all, steps shorter than the noise, no step."""
+def test_a_noisy_step_equals_the_simulators(level):
+    """The same normals give the same pose, for turns to both sides, no turn, short steps and no step."""
     rng = np.random.default_rng(0)
     n = 200
     limits = HolonomicRobot().limits
@@ -53,7 +53,7 @@ def test_a_noisy_step_is_the_simulators(level):
     np.testing.assert_allclose(turned, 0.0, atol=2e-6)
 
 
-def test_a_servo_lags_as_the_simulators():
+def test_a_servos_lag_equals_the_simulators():
     """The set point after a step, and its mean, against ticks of 10 ms."""
     actuators = CarActuators(CarNoise(speed_lag=0.2, steering_lag=0.12), np.random.default_rng(0))
     speed = steering = jnp.zeros(1)
@@ -82,7 +82,7 @@ def lattice() -> Lattice:
 
 
 def test_goal_distances_are_geodesics_of_the_true_room(lattice):
-    """Within 3 % and two cells of the exact visibility graph, from everywhere, around the cupboard and the table."""
+    """They are within 3 % and two cells of the exact visibility graph, from everywhere in the room."""
     named = [("cupboard", CUPBOARD), ("table", TABLE)]
     exact = Geodesics(FreeSpace("room", FLOOR, named, RADIUS, {"room": FLOOR}))
     goals = np.array([[1.0, 2.5], [4.2, 2.4], [4.7, 0.3]])

@@ -1,4 +1,4 @@
-"""WorldModelNav as Gymnasium and stable-baselines3 see it: checkers, seeds, resets, ends, spaces, errors."""
+"""Test WorldModelNav as an environment: checkers, seeds, resets, ends of episodes, spaces, errors."""
 
 import pickle
 import warnings
@@ -36,8 +36,8 @@ def test_both_checkers_accept_it(robot):
         theirs.check_env(env)
 
 
-def test_spaces_are_those_of_the_task_it_stands_for():
-    """Through wrappers that show the real task's images as a scan and its goal from the robot."""
+def test_spaces_are_those_of_the_real_task():
+    """Wrappers convert the real task's images to a scan and its goal to the robot's frame."""
     camera = {"width": 64, "height": 48}
     real = RelativeGoal(gym.make("vssm_gym/PointNav-v0", camera=camera, observe_pose=True))
     for observation, wrapped in (("scan", ScanObservation(real)), ("depth", DepthOnly(real)), ("rgbd", real)):
@@ -48,8 +48,8 @@ def test_spaces_are_those_of_the_task_it_stands_for():
     real.close()
 
 
-def test_a_cars_spaces_are_those_of_the_task_it_stands_for():
-    """CarNav's points; the real observation holds images, the imagined one a scan."""
+def test_a_cars_spaces_are_those_of_the_real_task():
+    """Spaces equal CarNav's, except that the real observation holds images and the imagined one a scan."""
     real = RelativeGoal(gym.make("vssm_gym/CarNav-v0", targets="points", observe_pose=True))
     env = make(robot="car")
     assert env.action_space == real.action_space
@@ -58,8 +58,8 @@ def test_a_cars_spaces_are_those_of_the_task_it_stands_for():
     real.close()
 
 
-def test_streams_without_a_seed_differ_also_beside_seeded_ones():
-    """And from those of the same call before."""
+def test_streams_without_a_seed_differ_from_all_others():
+    """They also differ from those of an equal call before."""
     keys = []
     for _ in range(2):
         env = make_vec(3)
@@ -71,7 +71,7 @@ def test_streams_without_a_seed_differ_also_beside_seeded_ones():
 
 
 def test_an_episode_by_hand():
-    """1.95 m straight ahead at 16 cm a step, exactly: ten steps to within 0.4 m."""
+    """A goal 1.95 m straight ahead is reached to within 0.4 m in ten exact steps of 16 cm."""
     env = make(**EXACT, end_on="reach", tasks=[task((1.0, 1.2, 0.0), (2.95, 1.2))])
     observation, info = env.reset(seed=0)
     np.testing.assert_allclose(observation["goal"], [1.95, 1.0, 0.0], atol=1e-5)
@@ -125,7 +125,7 @@ def test_next_step_autoreset_and_truncation():
             assert np.hypot(*(observation["pose"][:, :2] - start[:, :2]).T).max() < 1e-4  # it knows its start
 
 
-def test_some_are_reset_and_the_others_stay():
+def test_a_partial_reset_leaves_the_others_unchanged():
     env = make_vec(3)
     env.reset(seed=0)
     before, *_ = env.step(random_actions(env, 1, 1)[0])
@@ -196,7 +196,7 @@ def test_robot_i_has_the_stream_of_seed_plus_i_however_many_there_are():
 
 
 def test_slices_of_robots_are_stepped_as_one(monkeypatch):
-    """On two cores as on one: the same observations, rewards and tasks, restarts by mask included."""
+    """Two slices give the observations, rewards and tasks of one, restarts by mask included."""
     seen = []
     for fewest in (1, 1000):
         monkeypatch.setattr(batch_slices, "MIN_SLICE", fewest)
@@ -237,8 +237,8 @@ def test_maps_and_noise_are_drawn_for_each_episode():
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-4)
 
 
-def test_the_estimate_errs_as_its_std_says():
-    """First by what is known of the start, in the end by what a tracker leaves; the truth is off by as much."""
+def test_the_estimates_error_follows_its_std():
+    """The std begins at that of the start and converges to the tracker's; the true error follows it."""
     start, settled = (0.1, 0.1, 0.05), (0.02, 0.02, 0.01)
     env = make_vec(512, start_std=start, pose_std=settled, pose_memory=0.5, show_uncertainty=True, noise="none")
     observation, infos = env.reset(seed=0)
@@ -254,7 +254,7 @@ def test_the_estimate_errs_as_its_std_says():
     np.testing.assert_allclose(observation["pose_std"], np.tile(settled, (512, 1)), rtol=1e-2)
 
 
-def test_unknown_space_has_a_price():
+def test_unknown_space_costs_reward():
     tasks = [task((3.0, 1.6, 0.0), (1.0, 1.0))]
     env = make(half_seen(), **EXACT, unknown="penalised", reward="sparse", tasks=tasks)
     env.reset(seed=0)
@@ -302,7 +302,7 @@ def test_a_pickled_environment_goes_on():
         ({"tasks": [task((2.5, 2.5, 0.0), (1.0, 1.0))]}, "tasks.start: expected a free position"),
     ],
 )
-def test_bad_keywords_say_what_is_expected(keywords, message):
+def test_errors_of_keywords_state_what_is_expected(keywords, message):
     with pytest.raises(InputError, match=message) as error:
         make(**keywords) if "map" not in keywords else gym.make("vssm_gym/WorldModelNav-v0", **keywords)
     assert "\n" not in str(error.value)

@@ -1,4 +1,4 @@
-"""Test what imagined robots see: the emission's own depths, in the plane and in images; and their collisions."""
+"""Test the views of imagined robots against the emission, in the plane and in images, and their collisions."""
 
 import equinox as eqx
 import jax
@@ -51,7 +51,7 @@ def test_an_image_is_the_emissions_in_depth_and_colour():
 
 
 def plane_of(kind: str, seed: int) -> tuple[VoxelMap, RayField, float]:
-    """A random map, of its layers the one that holds most surfaces as a field, and that layer's height."""
+    """Return a random map, its layer with the most surfaces as a field, and that layer's height."""
     m = random_map(kind, seed)
     nx, ny, nz = m.shape
     above = np.asarray(m.dense(m.occupancy)).reshape(nx, ny, nz) > 0.0
@@ -63,7 +63,7 @@ def plane_of(kind: str, seed: int) -> tuple[VoxelMap, RayField, float]:
 
 
 def rays_from_everywhere(m: VoxelMap, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres, directions and angles, world frame."""
+    """Draw centres, directions and angles of rays, world frame."""
     low, high = m.bounds
     rng = np.random.default_rng(0)
     centre = rng.uniform(low[:2] + 0.1, high[:2] - 0.1, (n, 2)).astype(np.float32)
@@ -73,15 +73,14 @@ def rays_from_everywhere(m: VoxelMap, n: int) -> tuple[np.ndarray, np.ndarray, n
 
 @jax.jit
 def traced(field: RayField, centre: tuple, direction: tuple, max_depth: float) -> jax.Array:
-    """Depths of rays one by one, without a table."""
+    """Return depths of rays one by one, without a table."""
     which = jnp.zeros(centre[0].shape, jnp.int32)
     return emission.STEP * field.voxel_size * surface(field, *rays_of(field, which, centre, direction, max_depth))
 
 
 @jax.jit
 def marched(m: VoxelMap, centre: jax.Array, direction: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Depth up to 4 m by the published march, 0 where there is none, and the sample that hit; each ray from its own
-    centre."""
+    """Return depths up to 4 m by the published march, 0 for none, and the samples that hit; each ray has its centre."""
 
     def one(at, towards):
         k, hit = emission.march(m, at, towards[None], 4.0)
@@ -94,8 +93,8 @@ SURFACES = [kind for kind in KINDS if kind not in ("empty", "solid")]  # more th
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_surface_is_jumped_in_any_map(kind):
-    """Reach certifies: random fields, rays from everywhere, against the published march of the same plane."""
+def test_no_surface_is_skipped_in_any_map(kind):
+    """Rays from everywhere in random fields agree with the published march of the same plane."""
     n, later = 512, 0
     for seed in range(4):
         m, field, height = plane_of(kind, seed)
@@ -111,8 +110,8 @@ def test_no_surface_is_jumped_in_any_map(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_surface_is_jumped_in_any_image(kind):
-    """Blocks of pixels leap together: from inside and outside the map, at a size that is no multiple of a block."""
+def test_no_surface_is_skipped_in_any_image(kind):
+    """Blocks of pixels advance together: from inside and outside the map, at sizes that are no multiple of a block."""
     camera, T_body_cam = Camera.from_hfov(30, 22, np.pi / 2), T_BODY_CAM.copy()
     T_body_cam[2, 3] = 1.1  # in the middle of these maps
     poses = np.array([[0.0, 0.0, 0.3], [-0.8, 0.5, -1.2], [-2.6, -0.9, 0.4], [0.1, 3.4, -1.6], [1.0, -0.8, 2.2]])
@@ -130,7 +129,7 @@ def test_no_surface_is_jumped_in_any_image(kind):
 
 
 def test_column_bounds_pass_no_surface_and_reach_nearly_all_of_them():
-    """Two maps at once; where a ray hits, what its column certifies ends before, mostly within a cell of it."""
+    """In two maps at once, a column's bound ends before the hit, mostly within a cell of it."""
     camera, one = Camera.from_hfov(64, 48, np.pi / 2), room()
     thinner = eqx.tree_at(lambda m: m.occupancy, one, one.occupancy - 0.01)
     view = ImaginedCamera.images([one, thinner], camera, T_BODY_CAM, 8.0, colour=False)
@@ -153,7 +152,7 @@ def test_column_bounds_pass_no_surface_and_reach_nearly_all_of_them():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_scan_table_gives_the_depths_of_traced_rays(kind):
-    """Nearly all depths to half a cell; fewer in noise, where surfaces are a cell large. Twice the shares seen."""
+    """Nearly all depths agree to half a cell, fewer in noise fields, whose surfaces are a cell large."""
     n = 4096
     for seed in range(2):
         m, field, _ = plane_of(kind, seed)
@@ -165,8 +164,8 @@ def test_the_scan_table_gives_the_depths_of_traced_rays(kind):
         assert np.median(off) < 1e-3, seed
 
 
-def test_a_ray_beside_the_field_and_along_it_ends():
-    """Its last sample is at minus infinity, from where float32 cannot count."""
+def test_a_ray_outside_and_parallel_to_the_field_ends():
+    """Its last sample is at minus infinity, which float32 cannot count from."""
     _, field, _ = plane_of("distance", 0)
     outside = (jnp.array([float(field.origin[0]) - 5.0]), jnp.array([float(field.origin[1]) - 5.0]))
     along = (jnp.array([1.0]), jnp.array([0.0]))
@@ -187,7 +186,7 @@ def test_clearance_is_the_distance_to_what_stands_in_the_robots_height():
 
 
 def test_a_disc_slides_along_a_wall_without_friction():
-    """Pushed at 45 degrees into the wall y = 3: the part along it is driven, the rest is not."""
+    """Pushed at 45 degrees into the wall y = 3, the disc moves by the component along the wall."""
     collision_map = CollisionMap.of([room()], 0.5, "blocked")
     x, y = jnp.array([1.0, 1.0]), jnp.array([2.88, 1.0])
     push = 0.1 * jnp.ones(2)

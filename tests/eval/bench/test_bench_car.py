@@ -1,4 +1,4 @@
-"""``bench car``: the size of its plan, its sealed room, its bicycle, and the whole of it once."""
+"""Test ``bench car``: the size of its plan, its sealed room, its bicycle, and the whole benchmark once."""
 
 import importlib.util
 import json
@@ -56,7 +56,7 @@ def test_without_errors_the_bicycle_drives_its_arc(monkeypatch, control):
     np.testing.assert_allclose(driven, np.asarray(exact), atol=1e-6)
 
 
-def test_an_arena_without_room_is_said_before_anything_is_measured(tmp_path):
+def test_an_arena_without_room_is_refused_before_anything_is_measured(tmp_path):
     save_scene(yard(0.6, 0.6), tmp_path / "yard.json")
     with pytest.raises(InputError, match="room for a car"):
         bench_car.measure(scene=str(tmp_path / "yard.json"), steps=1, seed=0)

@@ -1,4 +1,4 @@
-"""``bench slam``: what it reports, with and without Open3D, on a short recording of a small apartment."""
+"""Test the results of ``bench slam``, with and without Open3D, on a short recording of a small apartment."""
 
 import importlib
 import os
@@ -31,12 +31,12 @@ def sequence(tmp_path_factory):
 
 @pytest.fixture
 def no_open3d(tmp_path, monkeypatch):
-    """A package of that name that cannot be imported, found before any other by the process of its own."""
+    """Put a package ``open3d`` that cannot be imported first on the path of the process."""
     (tmp_path / "open3d.py").write_text("raise ImportError('no such library')")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *filter(None, sys.path)]))
 
 
-def test_without_open3d_ours_is_reported_and_the_reason_said(sequence, no_open3d):
+def test_without_open3d_ours_is_reported_with_the_reason(sequence, no_open3d):
     heard = []
     result = bench_slam.compare(sequence, trials=2, on_progress=lambda *event: heard.append(event))
     (row,) = result["rows"]
@@ -55,7 +55,7 @@ def test_without_open3d_ours_is_reported_and_the_reason_said(sequence, no_open3d
 
 
 def test_open3d_follows_a_slow_camera(sequence):
-    """The reference is run as its authors do: over a short clean walk it holds track, in the same frame as ours."""
+    """Run as its authors do, the comparison tracks a short noise-free walk in the same frame as ours."""
     try:
         importlib.import_module("open3d")
     except (ImportError, OSError):
@@ -77,7 +77,7 @@ def test_a_recording_that_is_too_small_is_refused(sequence, tmp_path):
 
 
 def test_errors_by_hand(sequence):
-    """A trajectory moved as a whole has none; one frame 30 cm off is astray; without truth there is nothing to say."""
+    """A trajectory moved as a whole has no error; one frame 30 cm off is astray; without truth there is no error."""
     poses = np.linalg.inv(sequence.true_poses()[0]) @ sequence.true_poses()
     clean = bench_slam._errors(sequence, sequence.times, poses)
     assert clean["ate_m"] < 1e-6
@@ -88,8 +88,8 @@ def test_errors_by_hand(sequence):
     assert bench_slam._errors(sequence, sequence.times + 1e6, poses) == nothing
 
 
-def test_a_stage_that_one_run_did_not_need_is_told_of_the_others():
-    """Recovery, say; and its times are those of the frames in which it ran."""
+def test_a_stage_that_one_run_did_not_need_is_reported_of_the_others():
+    """Its times, here of recovery, are those of the frames in which it ran."""
     runs = [{"step": np.array([0.010, 0.012])}, {"step": np.array([0.014]), "recover": np.array([0.002])}]
     row = bench_slam._row("vssm-gym", (160, 120), 0.07, runs, {"ate_m": None})
     assert row["stages_ms"]["step"]["p50"] == pytest.approx(12.0)

@@ -1,4 +1,4 @@
-"""Drives: who is shown the true pose, and which goals count as reached."""
+"""Test drives: which drivers receive the true pose, and which goals count as reached."""
 
 import math
 
@@ -21,7 +21,7 @@ STEPS = 120
 
 
 class Homing:
-    """Drives straight at the goal by the observed pose; stops there, or gives up after ``patience`` steps."""
+    """Drive straight at the goal by the observed pose; stop there, or give up after ``patience`` steps."""
 
     name, needs_pose, needs_map = "homing", True, False
 
@@ -46,7 +46,7 @@ class Homing:
 
 
 class Wandering:
-    """Needs no pose and remembers what it was shown."""
+    """Drive without a pose, and keep all observations."""
 
     name, needs_pose, needs_map = "wandering", False, False
 
@@ -62,7 +62,7 @@ class Wandering:
 
 
 class Rider:
-    """A localizer that remembers what it was shown."""
+    """Localise, and keep all observations."""
 
     def __init__(self):
         self.seen = []

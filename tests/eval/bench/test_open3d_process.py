@@ -1,4 +1,4 @@
-"""Open3D's process, played by stand-ins: one that answers, and ones that die, say nothing, or say nonsense."""
+"""Test the protocol with Open3D's process, on processes that answer, end early, write nothing or write nonsense."""
 
 import sys
 
@@ -45,7 +45,7 @@ def run(command, **keywords):
     return run_open3d(iter(FRAMES), CAMERA, 0.03, 8.0, command=command, **keywords)
 
 
-def test_every_frame_arrives_as_it_is_and_its_answer_comes_back():
+def test_frames_and_answers_pass_unchanged():
     heard = []
     found = run(answering(), on_progress=lambda *event: heard.append(event))
     assert found.version == "0.1"

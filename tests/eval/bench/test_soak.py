@@ -1,4 +1,4 @@
-"""The soak test's own gates: each promise that it checks is broken once."""
+"""Test the gates of the soak test: each property that it checks is violated once."""
 
 from importlib.util import find_spec
 
@@ -18,7 +18,7 @@ def few_worlds(monkeypatch):
     monkeypatch.setattr(module, "PROCEDURAL", APARTMENTS)
 
 
-def test_nothing_is_wrong_with_the_environments():
+def test_the_environments_pass():
     result = soak(steps=STEPS)
     assert len(result["rows"]) == 3 * APARTMENTS + 4 + bool(find_spec("pybullet"))
     assert result["steps"] >= STEPS
@@ -31,16 +31,16 @@ def test_a_robot_beyond_a_wall_is_found(monkeypatch):
     drive = Simulation.drive
 
     def tunnel(self, command):
-        touched = drive(self, command)
+        collided = drive(self, command)
         self.world.data.qpos[0] += 40.0
-        return touched
+        return collided
 
     monkeypatch.setattr(Simulation, "drive", tunnel)
     with pytest.raises(SoakError, match="PointNav"):
         soak(steps=STEPS)
 
 
-def test_a_number_that_is_none_is_found(monkeypatch):
+def test_a_nan_is_found(monkeypatch):
     observe = Simulation.observation
 
     def broken(self):

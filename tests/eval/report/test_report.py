@@ -1,4 +1,4 @@
-"""The report on synthetic rows: failures first, every number from the rows, self-contained, written whole."""
+"""Test the report on synthetic rows: failures first, every number from the rows, one complete file."""
 
 import json
 import re
@@ -33,7 +33,7 @@ CONFIG = {
 
 
 def episode(agent, task, success, failure=None):
-    """A run along y = 0.1 task whose estimate drifts sideways."""
+    """Return the row of a run along y = 0.1 task whose estimate drifts sideways."""
     true = np.stack([np.linspace(0.0, 2.0 + 0.1 * task, 12), np.full(12, 0.1 * task)], axis=-1)
     drift = np.linspace(0.0, 0.02 if agent == "astar" else 0.6, 12)
     keeps_estimate = agent != "random"
@@ -75,7 +75,7 @@ def episode(agent, task, success, failure=None):
 
 
 def box_map():
-    """A 3 x 2 x 1.6 m map with a wall at x = 2.5 m and a red table whose top is 0.6 m high; x > 2.8 never seen."""
+    """Return a 3 x 2 x 1.6 m map: a wall at x = 2.5 m, a red table 0.6 m high, and nothing observed at x > 2.8."""
     voxel_map = VoxelMap.prior(np.array([0.0, -0.5, -0.2]), 0.1, (32, 24, 24))
     x, y, z = np.meshgrid(
         *(low + 0.1 * np.arange(n) for low, n in zip((0, -0.5, -0.2), voxel_map.shape, strict=True)), indexing="ij"
@@ -110,7 +110,7 @@ def sweep_folder(tmp_path):
 
 
 class Page(HTMLParser):
-    """Headings, link targets and whether tags balance."""
+    """Collect headings and link targets, and check that tags balance."""
 
     def __init__(self, text):
         super().__init__()
@@ -160,7 +160,7 @@ def test_the_same_rows_give_the_same_page_in_any_order(sweep_folder):
     assert write_report(sweep_folder).read_bytes() == first
 
 
-def test_an_unfinished_sweep_says_so(sweep_folder):
+def test_the_page_states_that_a_sweep_is_unfinished(sweep_folder):
     log = sweep_folder / "episodes.jsonl"
     log.write_text("".join(line + "\n" for line in log.read_text().splitlines()[:30]))
     assert "30 of 60" in (text := write_report(sweep_folder).read_text())
@@ -187,7 +187,7 @@ def test_a_folder_that_is_no_sweep_is_refused(tmp_path):
         write_report(tmp_path)
 
 
-def test_failures_that_are_rare_are_drawn_first():
+def test_rare_failures_are_drawn_first():
     rows = [episode("random", t, False, "time out") for t in range(20)]
     rows += [episode("astar", t, t > 1, None if t > 1 else "lost track") for t in range(20)]
     chosen = figures.choose_failures(rows, limit=5, each=4)
@@ -220,7 +220,7 @@ def test_the_map_from_above_shows_walls_dark_tables_in_colour_and_the_unknown_gr
 
 @pytest.mark.parametrize("folder", BASELINES, ids=lambda path: path.name)
 def test_committed_rows_have_a_report(folder, tmp_path):
-    """They were kept without traces, latencies and maps: the page leaves these out."""
+    """The committed rows have no traces, latencies and maps; the page leaves these out."""
     before = sorted(path.name for path in folder.iterdir())
     path = write_report(folder, out=tmp_path / "page.html")
     assert path == tmp_path / "page.html"
@@ -235,7 +235,7 @@ def test_committed_rows_have_a_report(folder, tmp_path):
     assert "nan" not in page.text.lower().split()
 
 
-def test_a_report_goes_where_it_is_told_or_nowhere(sweep_folder, tmp_path_factory):
+def test_a_report_is_written_to_the_given_path_or_not_at_all(sweep_folder, tmp_path_factory):
     with pytest.raises(InputError, match="folder: expected a folder that exists"):
         write_report(sweep_folder, out=sweep_folder / "none" / "page.html")
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "page.html"

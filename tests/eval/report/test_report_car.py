@@ -1,4 +1,4 @@
-"""The report of the car: its measures, both simulators side by side, footprints, slices of the cost-to-go."""
+"""Test the report of the car: metrics, both simulators side by side, footprints, slices of the cost-to-go."""
 
 import json
 import re
@@ -32,7 +32,7 @@ CONFIG = {
 
 
 def episode(agent, physics, task, success=True, collisions=0, **more):
-    """A straight run of 1.5 m along y = 0.1 task, 10 cm a second slower in bullet."""
+    """Return the row of a straight run of 1.5 m along y = 0.1 task, slower by 10 cm/s in PyBullet."""
     poses = np.stack([np.linspace(0.2, 1.7, 40), np.full(40, 0.1 * task), np.zeros(40)], axis=-1)
     true = poses[:, :2].round(3).tolist()
     return {
@@ -113,7 +113,7 @@ def test_the_page_opens_with_reached_and_collided_and_shows_collisions_first(swe
     assert "Sim to sim" in page.headings
     assert "Cost-to-go" not in page.headings  # without a map there is none
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", text)
-    assert captions[0].startswith("vi_mpc · arena · bullet · low · task 3")  # reached, but not without a touch
+    assert captions[0].startswith("vi_mpc · arena · bullet · low · task 3")  # reached, with a collision
     assert "collision events 2" in captions[0]
     counts = next(table for table in text.split("<table>") if "<th>failed</th>" in table)
     counts = [line for line in cells(counts) if line[2:4] == ["bullet", "vi_mpc"]]
@@ -140,7 +140,7 @@ def test_rows_without_poses_are_drawn_without_footprints(sweep_folder):
     assert "Sim to sim" not in text  # one simulator alone
 
 
-def test_what_only_arrivals_have_is_left_out_of_the_others():
+def test_metrics_of_arrivals_leave_out_other_runs():
     there, not_there = (measured(episode("dwa", "mujoco", 0, success=s)) for s in (True, False))
     assert (there["seconds_driven"], there["path_ratio"]) == (6.0, pytest.approx(1.25))
     assert there["control_p95_ms"] == pytest.approx(50.0)
@@ -160,7 +160,7 @@ def test_simulators_stand_side_by_side_with_their_paired_difference():
     assert car_tables.simulators([row for row in rows if row["physics"] == "mujoco"], 0) is None
 
 
-def test_footprints_are_drawn_every_so_many_metres_of_way_there_and_back():
+def test_footprints_are_spaced_by_path_length_forwards_and_backwards():
     x = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)])
     chosen = car_figures.apart(np.stack([x, 0.0 * x, 0.0 * x], axis=-1), 0.3)
     np.testing.assert_allclose(x[chosen], [0.0, 0.3, 0.6, 0.9, 0.8, 0.5, 0.2, 0.0], atol=1e-9)
@@ -189,7 +189,7 @@ def test_an_estimate_that_is_the_truth_is_not_drawn(monkeypatch):
 
 @pytest.fixture(scope="module")
 def corridor():
-    """A walled room of 2.4 x 1.2 m, and the critic of it."""
+    """Return a walled room of 2.4 x 1.2 m and its cost-to-go."""
     occupied = np.ones((68, 34), bool)
     occupied[1:-1, 1:-1] = False
     arena = Arena.from_occupied(occupied, np.zeros(2), 0.035)
@@ -217,7 +217,7 @@ def test_slices_show_the_least_over_headings_and_what_is_blocked(corridor, monke
     assert not np.isfinite(opposite[5, 17])  # the front would be in the wall
 
 
-def test_a_target_without_a_way_is_told_of_instead_of_drawn(corridor, monkeypatch):
+def test_an_unreachable_target_is_named_instead_of_drawn(corridor, monkeypatch):
     arena, _ = corridor
     monkeypatch.setattr(value_figures, "arena_from_map", lambda *_: arena)
     image, caption = value_figures.ValuePainter(box_map()).paint(

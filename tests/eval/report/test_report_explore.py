@@ -1,4 +1,4 @@
-"""The report of explorers: the path length of each agent, where the first agent is not the best, curves, runs, maps."""
+"""Test the report of explorers: path lengths, scenes where the first agent is not the best, curves, runs, maps."""
 
 import json
 import re
@@ -33,13 +33,13 @@ CONFIG = {
     "voxel": 0.05,
     "explore": {"steps": 500, "navigation": 2},
 }
-WAYS = {"oak": (10.0, 20.0, 14.0), "elm": (12.0, 11.0, 16.0)}  # of the first three agents
+PATH_LENGTHS = {"oak": (10.0, 20.0, 14.0), "elm": (12.0, 11.0, 16.0)}  # of the first three agents
 
 
 def rows_of_a_sweep():
-    """The random walk never gets there in elm; there frontier_nearest is best; mi_explorer collides once."""
+    """Return rows in which random_walk never reaches the level in elm, and mi_explorer collides once."""
     rows = []
-    for scene, metres in WAYS.items():
+    for scene, metres in PATH_LENGTHS.items():
         for task in CONFIG["tasks"]:
             start = {"scene": scene, "task": task}
             for agent, driven in zip(AGENTS, metres, strict=False):
@@ -72,13 +72,13 @@ def page(sweep_folder):
 
 
 def table(text, heading):
-    """Lines of the first table with a column of this heading, each as a mapping of headings."""
+    """Return the lines of the first table with a column of this heading, each as a mapping of headings."""
     found = next(part for part in text.split("<table>")[1:] if f">{heading}<" in part)
     header, *lines = cells(found[: found.index("</table>")])
     return [dict(zip(header, line, strict=True)) for line in lines]
 
 
-def test_the_page_opens_with_ways_and_their_ratios_over_all_scenes(page):
+def test_the_page_opens_with_path_lengths_and_their_ratios_over_all_scenes(page):
     shown = Page(page)
     assert shown.open == []
     assert all(link.startswith("data:") for link in shown.links)
@@ -100,7 +100,7 @@ def test_the_page_opens_with_ways_and_their_ratios_over_all_scenes(page):
     assert "censored" in shown.text
 
 
-def test_it_says_where_the_first_agent_is_not_the_best(page):
+def test_scenes_where_the_first_agent_is_not_the_best_are_named(page):
     for claim in ("the path", "the simulated time, without computing time,"):
         assert re.search(f"of {claim} of the frontier baseline that is best in it, frontier_(nearest|gain)", page)
     assert "s to 90 %" in page
@@ -150,8 +150,8 @@ def test_the_claim_needs_its_mean_and_its_interval(mean, spread, verdict):
     assert text.count("A mean of at most") == 1
 
 
-def test_what_nobody_knows_is_said_and_does_not_count_as_a_lead():
-    """Time was out for the other: of four pairs one is known at 10 m, none at 20 and 40 m."""
+def test_pairs_without_a_known_order_are_counted_and_are_no_lead():
+    """The other agent ran out of time: of four pairs one is known at 10 m, none at 20 and 40 m."""
     rows = [run("mi_explorer", 30.0, task=task) for task in range(4)]
     rows += [run("frontier_gain", 60.0, ends=12.0 if task == 0 else 8.0, stopped=False, task=task) for task in range(4)]
     assert "show whose entropy is lower in: oak (frontier_gain at 10, 20, 40 m).</p>" in headline(rows)
@@ -207,7 +207,7 @@ def test_agents_without_a_map_have_no_entropy_and_no_mesh():
     assert explore_figures.curves(rows, 0).startswith(b"<?xml")
 
 
-def test_the_console_says_what_suits_explorers(sweep_folder, capsys):
+def test_the_console_shows_metrics_of_explorers(sweep_folder, capsys):
     print_results(sweep_folder / "episodes.jsonl")
     said = capsys.readouterr().out
     assert "m to 90 %" in said
@@ -215,7 +215,7 @@ def test_the_console_says_what_suits_explorers(sweep_folder, capsys):
     assert re.search(r"random_walk +4 +never +0\.0", said)
 
 
-def test_the_console_says_what_suits_cars(tmp_path, capsys):
+def test_the_console_shows_metrics_of_cars(tmp_path, capsys):
     (tmp_path / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows_of_cars()))
     print_results(tmp_path / "episodes.jsonl")
     said = capsys.readouterr().out
@@ -225,7 +225,7 @@ def test_the_console_says_what_suits_cars(tmp_path, capsys):
     assert re.search(r"dwa +8 +75\.0 \[", said)
 
 
-def test_ways_are_written_with_never_where_a_bound_is():
+def test_an_infinite_bound_is_written_as_never():
     assert explore_tables.median_text(Interval(20.0, 15.0, np.inf, 3, 9)) == "20.0 [15.0, never]"
     assert explore_tables.median_text(Interval(np.inf, np.nan, np.nan, 1, 1)) == "never [-]"
     assert explore_tables.median_text(Interval(np.nan, np.nan, np.nan, 0, 0)) == "-"

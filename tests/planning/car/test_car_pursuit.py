@@ -1,11 +1,11 @@
-"""PursuitCommand a drive: exact on arcs, stable off them, through cusps in order, to the goal's heading."""
+"""Test the pursuit of a drive: exact on arcs, stable off them, through cusps in order, to the goal's heading."""
 
 import math
 
 import numpy as np
 import pytest
 
-from tests.helpers.car_worlds import CAR, DEAD_END, PARKED, PARKING, levels, move, occupied, solid, touched
+from tests.helpers.car_worlds import CAR, DEAD_END, PARKED, PARKING, collides, levels, move, occupied, solid
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import reeds_shepp
@@ -87,7 +87,7 @@ def test_a_displaced_car_comes_back(gear, side):
 
 
 def test_on_an_arc_the_steering_is_that_of_the_arc():
-    """...however short the way to the aim: pursuit alone would steer less."""
+    """This holds for every look-ahead distance; pursuit alone would steer less."""
     drive = drive_of([1.5], [1], step=0.01)
     pose = drive.poses[40]
     control = drive.follow(pose, drive.along[40], CAR).control
@@ -108,8 +108,8 @@ def test_it_slows_before_a_cusp_and_before_the_goal():
     assert np.all(speed[progress >= 1.0] < 0.0)
 
 
-def test_a_drive_over_its_own_track_is_driven_whole():
-    """There and back again, twice: the nearest place alone would not tell the pieces apart."""
+def test_a_drive_over_its_own_track_is_driven_completely():
+    """It drives forwards and backwards twice, so that the nearest point does not identify the segment."""
     drive = drive_of([0.6, -0.6, 0.6, -0.6], [0, 0, 0, 0])
     poses, steps = run(drive, START)
     along = (poses - START)[:, :2] @ [math.cos(START[2]), math.sin(START[2])]
@@ -119,7 +119,7 @@ def test_a_drive_over_its_own_track_is_driven_whole():
     assert abs(along[-1]) < 0.03
 
 
-def test_how_far_it_has_strayed_is_reported():
+def test_the_distance_from_the_drive_is_reported():
     drive = drive_of([2.0], [0])
     away = START + np.array([0.0, 0.5, 0.0])
     assert drive.follow(away, 0.0, CAR).deviation > 0.4
@@ -133,13 +133,13 @@ def test_how_far_it_has_strayed_is_reported():
         (occupied(3.0, 2.0, (1.3, 0.0, 1.6, 1.3)), np.array([0.6, 0.4, 1.57]), np.array([2.4, 0.4, 1.57])),
     ],
 )
-def test_plans_of_hybrid_astar_are_driven_without_touching(grid, start, goal):
+def test_plans_of_hybrid_astar_are_driven_without_collision(grid, start, goal):
     result = plan(start, goal, levels(grid), CAR)
     poses, steps = run(CarPath(result.poses, result.gears), start)
     assert steps[-1].done
     assert math.hypot(*(poses[-1] - goal)[:2]) < 0.05
     assert abs(wrap_angle(poses[-1, 2] - np.array(goal[2]))) < math.radians(15.0)
-    assert not touched(solid(grid), poses).any()
+    assert not collides(solid(grid), poses).any()
 
 
 def test_at_the_goal_already():

@@ -1,4 +1,4 @@
-"""The car's critic: what it refuses, and what a start that the map calls occupied changes about that."""
+"""Test the car's critic: refused goals, and starts that are occupied in the map."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ FREE, POST = np.array([0.8, 0.8, 0.0]), shapely.box(0.8, 0.78, 0.84, 0.82)
 
 
 def arena(*solids: shapely.Geometry) -> Arena:
-    """A room of 4 x 1.6 m with ``solids`` in it."""
+    """Return a room of 4 x 1.6 m with ``solids`` in it."""
     room = shapely.box(0.0, 0.0, 4.0, 1.6)
     solid = shapely.union_all([room.buffer(0.2) - room, *solids])
     x, y = np.meshgrid(np.arange(-0.1, 4.1, CELL), np.arange(-0.1, 1.7, CELL), indexing="ij")
@@ -26,7 +26,7 @@ def arena(*solids: shapely.Geometry) -> Arena:
 
 
 @pytest.mark.parametrize("under", [(), (POST,)], ids=["free start", "a post under the car"])
-def test_a_goal_behind_a_wall_is_refused_wherever_the_car_stands(under):
+def test_a_goal_behind_a_wall_is_refused_from_every_start(under):
     wall = shapely.box(2.0, 0.0, 2.05, 1.6)
     result = Critic(arena(wall, *under), CAR).aim(FREE, GOAL)
     assert result.status is ValueStatus.UNREACHABLE

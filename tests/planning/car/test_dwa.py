@@ -1,4 +1,4 @@
-"""The dynamic window: what it may command, what it never touches, where it arrives and where it is known not to."""
+"""Test the dynamic window: admissible commands, no collision, goals that it reaches, and one that it does not."""
 
 import itertools
 import math
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers.car_worlds import CAR, DEAD_END, SEALED, levels, move, occupied, solid, touched
+from tests.helpers.car_worlds import CAR, DEAD_END, SEALED, collides, levels, move, occupied, solid
 from vssm_gym.errors import InputError
 from vssm_gym.planning.car.dwa import ACCELERATION, STEERING_RATE, DwaState, DwaStatus, DynamicWindow
 from vssm_gym.planning.car.footprint_levels import COLLIDING
@@ -38,11 +38,11 @@ CASES = [
 
 
 @pytest.mark.parametrize(("grid", "start", "goal"), CASES)
-def test_it_arrives_without_touching(grid, start, goal):
+def test_it_arrives_without_collision(grid, start, goal):
     poses, states = run(grid, start, goal)
     assert states[-1].status is DwaStatus.ARRIVED
     assert math.hypot(*(poses[-1, :2] - goal)) <= 0.05
-    assert not touched(solid(grid), poses).any()
+    assert not collides(solid(grid), poses).any()
 
 
 @pytest.mark.parametrize(("grid", "start", "goal"), CASES)
@@ -56,7 +56,7 @@ def test_commands_are_in_the_window(grid, start, goal):
 
 
 def test_it_can_stop_before_what_is_ahead():
-    """At any moment of a drive at a wall, braking at twice what it plans with stops the car short of touching."""
+    """At every step towards a wall, braking at twice the planned deceleration stops the car before a collision."""
     grid = occupied(3.0, 1.0)
     controller = DynamicWindow(levels(grid), CAR, np.array([2.6, 0.5]))
     state, planar = replace(controller.init(), control=np.array([0.6, 0.0])), np.array([0.4, 0.5, 0.0])
@@ -66,11 +66,11 @@ def test_it_can_stop_before_what_is_ahead():
             break
         planar = move(planar, state.control)
         stopped = planar + np.array([state.control[0] ** 2 / (2.0 * 1.2), 0.0, 0.0])
-        assert not touched(solid(grid), stopped[None]).any()
+        assert not collides(solid(grid), stopped[None]).any()
     assert planar[0] > 2.0  # it went there
 
 
-def test_a_goal_that_no_way_leads_to_is_refused_at_once():
+def test_an_unreachable_goal_is_refused_at_once():
     state = DynamicWindow(levels(SEALED), CAR, np.array([2.5, 1.0])).step(
         DwaState(np.zeros(2)), np.array([0.5, 0.5, 0.0])
     )
@@ -78,8 +78,8 @@ def test_a_goal_that_no_way_leads_to_is_refused_at_once():
     np.testing.assert_array_equal(state.control, 0.0)
 
 
-def test_boxed_in_it_stands():
-    """A box hardly longer than the car: nothing is admissible in either gear, and it says so."""
+def test_a_boxed_in_car_stands_still():
+    """In a box hardly longer than the car no command is admissible in either gear, and the status reports it."""
     grid = occupied(0.5, 0.45)
     state = DynamicWindow(levels(grid), CAR, np.array([0.25, 0.22])).step(
         DwaState(np.zeros(2)), np.array([0.12, 0.22, 0.0])
@@ -88,16 +88,16 @@ def test_boxed_in_it_stands():
     np.testing.assert_array_equal(state.control, 0.0)
 
 
-def test_where_no_arc_makes_progress_it_backs_up():
-    """Nose at a wall, the goal behind the wall: the first thing to do is to leave."""
+def test_without_progress_it_backs_up():
+    """A car that faces a wall, with its goal behind it, first drives backwards."""
     grid = occupied(3.0, 3.0, (1.4, 0.6, 1.5, 2.4))
     start, goal = np.array([1.0, 1.5, 0.0]), np.array([2.2, 1.5])
     poses, states = run(grid, start, goal)
     assert states[1].control[0] < 0.0
-    assert not touched(solid(grid), poses).any()
+    assert not collides(solid(grid), poses).any()
 
 
-def test_from_a_pose_in_touch_it_leaves_and_does_not_go_deeper():
+def test_from_a_pose_in_collision_it_leaves_without_going_deeper():
     grid = occupied(3.0, 2.0)
     start, table = np.array([1.0, 0.125, 0.3]), levels(grid)
     assert table.at(start) == COLLIDING
@@ -106,8 +106,8 @@ def test_from_a_pose_in_touch_it_leaves_and_does_not_go_deeper():
     assert (level[8:] < COLLIDING).all()
 
 
-def test_its_known_weakness_beside_the_goal():
-    """A goal square to the car and too near to turn to, between two walls: a plan gets there, one arc does not."""
+def test_it_cannot_reach_a_goal_that_one_arc_does_not_reach():
+    """A goal at a right angle, too near to turn to, between two walls: a plan reaches it, one arc does not."""
     grid = occupied(3.0, 0.75)
     start, goal = np.array([1.4, 0.22, 0.0]), np.array([1.4, 0.5])
     _, states = run(grid, start, goal, steps=20)

@@ -1,4 +1,4 @@
-"""The footprint against polygons: collisions of grids are exact, discs cover, and unknown space is treated as asked."""
+"""Test the footprint against polygons: exact collisions on grids, covering discs, treatments of unknown space."""
 
 import hypothesis.strategies as st
 import numpy as np
@@ -22,12 +22,12 @@ CAR = Car()
 
 
 def rectangle(planar: np.ndarray, margin: float = 0.0) -> shapely.Polygon:
-    """The footprint of one pose, grown by ``margin`` on its four sides and not rounded."""
+    """Return the footprint of one pose, grown by ``margin`` on its four sides and not rounded."""
     return shapely.Polygon(CAR.corners(planar)).buffer(margin, join_style="mitre")
 
 
 def squares(occupied: np.ndarray, resolution: float) -> shapely.Geometry:
-    """Occupied cells, and all that lies beyond the grid."""
+    """Return the occupied cells and everything beyond the grid."""
     at = resolution * np.argwhere(occupied)
     half = 0.5 * resolution
     cells = shapely.box(*(at - half).T, *(at + half).T)
@@ -51,8 +51,8 @@ def test_collisions_are_those_of_the_polygons(occupied, resolution, margin, head
     assert not found[overlap < 1e-12].any()
 
 
-def test_touching_is_no_collision():
-    """Cells of 1 cm: half a width of 9.5 cm is nine cells and a half, so sides meet borders of cells exactly."""
+def test_contact_without_overlap_is_no_collision():
+    """With cells of 1 cm half the width is 9.5 cells, so that sides coincide with borders of cells."""
     occupied = np.zeros((91, 61), bool)
     occupied[:, 20] = True
     free = ~rectangle_collisions(occupied, 0.01, CAR, heading_grid(4))[30, :, 0]
@@ -69,7 +69,7 @@ def test_several_poses_are_their_union():
 
 @pytest.fixture(scope="module")
 def half_seen_room():
-    """A room of 2 x 1.4 m with a box; beyond x = 1.4 m nothing was observed."""
+    """Return a room of 2 x 1.4 m with a box; nothing is observed beyond x = 1.4 m."""
     box = shapely.box(0.5, 0.5, 0.7, 0.8)
     return voxel_map(shapely.box(0.0, 0.0, 2.0, 1.4), [(box, 0.0, 0.3)], observed=lambda x, y, z: x < 1.4)
 

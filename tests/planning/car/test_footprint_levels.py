@@ -1,4 +1,4 @@
-"""Levels promise something about every pose, not only about cell centres: checked against exact rectangles."""
+"""Test that levels hold for every pose of a bin, not only at cell centres, against exact rectangles."""
 
 import math
 
@@ -7,31 +7,31 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from tests.helpers.car_worlds import CAR, PARKING, RESOLUTION, levels, solid, touched
+from tests.helpers.car_worlds import CAR, PARKING, RESOLUTION, collides, levels, solid
 from vssm_gym.errors import InputError
 from vssm_gym.planning.car.footprint_levels import COLLIDING, FREE, TIGHT
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 
 
-def test_no_pose_below_touching_touches():
-    """...wherever it lies in its bin; and what touches in level 2 does so within a bin's reach."""
+def test_no_pose_below_the_colliding_level_collides():
+    """This holds anywhere in a bin; a pose with level COLLIDING collides within the size of a bin."""
     rng = np.random.default_rng(0)
     poses = rng.uniform([0.0, 0.0, -7.0], [2.4, 1.6, 7.0], (5_000, 3))
     table, shape = levels(PARKING), solid(PARKING)
-    level, touching = table.at(poses), touched(shape, poses)
+    level, touching = table.at(poses), collides(shape, poses)
     assert not touching[level < COLLIDING].any()
-    needless = ~touched(shape.buffer(RESOLUTION + CAR.length * math.pi / 36), poses) & (level == COLLIDING)
+    needless = ~collides(shape.buffer(RESOLUTION + CAR.length * math.pi / 36), poses) & (level == COLLIDING)
     assert not needless.any()
     assert {FREE, TIGHT, COLLIDING} == set(np.unique(level))
 
 
-def test_beyond_the_grid_everything_is_touched():
+def test_every_pose_beyond_the_grid_collides():
     assert levels(PARKING).at(np.array([[-3.0, 0.5, 0.0], [0.5, 9.0, 1.0]])).tolist() == [COLLIDING, COLLIDING]
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_goal_distance_is_that_of_a_graph(seed):
-    """Dijkstra of scipy on the graph of 16 neighbours, with the goal as one more node."""
+    """The oracle is scipy's Dijkstra on the graph of 16 neighbours, with the goal as one more node."""
     rng = np.random.default_rng(seed)
     free = rng.random((14, 11)) > 0.35
     gx, gy = rng.uniform(1.0, 9.0, 2)

@@ -1,4 +1,4 @@
-"""Hybrid A*: its plans can be driven, touch nothing and are short; what cannot be reached says so."""
+"""Test hybrid A*: plans are drivable, collision-free and short, and unreachable goals are reported."""
 
 import dataclasses
 import math
@@ -21,7 +21,7 @@ LENGTH_ALONE = Costs(0.0, 0.0, 0.0, 0.0)
 
 
 def check_drivable(result: CarPlan, grid: np.ndarray, start: np.ndarray, goal: np.ndarray) -> None:
-    """From start to goal over arcs that the steering allows, in the gears it says, with the true outline clear."""
+    """Assert that a plan reaches the goal over feasible arcs, in its gears, without collision of the exact outline."""
     assert result.found, result.status
     poses, gears = result.poses, result.gears
     np.testing.assert_allclose(poses[0, :2], start[:2])
@@ -72,7 +72,7 @@ def test_hand_made_places(grid, start, goal, cusps):
     assert result.cost >= bound - 1e-9
 
 
-def test_out_of_a_corridor_too_narrow_to_turn_in_the_car_backs():
+def test_the_car_backs_out_of_a_narrow_corridor():
     result = plan(np.array([0.5, 1.0, math.pi]), np.array([2.6, 0.3]), levels(DEAD_END), CAR)
     inside = (result.poses[:, 0] < 1.8) & (result.poses[:, 1] > 0.8)
     assert np.all(result.gears[inside] == -1)
@@ -87,8 +87,8 @@ def test_a_sealed_goal_is_refused_at_once(goal):
     assert result.cost == math.inf
 
 
-def test_a_place_that_only_a_narrower_car_could_enter_is_searched_and_refused():
-    """The axle fits into the niche, the car does not come in: nothing but the search can tell."""
+def test_a_niche_too_narrow_for_the_car_is_searched_and_refused():
+    """The axle fits into the niche, but the car cannot drive in, which only the search finds out."""
     grid = occupied(1.6, 1.2, (0.95, 0.0, 1.0, 0.45), (0.95, 0.7, 1.0, 1.2))
     result = plan(np.array([0.4, 0.6, 0.0]), np.array([1.3, 0.6, 1.57]), levels(grid), CAR)
     assert result.status is PlanStatus.NO_PATH
@@ -100,7 +100,7 @@ def test_a_goal_inside_an_obstacle_is_refused(goal):
     assert plan(np.array([1.2, 1.0, 0.0]), goal, levels(PARKING), CAR).status is PlanStatus.GOAL_BLOCKED
 
 
-def test_a_start_in_touch_with_a_wall_leaves_it():
+def test_a_start_in_contact_with_a_wall_leaves_it():
     start, goal = np.array([0.5, 0.42, 0.0]), np.array([1.8, 1.2, 0.0])
     table = levels(PARKING)
     assert table.at(start) == COLLIDING
@@ -136,7 +136,7 @@ def test_the_same_question_has_the_same_answer():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_finer_search_is_hardly_better(seed):
-    """Cells of half the size and nine steerings: what the resolution costs, measured where obstacles matter."""
+    """Cells of half the size and nine steering angles measure the cost of the resolution among obstacles."""
     rng = np.random.default_rng(seed)
     grid = occupied(3.0, 3.0, *[(x, y, x + 0.3, y + 0.3) for x, y in rng.uniform(0.4, 2.3, (4, 2))])
     table = levels(grid)
@@ -149,7 +149,7 @@ def test_a_finer_search_is_hardly_better(seed):
 
 
 def drive_cost(table: FootprintLevels, result: CarPlan) -> float:
-    """The objective of the module's docstring from poses and gears alone, without the steering."""
+    """Compute the module's objective from poses and gears alone, without the steering."""
     hops = np.hypot(*np.diff(result.path, axis=0).T)
     near = table.at(result.poses[1:]) != FREE
     weight = 1.0 + DEFAULT_COSTS.reverse * (result.gears[1:] < 0) + DEFAULT_COSTS.tight * near
@@ -175,8 +175,8 @@ def test_bad_input_is_named(options, field):
         plan(obstacles=OPEN, car=CAR, **({"start": np.array([3.0, 3.0, 0.0]), "goal": np.array([4.0, 4.0])} | options))
 
 
-def test_a_drive_reads_as_a_plan_does():
-    """Reports print of a drive what they print of a path."""
+def test_a_drive_has_the_fields_of_a_plan():
+    """Reports print the same fields of a drive and of a path."""
     result = plan(np.array([1.0, 1.0, 0.0]), np.array([2.0, 1.5]), OPEN, CAR)
     for field in (*(field.name for field in dataclasses.fields(PlanResult)), "found"):
         assert hasattr(result, field)

@@ -1,4 +1,4 @@
-"""The three controllers on problems whose solution is known, and what all of them promise."""
+"""Test the three controllers on problems with known solutions, and the contract of all of them."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ each = pytest.mark.parametrize("solver", list(SOLVERS.values()), ids=list(SOLVER
 
 
 def best(solver, state, value, clearance, calls: int = 6):
-    """The cheapest plan of a few calls, each with its own random numbers."""
+    """Return the cheapest plan of a few calls, each with its own random numbers."""
     results, warm = [], None
     for _ in range(calls):
         warm = solver.plan(np.array(state, float), value, clearance, warm, np.zeros(2))
@@ -37,7 +37,7 @@ def best(solver, state, value, clearance, calls: int = 6):
 
 @each
 def test_in_the_open_it_drives_straight_at_full_speed(solver) -> None:
-    """To a cone: the rate limit first, then the speed limit, no steering."""
+    """With a conical cost-to-go, the rate limit is active first, then the speed limit, without steering."""
     result = best(solver, (0.0, 0.0, 0.0), AHEAD, OPEN)
     assert result.usable
     np.testing.assert_allclose(result.controls[0, 0], PROBLEM.rates[0], atol=0.01)
@@ -55,7 +55,7 @@ def test_backwards_where_the_goal_is_behind(solver) -> None:
 @each
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_to_turn_it_goes_to_full_lock(solver, side: float) -> None:
-    """The cost-to-go knows headings only: every step turns by ``v dt tan(full lock) / wheelbase`` once rates allow."""
+    """With a cost of heading only, every step turns by ``v dt tan(full lock) / wheelbase`` once rates allow."""
     value = worlds.value_of(lambda x, y, h: 5.0 + 3.0 * np.abs(worlds.wrapped(h - 2.5 * side)))
     result = best(solver, (0.0, 0.0, 0.0), value, OPEN)
     turns = np.diff(np.unwrap(result.states[:, 2]))
@@ -65,7 +65,7 @@ def test_to_turn_it_goes_to_full_lock(solver, side: float) -> None:
 
 @each
 def test_it_stops_at_a_wall_at_exactly_the_margin(solver) -> None:
-    """The goal is behind a wall: the constraint is active at the end, and nowhere violated."""
+    """With the goal behind a wall the constraint is active at the end, and nowhere violated."""
     wall = worlds.clearance_of(lambda x, y: WALL - x)
     value = worlds.value_of(lambda x, y, h: (1.9 - x) / worlds.MOTION + 5.0 * np.abs(worlds.wrapped(h)))
     result = best(solver, (-0.2, 0.0, 0.0), value, wall)
@@ -85,7 +85,7 @@ def test_it_stops_at_a_wall_at_exactly_the_margin(solver) -> None:
     ],
     ids=["ahead", "aside", "under a wall"],
 )
-def test_the_three_agree_where_it_is_easy(state, value, clearance) -> None:
+def test_the_three_controllers_agree_on_an_easy_problem(state, value, clearance) -> None:
     results = {name: best(solver, state, value, clearance) for name, solver in SOLVERS.items()}
     costs = {name: result.cost for name, result in results.items()}
     assert max(costs.values()) - min(costs.values()) < 0.25, costs
@@ -94,7 +94,7 @@ def test_the_three_agree_where_it_is_easy(state, value, clearance) -> None:
 
 
 @each
-def test_a_result_says_what_its_plan_is(solver) -> None:
+def test_a_result_is_consistent_with_its_controls(solver) -> None:
     """States, cost and clearance are those of the controls; controls keep limits and rates."""
     state, clearance = np.array([-0.3, -0.2, 0.8]), worlds.clearance_of(lambda x, y: 0.3 - y)
     result = solver.plan(state, AHEAD, clearance)
@@ -117,7 +117,7 @@ def test_it_is_at_rest_once_it_has_arrived(solver) -> None:
 
 
 @each
-def test_what_cannot_be_stopped_in_time_is_infeasible(solver) -> None:
+def test_a_car_that_cannot_stop_in_time_has_no_feasible_plan(solver) -> None:
     """At full speed 2 cm before the margin: two steps of braking take 3 cm."""
     centres, radius = PROBLEM.discs
     x = WALL - 0.02 - CONFIG.margin - radius - centres[:, 0].max()
@@ -137,7 +137,7 @@ def test_a_start_inside_an_obstacle_is_blocked(solver) -> None:
 
 @each
 def test_below_the_margin_it_may_leave(solver) -> None:
-    """4 mm too close after a noisy step: not stuck, and no plan comes closer still."""
+    """A car 4 mm too close after a noisy step is not stuck, and no plan comes closer."""
     centres, radius = PROBLEM.discs
     state = np.array([WALL - 0.006 - radius - centres[:, 0].max(), 0.0, 0.0])
     behind = worlds.value_of(lambda x, y, h: np.hypot(x + 1.5, y) / worlds.MOTION)
@@ -161,7 +161,7 @@ def test_the_same_question_has_the_same_answer(solver) -> None:
 
 @pytest.mark.slow
 def test_another_seed_draws_other_numbers() -> None:
-    """Few samples where no constant arc is best, so that chance shows."""
+    """Few samples are drawn where no constant arc is best, so that the seed matters."""
     plans = []
     for seed in (0, 1):
         problem = MpcProblem(config=replace(CONFIG, seed=seed))
@@ -189,7 +189,7 @@ def test_nothing_compiles_between_steps_goals_and_maps(solver) -> None:
 
 
 def test_ipopt_starts_where_it_left_off() -> None:
-    """From the pose that its plan leads to, the old multipliers save it most of the way."""
+    """From the next pose of its plan, the old multipliers save most iterations."""
     solver, state, result, iterations = SOLVERS["ipopt"], np.array([-0.3, -0.2, 0.8]), None, []
     clearance = worlds.clearance_of(lambda x, y: 0.3 - y)
     for _ in range(5):

@@ -1,4 +1,4 @@
-"""The controllers in closed loop: value iteration, noise on speed and steering, boxes, targets one after the other."""
+"""Test the controllers in closed loop: value iteration, noise on speed and steering, boxes, a chain of targets."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def obstacles() -> shapely.Geometry:
 
 
 def noisy_step(state: np.ndarray, control: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The arc of the command as this car executes it."""
+    """Return the arc of the command as this car executes it."""
     car, (speed, steering) = PROBLEM.car, control
     s = speed * (1.0 + SPEED_NOISE * rng.standard_normal()) * car.dt
     turn = s * np.tan(steering + STEERING_NOISE * rng.standard_normal()) / car.wheelbase
@@ -46,7 +46,7 @@ def noisy_step(state: np.ndarray, control: np.ndarray, rng: np.random.Generator)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [RandomSearch, Ipopt, Mppi])
-def test_targets_are_reached_without_a_touch(make) -> None:
+def test_targets_are_reached_without_a_collision(make) -> None:
     solid, solver = obstacles(), make(PROBLEM)
     axes = [np.arange(-0.2, n + 0.2, CELL) for n in SIZE]
     x, y = np.meshgrid(*axes, indexing="ij")

@@ -1,4 +1,4 @@
-"""The controllers' objective against an oracle in float64: values, gradients, footprints, rates."""
+"""Test the controllers' objective against an oracle in float64: values, gradients, footprints, rates."""
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ START, LAST = np.array([0.3, -0.2, 2.6]), np.array([0.2, -0.1])
 
 
 def bumpy():
-    """A cost-to-go and a clearance that bend everywhere; a heading near pi, where the table begins anew."""
+    """Return a cost-to-go and a clearance with curvature everywhere; headings are near pi, where the table wraps."""
     value = worlds.value_of(lambda x, y, h: 8.0 + 3.0 * np.sin(2 * x) + 2.0 * np.cos(1.5 * y + x) + 2.0 * np.sin(h - x))
     clearance = worlds.clearance_of(lambda x, y: 0.25 + 0.15 * np.sin(4 * x) * np.cos(3 * y))
     return value, clearance
@@ -67,8 +67,8 @@ def test_the_gradient_of_the_lagrangian_is_that_of_finite_differences(seed: int)
     np.testing.assert_allclose(jax.grad(total)(arrays[-1]), expected, atol=2e-3 * np.abs(expected).max())
 
 
-def test_what_ipopt_sees_is_differentiated_exactly() -> None:
-    """Gradient, Jacobian and Hessian of the NLP against finite differences, in float64, off every solution."""
+def test_ipopts_derivatives_are_exact() -> None:
+    """Gradient, Jacobian and Hessian of the NLP equal finite differences in float64, away from solutions."""
     value, clearance = bumpy()
     values, clearances = ValueTable(value, ipopt.REACH), ClearanceTable(clearance, 1.0)
     solver = ipopt.build(PROBLEM, values, clearances)
@@ -113,8 +113,8 @@ def test_ipopts_splines_are_the_tables_where_those_are_linear() -> None:
     np.testing.assert_allclose(g[:, 5:], clear, atol=1e-5)
 
 
-def test_the_cost_to_go_goes_on_for_two_cells_into_collision_and_no_further() -> None:
-    """A half-space of free poses of cost 3: cell by cell the price of the way, then never; free poses keep theirs."""
+def test_the_cost_to_go_is_continued_for_two_cells_into_collision() -> None:
+    """Beyond a half-space of cost 3, two cells add the cost of driving there; further ones have the limit."""
     never = 1.0 / (1.0 - 0.99)
     value = worlds.value_of(lambda x, y, h: np.where(x < 0.0, 3.0, never))
     table = np.asarray(make_fields(value, worlds.clearance_of(lambda x, y: 1.0), PROBLEM.car).value.values)
@@ -139,7 +139,7 @@ def test_a_rollout_is_the_bicycle_step_by_step(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_controls_are_brought_within_limits_and_rates_and_stay_there(seed: int) -> None:
+def test_controls_are_projected_onto_limits_and_rates(seed: int) -> None:
     rng = np.random.default_rng(seed)
     last = rng.uniform(-1, 1, 2) * PROBLEM.car.limits
     controls = rng.uniform(-3, 3, (8, 2)) * PROBLEM.car.limits

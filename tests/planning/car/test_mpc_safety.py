@@ -1,4 +1,4 @@
-"""Test the car without an answer of its controller: it continues, brakes, backs off, and does nothing worse."""
+"""Test the car without a plan from its controller: it continues, brakes or backs off, and never comes closer."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ NOTHING = np.zeros((0, 2))
 
 
 def wall_ahead(gap: float):
-    """A wall so far before the discs of a car at the origin, m."""
+    """Return the clearance of a wall at a distance (m) before the discs of a car at the origin."""
     return worlds.clearance_of(lambda x, y: gap + FRONT - x)
 
 
@@ -41,7 +41,7 @@ def test_a_usable_plan_is_driven_and_remembered(status: MpcStatus) -> None:
     np.testing.assert_array_equal(memory.came, result.controls[:1])
 
 
-def test_while_answers_are_late_the_last_plan_goes_on_to_its_end_and_then_stops() -> None:
+def test_while_plans_are_late_the_last_one_is_driven_to_its_end() -> None:
     controls = np.stack([np.full(15, 0.5), np.linspace(0.0, 0.14, 15)], axis=-1)
     memory, _ = act(safety.init(np.zeros(2)), answer(MpcStatus.SOLVED, controls), OPEN)
     memory = replace(memory, control=controls[0])
@@ -72,7 +72,7 @@ def test_infeasible_without_a_plan_brakes() -> None:
     np.testing.assert_allclose(action.control, [-0.6 + PROBLEM.rates[0], 0.2], atol=1e-6)
 
 
-def test_inside_an_obstacle_it_goes_back_the_way_it_came_until_it_is_out() -> None:
+def test_inside_an_obstacle_it_backs_off_along_its_path() -> None:
     """Two centimetres into a wall after six steps forward on an arc: it retraces them and forgets them."""
     came = np.tile([0.3, 0.2], (6, 1))
     memory, state, kinds = SafeMemory(np.zeros(2), NOTHING, came), np.zeros(3), []
@@ -88,8 +88,8 @@ def test_inside_an_obstacle_it_goes_back_the_way_it_came_until_it_is_out() -> No
     assert memory.resume is None
 
 
-def test_where_the_way_back_is_shut_it_leaves_by_the_solvers_way() -> None:
-    """Wall behind: what it came by leads deeper, what the solver found leads out."""
+def test_where_the_path_back_is_blocked_it_takes_the_solvers_path() -> None:
+    """With a wall behind, the path it came leads deeper, and the solver's leads out."""
     centres = CENTRES[:, 0]
     behind = worlds.clearance_of(lambda x, y: x - centres.min() + RADIUS - 0.02)
     memory = SafeMemory(np.zeros(2), NOTHING, np.tile([0.3, 0.0], (5, 1)))
@@ -104,7 +104,7 @@ def test_where_the_way_back_is_shut_it_leaves_by_the_solvers_way() -> None:
 @pytest.mark.parametrize("status", [s for s in MpcStatus if not s.usable])
 @pytest.mark.parametrize("gap", [-0.05, -0.01, 0.005, 0.03, 0.5])
 def test_an_action_either_stops_or_leads_no_closer_than_a_plan_may(status: MpcStatus, gap: float) -> None:
-    """From random memories before a wall: the pose after the step, by an oracle."""
+    """An oracle computes the pose after the step, from random memories before a wall."""
     rng, clearance = np.random.default_rng(abs(round(1000 * gap))), wall_ahead(gap)
     oracle = worlds.Oracle(PROBLEM, worlds.value_of(lambda x, y, h: 0.0 * x), clearance)
     stops = 0
@@ -123,12 +123,12 @@ def test_an_action_either_stops_or_leads_no_closer_than_a_plan_may(status: MpcSt
     assert stops < 20 or gap < 0.5
 
 
-def test_every_status_and_action_has_a_sentence() -> None:
+def test_every_status_and_action_has_a_message() -> None:
     assert all(status.message for status in MpcStatus)
     assert all(kind.message for kind in SafeKind)
     assert len({kind.message for kind in SafeKind}) >= 5
 
 
-def test_judging_a_late_answer() -> None:
+def test_a_late_plan_is_not_usable() -> None:
     assert answer(MpcStatus.SOLVED).within_deadline(0.001).status is MpcStatus.LATE
     assert answer(MpcStatus.SOLVED).within_deadline(0.1).status is MpcStatus.SOLVED

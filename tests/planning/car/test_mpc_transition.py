@@ -1,4 +1,4 @@
-"""The controllers take a transition: the car's bicycle by default, and any other of planar poses."""
+"""Test that controllers take any transition of planar poses, by default the car's bicycle."""
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ CONFIG = MpcConfig(horizon=15, deadline=float("inf"), proximity=0.0)
 
 
 class Unicycle(Transition):
-    """A body that turns on the spot; controls (..., 2) = (speed m/s, turn rate in units of ``rate`` rad/s)."""
+    """Move a body that turns in place; controls (..., 2) = (speed m/s, turn rate in units of ``rate`` rad/s)."""
 
     rate: float = 4.0
 
@@ -76,8 +76,8 @@ def test_a_path_is_the_mean_step_by_step(transition):
 
 
 @pytest.mark.parametrize("make", ["random search", "mppi"])
-def test_a_body_that_can_turn_on_the_spot_does(make):
-    """The cost-to-go knows headings only: the plan ends at the best one, further than a car gets so soon."""
+def test_a_body_that_can_turn_in_place_does(make):
+    """With a cost of heading only, the plan ends at the best heading, further than a car turns in that time."""
     problem = MpcProblem(config=CONFIG, transition=Unicycle())
     solver = {
         "random search": lambda: RandomSearch(problem, RandomSearchConfig(candidates=256)),

@@ -1,4 +1,4 @@
-"""Reeds-Shepp against laws, closed cases and an oracle that knows nothing of words: every feasible drive is as long."""
+"""Test Reeds-Shepp paths against laws, closed cases, and feasible drives, none of which is shorter."""
 
 import math
 
@@ -28,7 +28,7 @@ def drive(lengths: np.ndarray, steerings: np.ndarray, radius: float = RADIUS) ->
 
 
 def between(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """The goal in the start's frame, ``(..., 3)``."""
+    """Return the goal in the start's frame, ``(..., 3)``."""
     d, c, s = goal[..., :2] - start[..., :2], np.cos(start[..., 2]), np.sin(start[..., 2])
     return np.stack(
         [c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0], goal[..., 2] - start[..., 2]], axis=-1
@@ -66,7 +66,7 @@ def test_length_is_a_metric(a, b, c):
 
 
 @given(poses)
-def test_flipped_in_time_or_mirrored_a_path_is_as_long(goal):
+def test_length_is_invariant_under_reversal_and_mirroring(goal):
     x, y, a = goal
     variants = np.array([[x, y, a], [-x, y, -a], [x, -y, -a], [-x, -y, a]])
     np.testing.assert_allclose(np.ptp(rs.length(np.zeros(3), variants, RADIUS)), 0.0, atol=1e-9)
@@ -74,7 +74,7 @@ def test_flipped_in_time_or_mirrored_a_path_is_as_long(goal):
 
 @given(poses, poses)
 def test_lower_bounds(start, goal):
-    """Neither shorter than the straight line nor than the turn at full lock; longer where the car may turn less."""
+    """No path is shorter than the line or the turn at full lock; a larger turning radius never shortens it."""
     value = float(rs.length(start, goal, RADIUS))
     turn = abs(float(wrap_angle(np.array(goal[2] - start[2]))))
     assert value >= max(math.hypot(*(goal - start)[:2]), RADIUS * turn) - 1e-9
@@ -94,7 +94,7 @@ SIDES = {"L": 1, "S": 0, "R": -1}
 
 
 def drawn(signs: str, sides: str, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """``count`` drives of one word with random lengths, mirrored and flipped at random."""
+    """Draw ``count`` drives of one word with random lengths, mirrored and reversed at random."""
     lengths = rng.uniform(0.0, HALF_PI * RADIUS, (count, len(sides)))
     if len(sides) == 4 and "S" not in sides:
         lengths[:, 2] = lengths[:, 1]
@@ -115,7 +115,7 @@ CASES = [(kind, word[i], word[i + 1]) for kind, word in WORDS.items() for i in r
 
 @pytest.mark.parametrize(("kind", "signs", "sides"), CASES)
 def test_no_word_with_random_lengths_is_shorter(kind, signs, sides):
-    """...and where a word is the shortest way it is found: for each kind that happens, so none is missing."""
+    """Every word is the shortest one for some drive, and is found there, so that none is missing."""
     lengths, steerings = drawn(signs, sides, 20_000, np.random.default_rng(5))
     excess = np.abs(lengths).sum(axis=1) - rs.length(np.zeros(3), drive(lengths, steerings), RADIUS)
     assert excess.min() > -1e-9
@@ -123,7 +123,7 @@ def test_no_word_with_random_lengths_is_shorter(kind, signs, sides):
 
 
 def test_no_random_drive_is_shorter():
-    """Six segments of any steering up to full lock and any sign."""
+    """Drives have six segments of any steering up to full lock and any sign."""
     rng = np.random.default_rng(3)
     lengths = rng.normal(0.0, 0.6, (100_000, 6))
     curvature = np.clip(rng.uniform(-1.5, 1.5, lengths.shape), -1.0, 1.0)
@@ -209,7 +209,7 @@ def test_samples_lie_on_the_path(start, goal, step):
 
 
 def _middle(points: np.ndarray) -> np.ndarray:
-    """Unit directions halfway between the headings of neighbours."""
+    """Return unit directions halfway between the headings of neighbours."""
     turn = wrap_angle(np.diff(points[:, 2]))
     angle = points[:-1, 2] + 0.5 * turn
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)

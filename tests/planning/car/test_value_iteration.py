@@ -1,4 +1,4 @@
-"""Value iteration against an exact dynamic program, and laws: Bellman, walls, mirrors, sealed rooms, warm starts."""
+"""Test value iteration against an exact dynamic program, and its laws: Bellman, walls, symmetry, warm starts."""
 
 import itertools
 
@@ -39,12 +39,12 @@ def arena_of(occupied: np.ndarray, resolution: float = RESOLUTION) -> Arena:
 
 
 def place(arena: Arena, i: float, j: float) -> np.ndarray:
-    """World position of continuous cell coordinates."""
+    """Return the world position of continuous cell coordinates."""
     return arena.origin + arena.resolution * np.array([i, j])
 
 
 def room(*boxes: tuple[int, int, int, int], shape: tuple[int, int] = SHAPE) -> np.ndarray:
-    """Walls around and boxes ``(ix, jx, iy, jy)``, half-open, inside."""
+    """Return walls with boxes ``(ix, jx, iy, jy)``, half-open, inside."""
     occupied = np.zeros(shape, bool)
     occupied[[0, -1], :] = occupied[:, [0, -1]] = True
     for a, b, c, d in boxes:
@@ -57,7 +57,7 @@ def values(result) -> np.ndarray:
 
 
 def exact(arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray) -> np.ndarray:
-    """The same aggregation written down state by state in float64, and solved by policy iteration.
+    """Solve the same aggregation, built state by state in float64, by policy iteration.
 
     Nothing of the solver is used but the numbers of its definition: arcs from a circle's geometry, collisions by
     polygons, transitions as a sparse matrix a motion.
@@ -128,7 +128,7 @@ def exact(arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray) -> n
 
 @pytest.fixture(scope="module")
 def small_grid() -> PoseGrid:
-    """A room with a wall, a passage and a closed corner."""
+    """Return a room with a wall, a passage and a closed corner."""
     occupied = room((6, 7, 0, 7), (11, 15, 7, 8), (11, 12, 8, 12))
     return PoseGrid.of(arena_of(occupied), SMALL, COARSE)
 
@@ -146,7 +146,7 @@ def test_agrees_with_an_exact_dynamic_program(small_grid):
 
 
 def test_bellman_residual_is_what_is_returned(small_grid):
-    """One more sweep in numpy, from the motions' definition."""
+    """The oracle is one more sweep in numpy, from the motions' definition."""
     result = solve(small_grid, place(small_grid.arena, 3.0, 3.0), radius=0.06)
     grid, V = small_grid, values(result)
     arcs = grid.motions.collisions(grid.arena.occupied, RESOLUTION, 0.0)
@@ -173,7 +173,7 @@ def test_zero_at_the_goal_and_nowhere_else(small_grid):
     assert np.all(V[small_grid.blocked] == NEVER)
 
 
-def test_a_pose_is_asked_with_its_heading(small_grid):
+def test_the_value_depends_on_the_heading(small_grid):
     arena = small_grid.arena
     pose = np.array([*place(arena, 3.0, 3.0), np.pi])
     at_goal = small_grid.goal_poses(pose, 0.06, np.radians(15.0))
@@ -200,7 +200,7 @@ def test_more_obstacles_never_cost_less(seed):
 
 
 def test_mirrored_world_has_mirrored_values(small_grid):
-    """Reflected in the x axis: y to -y, heading to -heading."""
+    """Reflection in the x axis maps y to -y and heading to -heading."""
     arena = small_grid.arena
     mirrored = PoseGrid.of(Arena.from_occupied(arena.occupied[:, ::-1], arena.origin, RESOLUTION), SMALL, COARSE)
     here = solve(small_grid, place(arena, 3.0, 3.0), radius=0.06)
@@ -210,15 +210,15 @@ def test_mirrored_world_has_mirrored_values(small_grid):
     assert np.abs(values(here) - reflected).max() < 0.01
 
 
-def test_backwards_is_forwards_with_the_car_turned_round():
-    """A car whose rear axle is in its middle drives both ways alike."""
+def test_backwards_equals_forwards_with_the_car_reversed():
+    """A car with its rear axle in its middle is symmetric."""
     middle = Car(wheelbase=0.045, track=0.04, length=0.09, width=0.05, rear_overhang=0.045, camera_forward=0.05)
     grid = PoseGrid.of(arena_of(room((6, 7, 0, 7))), middle, COARSE)
     V = values(solve(grid, place(grid.arena, 3, 3), radius=0.06))
     assert np.abs(V - np.roll(V, COARSE.n_headings // 2, axis=2)).max() < 1e-3
 
 
-def test_sealed_room_is_pinned_and_costs_no_sweeps():
+def test_a_sealed_room_has_the_full_cost_and_needs_no_more_sweeps():
     shut, open_ = room((9, 10, 0, 12)), room((9, 10, 0, 5))
     results = {}
     for name, occupied in (("shut", shut), ("open", open_)):
@@ -233,8 +233,8 @@ def test_sealed_room_is_pinned_and_costs_no_sweeps():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.8])
-def test_nothing_leaks_through_a_wall(angle):
-    """A wall one cell thick that shuts off the goal: every pose behind it has the full price, those beside it too."""
+def test_no_value_passes_through_a_wall(angle):
+    """Behind a wall one cell thick that encloses the goal every pose has the full cost, those beside it too."""
     x, y = np.meshgrid(np.arange(24) - 11.5, np.arange(24) - 11.5, indexing="ij")
     along = np.cos(angle) * x + np.sin(angle) * y
     occupied = room(shape=(24, 24)) | (np.abs(along) <= 0.5 * (np.cos(angle) + np.sin(angle)))
@@ -280,7 +280,7 @@ def test_compiles_once_for_all_goals_and_maps(small_grid):
     assert sweeps.iterate._cache_size() == compiled
 
 
-def test_refusals_say_why(small_grid):
+def test_refusals_have_their_reason(small_grid):
     arena = small_grid.arena
     inside_wall, closed, open_ = place(arena, 0, 5), place(arena, 13, 9.5), place(arena, 3, 3)
     refused = {
@@ -296,7 +296,7 @@ def test_refusals_say_why(small_grid):
     assert solve(small_grid, open_, start=np.array([*place(arena, 10, 3), 0.0])).solved
 
 
-def test_too_few_sweeps_are_told():
+def test_too_few_sweeps_are_reported():
     grid = PoseGrid.of(arena_of(room()), SMALL, ValueConfig(n_headings=16, turns=(-1, 0, 1), max_sweeps=4))
     result = solve(grid, place(grid.arena, 3, 3), radius=0.06)
     assert result.status is ValueStatus.NOT_CONVERGED
@@ -305,7 +305,7 @@ def test_too_few_sweeps_are_told():
 
 
 def test_a_post_between_start_and_end_of_an_arc_stops_it():
-    """Both ends are free, the middle is not: a car shorter than its motions must not jump over a post."""
+    """Both ends are free and the middle is not; a car shorter than its motions must not pass through a post."""
     occupied = np.zeros((60, 21), bool)
     occupied[20, 10] = True
     motions = Motions.of(SMALL, 16, (-6, 0, 6))
@@ -346,8 +346,8 @@ def test_query_is_trilinear_and_periodic(x, y, heading):
     assert cost.at(planar).dtype == np.float32
 
 
-def test_query_leaves_out_what_collides():
-    """Next to a pinned pose the value is that of the others; among pinned ones only there is none."""
+def test_query_leaves_out_poses_in_collision():
+    """Next to a pose in collision the value is that of the others; among such poses only there is none."""
     cost = linear_cost()
     pinned = eqx.tree_at(lambda c: c.values, cost, cost.values.at[3:, :, :].set(NEVER))
     planar = np.array([1.0 + 0.5 * 2.75, -1.0 + 0.5 * 1.0, np.pi])  # a quarter of it still open

@@ -1,4 +1,4 @@
-"""Value iteration at its working size, in the built-in arena with a sealed room: sweeps, residual, and policy cost."""
+"""Test value iteration at its working size, in the built-in arena with a sealed room: sweeps, residual, policy cost."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ LONGEST = 250  # motions of a rollout
 
 @pytest.fixture(scope="module")
 def arena() -> Arena:
-    """The scene's boxes at the car's height as cells, and walls that shut off a corner."""
+    """Return the scene's boxes at the car's height as cells, and walls that enclose a corner."""
     solids = [shapely.box(4.2, 3.2, 5.2, 3.25), shapely.box(4.2, 3.2, 4.25, 4.2)]
     for box in load_scene("arena").boxes():
         if box.center[2] - 0.5 * box.size[2] < 0.2 and box.center[2] + 0.5 * box.size[2] > 0.03:
@@ -40,13 +40,13 @@ def arena() -> Arena:
 
 
 def finer(arena: Arena) -> Arena:
-    """The same squares, each cut into four."""
+    """Return the same squares, each divided into four."""
     occupied = np.repeat(np.repeat(arena.occupied, 2, axis=0), 2, axis=1)
     return Arena.from_occupied(occupied, arena.origin - 0.25 * arena.resolution, 0.5 * arena.resolution)
 
 
 def obstacles(arena: Arena) -> shapely.Geometry:
-    """Occupied squares and what lies beyond the grid; shrunk by a micrometre, so that touching is allowed."""
+    """Return occupied squares and the area beyond the grid, shrunk by a micrometre, so that contact is allowed."""
     half = 0.5 * arena.resolution - 1e-6
     at = arena.origin + arena.resolution * np.argwhere(arena.occupied)
     low = arena.origin - 0.5 * arena.resolution
@@ -57,7 +57,7 @@ def obstacles(arena: Arena) -> shapely.Geometry:
 
 
 def policy_cost(cost: CostToGo, motions: Motions, planar: np.ndarray, goal: np.ndarray, solid) -> np.ndarray:
-    """Discounted motions of the greedy policy in the continuous world: the motion with the best value that is free.
+    """Return discounted motions of the greedy policy in the continuous world: the free motion with the best value.
 
     Arcs of a circle from where the car is, collisions by polygons; ``1 / (1 - gamma)`` for those that do not arrive.
     The last motion is never undone: no optimal drive does that, and one that interpolated values send to and fro would.
@@ -101,7 +101,7 @@ def policy_cost(cost: CostToGo, motions: Motions, planar: np.ndarray, goal: np.n
 
 @pytest.fixture(scope="module")
 def grids(arena) -> tuple[PoseGrid, PoseGrid]:
-    """At the working resolution and at twice that in x, y and heading, with the same motions."""
+    """Return grids at the working resolution and at twice that in x, y and heading, with the same motions."""
     coarse = ValueConfig()
     fine = ValueConfig(n_headings=2 * coarse.n_headings, turns=tuple(2 * b for b in coarse.turns))
     return PoseGrid.of(arena, CAR, coarse), PoseGrid.of(finer(arena), CAR, fine)
