@@ -94,7 +94,7 @@ class MutualInformation:
         """Open an episode; nothing here is random, so ``seed`` changes nothing."""
         self.tour: Tour | None = None  # of the last choice of a place
         self._left = 0.0  # nats of the last tour
-        self._looks: list[tuple[float, float, float]] = []  # poses (m, rad) of the looks that were made
+        self._viewed: list[tuple[float, float, float]] = []  # poses (m, rad) of the views taken so far
         self._goal: np.ndarray | None = None
         self._visited: list[np.ndarray] = []  # goals that were reached, m
 
@@ -121,7 +121,7 @@ class MutualInformation:
         """Return the view from here with the greatest gain less the turn's price, where that is enough."""
         c, (x, y, heading) = self._config, situation.planar
         within, apart = c.repeat
-        made = [h for a, b, h in self._looks if math.hypot(a - x, b - y) < within]
+        made = [h for a, b, h in self._viewed if math.hypot(a - x, b - y) < within]
         turns = np.arange(c.headings) * 2.0 * math.pi / c.headings
         fresh = np.array([t for t in turns if all(abs(wrap_angle(float(t - h))) > apart for h in made)])
         if len(fresh) == 0:
@@ -135,7 +135,7 @@ class MutualInformation:
         on_the_path = 0.0 if self._is_visited(situation.planar[:2]) else c.look_share * self._left
         if value[k] < max(c.least_look, on_the_path):
             return None
-        self._looks.append((x, y, float(fresh[k])))
+        self._viewed.append((x, y, float(fresh[k])))
         return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
 
     def _tour(self, situation: Situation, hazard: np.ndarray, gain: Gains) -> Choice | None:

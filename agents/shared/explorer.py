@@ -148,11 +148,13 @@ class Explorer:
             return False
         if self._path is not None and math.hypot(*(self._path.path[-1] - planar[:2])) <= self._config.arrival:
             self._path = None
-        looks = list(self._choice.looks)
-        while looks and self._path is None and abs(float(wrap_angle(looks[0] - planar[2]))) < self._config.aligned:
-            looks.pop(0)
-        self._choice = replace(self._choice, looks=tuple(looks))
-        return self._path is None and not looks
+        headings = list(self._choice.headings)
+        while (
+            headings and self._path is None and abs(float(wrap_angle(headings[0] - planar[2]))) < self._config.aligned
+        ):
+            headings.pop(0)
+        self._choice = replace(self._choice, headings=tuple(headings))
+        return self._path is None and not headings
 
     def _left(self, floor: FloorPlan) -> np.ndarray:
         """Return the cells of the choice's target that are still frontiers, ``(n, 2)`` m."""
@@ -172,7 +174,7 @@ class Explorer:
     def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
         """Return True where the choice is due to be made anew, or its path is not free any more."""
         if self._choice is None or self._path is None:
-            return False  # all headings of a choice are looked in
+            return False  # at the goal every heading of the choice is turned to first
         return self._age >= self._config.replan_steps or self._follower.blocked(self._path, planar, near)
 
     def _choose(self, estimate: Localization, floor: FloorPlan) -> str | None:
@@ -239,9 +241,9 @@ class Explorer:
                 return command, choice.status
             self._make_room(self._path, planar, near)
             return np.array([limits[0], 0.0, 0.0]), "held up"
-        if not choice.looks:
+        if not choice.headings:
             return np.array(STOP_COMMAND), choice.status
-        turn = float(np.clip(wrap_angle(choice.looks[0] - planar[2]), -limits[0], limits[0]))
+        turn = float(np.clip(wrap_angle(choice.headings[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 
     def _make_room(self, planned: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:

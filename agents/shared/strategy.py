@@ -39,17 +39,17 @@ class Situation:
 
 @dataclass(frozen=True)
 class Choice:
-    """Hold a viewpoint: where to go and which headings to look in.
+    """Hold a viewpoint: a place and the headings in which images are taken there.
 
     Attributes:
         goal: ``(2,)`` m; None: stay here.
-        looks: headings (rad) to turn to at the goal, one after the other.
+        headings: headings (rad) to turn to at the goal, one after the other.
         target: ``(n, 2)`` m, frontier cells to be seen: once they are known the choice is obsolete; None: none.
         status: one readable line.
     """
 
     goal: np.ndarray | None
-    looks: tuple[float, ...]
+    headings: tuple[float, ...]
     target: np.ndarray | None
     status: str
 

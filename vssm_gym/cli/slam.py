@@ -98,8 +98,8 @@ def slam(
     print_warnings(stats["notices"][len(recording.notices) :])
     step = stats["latency_ms"].get("whole step")
     speed = f", {step['p50']:.0f} ms a frame (median)" if step else ""
-    lost, again = len(stats["lost"]), len(stats["found_again"])
-    print(f"{stats['frames']} frames, {lost} lost, {again} found again elsewhere{speed}")
+    lost, again = len(stats["lost"]), len(stats["relocalised"])
+    print(f"{stats['frames']} frames, {lost} lost, {again} relocalised{speed}")
     errors = stats["errors"] or {}
     if "impossible" in errors:
         print(f"errors against the ground truth cannot be computed: {errors['impossible']}")

@@ -27,7 +27,7 @@ class Status(IntEnum):
 
 _MESSAGES = {
     Status.OK: "ok",
-    Status.RECOVERED: "found again: the image fits the map at a pose other than the expected one",
-    Status.LOST: "lost track: the image does not fit what it is compared with",
-    Status.NO_READING: "no depth reading, or next to none: nothing to align",
+    Status.RECOVERED: "relocalised: the image fits the map at a pose other than the expected one",
+    Status.LOST: "lost track: the image does not fit the reference view",
+    Status.NO_READING: "no depth: too few pixels have a depth reading to align the image",
 }

@@ -252,7 +252,7 @@ def fit(run: SlamRun, config: TrackingConfig) -> bytes:
     status = np.array([frame.status for frame in aligned], int)
     marks = (
         (np.isin(status, (Status.LOST, Status.NO_READING)), "x", "lost"),
-        (status == Status.RECOVERED, "^", "found again"),
+        (status == Status.RECOVERED, "^", "relocalised"),
     )
     score = np.array([_score(frame) for frame in aligned])
     photometric = np.array([np.nan if frame.photometric is None else frame.photometric for frame in aligned])

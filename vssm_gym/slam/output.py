@@ -134,7 +134,7 @@ def summarise(
         "sequence_s": float(run.times[-1] - run.times[0]),
         "run_s": seconds,
         "lost": [{"index": f.index, "time": f.time, "status": f.status.message} for f in frames if f.lost],
-        "found_again": [{"index": f.index, "time": f.time} for f in frames if f.status is Status.RECOVERED],
+        "relocalised": [{"index": f.index, "time": f.time} for f in frames if f.status is Status.RECOVERED],
         "fit_median": {name: float(np.median(values)) if values else None for name, values in fits.items()},
         "latency_ms": latency(frames),
         "latency_note": LATENCY_NOTE,

@@ -185,7 +185,7 @@ def _header(stats: dict[str, Any]) -> str:
     facts = {
         "frames": f"{stats['frames']} of {stats['frames_recorded']} recorded",
         "lost": str(len(stats["lost"])),
-        "found again": str(len(stats["found_again"])),
+        "relocalised": str(len(stats["relocalised"])),
         "recording": f"{stats['sequence_s']:.1f} s",
         "run": f"{stats['run_s']:.1f} s",
         "images": stats["config"]["size"],
@@ -236,9 +236,9 @@ def _lost(run: SlamRun) -> str:
     table = html_table(["frame", "time, s", "status", "inliers", "coverage", "photometric"], lines, 3)
     more = f"<p class=note>and {len(listed) - LISTED} more; all are in stats.json.</p>" if len(listed) > LISTED else ""
     return (
-        f"<h2>Lost frames</h2><p class=bad>{lost} of {len(run.frames)} frames were lost, track was found again "
-        f"{_counted(again, 'time')} elsewhere than expected.</p><p class=note>The line of a lost frame in "
-        "trajectory.txt is the last pose that fitted, and the map does not hold the frame.</p>"
+        f"<h2>Lost frames</h2><p class=bad>{lost} of {len(run.frames)} frames were lost. The camera was relocalised "
+        f"{_counted(again, 'time')} at a pose other than the expected one.</p><p class=note>The line of a lost frame "
+        "in trajectory.txt is the last accepted pose, and the map does not include the frame.</p>"
         f"<div class=wide>{table}</div>{more}"
     )
 

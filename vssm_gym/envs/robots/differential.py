@@ -23,7 +23,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 
 @dataclass(frozen=True)
-class WheelNoise:
+class DifferentialExecutionNoise:
     """``e ~ N(0, (slip l)^2 + play^2)``: error of a wheel's travel in a step of commanded travel ``l``."""
 
     slip: float  # fraction of the travel, standard deviation
@@ -33,18 +33,20 @@ class WheelNoise:
         for field in ("slip", "play"):
             value = getattr(self, field)
             if not (math.isfinite(value) and value >= 0.0):
-                raise InputError("WheelNoise", field, f"a finite standard deviation >= 0, not {value!r}")
+                raise InputError(
+                    "DifferentialExecutionNoise", field, f"a finite standard deviation >= 0, not {value!r}"
+                )
 
 
 # At full speed the heading strays by 2.6, 5.3 and 8.7 degrees a step: about as the holonomic robot's 3, 6 and 9.
-WHEEL_NOISE: dict[str, WheelNoise] = {
-    "none": WheelNoise(0.0, 0.0),
-    "low": WheelNoise(slip=0.03, play=0.002),
-    "mid": WheelNoise(slip=0.06, play=0.004),
-    "high": WheelNoise(slip=0.10, play=0.006),
+NOISE_LEVELS: dict[str, DifferentialExecutionNoise] = {
+    "none": DifferentialExecutionNoise(0.0, 0.0),
+    "low": DifferentialExecutionNoise(slip=0.03, play=0.002),
+    "mid": DifferentialExecutionNoise(slip=0.06, play=0.004),
+    "high": DifferentialExecutionNoise(slip=0.10, play=0.006),
 }
 
-wheel_noise = Presets("environment", "noise", WheelNoise, WHEEL_NOISE)
+execution_noise = Presets("environment", "noise", DifferentialExecutionNoise, NOISE_LEVELS)
 
 
 @dataclass(frozen=True)
@@ -86,12 +88,12 @@ class DifferentialRobot:
         """
         return camera_ahead(self.camera_height)
 
-    def parse_noise(self, level: str | WheelNoise | Mapping[str, Any]) -> WheelNoise:
+    def parse_noise(self, level: str | DifferentialExecutionNoise | Mapping[str, Any]) -> DifferentialExecutionNoise:
         """Return the noise of a named level, of a mapping of its fields, or the noise itself."""
-        return wheel_noise(level)
+        return execution_noise(level)
 
     def execute(
-        self, planar: PlanarPose, command: np.ndarray, noise: WheelNoise, rng: np.random.Generator
+        self, planar: PlanarPose, command: np.ndarray, noise: DifferentialExecutionNoise, rng: np.random.Generator
     ) -> PlanarPose:
         """Execute one noisy step in free space; see the module for the law.
 
@@ -113,7 +115,7 @@ class DifferentialRobot:
         return np.array([x + chord * math.cos(halfway), y + chord * math.sin(halfway), wrap_angle(heading + turn)])
 
 
-def _rolled(travel: float, normal: float, noise: WheelNoise) -> float:
+def _rolled(travel: float, normal: float, noise: DifferentialExecutionNoise) -> float:
     """Return the executed travel of a wheel, m, of a commanded ``travel`` m; ``normal`` is a draw of N(0, 1)."""
     if travel == 0.0:
         return 0.0

@@ -1,10 +1,11 @@
 """Compute shortest any-angle paths of the robot's centre through its free space, by a visibility graph.
 
-In a polygon a shortest path is a chain of straight segments that bends only at reflex vertices, and is *taut* there:
-both neighbours of the vertex lie on one side of the segment's line (de Berg et al., Computational Geometry, ch. 15).
-All taut, mutually visible pairs of reflex vertices form a graph, computed once; a query links its ends to it and runs
-Dijkstra's algorithm. It is exact for the polygon, so within 1 mm of the disc's own free space at every corner. It
-shares no code with the agents' planner, so that SPL is evaluated independently of A*.
+In a polygon a shortest path is a chain of straight segments that bends only at reflex vertices. Each segment is
+*tangent* there: both neighbours of the vertex lie on one side of the segment's line (de Berg et al., Computational
+Geometry, ch. 15). All pairs of reflex vertices with a free segment that is tangent at both ends form a graph, which is
+computed once; a query links its two points to it and runs Dijkstra's algorithm. The result is exact for the polygon, so
+within 1 mm of the disc's own free space at every corner. It shares no code with the agents' planner, so that SPL is
+evaluated independently of A*.
 
 The graph grows with the square of the vertices. Free space with more than CORNERS of them (a large, noisy occupancy
 map) is first drawn in and straightened by at most the last of STRAIGHTEN: paths stay free, but are up to a few per cent
@@ -21,7 +22,7 @@ from vssm_gym.envs.scenes.free_space import FreeSpace
 
 CORNERS = 3000  # of free space that is taken as it is
 STRAIGHTEN = (0.01, 0.02, 0.04, 0.07, 0.1)  # m, tried in this order
-_SIDE = 1e-9  # m^2; tolerance of the taut test: it only filters: a surplus edge never makes a path shorter
+_SIDE = 1e-9  # m^2; tolerance of the tangent test, which only removes edges: one too many never makes a path shorter
 _NUDGE = 1e-6  # rad; end points of free arcs of the goal's circle move this far inside free space
 _BATCH = 64  # candidate last segments tested for visibility at a time
 _NO_PATH = (np.inf, np.zeros((0, 2)))
@@ -103,7 +104,7 @@ class Geodesics:
         total = so_far[:, None] + np.linalg.norm(end - leave[:, None], axis=2)
         # A path that reaches a vertex inside the disc has crossed the circle before: never needed.
         possible = np.ones(total.shape, dtype=bool)
-        possible[:-1] = (away[:-1] > radius)[:, None] & self._taut(end[:-1], node[:-1, None])
+        possible[:-1] = (away[:-1] > radius)[:, None] & self._tangent(end[:-1], node[:-1, None])
         rows, columns = np.nonzero(possible)
         order = np.argsort(total[rows, columns], kind="stable")
         for first in range(0, len(order), _BATCH):
@@ -144,26 +145,26 @@ class Geodesics:
         return distance[:size], np.where(previous[:size] == size, -1, previous[:size])
 
     def _visibility_graph(self) -> csr_array:
-        """Build the symmetric graph of the reflex vertices that see each other along segments taut at both ends.
+        """Build the symmetric graph of the reflex vertices whose free segments are tangent at both ends.
 
         Metres.
         """
         size = len(self._vertex)
-        taut = np.zeros((size, size), dtype=bool)
+        tangent = np.zeros((size, size), dtype=bool)
         for first in range(0, size, 256):  # in blocks, to bound the memory
             some = slice(first, first + 256)
-            taut[some] = self._taut(self._vertex[some, None], np.arange(size)[None])
-        rows, columns = np.nonzero(np.triu(taut & taut.T, 1))
+            tangent[some] = self._tangent(self._vertex[some, None], np.arange(size)[None])
+        rows, columns = np.nonzero(np.triu(tangent & tangent.T, 1))
         visible = self._visible(self._vertex[rows], self._vertex[columns])
         return _symmetric_graph(self._vertex, rows[visible], columns[visible])
 
     def _links(self, points: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
-        """Return index pairs (point, vertex) whose segment is free and taut at the vertex."""
-        source, vertex = np.nonzero(self._taut(points[:, None], np.arange(len(self._vertex))[None]))
+        """Return index pairs (point, vertex) whose segment is free and tangent at the vertex."""
+        source, vertex = np.nonzero(self._tangent(points[:, None], np.arange(len(self._vertex))[None]))
         visible = self._visible(points[source], self._vertex[vertex])
         return source[visible], vertex[visible]
 
-    def _taut(self, source: Float[np.ndarray, "*n 2"], vertex: Int[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+    def _tangent(self, source: Float[np.ndarray, "*n 2"], vertex: Int[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Return True where a path from ``source`` may bend at ``vertex`` and still be locally shortest."""
         along = self._vertex[vertex] - source
         one = _cross(along, self._before[vertex] - self._vertex[vertex])

@@ -89,7 +89,8 @@ class Prism:
             none = keyframes.empty(view.camera, settings)
             kept = keyframes.remember(none, T, luminance(small.rgb), view.camera, settings)
         reference = clock(
-            "reference", reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1)
+            "reference",
+            reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1),
         )
         return PrismState(m, past, reference, kept, jnp.zeros((6, 6)), False, key, prior.measurement_noise)
 

@@ -175,7 +175,7 @@ def shorten_cells(
     radius: float,
     required: ClearanceRequirement,
 ) -> np.ndarray:
-    """The taut form of a feasible path ``(n, 2)`` in cells; its end may move within the disc ``radius`` of the goal."""
+    """Shorten a feasible path ``(n, 2)`` in cells; its end may move within the disc ``radius`` of the goal."""
     path = _skip_bends(clearance, resolution, path, required)
     length = _length(path)
     for _ in range(SWEEPS):

@@ -4,7 +4,7 @@
     late, infeasible            what is left of the last usable plan, if it is still free     CONTINUED
                                 otherwise as little motion as the rates allow                 BRAKED, HELD
     inside an obstacle          the path it came, backwards, if that leads no deeper           BACKED_OFF
-                                otherwise the solver's way out, if it leads no deeper         ESCAPED
+                                otherwise the solver's path out of it, if it leads no deeper  ESCAPED
                                 otherwise as little motion as the rates allow                 BRAKED, HELD
 
 Free means: from the pose where the car is now, with a standstill at the end, at least the clearance that a plan needs.
@@ -23,9 +23,9 @@ from vssm_gym.planning.mpc.objective import rollout, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, checked_pose
 from vssm_gym.planning.result import Outcome
 
-REMEMBERED = 50  # commands of the way back: 5 s
+REMEMBERED = 50  # executed commands that can be undone: 5 s
 STANDING = 1e-3  # m/s
-WAYS = 4  # alternatives in a step without a plan
+ALTERNATIVES = 4  # control sequences that a step without a plan compares
 
 
 class SafeKind(Outcome):
@@ -33,8 +33,8 @@ class SafeKind(Outcome):
 
     PLANNED = "drives the new plan"
     CONTINUED = "continues the last plan, which is still free"
-    BACKED_OFF = "backs off along the way it came"
-    ESCAPED = "leaves the obstacle by the solver's way"
+    BACKED_OFF = "backs off along the path it came"
+    ESCAPED = "leaves the obstacle on the solver's path"
     BRAKED = "brakes: no motion is known to be free"
     HELD = "stands: no motion is known to be free"
 
@@ -64,7 +64,7 @@ def init(control: np.ndarray) -> SafeMemory:
 
 def prepare(problem: MpcProblem) -> None:
     """Compile what :func:`step` needs where there is no plan: an emergency waits for no compiler."""
-    drives = jnp.zeros((WAYS, problem.config.horizon, 2))
+    drives = jnp.zeros((ALTERNATIVES, problem.config.horizon, 2))
     jax.block_until_ready(_drive(problem, jnp.zeros(3), jnp.zeros(2), drives))
 
 
@@ -102,22 +102,22 @@ def _without_plan(
 ) -> tuple[SafeKind, np.ndarray]:
     """Return the first alternative that keeps the clearance of a plan, or a stop."""
     blocked = result.status is MpcStatus.BLOCKED
-    ways = {
+    alternatives = {
         SafeKind.CONTINUED: memory.plan[1:],
         SafeKind.BACKED_OFF: memory.came[::-1] * np.array([-1.0, 1.0]),
         SafeKind.ESCAPED: result.controls,
         SafeKind.BRAKED: np.zeros((0, 2)),
     }
     steering = memory.control[1]
-    drives = np.stack([_to_a_standstill(way, problem.config.horizon, steering) for way in ways.values()])
+    drives = np.stack([_to_a_standstill(plan, problem.config.horizon, steering) for plan in alternatives.values()])
     driven = _drive(problem, *(jnp.asarray(a, jnp.float32) for a in (state, memory.control, drives)))
     controls, states = (np.asarray(a, np.float64) for a in driven)
     nearest = _footprint_clearance(problem, states, clearance).min(axis=(1, 2))
     now = _footprint_clearance(problem, state, clearance).min()
     free = nearest >= min(now, problem.config.margin) - problem.config.tolerance
-    for index, (kind, way) in enumerate(ways.items()):
+    for index, (kind, plan) in enumerate(alternatives.items()):
         fitting = kind is SafeKind.CONTINUED if not blocked else kind in (SafeKind.BACKED_OFF, SafeKind.ESCAPED)
-        if fitting and len(way) and free[index]:
+        if fitting and len(plan) and free[index]:
             return kind, controls[index, 0]
     stop = controls[-1, 0]
     standing = abs(memory.control[0]) <= STANDING and abs(stop[0]) <= STANDING
@@ -133,7 +133,7 @@ def _to_a_standstill(controls: np.ndarray, horizon: int, steering: float) -> np.
 
 @partial(jax.jit, static_argnums=0)
 def _drive(problem: MpcProblem, state: Array, last: Array, controls: Array) -> tuple[Array, Array]:
-    """Return ``controls`` within limits and rates, and where they lead, ``(ways, time, 2)`` and ``(ways, time, 3)``."""
+    """Return ``controls`` within limits and rates, and where they lead, ``(n, time, 2)`` and ``(n, time, 3)``."""
     controls = within_rates(problem, last, controls)
     return controls, rollout(problem, state, controls)
 
