@@ -31,7 +31,7 @@ class AgentContext:
         limits: of one command: ``(3,)`` largest turn (rad), direction offset (rad) and step (m); of a car ``(2,)``
             largest speed (m/s) and steering angle (rad); of a disc ``(2,)`` largest turn (rad) and step (m).
         dt: seconds a step.
-        map: the learned map; None where the agent asked for none.
+        map: the learned map; None for an agent that needs none.
         start_pose: ``(3,)`` x (m), y (m), heading (rad) in the map frame.
         body_length: diameter of the robot's footprint, or length of the car's, metres.
         success_radius: a stop within this distance of the goal succeeds, metres; a car only has to come so near.

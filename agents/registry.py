@@ -68,7 +68,7 @@ def agent_type(name: str) -> type[Agent]:
     """Return the class of an agent of the table, with any planner, or of ``policy:FILE``.
 
     Raises:
-        InputError: an agent or a planner that nobody registered, a former name, a planner for an agent that takes none.
+        InputError: an agent or a planner that is not registered, a former name, a planner for an agent that takes none.
     """
     if name.startswith(PREFIX):
         return PolicyAgent

@@ -30,6 +30,6 @@ def hashed_name(name: str) -> str:
 
 
 def refuse_former(name: str, source: object, field: str) -> None:
-    """Raise :class:`InputError` with the present name where somebody asks for an agent by a former one."""
+    """Raise :class:`InputError` with the present name where an agent is given by a former one."""
     if name in RENAMED:
         raise InputError(source, field, f"{RENAMED[name]!r}, the present name of that agent; found {name!r}")

@@ -2,8 +2,8 @@
 
 goal = argmax_f A(f) exp(-lambda d(f)), and a full turn wherever the last one was ``every`` metres away.
 
-A turn costs time and no path length. ``frontier_gain_scan`` shows what an explorer gains by looking aside as it goes,
-without any model of what there is to see. Described in ``docs/agents/exploration.md``.
+A turn costs time and no path length. ``frontier_gain_scan`` shows what an explorer gains by looking aside on its path,
+without any model of the expected gain. Described in ``docs/agents/exploration.md``.
 """
 
 import math
@@ -38,7 +38,7 @@ class FrontierGainScan:
     def choose(self, situation: Situation) -> Choice | None:
         """Return a full turn where one is due, else the frontier of the greatest utility."""
         choice, xy = self._frontiers.choose(situation), situation.planar[:2]
-        if self._turned is None or situation.arrived:  # a look around has just ended
+        if self._turned is None or situation.arrived:  # a full turn has just ended
             self._turned = xy.copy()
         if choice is None or math.hypot(*(xy - self._turned)) < self._config.every:
             return choice

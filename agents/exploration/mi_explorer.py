@@ -1,4 +1,4 @@
-"""Explore where imagined images are most informative about the map, in the order that leaves least undone (eq. P33).
+"""Explore where imagined images are most informative about the map, in the order of a minimum-latency tour (eq. P33).
 
     I(M; x | z) = sum_cells 1/2 log(1 + n lambda_u / lambda)     gain of views z together; n counts shared views
     order = argmin sum_legs |leg| (gain not yet made)            ``mode`` "coverage": a minimum-latency tour (eq. P42)
@@ -45,7 +45,7 @@ class MiExplorerConfig:
     least_area: float = 0.05  # m^2 of unknown space that a candidate sees
     places: int = 10  # candidates whose views are imagined, at most
     decay: float = 0.2  # 1/m, discount of the area by distance when these are selected
-    least_gain: float = 1000.0  # nats, least gain of a place that is worth going to
+    least_gain: float = 1000.0  # nats, least gain of a place that is visited
     headings: int = 8  # of the views from where the robot stands
     least_look: float = 600.0  # nats, least gain of such a view less the turn's price
     look_share: float = 0.003  # the same on the path to a goal, as a fraction of the whole tour's gain
@@ -54,7 +54,7 @@ class MiExplorerConfig:
     repeat: tuple[float, float] = (0.3, 0.5)  # m and rad; a view so close to one that was taken is not taken again
     strip: float = 1.0 / 3.0  # fraction of the image's rows, around the horizon: see `_strip`
     # A cell that was observed is known to 3 cm. Without ``known`` the gains of many known cells would outweigh a small
-    # place that nobody has seen.
+    # unseen place.
     information: InformationConfig = field(
         default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, ground=0.0)
     )
@@ -128,15 +128,15 @@ class MutualInformation:
             return None
         planar = np.stack([np.full(len(fresh), x), np.full(len(fresh), y), fresh], axis=1)
         found = gain(np.concatenate([planar, situation.planar[None]]), np.arange(len(fresh))[:, None])
-        nats = found.total + c.pose_weight * (found.pose[:-1] - found.pose[-1])  # more than the present view tells
+        nats = found.total + c.pose_weight * (found.pose[:-1] - found.pose[-1])  # in addition to the present view
         value = nats - c.turn_price * np.abs(wrap_angle(fresh - heading))
         k = int(np.argmax(value))
-        # On the path only views that are worth a stop; at a goal, all views there are.
+        # On the path only views with enough gain for a stop; at a goal, all views.
         on_the_path = 0.0 if self._is_visited(situation.planar[:2]) else c.look_share * self._left
         if value[k] < max(c.least_look, on_the_path):
             return None
         self._viewed.append((x, y, float(fresh[k])))
-        return Choice(None, (float(fresh[k]),), None, f"looks for {nats[k]:.0f} nats")
+        return Choice(None, (float(fresh[k]),), None, f"turns to a view of {nats[k]:.0f} nats")
 
     def _tour(self, situation: Situation, hazard: np.ndarray, gain: Gains) -> Choice | None:
         """Return where to go first; None where no place has the least gain."""
@@ -156,7 +156,7 @@ class MutualInformation:
         looked = gain(planar, np.arange(len(planar))[None])
         held = looked.pose.reshape(-1, AROUND).mean(axis=1)
         worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) - c.least_gain
-        worth += c.pose_weight * (held - held.max())  # less where the views tell little about the pose
+        worth += c.pose_weight * (held - held.max())  # less where the views have little information about the pose
         kept = np.flatnonzero(worth > max(0.0, c.least_share * float(worth.max(initial=0.0))))
         if len(kept) == 0:
             return None
@@ -180,14 +180,14 @@ class MutualInformation:
         return int(order[0])
 
     def _is_visited(self, xy: np.ndarray) -> bool:
-        """Return True where this place was a reached goal: what it still promises is not there."""
+        """Return True where this place was a reached goal: the gain that is still expected there cannot be observed."""
         return any(math.hypot(*(place - xy)) < SAME_PLACE for place in self._visited)
 
 
 def _strip(camera: Camera, share: float) -> Camera:
     """Return the camera with the middle ``share`` of its rows.
 
-    Walls are known up to where they were seen. Rows above would see over them into unknown space that is not there.
+    Walls are known up to where they were seen. Rows above would see over them into unknown space that does not exist.
     """
     rows = max(1, round(share * camera.height))
     return Camera(camera.width, rows, camera.fx, camera.fy, camera.cx, camera.cy - 0.5 * (camera.height - rows))

@@ -52,7 +52,7 @@ class RandomViewpoint:
         )
         visited = np.reshape(self._visited, (-1, 2))
         gap = np.linalg.norm(found.xy[:, None] - visited[None], axis=-1)
-        # What a visited place still promises cannot be seen from it.
+        # Gain that is still expected at a visited place cannot be observed from it.
         xy = found.xy[gap.min(axis=1, initial=np.inf) >= SAME_PLACE]
         if not len(xy):
             return None

@@ -18,7 +18,7 @@ class RandomConfig:
 
 
 class RandomAgent:
-    """``turn ~ U(-max, max)``, ``o ~ U(-max, max)``, ``s ~ U(0, max)``, whatever is observed."""
+    """``turn ~ U(-max, max)``, ``o ~ U(-max, max)``, ``s ~ U(0, max)``, independent of the observation."""
 
     name = "random"
     robot = "holonomic"

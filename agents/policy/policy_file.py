@@ -46,7 +46,7 @@ class PolicySpec:
     Attributes:
         name: in tables.
         parts: of the observation that it reads (:mod:`vssm_gym.agents.policy.features`).
-        frames: vectors of the last steps that it reads at once, oldest first, zeros before the first.
+        frames: number of last steps whose vectors are the input, oldest first, zeros before the first.
         hidden: widths of the hidden layers.
         activation: ``f``.
         squash: of the last layer.
@@ -115,7 +115,7 @@ def load(path: str | Path) -> Policy:
 
 
 def loaded(path: str) -> Policy:
-    """Read a policy file once per process, so that rows name the policy that was run, whatever is written meanwhile."""
+    """Read a policy file once per process, so that rows name the policy that was run if the file changes."""
     return _read(path)[0]
 
 

@@ -1,4 +1,4 @@
-"""Compute the critic of the car's agents: value iteration to a target, with as wide a margin as there is space for."""
+"""Compute the critic of the car's agents: value iteration to a target, with the widest margin that has a path."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from vssm_gym.planning.value_iteration.solver import GOAL_HEADING_TOLERANCE, GOA
 # solvers of vi_mpc keep, and the middle of the region; then 1 cm, for the error of the map's surfaces; then none, and
 # all of the region.
 ATTEMPTS = ((0.03, 0.5), (0.01, 0.5), (0.0, 1.0))
-NEARBY = 0.15  # m around a start that the map calls occupied, in which a pose with a path to the goal is looked for
+NEARBY = 0.15  # m around a start that is occupied in the map, in which a pose with a path to the goal is searched
 
 
 class Critic:

@@ -2,7 +2,7 @@
 
 Explorers share this driver. They differ in their :class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy` and in
 their mapper, which observes the pose or estimates it. The map is the agent's own. Every episode begins with a full
-turn. The explorer chooses anew every ``replan_steps``, when a choice is carried out or its target has been seen, and
+turn. The explorer chooses again every ``replan_steps``, when a choice is completed or its target has been seen, and
 when an unforeseen obstacle blocks the path. A robot that lost track turns in place until an image fits its map again.
 :mod:`vssm_gym.agents.shared.following` follows the paths and handles steps that cannot be taken.
 """
@@ -81,7 +81,7 @@ class Explorer:
         self._own = OwnMap(self._context, self._mapper, self._own_config, observation)
         self._strategy.reset(seed)
         heading = float(self._own.estimate.planar[2])
-        self._choice: Choice | None = Choice(None, around(heading), None, "looks around")
+        self._choice: Choice | None = Choice(None, around(heading), None, "turns around once")
         self._sent: np.ndarray | None = None  # the last command; the first observation is in the map already
         self._path: PlannedPath | None = None  # to the choice's goal; None at it
         self._arrived, self._failed = True, ""
@@ -119,7 +119,7 @@ class Explorer:
         return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
 
     def _plan(self, estimate: Localization) -> str | None:
-        """Keep the choice or choose anew; return the reason where nothing is left to do."""
+        """Keep the choice or choose again; return the reason where nothing is left to do."""
         planar, floor = estimate.planar, self._own.plan()
         self._age += 1
         self._near = floor.clearance(planar[:2], 1.2)
@@ -143,7 +143,7 @@ class Explorer:
         return command, activity, False
 
     def _done(self, planar: np.ndarray) -> bool:
-        """Return True where the robot is at the chosen goal and has looked in all chosen headings."""
+        """Return True where the robot is at the chosen goal and has taken images in all chosen headings."""
         if self._choice is None:
             return False
         if self._path is not None and math.hypot(*(self._path.path[-1] - planar[:2])) <= self._config.arrival:
@@ -172,7 +172,7 @@ class Explorer:
         return len(self._left(floor)) <= (1.0 - self._config.known_share) * len(choice.target)
 
     def _stale(self, planar: np.ndarray, near: ClearanceMap) -> bool:
-        """Return True where the choice is due to be made anew, or its path is not free any more."""
+        """Return True where the choice has to be made again, or its path is not free any more."""
         if self._choice is None or self._path is None:
             return False  # at the goal every heading of the choice is turned to first
         return self._age >= self._config.replan_steps or self._follower.blocked(self._path, planar, near)
@@ -240,17 +240,20 @@ class Explorer:
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
             self._make_room(self._path, planar, near)
-            return np.array([limits[0], 0.0, 0.0]), "held up"
+            return np.array([limits[0], 0.0, 0.0]), "blocked: turns in place"
         if not choice.headings:
             return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.headings[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 
     def _make_room(self, planned: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:
-        """Handle a path along which no step may be taken: retreat, or choose anew from here."""
+        """Handle a path along which no step is allowed: retreat, or choose again from here."""
         self._failures += 1
         if self._blocked_steps.add(planar[:2]):
             self._give_up()
         self._choice, self._path = None, retreat(planned, planar, near, self._config.following.retreat)
         if self._path is not None:
-            self._choice, self._age = Choice(self._path.path[-1], (), None, "makes room"), -self._config.retreat_steps
+            self._choice, self._age = (
+                Choice(self._path.path[-1], (), None, "retreats from an obstacle"),
+                -self._config.retreat_steps,
+            )

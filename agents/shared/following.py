@@ -4,7 +4,7 @@ Every step ``s`` is shortened until there is room wherever it may lead: up to ``
 with ``k`` of :class:`FollowingConfig`. To the side, at most a fraction of the path's margin is asked for. On narrow
 paths that is less than ``k`` standard deviations (2 of a full step at a margin of 3 cm and 3 degrees). As the noise
 carries the robot off its path, each step shortens what is left of the path from where the robot is. A robot that may
-not step at all makes room: it moves a little to where there is most clearance.
+not step at all retreats: it moves a little to where there is most clearance.
 """
 
 import math
@@ -29,7 +29,7 @@ class FollowingConfig:
     daring: float = 0.8  # factor by which ``sigmas`` shrinks with every blocked step since the last one that was taken
     held_share: float = 0.6  # fraction of the path's margin that a step must keep at most; with all of it, none is free
     lookahead: float = 0.6  # length of path ahead that is checked for unforeseen obstacles at every step
-    least_step: float = 0.02  # a shorter step is not worth its noise
+    least_step: float = 0.02  # a shorter step would add more noise than progress
     tries: int = 4  # blocked steps within ``blocked_radius`` after which a goal is given up
     blocked_radius: float = 0.5
     retreat: float = 0.15  # length of the step to where there is more room, when no other step is possible

@@ -1,4 +1,4 @@
-"""Build an explorer's own map from its images, and say where the robot is in it.
+"""Build an explorer's own map from its images, and localise the robot in it.
 
 There are two settings with one interface: the pose is observed (thesis, section 5.6.2), or PRISM estimates it together
 with the map.
@@ -27,7 +27,7 @@ from vssm_gym.model.transition import GaussianBelief, planar_belief
 
 
 class Mapper(Protocol):
-    """Build the map and say where the robot is in it."""
+    """Build the map and localise the robot in it."""
 
     @property
     def map(self) -> VoxelMap:
@@ -71,7 +71,7 @@ class MapAtObservedPose:
 class MapAndPose:
     """``q(M, z_t | x_<=t, u_<t)`` by PRISM with the robot's transition; only the start pose is known.
 
-    An image that is not accepted is not put into the map; the status says so until one is accepted again.
+    An image that is not accepted does not enter the map; the status reports this until one is accepted again.
     """
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:

@@ -36,7 +36,9 @@ class NavigationConfig:
     # Extra clearance of a plan: a comfortable one; none; less than the radius, because learned walls have an error.
     margins: tuple[float, float, float] = (0.03, 0.0, -0.03)
     tight_share: float = 0.9  # the plan without margin is taken where its length is below this fraction of the other's
-    slack: float = 0.015  # clearance that following asks less than planning, so that small errors cause no new plan
+    slack: float = (
+        0.015  # clearance by which following requires less than planning, so that small errors cause no new plan
+    )
     stop_margin: float = 0.01  # inside the success radius, for errors that the estimate's covariance leaves out
     stop_sigmas: float = 2.5  # further inside, in standard deviations of the estimated position
     least_radius: float = 0.05  # the robot stops so near to the goal, however uncertain its estimate is
@@ -44,7 +46,7 @@ class NavigationConfig:
     stuck_length: float = 0.4  # length of driving commands over which progress is measured
     stuck_share: float = 0.35  # fraction of it that the estimate must have moved; less means that the robot is stuck
     obstacle_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
-    max_failures: int = 12  # steps without any plan after which the robot stops and says why
+    max_failures: int = 12  # steps without any plan after which the robot stops with a reason
 
 
 @dataclass
@@ -223,7 +225,7 @@ class Navigator:
         return asked >= c.stuck_length and moved < c.stuck_share * asked
 
     def _assume_obstacle(self, estimate: Localization) -> None:
-        """Assume an obstacle at the robot's front; the plan is made anew around it."""
+        """Assume an obstacle at the robot's front and plan a path around it."""
         heading = estimate.planar[2]
         front = self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])

@@ -1,4 +1,4 @@
-"""Keep what an explorer knows of its surroundings: its map, where its body has been, and what it saw close by.
+"""Keep an explorer's belief about its surroundings: its map, the places of its body, and near observations.
 
 The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Three masks over its
 columns are kept with it. A body disproves any obstacle that is believed to stand where it is. The ring around it, over

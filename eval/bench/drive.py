@@ -1,6 +1,6 @@
-"""Drive through chains of random goals with localizers riding along, to evaluate tracking apart from navigation.
+"""Drive through chains of random goals with further localizers, to evaluate tracking apart from navigation.
 
-A driver agent steers; every localizer that rides along receives the same images and commands and nothing else, so that
+A driver agent steers; every further localizer receives the same images and commands and nothing else, so that
 their errors on one drive can be compared pairwise.
 """
 
@@ -31,7 +31,7 @@ class DriveRecord:
 
     @property
     def travelled(self) -> Float[np.ndarray, "time"]:
-        """True path length so far, m."""
+        """Return the true path length so far, m."""
         steps = np.linalg.norm(np.diff(self.true[:, :2], axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 

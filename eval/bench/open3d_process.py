@@ -100,7 +100,7 @@ def _ask(process: subprocess.Popen[bytes], message: bytes, *names: str) -> dict[
 
 @contextlib.contextmanager
 def _started(command: Sequence[str], errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """Start the process and end it with the block, whatever happens."""
+    """Start the process and end it with the block, also after an error."""
     process: Any = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors)
     try:
         yield process

@@ -43,7 +43,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
 def completed(row: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, Any]:
     """Complete a row with ``common`` and with the configuration's lists that hold one value.
 
-    Fields of the row itself take precedence. The hash of its scene is looked up by the scene's name.
+    Fields of the row itself take precedence. The hash of its scene is found by the scene's name.
     """
     config = manifest["config"]
     only = {field: config[name][0] for field, name in LISTS.items() if len(config.get(name) or ()) == 1}

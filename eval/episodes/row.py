@@ -65,7 +65,7 @@ class Navigation(_Strict):
 
 
 class EpisodeRow(_Strict):
-    """Hold one episode; ``docs/evaluation.md`` says which environments have which fields, and what they mean."""
+    """Hold one episode; ``docs/evaluation.md`` lists the fields of each environment and their meaning."""
 
     format: Literal[2] = FORMAT
     # What ran

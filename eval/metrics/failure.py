@@ -53,7 +53,7 @@ def failure_reason(
 def stuck_at(
     positions: Float[np.ndarray, "time 2"], contacts: Bool[np.ndarray, "steps"], body_length: float
 ) -> str | None:
-    """Return ``collision: ...`` where the robot hardly moved and mostly was in collision over the last steps."""
+    """Return ``collision: ...`` where the robot barely moved and was mostly in collision over the last steps."""
     tail = positions[-STUCK_STEPS:]
     spread = float(np.linalg.norm(tail - tail[-1], axis=1).max())
     if spread < body_length and len(contacts) and np.mean(contacts[-STUCK_STEPS:]) >= STUCK_CONTACTS:

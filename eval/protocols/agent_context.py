@@ -1,4 +1,4 @@
-"""Build the context that an agent receives before an episode; it says nothing of the scene."""
+"""Build the context that an agent receives before an episode; it contains no scene."""
 
 from functools import singledispatch
 from typing import Any, Protocol
@@ -97,7 +97,7 @@ def context_of(
 
 
 def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None = None) -> AgentContext:
-    """Return what an agent may know before an episode of an environment, as a sweep tells it.
+    """Return the knowledge of an agent before an episode of an environment, as in a sweep.
 
     Args:
         env: PointNav, ImageNav, Explore, LidarMaze or CarNav, wrapped or not.
@@ -105,7 +105,7 @@ def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None
         voxel_map: the learned map, for agents that need one.
 
     Returns:
-        The context: camera, limits, start pose, execution noise and the transition that the robot believes in.
+        The context: camera, limits, start pose, execution noise and the transition that models the robot.
     """
     world: Any = env.unwrapped
     world = getattr(world, "navigation", world)  # ImageNav moves as the PointNav that it holds

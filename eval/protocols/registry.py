@@ -23,7 +23,7 @@ SWEPT_ENVIRONMENTS = {name: spec for name, spec in ENVIRONMENTS.items() if spec.
 
 
 class EpisodeProtocol(Protocol):
-    """Define what a sweep asks of an environment; the modules that :data:`ENVIRONMENTS` names implement it."""
+    """Define the functions that a sweep needs of an environment, implemented by the modules in :data:`ENVIRONMENTS`."""
 
     def scene_names(self) -> Sequence[str]:
         """Return the names of the built-in scenes; a sweep also accepts the path of a scene file."""

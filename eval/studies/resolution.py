@@ -58,7 +58,7 @@ def run(
         for width in render_widths
     }
     runs: dict[tuple[float, int], list[dict[str, Any]]] = {setting: [] for setting in options}
-    tracked: dict[int, int] = {}  # render width asked for -> the one that the image can be shrunk to
+    tracked: dict[int, int] = {}  # requested render width -> the one that the image can be shrunk to
     notices: tuple[str, ...] = ()
     for seed in range(seeds):
         later = replace(sequence, frames=sequence.frames[seed:])
@@ -95,8 +95,8 @@ def run(
             "mean and, in brackets, its range. Largest error and lost frames are those of the worst run. Run k leaves "
             "out the first k recorded frames.",
             "Milliseconds are those of a whole step once its image is read, over all runs, without the calls that "
-            f"compile. Images enter the map at {'x'.join(map(str, size))} pixels whatever they are tracked at. Large "
-            "cubes are stored block-sparse.",
+            f"compile. Images enter the map at {'x'.join(map(str, size))} pixels, independent of the tracking size. "
+            "Large cubes are stored block-sparse.",
             *notices,
         ),
     )

@@ -96,8 +96,8 @@ def run(sequence: Sequence, *, rate: float, on_progress: OnProgress | None = Non
             "Picture: coloured, the mean of each stage over all steps, of which the slowest twentieth is left out; "
             "these add up to the mean step. The dot is the median step, the line ends at its 95th percentile. Reading, "
             "which runs in a thread of its own, is the hollow bar.",
-            f"Images are tracked at about {default.render_width} pixels width whatever their size; the map takes them "
-            f"whole. Cubes of more than {MAX_DENSE_CELLS:,} cells are stored block-sparse.",
+            f"Images are tracked at about {default.render_width} pixels width at every size; the map is updated with "
+            f"all of their pixels. Cubes of more than {MAX_DENSE_CELLS:,} cells are stored block-sparse.",
             *notices,
         ),
     )  # fmt: skip

@@ -39,7 +39,7 @@ class SweepConfig(BaseModel):
 
     ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry, also with a planner
     (``astar+theta_star``), or ``policy:FILE``; a relative path starts at the folder of the YAML file.
-    ``voxel`` (m) is the cell size of the agents' maps; ``map_poses`` says whether these are learned at the recorded
+    ``voxel`` (m) is the cell size of the agents' maps; ``map_poses`` sets whether these are learned at the recorded
     poses or at PRISM's estimates. ``explore`` is for Explore alone.
     """
 

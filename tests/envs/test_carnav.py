@@ -395,7 +395,7 @@ def test_bad_keywords_are_one_line(keywords, field, expected):
     [
         ({"tasks": 1}, "no other keys than 'task', 'goal' and 'restart'"),
         ({"task": "go"}, "a CarTask; found str"),
-        ({"goal": (1.0, 1.0, 0.0)}, "a chain that goes on"),
+        ({"goal": (1.0, 1.0, 0.0)}, "a chain that continues"),
         ({"task": CarTask(scene="yard", start=(0.6, 0.5, 0.0), goal=(1.5, 1.5))}, "3 finite numbers"),
         ({"task": CarTask(scene="barn", start=(0.6, 0.5, 0.0), goal=(1.5, 1.5, 0.0))}, "scene"),
     ],

@@ -31,7 +31,7 @@ def test_a_map_that_starts_from_a_bad_image_is_restarted(tmp_path, first):
     }[first]
     run = run_slam(load_sequence(write_sequence(tmp_path / "room", first=bad)), options())
     assert run.lost.tolist() == [True] * 4 + [False] * (FRAMES - 4)
-    assert any("starts anew at frame 4" in notice for notice in run.notices)
+    assert any("restarted at frame 4" in notice for notice in run.notices)
     expected = inverse(true_pose(4)) @ true_pose(FRAMES - 1)
     assert np.linalg.norm(run.poses[-1, :3, 3] - expected[:3, 3]) < 0.02
 

@@ -54,7 +54,7 @@ def walk(apartment: Apartment, metres: float, rate: float, seed: int = 0) -> Wal
         apartment: the scene; rooms that are cut off are left out.
         metres: length of the camera's path, sampled at ``rate``.
         rate: poses a second.
-        seed: of the order, the places, the speed and the hands.
+        seed: of the order, the places, the speed and the unsteadiness.
 
     Raises:
         InputError: no room to walk in, or impossible numbers.

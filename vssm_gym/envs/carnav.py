@@ -150,8 +150,8 @@ class CarNavEnv(PhasedEnv):
         """Start a task: ``options["task"]``, or one of the seeded task stream.
 
         In a chain the car stays as it is and gets a new target, ``options["goal"]`` if that is given. It is placed
-        anew, at rest, without a chain, with a seed, with ``options["task"]``, with ``options["restart"]``, and after it
-        overturned. A seed restarts all streams; without one they go on.
+        again, at rest, without a chain, with a seed, with ``options["task"]``, with ``options["restart"]``, and after
+        it overturned. A seed restarts all streams; without one they continue.
 
         Raises :class:`InputError` for a target that the car cannot reach, or a task of another scene.
         """
@@ -166,7 +166,7 @@ class CarNavEnv(PhasedEnv):
         on = self.chain and self.task is not None and seed is None and task is None and not restart
         on = on and self.body.upright() and self._on_floor()
         if goal is not None and not on:
-            raise InputError("reset", "options['goal']", "a chain that goes on; a 'task' says where the car begins")
+            raise InputError("reset", "options['goal']", "a chain that continues; a 'task' sets where the car begins")
         if task is not None:
             self._check(task)
         elif goal is not None:

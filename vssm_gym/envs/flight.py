@@ -35,7 +35,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import matrix_to_planar
 
 SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
-SLOWEST, FASTEST = 0.2, 20.0  # m/s that may be asked for; where the rotors are too weak for it, less
+SLOWEST, FASTEST = 0.2, 20.0  # m/s, range of the keyword; a flight that needs too much thrust is refused
 LONGEST = 600.0  # s, most of a reference, and so of an episode
 STRAYED = 2.0  # m from the reference, at which the flight is given up
 NEAR = 1.0  # m from the reference, beyond which a step earns nothing
@@ -46,7 +46,7 @@ HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
 class FlightEnv(PhasedEnv):
     """Simulate one body in one hall, with one reference flight per episode. Registered as ``vssm_gym/Flight-v0``.
 
-    No wrapper counts its steps: an episode lasts as long as its reference, LONGEST seconds at most, whatever the rate.
+    No wrapper counts its steps: an episode lasts as long as its reference, LONGEST seconds at most, at every rate.
 
     Args:
         scene: built-in name, path of a scene file, or an :class:`Apartment`.
@@ -140,7 +140,7 @@ class FlightEnv(PhasedEnv):
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Hover at the start of ``options["task"]``, a :class:`ReferenceFlight`, or of one from the task stream.
 
-        A seed restarts all streams; without one they go on. Raises :class:`InputError` for a flight that the body
+        A seed restarts all streams; without one they continue. Raises :class:`InputError` for a flight that the body
         cannot fly here.
         """
         unknown = set(options or {}) - {"task"}

@@ -44,7 +44,7 @@ class ImageNavEnv(PhasedEnv):
         self._goal_rgb: np.ndarray | None = None
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Start a task as PointNav does; the goal image is the same for the same task, whatever the seed."""
+        """Start a task as PointNav does; the goal image depends on the task, not on the seed."""
         self.navigation.begin(seed, options)
         self._goal_rgb = None
 

@@ -43,7 +43,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     @abc.abstractmethod
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Start an episode; a seed restarts all streams of random numbers, without one they go on."""
+        """Start an episode; a seed restarts all streams of random numbers, without one they continue."""
 
     @abc.abstractmethod
     def advance(self, action: np.ndarray) -> None:

@@ -86,8 +86,8 @@ class PointNavEnv(PhasedEnv):
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Start ``options["task"]``, or a task of the seeded task stream.
 
-        A seed restarts all streams; without one they go on. Raises :class:`InputError` where the task does not belong
-        to this scene, or where its start or goal is not free.
+        A seed restarts all streams; without one they continue. Raises :class:`InputError` where the task does not
+        belong to this scene, or where its start or goal is not free.
         """
         self.simulation.seed(seed)
         unknown = set(options or {}) - {"task"}

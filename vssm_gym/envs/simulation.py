@@ -124,7 +124,7 @@ class Simulation:
         return self.body.T_world_cam.copy()
 
     def seed(self, seed: int | None) -> None:
-        """Restart all streams by a seed; without one they go on, or start from fresh entropy the first time."""
+        """Restart all streams by a seed; without one they continue, or start from fresh entropy the first time."""
         if seed is not None or not self.streams:
             self.streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
             self.sensors.seed(self.streams)

@@ -77,7 +77,7 @@ class PhasedVectorEnv(VectorEnv):
         """Start an episode in every environment, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: one for each environment, or the first of consecutive ones; None: their streams go on.
+            seed: one for each environment, or the first of consecutive ones; None: their streams continue.
             options: options of every environment's reset, and ``reset_mask`` ``(num_envs,)`` bool.
         """
         seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if _single(seed) else list(seed)  # type: ignore[arg-type, operator]

@@ -26,7 +26,7 @@ _ONE_WAY = MOVES[(MOVES[:, 0] > 0) | ((MOVES[:, 0] == 0) & (MOVES[:, 1] > 0))]
 
 @njit(cache=True, nogil=True)
 def edge_free(free: np.ndarray, i: int, j: int, di: int, dj: int) -> bool:
-    """Return whether every cell that a bilinear interpolation along the move reads is free.
+    """Return True if every cell that a bilinear interpolation along the move reads is free.
 
     The interpolated value is a convex combination of those cells, so the whole segment is free then. The start cell
     ``(i, j)`` is not tested.

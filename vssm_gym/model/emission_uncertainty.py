@@ -113,7 +113,7 @@ def _hat(g: Array, cell: list[Array]) -> Array:
 def sample_map(key: PRNGKeyArray, m: VoxelMap, measurement_noise: MeasurementNoise = MEASUREMENT_NOISE) -> VoxelMap:
     """Draw ``M ~ q(M)``: a map whose means are drawn cell by cell; precisions stay those of the belief (eq. M14).
 
-    The empty-space index is built anew, which costs more than the draw.
+    The empty-space index is rebuilt, which costs more than the sampling.
     """
     by_occupancy, by_colour = jax.random.split(key)
     std = jnp.sqrt(measurement_noise.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size))

@@ -87,7 +87,7 @@ class FloorPlan:
     def clearance(self, centre: np.ndarray | None = None, reach: float = 0.0) -> ClearanceMap:
         """Compute the signed distance to what is not free; with ``centre`` only within ``reach`` m of it.
 
-        The map covers what is known with one cell around it; beyond, a clearance map says that nothing is free.
+        The map covers the known cells with one cell around them; beyond, a clearance map has no free space.
         """
         window = _around(self.cells != UNKNOWN, 1)
         if centre is not None:

@@ -2,7 +2,7 @@
 
 With ``e = bearing(waypoint) - heading``: where ``|e| > max_offset`` the robot turns, ``(clip(e), 0, 0)``; else it
 drives, ``(0, e, min(max_step, distance))``. Its direction offset ``o`` makes small corrections, because every turning
-command adds a heading error whatever its size, and an offset adds none.
+command adds a heading error that does not depend on its size, and an offset adds none.
 """
 
 import math

@@ -178,7 +178,7 @@ def ensure_map(
     """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
 
     Map and recording are kept. They are used again if scene, seed, noise and tracer of the drive, cell size and kind of
-    poses are the same, else made anew. Only files made by this package are replaced.
+    poses are the same, else made again. Only files made by this package are replaced.
 
     Args:
         scene: built-in name or path of a scene file.

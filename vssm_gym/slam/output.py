@@ -103,7 +103,7 @@ def process(
 def summarise(
     run: SlamRun, sequence: Sequence, options: SlamOptions, seconds: float, truth: Truth | None
 ) -> dict[str, Any]:
-    """Summarise a run for readers who judge or repeat it, as plain JSON values."""
+    """Summarise a run for readers who evaluate or repeat it, as plain JSON values."""
     frames = run.frames
     fits = {
         name: [value for frame in frames if (value := getattr(frame, name)) is not None and np.isfinite(value)]

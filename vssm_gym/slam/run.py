@@ -36,7 +36,7 @@ from vssm_gym.model.transition import RIGID
 from vssm_gym.progress import OnProgress
 
 START_STD = 0.3  # m, rad: std of the tracker's given start in a map
-PATIENCE = 3  # readable frames that may be rejected after the first one before the map starts anew
+PATIENCE = 3  # readable frames that may be rejected after the first one before the map is restarted
 AHEAD = 4  # images that are read ahead of the filter
 MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
 MAX_CELLS = 1_000_000_000  # an unobserved cell of a sparse cube takes a tenth of a byte
@@ -246,7 +246,7 @@ def thin(times: Float[np.ndarray, "n"], rate: float) -> list[int]:
     """Thin a stream of frames to ``rate`` a second: at most ``w rate + 1.5`` frames in any ``w`` seconds.
 
     A frame may be early by half a period without changing when the next one is due: a camera that runs at ``rate``
-    keeps all frames whatever their jitter.
+    keeps all frames for any jitter.
 
     Args:
         times: sorted stamps, s.
@@ -345,8 +345,8 @@ class _Stages:
 class _Tracker:
     """Keep the filter's state between frames; ``None`` before the first readable frame.
 
-    A map that starts from a bad image (too dark, hardly any depth, something in front of the camera) matches no later
-    image: if none of ``PATIENCE`` readable frames is accepted after the first one, the map starts anew.
+    A map that starts from a bad image (too dark, too little depth, an object in front of the camera) matches no later
+    image: if none of ``PATIENCE`` readable frames is accepted after the first one, the map is restarted.
     """
 
     def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
@@ -387,7 +387,7 @@ class _Tracker:
                 self._misses += 1
         elif readable(image, self.options.tracking):
             if self.state is not None:
-                text = f"frames {self.start} to {index - 1}: none fits the first; the map starts anew at frame {index}"
+                text = f"frames {self.start} to {index - 1}: none fits the first; the map is restarted at frame {index}"
                 self.notices.append(text)
             self.state = self.filter.init(self.options.prior(), image, jax.random.key(self.options.seed))
             self.start, self._misses = index, 0 if self.options.method == "prism" else None

@@ -110,7 +110,7 @@ def _restored(kept: Path, run: Run) -> tuple[np.ndarray, np.ndarray]:
     if not kept.is_file():
         run.begin()
         return np.zeros((0, spec.frames * size_of(spec.inputs)), np.float32), np.zeros((0, 3), np.float32)
-    expected = "what the training had collected; remove it to begin anew"
+    expected = "the data that the training had collected; remove it to start again"
     with open_npz(open_file(kept), kept, DEMONSTRATION_BYTES, expected) as stored:
         n, width = (*stored.shapes["actions"], 0)[0], spec.frames * size_of(spec.inputs)
         if stored.shapes["vectors"] != (n, width) or stored.shapes["actions"] != (n, 3):

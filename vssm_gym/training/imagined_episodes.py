@@ -61,8 +61,8 @@ def imagine(
 ) -> list[Row]:
     """Imagine one episode of each task; return rows of ``task, success, spl, steps, collisions, path_length, return``.
 
-    Task number i draws from the stream of ``seed + i``, whatever the other tasks. The spectator is called with every
-    step until the last episode has ended; robots whose episode ended before have begun others.
+    Task number i draws from the stream of ``seed + i``, independent of the other tasks. The spectator is called with
+    every step until the last episode has ended; robots whose episode ended before have begun others.
 
     Raises :class:`InputError` where a task does not fit the map.
     """

@@ -58,7 +58,7 @@ class Run:
         return time.monotonic() - self._began
 
     def begin(self) -> None:
-        """Begin anew; drop the log of a training that was killed before its first checkpoint."""
+        """Start from the beginning; drop the log of a training that was killed before its first checkpoint."""
         self._log.drop_after(-1)
 
     def resume(self, steps: int, seconds: float) -> None:
@@ -147,7 +147,7 @@ class ProgressLog:
     def drop_after(self, steps: int) -> None:
         """Drop lines after ``steps``, and an unfinished last line."""
         kept = [json.dumps(row) for row in read_progress(self._path) if row["steps"] <= steps]
-        self._file.truncate(0)  # appending goes on at the new end
+        self._file.truncate(0)  # appending continues at the new end
         self._file.write("".join(line + "\n" for line in kept).encode())
         self._file.flush()
 

@@ -35,7 +35,7 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
         config: checked by :func:`vssm_gym.training.config.load_training`.
         out: new or empty folder, or with ``resume`` that of a training of the same configuration.
         resume: continue from the last checkpoint: parameters, optimiser, steps, seconds, random generators. Running
-            episodes begin anew, so that an interrupted training is not the same to the last bit.
+            episodes restart, so that an interrupted training is not the same to the last bit.
         on_update: called after every update with a row of the log and the fraction that is done.
 
     Raises:

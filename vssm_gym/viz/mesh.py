@@ -82,7 +82,7 @@ def _belief(m: VoxelMap, p_world: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _inside(m: VoxelMap, vertices: np.ndarray) -> jax.Array:
     """Move vertices slightly inside the grid for the map's queries, which return the prior outside.
 
-    Zeros fill them up to a power of two: every number of vertices would otherwise compile anew.
+    Zeros fill them up to a power of two: otherwise every number of vertices would need its own compilation.
     """
     inset = np.array([[1e-3], [-1e-3]]) * float(m.voxel_size)
     p_world = np.zeros((1 << max(0, len(vertices) - 1).bit_length(), 3), np.float32)

@@ -37,7 +37,7 @@ def build_car_spec(apartment: Apartment, car: Car) -> mujoco.MjSpec:
     option.timestep = DYNAMICS.substep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = 10.0  # tyres slip where friction ends, and hardly creep before
+    option.impratio = 10.0  # tyres slip beyond their friction, and barely creep below it
     # Should a simulation ever burst, it stays so and the car counts as overturned, instead of starting at the origin.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.worldbody.add_geom(
@@ -102,7 +102,7 @@ def _add_wheel(spec: mujoco.MjSpec, body: Any, car: Car, name: str, at: tuple[fl
 
 
 def _add_drive(spec: mujoco.MjSpec, car: Car) -> None:
-    """Add one motor on the mean of the rear wheels: each gets half of its torque, whatever their speeds."""
+    """Add one motor on the mean of the rear wheels: each gets half of its torque at every speed."""
     axle = spec.add_tendon(name="axle")
     for side in ("left", "right"):
         axle.wrap_joint(f"rear {side}", 0.5)

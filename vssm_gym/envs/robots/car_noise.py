@@ -106,7 +106,7 @@ class CarActuators:
 
     Args:
         noise: their imperfections.
-        rng: the dynamics stream. The start of an episode draws two normals and every step three, whatever is commanded,
+        rng: the dynamics stream. The start of an episode draws two normals and every step three, for every command,
             so that runs which share a seed share the noise of step ``t``.
     """
 

@@ -101,7 +101,7 @@ class DifferentialRobot:
             planar: ``(x, y, heading)`` before the step, m and rad.
             command: ``(left, right)``, m.
             noise: standard deviations of a step.
-            rng: the dynamics stream; every call draws two normals, whatever is commanded.
+            rng: the dynamics stream; every call draws two normals, for every command.
 
         Returns:
             ``(x, y, heading)`` after the step, heading in [-pi, pi).

@@ -112,7 +112,7 @@ def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng:
         command: ``(turn, o, s)``, rad, rad, m, within the robot's limits.
         noise: standard deviations of a step.
         rng: the dynamics stream; every call draws two normals, so that runs which share a seed share the noise of
-            step ``t`` whatever they commanded before.
+            step ``t`` for all commands before it.
 
     Returns:
         ``(x, y, heading)`` after the step, heading in [-pi, pi).

@@ -135,7 +135,7 @@ def save_scene(apartment: Apartment, path: str | Path) -> None:
 
 
 def _pretty(value: Any, indent: int = 0) -> str:
-    """Format JSON so that whatever fits into 120 columns shares a line, such as a box or a wall."""
+    """Format JSON so that values that fit into 120 columns, such as a box or a wall, are on one line."""
     line = json.dumps(value, allow_nan=False)
     if len(line) + indent <= 120 or not isinstance(value, dict | list):
         return line

@@ -46,7 +46,7 @@ class Sensor(Protocol[Body]):
         """Restart the sensor with this stream of random numbers, as a seeded reset does."""
 
     def begin(self, body: Body) -> None:
-        """Start an episode with the robot as it is; without a seed the stream goes on."""
+        """Start an episode with the robot as it is; without a seed the stream continues."""
 
     def measure(self, body: Body) -> dict[str, np.ndarray]:
         """Measure once, after every motion; return an array of its space for each key."""

@@ -57,7 +57,7 @@ class ImuSensor:
         self._rng = rng
 
     def begin(self, body: FlyingBody) -> None:
-        """Restart the IMU: its bias is drawn anew."""
+        """Restart the IMU with a new bias."""
         assert self._rng is not None
         self._imu = NoisyImu(self.noise, self._rng)
 

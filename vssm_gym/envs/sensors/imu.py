@@ -111,7 +111,7 @@ class NoisyImu:
 
     Args:
         noise: its errors, or a preset's name.
-        rng: its stream; the same stream gives the same bytes, in whatever portions the readings are passed.
+        rng: its stream; the same stream gives the same bytes for any division of the readings into calls.
     """
 
     def __init__(self, noise: str | ImuSensorNoise, rng: np.random.Generator) -> None:

@@ -123,7 +123,7 @@ class LidarSensor:
         self._rng = rng
 
     def begin(self, body: HasPose) -> None:
-        """Do nothing: the errors' stream goes on."""
+        """Do nothing: the errors' stream continues."""
 
     def measure(self, body: HasPose) -> dict[str, np.ndarray]:
         """Scan once."""
@@ -163,7 +163,7 @@ def measured(
 ) -> Float[np.ndarray, "*batch"]:
     """Return measured ranges ``r' = r + e`` of exact ones, with lost returns and nothing out of range; float32, m.
 
-    Each call draws the same amount from ``rng`` whatever the ranges; the same stream gives the same bytes.
+    Each call draws the same amount from ``rng`` for all ranges; the same stream gives the same bytes.
     """
     noise = config.noise
     error, chance = rng.standard_normal(ranges.shape), rng.random(ranges.shape)

@@ -34,7 +34,7 @@ class MazeScan:
         self._rng = rng
 
     def begin(self, body: HasPlanar) -> None:
-        """Do nothing: the errors' stream goes on."""
+        """Do nothing: the errors' stream continues."""
 
     def measure(self, body: HasPlanar) -> dict[str, np.ndarray]:
         """Scan once from the robot's centre."""

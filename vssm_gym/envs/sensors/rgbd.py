@@ -1,7 +1,7 @@
 """Measure colour and depth with a robot's RGB-D camera.
 
 The renderer is shared (:mod:`vssm_gym.envs.sensors.shared_renderer`); the sensor owns its noise and its random
-stream. Its state, such as the exposure, goes on from episode to episode, until a seed restarts it.
+stream. Its state, such as the exposure, continues from episode to episode, until a seed restarts it.
 """
 
 from typing import Any
@@ -41,7 +41,7 @@ class RGBDSensor:
         self._sensor = NoisySensor(self.noise, self.renderer.camera, rng)
 
     def begin(self, body: HasCamera) -> None:
-        """Do nothing: exposure and stream go on."""
+        """Do nothing: exposure and stream continue."""
 
     def measure(self, body: HasCamera) -> dict[str, np.ndarray]:
         """Take the image, ``body.dt`` s after the one before."""

@@ -72,7 +72,7 @@ class SensorSuite(Generic[Body]):
         self.moved()
 
     def moved(self) -> None:
-        """Discard the readings: the robot has moved, and the next :meth:`sense` measures anew."""
+        """Discard the readings, so that the next :meth:`sense` measures again: the robot has moved."""
         self._readings = None
 
     def sense(self, body: Body) -> None:

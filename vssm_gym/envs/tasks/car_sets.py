@@ -47,7 +47,7 @@ def make_car_tasks(
     for i in range(n):
         rng = np.random.default_rng([*entropy, i])
         if not tasks:
-            # The chain runs through poses; of a set of points the headings in between are kept by nobody.
+            # The chain runs through poses; a set of points does not store the headings in between.
             tasks.append(sampler.draw(rng, "poses", i))
         else:
             tasks.append(sampler.goal_from(rng, np.array(tasks[-1].goal), "poses", i))

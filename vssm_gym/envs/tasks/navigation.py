@@ -114,7 +114,7 @@ def read(kind: type[S], path: Path, apartment: Apartment | None) -> S:
 def task_set(apartment: Apartment, robot: Robot, split: Split, n: int) -> TaskSet:
     """Return the first ``n`` tasks of a split.
 
-    From the frozen file where it is of this scene and robot, else made anew.
+    They are read from the frozen file if it belongs to this scene and robot, else generated.
     """
     path = FROZEN / f"{apartment.name}-{split}.json"
     if path.is_file():

@@ -105,7 +105,7 @@ def scenes(split: Split, procedural: int = 0) -> tuple[str, ...]:
 
 
 def split_of(scene: str) -> Split | None:
-    """Return the split of a built-in or procedural scene, of whatever size; None for any other (a user's file)."""
+    """Return the split of a built-in or procedural scene of any size; None for other scenes, such as a user's file."""
     frozen = frozen_splits()
     if match := _PROCEDURAL.fullmatch(scene):
         return next((split for split in SPLITS if int(match[1]) in frozen.seeds[split]), None)

@@ -84,8 +84,8 @@ def _clear(space: FreeSpace, close: FreeSpace) -> FreeSpace:
 def _close(space: FreeSpace) -> tuple[float, FreeSpace]:
     """Return the largest clearance of CLOSE, m, with which ``space.largest`` stays connected, and its space.
 
-    Scraps do not count. A passage that leaves less room beside the robot would be closed: what is beyond would never be
-    seen.
+    Small remaining areas do not count. A passage that leaves less room beside the robot would be closed: what is beyond
+    would never be seen.
     """
     for margin in CLOSE:
         near = _within(space, margin)

@@ -1,6 +1,6 @@
 """Split a batch of imagined robots into equal slices, each stepped by a thread of its own.
 
-XLA hardly shares the loops of one program among the cores of a CPU, and robots do not interact. So where robots see
+XLA rarely distributes the loops of one program over the cores of a CPU, and robots do not interact. So where robots see
 images each slice is stepped by a program for one core. Scans are so fast that two calls cost more than sharing gains,
 and an accelerator steps all robots at once.
 """

@@ -1,7 +1,7 @@
 """Map the obstacles of imagined robots: the belief's columns in the robot's height band, as signed clearance.
 
     c(x, y) = signed distance (m) to the nearest column that is occupied, and with ``unknown="blocked"`` to the nearest
-              that was hardly observed, too; bilinear between nodes 2.5 cm apart
+              that was barely observed, too; bilinear between nodes 2.5 cm apart
 
 Planners use the same columns and distances (:mod:`vssm_gym.maps.columns`). The grid covers the observed free columns;
 its rim is blocked, so that no robot leaves what is known.

@@ -32,7 +32,7 @@ HIT_OFFSET = float(1 << 20)  # added to the sample of a hit; no ray has as many 
 FIRST_SAMPLE = 2.0  # the first sample that can hit
 LEAPS = 2  # between two tests of samples
 NARROWING = (2, 8, 32)  # unfinished rays are gathered when one in 2, 8, 32 is left: grazing rays delay no others
-GATHER_MULTIPLE = 64  # rays: fewer are not worth gathering; multiples of it fill vector registers
+GATHER_MULTIPLE = 64  # rays: gathering fewer does not pay; multiples of it fill vector registers
 SLACK = 1e-3  # samples and cells: a point on the box's face counts as inside
 Coordinates = tuple[Array, ...]  # one array a coordinate: operations over an axis of two or three do not vectorise
 
@@ -188,7 +188,7 @@ def subset_size(n: int, share: int) -> int:
 
 def _advance(field: RayField, rays: Rays, k: Array, count: int) -> Array:
     if count:
-        # A loop, because unrolled leaps are compiled into one kernel that computes each leap anew for every use.
+        # A loop, because unrolled leaps are compiled into one kernel that computes each leap again for every use.
         k = jax.lax.fori_loop(0, count, lambda _, k: _leap(field, rays, k), k)
     return _test(field, rays, k)
 

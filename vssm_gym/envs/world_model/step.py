@@ -6,7 +6,7 @@ A robot at T has the pose estimate ``T exp(e)``. The error begins at ``e ~ N(0, 
 start, and tends to ``N(0, pose_std^2)``, the error of a tracker. Goals are observed relative to the estimate.
 
 Every robot has a random stream of its own: draw number i is ``threefry(key, i)``, one a step and one a restart,
-whatever the commands and the number of robots.
+for all commands and numbers of robots.
 """
 
 from functools import cache, partial

@@ -74,7 +74,7 @@ class WorldModelVectorEnv(VectorEnv):
         """Begin an episode of all robots, or of those of ``options["reset_mask"]``.
 
         Args:
-            seed: of the robots' streams: one a robot, or the first of consecutive ones; None: the streams go on.
+            seed: of the robots' streams: one a robot, or the first of consecutive ones; None: the streams continue.
             options: ``reset_mask`` ``(num_envs,)`` bool; ``task``: numbers of the pool's tasks, one a robot or one for
                 all robots.
         """

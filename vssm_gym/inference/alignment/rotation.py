@@ -1,7 +1,7 @@
 """``argmin_R sum rho(I_last[pi(R p)] - I[pi(p)])``: the rotation between two images, p on the plane at depth 1.
 
-A rotation moves pixels by a homography, whatever their depth. Estimated on small images, coarse to fine, it initialises
-the alignment of hand-held images: a hand turns a camera faster than a constant-velocity model predicts.
+A rotation moves pixels by a homography that does not depend on depth. Estimated on small images, coarse to fine, it
+initialises the alignment of hand-held images: a hand turns a camera faster than a constant-velocity model predicts.
 """
 
 from dataclasses import dataclass

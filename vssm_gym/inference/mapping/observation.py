@@ -40,7 +40,7 @@ class Observation(NamedTuple):
 class Pixels(NamedTuple):
     """Hold an image as a list of pixels.
 
-    An additional last pixel without a reading represents points beside the image.
+    An additional last pixel without a reading represents points outside of the image.
     """
 
     depth: Float[Array, "pixels"]  # m, 0 = no reading

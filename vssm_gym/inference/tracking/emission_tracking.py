@@ -1,7 +1,7 @@
 """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` by Adam through the renderer (TNP-SM, emission-based).
 
 This tracker is a baseline. :mod:`vssm_gym.inference.tracking.map_tracker` aligns an image to one rendered reference;
-this one renders the drawn pixels anew at every step and follows the gradient of ``log p`` in the pose, which comes
+this one renders the sampled pixels again at every step and follows the gradient of ``log p`` in the pose, which comes
 from the interpolation at the hit alone. Each step searches along 200 rays; the ray itself is the association.
 """
 
@@ -89,7 +89,7 @@ class EmissionTracker:
 def _descend(
     predicted: GaussianBelief, image: RGBD, m: VoxelMap, rig: Rig, key: Array, config: EmissionTrackerConfig
 ) -> Float[Array, "4 4"]:
-    """Find T_world_cam by MAP, ``T_world_pred exp(B xi)``; pixels are drawn and rendered anew at every step."""
+    """Find T_world_cam by MAP, ``T_world_pred exp(B xi)``; pixels are sampled and rendered again at every step."""
     camera, basis = rig.camera, camera_twists(predicted.manifold, rig)
     T_world_pred = predicted.manifold.pose(predicted.mean) @ rig.T_body_cam
     precision = jnp.linalg.inv(predicted.covariance)

@@ -90,7 +90,7 @@ def localise(
 
 
 def readable(image: RGBD, config: TrackingConfig) -> bool:
-    """Return whether the image has enough depth readings to be aligned, or to start a map."""
+    """Return True if the image has enough depth readings to be aligned, or to start a map."""
     return float(jnp.mean(image.hit)) >= config.min_reading
 
 

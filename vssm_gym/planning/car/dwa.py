@@ -60,7 +60,7 @@ class DwaState:
     Attributes:
         control: ``(speed, steering)`` commanded last, m/s and rad.
         status: what the controller was doing.
-        recovering: steps for which it goes on backing up.
+        recovering: steps for which it continues to back up.
         gear: 1.0 or -1.0, the last direction it drove in.
         nearest: least distance to the goal so far, m.
         attempts: times it backed up since then.

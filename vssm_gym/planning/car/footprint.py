@@ -42,7 +42,7 @@ class Arena:
 
     @classmethod
     def from_occupied(cls, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> "Arena":
-        """An arena of whole cells: surfaces run half-way between an occupied and a free centre."""
+        """Make an arena of whole cells: surfaces run halfway between an occupied and a free centre."""
         occupied, origin = np.asarray(occupied, dtype=bool), np.asarray(origin, dtype=np.float64)
         if occupied.ndim != 2 or min(occupied.shape) < 2:
             raise InputError("arena", "occupied", f"a grid of two cells a side or more; found shape {occupied.shape}")
@@ -62,7 +62,7 @@ def arena_from_map(
 ) -> Arena:
     """The arena of a belief: cells in which a body of height ``z_min..z_max`` (m) would meet something.
 
-    A cell is looked at in columns half a voxel apart or less. With ``o ~ N(mean, std^2)`` the occupancy of a point, it
+    A cell is evaluated in columns half a voxel apart or less. With ``o ~ N(mean, std^2)`` the occupancy of a point, it
     is occupied where any observed point of any column has
 
     - ``"mean"``, ``"optimistic"``: ``mean > 0``, the most probable surface;

@@ -4,7 +4,7 @@
                            1 where the nearest cell's and heading's, grown by ``comfort``, does, else 0
 
 A bin is the box of poses that round to one cell and one heading. Level 2 is tested for all of it: a pose whose level is
-lower collides with nothing, whatever its rounding.
+lower does not collide, at any point of its bin.
 """
 
 import itertools

@@ -37,7 +37,7 @@ _BATCH = 200  # nodes between two looks at the clock
 class CarPlan:
     """Hold a drive from the start to the goal, or the reason why there is none.
 
-    It reads as a :class:`~vssm_gym.planning.result.PlanResult` does, and knows headings and gears besides.
+    It has the fields of a :class:`~vssm_gym.planning.result.PlanResult`, and headings and gears.
 
     Attributes:
         status: how the search ended.
@@ -93,7 +93,7 @@ def plan(
         goal: a pose ``(3,)``, or a point ``(2,)``.
         obstacles: levels of the footprint's poses.
         car: its measures.
-        costs: weights beside the length.
+        costs: weights relative to the length.
         cell: of the search, m; arcs are one and a half as long. Halved where the search finds no path.
         headings: of the search; doubled there.
         steerings: of the arcs, from full lock to full lock, odd.

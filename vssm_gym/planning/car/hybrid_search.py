@@ -245,7 +245,7 @@ def _expand(tree, lookup, goal, moves, radius, costs, weight, node):
 def search(
     tree: Tree, lookup: Lookup, goal: Goal, moves: Moves, radius: float, costs: Costs, weight: float, budget: int
 ) -> int:
-    """Close up to ``budget`` nodes; call again to go on. Curves are shot the more often the nearer the goal is:
+    """Close up to ``budget`` nodes; call again to continue. Curves are shot the more often the nearer the goal is:
     from one of ``n + 1`` nodes between ``n`` and ``n + 1`` times :data:`SPACING` from it.
     """
     last = tree.cost.shape[0] - 1

@@ -3,8 +3,8 @@
     d(c) = min over paths of the robot's disc through free cells of sum |edges|          (geodesic tree, 16 neighbours)
 
 Unknown space is not free for the body. The places cover what can be reached evenly, and more closely near frontiers.
-:mod:`vssm_gym.planning.exploration.information` computes what a view from them is worth, and a grid search plans the
-path to them.
+:mod:`vssm_gym.planning.exploration.information` computes the information of a view from them, and a grid search plans
+the path to them.
 """
 
 from dataclasses import dataclass

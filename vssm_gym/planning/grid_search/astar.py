@@ -116,7 +116,7 @@ def plan(
     max_expansions: int = 1_000_000,
     any_angle: bool = True,
 ) -> PlanResult:
-    """Plan as :class:`vssm_gym.planning.planners.Planner` asks; without ``any_angle`` the path visits cell centres."""
+    """Plan as :class:`vssm_gym.planning.planners.Planner`; without ``any_angle`` the path visits cell centres."""
     return plan_by_search(
         _search,
         start,

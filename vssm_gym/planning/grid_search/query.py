@@ -78,7 +78,7 @@ def plan_by_search(
     max_expansions: int,
     shorten: bool,
 ) -> PlanResult:
-    """Plan as :class:`vssm_gym.planning.planners.Planner` asks, by a grid search.
+    """Plan as :class:`vssm_gym.planning.planners.Planner` by a grid search.
 
     With ``shorten`` the path of nodes is shortened to an any-angle path; without, it visits the nodes.
     """

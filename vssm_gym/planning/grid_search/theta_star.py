@@ -30,7 +30,7 @@ def plan(
     goal_radius: float = 0.0,
     max_expansions: int = 1_000_000,
 ) -> PlanResult:
-    """Plan as :class:`vssm_gym.planning.planners.Planner` asks.
+    """Plan as :class:`vssm_gym.planning.planners.Planner`.
 
     The path visits nodes of the grid.
     """

@@ -69,7 +69,7 @@ class FieldCache:
         self.made: tuple[CostToGo, ClearanceMap, Fields] | None = None
 
     def of(self, value: CostToGo, clearance: ClearanceMap) -> Fields:
-        """Return the tables of these two objects, which nobody changes in place."""
+        """Return the tables of these two objects, which are never changed in place."""
         if self.made is None or self.made[0] is not value or self.made[1] is not clearance:
             self.made = value, clearance, make_fields(value, clearance, self.car)
         return self.made[2]

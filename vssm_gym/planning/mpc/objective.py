@@ -5,7 +5,7 @@
     g_ti(u) = d(p_i(z_t)) - r - m  >=  0
 
 ``s`` is the cost of one step in the unit of ``J``: min(s, J) charges for time until the goal region, where ``J`` is
-zero, without naming the goal. A step is charged where it ends: the pose it starts from is no longer in anybody's hands.
+zero, without naming the goal. A step is charged where it ends, since no control changes the pose at which it starts.
 """
 
 from typing import NamedTuple

@@ -140,7 +140,7 @@ class MpcResult:
 
     Attributes:
         status: how the solution ended; only a usable one may be driven.
-        controls: ``(T, 2)`` float64 (speed m/s, steering rad), within limits and rates whatever the status.
+        controls: ``(T, 2)`` float64 (speed m/s, steering rad), within limits and rates for every status.
         states: ``(T + 1, 3)`` float64 (x, y, heading) in the world frame, the present pose first, heading in [-pi, pi).
         cost: the objective at the plan, step costs.
         violation: largest shortfall of the clearance constraint over the plan, m; 0 where it holds.
@@ -148,7 +148,7 @@ class MpcResult:
         seconds: wall-clock time of the call, without compilation.
         iterations: of the solver's innermost loop.
         step: how many plans came before this one in the same chain of warm starts.
-        multipliers: what a solver keeps for its own next warm start; nobody else reads it.
+        multipliers: a solver's own data for its next warm start.
     """
 
     status: MpcStatus

@@ -1,4 +1,4 @@
-"""Select the answer among several plans, the same way for every solver (eq. P32).
+"""Select one of several plans by the same rule for every solver (eq. P32).
 
 u = argmin { C(u_k) : max_i max(0, m - d_i(u_k) + r) <= tolerance },  else the plan with the least violation
 """
@@ -67,7 +67,7 @@ def to_result(
     step: int,
     multipliers: tuple[np.ndarray, ...] = (),
 ) -> MpcResult:
-    """Return a selection as a result on the host; a late one has the status LATE whatever its plan is."""
+    """Return a selection as a result on the host; a late one has the status LATE for every plan."""
     violation = float(selection.violation)
     if float(selection.start_clearance) < -problem.config.tolerance:
         status = MpcStatus.BLOCKED

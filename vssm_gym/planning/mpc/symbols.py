@@ -1,4 +1,4 @@
-"""Express parts of IPOPT's problem in CasADi's symbols: the bicycle's step, and splines that are looked up.
+"""Express parts of IPOPT's problem in CasADi's symbols: the bicycle's step, and interpolating splines.
 
 CasADi itself is imported in one place, :mod:`vssm_gym.planning.mpc.ipopt`, and given to these functions.
 """

@@ -1,7 +1,7 @@
 """Define homes drawn by hand: rooms with seeds, doors and windows; built into an apartment and furnished.
 
 A room's number is the seed of its looks and furniture, chosen by hand. Change one and the scene, its hash and its
-frozen tasks change: write them anew with `built_in.write_built_in`.
+frozen tasks change: write them again with `built_in.write_built_in`.
 """
 
 from dataclasses import dataclass

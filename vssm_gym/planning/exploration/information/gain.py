@@ -1,10 +1,11 @@
 """Compute ``I(M; x_>t | z_>t) = H(M) - E_x H(M | x, z) = sum_cells 1/2 log(1 + n lambda_u / lambda)`` (eq. P33).
 
 ``lambda`` is a cell's precision, ``lambda_u`` that of one update and ``n`` the number of a trajectory's images that
-observe the cell. Precisions add whatever is measured. Given which cells the images observe, the posterior's entropy is
-therefore known exactly, and what several images of one trajectory share is counted once. Which cells they observe is
-imagined: images are rendered from the current belief, all of a trajectory's from the same one. At the belief's mean the
-unknown is free; :mod:`~vssm_gym.planning.exploration.information.ray_termination` limits how far rays go into it.
+observe the cell. Precisions add, independent of the measured values. Given which cells the images observe, the
+posterior's entropy is therefore known exactly, and what several images of one trajectory share is counted once. Which
+cells they observe is imagined: images are rendered from the current belief, all of a trajectory's from the same one. At
+the belief's mean the unknown is free; :mod:`~vssm_gym.planning.exploration.information.ray_termination` limits how far
+rays go into it.
 
 Steps at the same pose, of one trajectory or of many, are one view: rendered once, its cells listed once.
 
