@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.helpers.car_worlds import CAR, DEAD_END, PARKED, PARKING, SEALED, levels, move, occupied, solid, touched
+from tests.helpers.car_worlds import CAR, DEAD_END, PARKED, PARKING, SEALED, collides, levels, move, occupied, solid
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import reeds_shepp
@@ -41,7 +41,7 @@ def check_drivable(result: CarPlan, grid: np.ndarray, start: np.ndarray, goal: n
     np.testing.assert_allclose(across, 0.0, atol=1e-6)
     assert np.all(along * gears[1:] >= -1e-9)
     assert result.cusps == np.count_nonzero(np.diff(np.sign(along[np.abs(along) > 1e-9])))
-    assert not touched(solid(grid), poses).any()
+    assert not collides(solid(grid), poses).any()
 
 
 @pytest.mark.parametrize("seed", range(12))
