@@ -31,7 +31,7 @@ class Addition:
     rows: dict[str, str] = field(default_factory=dict)
 
 
-# The pages go on to describe what was taken out, so what holds them to the code is left out.
+# The pages still describe what was taken out, so the tests of the pages are left out.
 FAST = ["-m", "not slow", "-n", "2", "--ignore=tests/test_docs.py"]
 SENSORS, METRICS = "vssm_gym/envs/sensors/registry.py", "eval/metrics/registry.py"
 DRIVE = r"Differential|DIFFERENTIAL"

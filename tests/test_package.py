@@ -72,7 +72,7 @@ def test_the_top_folders_are_linked_into_the_package():
         assert path.resolve() == CHECKOUT / folder
 
 
-def test_what_is_imported_is_declared_and_what_is_declared_is_imported():
+def test_imported_and_declared_dependencies_are_the_same():
     imported = set()
     for path in package_files():
         if path.suffix == ".py":

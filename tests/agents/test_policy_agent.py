@@ -66,7 +66,7 @@ class Seen:
 
 def context(width: int = 160, **changes: Any) -> AgentContext:
     camera = Camera.from_hfov(width, 120, np.pi / 2.0)
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "K": camera.K,
         "camera": (width, 120),
         "T_body_cam": ROBOT.T_body_cam,
@@ -79,7 +79,7 @@ def context(width: int = 160, **changes: Any) -> AgentContext:
         "noise": (0.0, 0.0),
         "transition": Planar(MotionNoise(0.0, 0.0)),
     }
-    return AgentContext(**(told | changes))
+    return AgentContext(**(fields | changes))
 
 
 def observation(seed: int = 0, goal: tuple[float, float] = (3.0, 1.0)) -> dict[str, np.ndarray]:
@@ -106,7 +106,7 @@ def test_features_by_hand():
     scan = np.zeros(64, np.float32)
     scan[3] = 0.5
     shown = {"scan": scan, "goal": np.array([1.0, 1.0, 0.0]), "pose": np.array([1.0, 2.0, np.pi / 2.0])}
-    vector = features(shown, ("pose", "scan", "goal"))  # the order is that of SIZES whatever is asked
+    vector = features(shown, ("pose", "scan", "goal"))  # the order is that of SIZES, not of the argument
     assert vector.dtype == np.float32 and vector.shape == (size_of(("scan", "goal", "pose")),) == (112,)
     assert vector[3] == 0.5 and (np.delete(vector[:64], 3) == 0.0).all()
     np.testing.assert_allclose(vector[64:68], [1.0, 0.0, 0.1, 1.0 / 3.0], atol=1e-6)

@@ -61,7 +61,7 @@ def test_the_walk_is_as_smooth_as_a_hand_held_camera(apartment):
     assert np.linalg.norm(np.diff(v, axis=0), axis=1).max() < 0.15  # m/s a frame
 
 
-def test_the_camera_is_upright_and_looks_where_it_goes(apartment):
+def test_the_camera_is_upright_and_faces_its_motion(apartment):
     path = walk(apartment, 30.0, 10.0)
     R = path.T_world_cam[:, :3, :3]
     assert np.degrees(np.arccos(-R[:, 2, 1])).max() < 25.0  # image down against world down

@@ -88,7 +88,7 @@ def test_every_step_draws_the_same_number_of_normals():
     assert one.random() == other.random()
 
 
-def test_levels_grow_and_none_is_exact():
+def test_levels_grow_and_the_level_none_is_exact():
     assert NOISE_LEVELS["none"] == CarNoise()
     names = [name for name in vars(CarNoise()) if name not in ("friction", "steering_rate")]
     for weaker, stronger in (("none", "low"), ("low", "mid"), ("mid", "high")):

@@ -190,7 +190,7 @@ def test_a_vector_environment_goes_on_after_an_episode(name):
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_an_unknown_keyword_names_the_environment_and_what_it_takes(name):
+def test_an_unknown_keyword_names_the_environment_and_its_keywords(name):
     title = name.removeprefix("vssm_gym/").removesuffix("-v0")
     for build in (gym.make, gym.make_vec):
         expected = rf"^{title}: foo: expected one of its keywords: scene, .*render_mode"

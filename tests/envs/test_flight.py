@@ -157,7 +157,7 @@ def test_a_flight_completed_is_a_success():
 def test_a_wall_ends_the_flight_and_is_not_passed():
     env = make()
     env.reset(seed=0)
-    # Aimed along x by hand, and moved by stages: the episode ends at once, far from its reference.
+    # Aimed along x by hand, and moved phase by phase: the episode ends at once, far from its reference.
     env.state = FlightState(np.array([4.0, 0.0, 1.8]), np.array([8.0, 0.0, 0.0]), np.eye(3))
     env.world.reset(env.state.position)
     for _ in range(20):
@@ -271,7 +271,7 @@ def test_a_pickled_environment_continues_the_flight():
     assert here[1:4] == there[1:4]
 
 
-def test_the_observation_hides_the_pose_unless_asked():
+def test_the_pose_is_not_observed_by_default():
     assert set(make().observation_space.spaces) == {"rgb", "depth", "imu", "reference"}
     env = make(observe_pose=True)
     observation, info = env.reset(seed=0)
@@ -328,7 +328,7 @@ def test_bad_actions_are_refused_and_change_nothing(action):
     assert env.state is before
 
 
-def test_a_task_in_the_way_of_a_column_is_refused():
+def test_a_task_through_a_column_is_refused():
     env = make()
     with pytest.raises(InputError, match="it meets"):
         env.reset(options={"task": ReferenceFlight("figure8", 1.0, Placement((5.0, 5.0), 2.0, 0.0))})

@@ -69,7 +69,7 @@ def test_info_and_observation_are_as_documented():
     assert env.observation_space.contains(observation)
 
 
-def test_pose_is_observed_where_asked_for():
+def test_the_pose_is_observed_on_request():
     env = make(observe_pose=True, noise="mid")
     observation, info = env.reset(seed=1)
     np.testing.assert_allclose(observation["pose"], info["pose"], rtol=1e-6)

@@ -47,7 +47,7 @@ def test_many_steps_do_not_accumulate_speed_or_error():
 
 
 @given(st.floats(-1.3, 1.3), st.floats(0.05, 0.4), st.floats(0.0, 0.3))
-def test_a_wall_stops_the_robot_and_lets_it_slide_and_back_off(angle, distance, gap):
+def test_a_wall_stops_the_robot_which_can_slide_and_back_off(angle, distance, gap):
     """Against the wall x = 0, at ``angle`` from its normal, x stays outside and y advances as without the wall."""
     EMPTY.reset(np.array([WALL + gap, 2.0, 0.0]))
     push = distance * np.array([-math.cos(angle), math.sin(angle) * 0.5, 0.0])
@@ -84,7 +84,7 @@ def test_a_corner_holds_the_robot():
         (0.0, 0.008, False),  # a rug
     ],
 )
-def test_what_is_at_the_robots_height_blocks_it(low, high, blocks):
+def test_obstacles_at_the_robots_height_block_it(low, high, blocks):
     slab = furniture("slab", (2.0, 2.0, 0.5 * (low + high)), (0.3, 1.0, high - low))
     world = FloorWorld(two_rooms(pieces=(slab,)), ROBOT)
     world.reset(np.array([1.2, 2.0, 0.0]))

@@ -119,7 +119,7 @@ def test_a_corner_is_round_to_a_disc(turned, east, north):
     np.testing.assert_allclose((x, y), corner + (RADIUS + SKIN) * out, atol=1e-9)
 
 
-def test_a_wedge_holds_a_disc_and_lets_it_out():
+def test_a_wedge_stops_a_disc_which_can_leave_it():
     """Two walls meet at 60 degrees: pushed into the wedge the disc stops, pushed out it moves freely."""
     half = math.radians(30.0)
     rows = []
@@ -137,7 +137,7 @@ def test_a_wedge_holds_a_disc_and_lets_it_out():
     assert slide(x, y, 0.1, 0.0, RADIUS, wedge)[:2] == (pytest.approx(x + 0.1), pytest.approx(y))
 
 
-def test_only_what_the_plane_cuts_is_in_it():
+def test_only_boxes_that_the_plane_cuts_are_in_it():
     def box(z: float, height: float) -> SolidBox:
         return SolidBox("box", "wall", (0.1, 0.2, z), (0.4, 0.2, height), 0.3, Material())
 

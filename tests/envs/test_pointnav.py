@@ -140,7 +140,7 @@ def test_the_image_does_not_depend_on_the_goal():
     assert one["rgb"].tobytes() == other["rgb"].tobytes() and one["depth"].tobytes() == other["depth"].tobytes()
 
 
-def test_pose_is_observed_where_asked_for():
+def test_the_pose_is_observed_on_request():
     env = make(observe_pose=True, noise="mid")
     observation, _ = env.reset(seed=1)
     np.testing.assert_allclose(observation["pose"], env.planar, rtol=1e-6)

@@ -37,7 +37,7 @@ def test_without_noise_the_command_is_executed_exactly(planar, command):
 
 
 @given(planars, commands, noises, seeds)
-def test_noise_never_reverses_a_motion_and_never_moves_what_is_at_rest(planar, command, noise, seed):
+def test_noise_never_reverses_a_motion_and_never_moves_a_robot_at_rest(planar, command, noise, seed):
     after = execute(planar, command, noise, np.random.default_rng(seed))
     turn, offset, step = command
     turned = float(wrap_angle(np.array(after[2] - planar[2])))
@@ -99,7 +99,7 @@ def test_published_levels():
     assert ROBOT.max_step == pytest.approx(0.8 * ROBOT.body_length)
 
 
-def test_camera_looks_along_body_x_from_its_height():
+def test_the_camera_faces_along_body_x_at_its_height():
     T = ROBOT.T_body_cam
     point_cam = np.array([0.3, -0.2, 2.0, 1.0])  # right, up, ahead
     np.testing.assert_allclose((T @ point_cam)[:3], [2.0, -0.3, ROBOT.camera_height + 0.2])

@@ -103,7 +103,7 @@ def test_some_environments_may_be_reset_alone(name):
     undisturbed.close()
 
 
-def test_an_environment_reset_alone_counts_its_steps_anew():
+def test_a_single_reset_restarts_the_step_count():
     env = make_vec("vssm_gym/PointNav-v0", max_episode_steps=5)
     env.reset(seed=1)
     rng = np.random.default_rng(0)

@@ -170,8 +170,8 @@ class Scrambled(gym.Wrapper):
         self.noise, self.actions = np.random.default_rng(seed), []
 
     def _scramble(self, info):
-        told = {"K", "start_pose"}
-        drawn = {key: self.noise.normal(size=np.shape(value)) for key, value in info.items() if key not in told}
+        kept = {"K", "start_pose"}
+        drawn = {key: self.noise.normal(size=np.shape(value)) for key, value in info.items() if key not in kept}
         return {key: drawn.get(key, value) for key, value in info.items()}
 
     def reset(self, **keywords):

@@ -138,7 +138,7 @@ def test_a_rows_own_fields_come_before_the_shared_ones():
     }
     whole = completed({"version": "2"}, manifest | {"scene_hashes": {"oak": "abc"}})
     assert whole == {"env": "a", "scene": "oak", "scene_hash": "abc", "seed": 1, "version": "2"}
-    assert "noise" not in whole  # two values: nobody knows which
+    assert "noise" not in whole  # two values, so it is unknown which
 
 
 def test_a_row_that_cannot_be_completed_is_named(tmp_path):

@@ -185,7 +185,7 @@ def test_curves_are_interpolated_and_end_as_the_run_did(axis):
     np.testing.assert_allclose(at(stopped, "entropy", axis, grid), -1e6 * expected, atol=1e2)
     found = at(cut, "coverage", axis, grid)
     np.testing.assert_allclose(found[:3], expected[:3], atol=1e-4)
-    assert np.isnan(found[3])  # nobody knows
+    assert np.isnan(found[3])  # unknown
 
 
 def test_coverage_gained_in_place_counts_at_that_path_length():

@@ -106,6 +106,6 @@ def test_the_tables_show_which_direction_is_better():
         lambda name: proportions.percent([], name),
     ],
 )
-def test_a_metric_asked_for_by_its_old_name_gives_the_new_one(ask, old, new):
+def test_an_old_name_of_a_metric_is_an_error_that_gives_the_new_one(ask, old, new):
     with pytest.raises(InputError, match=f"{old}: expected '{new}', as this metric is called now"):
         ask(old)

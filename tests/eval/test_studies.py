@@ -200,7 +200,7 @@ def test_the_resolution_table_shows_the_worst_run() -> None:
     assert [study_resolution._text(name, failed) for name in ("ate_m", "max_m", "lost")] == ["-", "-", "50 of 50"]
 
 
-def test_the_resolution_answer_prefers_what_was_not_lost() -> None:
+def test_the_resolution_answer_prefers_settings_without_lost_frames() -> None:
     def of(voxel: float, *runs: dict) -> dict:
         return {"voxel": voxel, "render_width": 160} | study_resolution._summary(list(runs))
 

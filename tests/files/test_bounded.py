@@ -1,4 +1,4 @@
-"""Files of users are read within bounds: ordinary ones, of at most so many bytes, inside the folder they belong to."""
+"""Test bounded reading of users' files: ordinary files of limited size, inside the folder they belong to."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "make", [Path.mkdir, os.mkfifo, lambda path: None, lambda path: path.symlink_to("/dev/zero"), None]
 )
-def test_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, make) -> None:
+def test_a_path_that_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, make) -> None:
     path = tmp_path / "file" if make else "a\0b"
     if make:
         make(path)

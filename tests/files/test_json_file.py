@@ -1,4 +1,4 @@
-"""JSON of users is plain data: finite numbers, bounded nesting, bounded size."""
+"""Test that users' JSON is plain data: finite numbers, bounded nesting, bounded size."""
 
 import gzip
 import json
@@ -48,7 +48,7 @@ def test_numbers_that_no_array_holds_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"\xff", b"[1,]", b"{'a': 1}", b"[1] 2"])
-def test_what_is_no_json_is_refused(text: bytes) -> None:
+def test_invalid_json_is_refused(text: bytes) -> None:
     with pytest.raises(InputError):
         parse_json(text, "file")
 
@@ -70,7 +70,7 @@ def test_lines_are_found_and_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(InputError, match="below 50"):
         read_json_line(path, 50)
     monkeypatch.setattr(json_file, "LINES", 10)
-    with pytest.raises(InputError, match="below 10"):  # at once, whatever the file holds
+    with pytest.raises(InputError, match="below 10"):  # at once, for every content
         read_json_line(path, 49)
     monkeypatch.setattr(json_file, "LINES_BYTES", 20)
     with pytest.raises(InputError, match="20 in all"):

@@ -1,4 +1,4 @@
-"""Arrays are read from ``.npz`` files as NumPy reads them, or refused with one clear error before they are unpacked."""
+"""Test that arrays in ``.npz`` files are read as by NumPy, or refused with one error before they are unpacked."""
 
 import io
 import zipfile
@@ -30,7 +30,7 @@ def unpacked(content: bytes, limit: int = 1_000_000) -> dict[str, np.ndarray]:
 @given(
     hnp.arrays(KINDS, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=5)), st.booleans(), st.booleans()
 )
-def test_arrays_come_back(array: np.ndarray, compressed: bool, fortran: bool) -> None:
+def test_arrays_are_read_back(array: np.ndarray, compressed: bool, fortran: bool) -> None:
     array = np.asfortranarray(array) if fortran else array
     with open_npz(io.BytesIO(packed(compressed, a=array, b=1.5)), "file", 100_000, "numbers") as stored:
         assert stored.shapes == {"a": array.shape, "b": ()}

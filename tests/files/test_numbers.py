@@ -1,4 +1,4 @@
-"""One place judges numbers: what is accepted is real, finite, of the stated shape, and stays so as float32."""
+"""Test checks of numbers: accepted ones are real, finite, of the stated shape, and stay so as float32."""
 
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,12 @@ def test_lists_of_numbers_become_arrays(values: list[float]) -> None:
         *([1, 2, x] for x in ("3", True, float("nan"), float("inf"), 10**400, 1e13)),
     ],
 )
-def test_what_is_no_such_list_is_refused(value: Any) -> None:
+def test_an_invalid_list_is_refused(value: Any) -> None:
     with pytest.raises(InputError, match="file: K: expected numbers"):
         floats(value, (3,), "file", "K")
 
 
-def test_positive_is_asked_for() -> None:
+def test_positive_numbers_are_enforced() -> None:
     assert floats(2, (), "file", "f", positive=True) == 2.0
     for value in (0.0, -1.0):
         with pytest.raises(InputError, match="positive"):
@@ -46,12 +46,12 @@ def test_whole_numbers_stay_in_their_range(value: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [1e300, -1e300, np.nan, np.inf])
-def test_what_overflows_in_the_cast_is_refused(value: float) -> None:
+def test_overflow_in_the_cast_is_refused(value: float) -> None:
     with pytest.raises(InputError, match="finite"):
         as_float32(np.array([1.0, value]), "file", "a")
 
 
-def test_what_underflows_in_the_cast_is_no_positive_number() -> None:
+def test_underflow_in_the_cast_is_not_positive() -> None:
     assert as_float32(np.array([1e-300]), "file", "a") == 0.0
     with pytest.raises(InputError, match="positive"):
         as_float32(np.array([1.0, 1e-300]), "file", "a", positive=True)

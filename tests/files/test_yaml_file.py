@@ -1,4 +1,4 @@
-"""Configurations in YAML become models, or one clear error."""
+"""Test that configurations in YAML become models, or one clear error."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def test_single_values_become_tuples(tmp_path: Path) -> None:
         "x" * (300 << 10),
     ],
 )
-def test_everything_else_is_refused(tmp_path: Path, text: str | bytes) -> None:
+def test_invalid_configurations_are_refused(tmp_path: Path, text: str | bytes) -> None:
     with pytest.raises(InputError) as refused:
         read(tmp_path, text)
     assert len(str(refused.value)) < 1000 and str(tmp_path) in str(refused.value)

@@ -148,7 +148,7 @@ def test_planar_poses_by_hand() -> None:
     np.testing.assert_allclose(transform(T_world_body, np.array([3.0, 0.0, 0.5])), [1.0, 5.0, 0.5], atol=1e-12)
 
 
-def test_the_camera_looks_ahead() -> None:
+def test_the_camera_faces_ahead() -> None:
     """Camera z is body x, camera x (image right) is body -y, camera y (image down) is body -z."""
     R = np.array(R_BODY_CAM)
     np.testing.assert_array_equal(R @ [0, 0, 1], [1, 0, 0])

@@ -12,7 +12,7 @@ from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.slam.run import SlamOptions
 
 FRAMES = 10
-SIZE = "80x60"  # one size and one grid everywhere: each compiles the step anew
+SIZE = "80x60"  # one size and one grid everywhere, since each compiles the step again
 GRID = ("--voxel", "0.08", "--extent", "6.4")
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
 ROOM = Room(((-2.0, -1.6, 0.0), (2.2, 1.7, 2.3)), (((0.9, -0.4, 0.0), (1.4, 0.5, 0.8)),))

@@ -53,7 +53,7 @@ def test_in_world_is_the_covariance_of_a_pose_in_an_uncertain_frame(seed: int) -
 
 
 def test_the_frame_drifts_by_the_proportion_that_the_image_wrote() -> None:
-    """By hand: a quarter of the readings new, a quarter known as well as one image tells, half beyond the map."""
+    """By hand: a quarter of the readings is new, a quarter observed by one image, half outside of the map."""
     before = 1e-6 * jnp.eye(6)
     T = np.asarray(walked()[1][-1].belief.mean.T_world_body, float)
     S = random_covariance(np.random.default_rng(0), 0.002)

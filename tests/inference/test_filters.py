@@ -108,13 +108,13 @@ def test_a_body_is_followed(name: str, kind: str) -> None:
     follow(name, TRANSITIONS[kind], lambda k: control(kind, k), allowed)
 
 
-def follow(name: str, transition: Transition, told: Callable[[int], jax.Array], allowed: float = 1.0) -> None:
+def follow(name: str, transition: Transition, control_at: Callable[[int], jax.Array], allowed: float = 1.0) -> None:
     """Assert a pose within 2 cm and 2 degrees of the arc after six steps, and a belief that is a density."""
     tracker, prior = made(name, transition)
     assert tracker.transition is transition
     state = tracker.init(prior, see(0), jax.random.key(0))
     for k in range(STEPS):
-        state, info = tracker.step(state, told(k), see(k + 1), DT)
+        state, info = tracker.step(state, control_at(k), see(k + 1), DT)
         assert info.status is Status.OK, f"step {k}: {info.status.message}"
     metres, radians = off(info.belief, STEPS)
     assert metres < 0.02 * allowed

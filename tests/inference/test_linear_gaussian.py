@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vssm_gym.inference.linear_gaussian import Gaussian, LinearGaussian, invert, joint, marginal, split
 
-sizes = st.sampled_from([(1, 1), (3, 2), (6, 6)])  # few: every size compiles anew
+sizes = st.sampled_from([(1, 1), (3, 2), (6, 6)])  # few, since every size compiles again
 seeds = st.integers(0, 2**32 - 1)
 
 

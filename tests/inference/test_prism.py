@@ -228,7 +228,7 @@ def test_an_uncertain_pose_adds_less_precision_to_the_map() -> None:
 
 @pytest.mark.parametrize("samples", [3, 5, 9])
 def test_samples_of_the_pose_have_its_mean_and_covariance(samples: int) -> None:
-    """The mean exactly, whatever the draw; the second moment over many draws."""
+    """The mean is exact in every draw, the second moment over many draws."""
     state, _ = walked(FRAMES)
     std = jnp.asarray([0.02, 0.01, 0.03, 0.02, 0.04, 0.01])
     belief = state.past.belief

@@ -223,7 +223,7 @@ def test_noise_in_place_of_an_image() -> None:
     back_on_the_walk(state, WALKED + 4)
 
 
-def test_the_same_image_again() -> None:
+def test_a_repeated_image() -> None:
     """When the camera repeats an image, the pose stays and the velocity is that of a standstill."""
     state, _ = walked(WALKED)
     for _ in range(5):

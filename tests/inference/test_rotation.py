@@ -69,7 +69,7 @@ def test_a_known_rotation_is_found(seed: int, degrees: float) -> None:
 @settings(max_examples=20)
 @given(seeds, st.floats(0.0, 4.0))
 def test_a_known_rotation_in_a_room_is_found(seed: int, degrees: float) -> None:
-    """Depth does not matter. Patterns that repeat every 20 degrees are told apart below a quarter of that only."""
+    """Depth does not matter. Patterns that repeat every 20 degrees are ambiguous from a quarter of that on."""
     T, R = room_pose(seed), turn(seed, degrees)
     found = np.asarray(find(seen(turned(T, R)), seen(T), CAMERA, CONFIG), float)
     assert angle(R.T @ found) < 0.3

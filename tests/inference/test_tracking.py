@@ -193,7 +193,7 @@ def test_the_first_state_is_the_known_start() -> None:
     assert not state.lost
 
 
-def test_an_observation_is_what_the_camera_delivered() -> None:
+def test_an_observation_holds_the_cameras_image() -> None:
     rgb, depth = np.full((48, 64, 3), 51, np.uint8), np.ones((48, 64), np.float32)
     depth[0, 0] = 0.0
     image = RGBD.from_camera(rgb, depth)

@@ -28,7 +28,7 @@ def run(start: RigidState, control, dt: float, steps: int) -> RigidState:
 
 
 def test_a_resting_imu_stays() -> None:
-    """At rest the accelerometer reads +g upwards, in whichever frame the body lies."""
+    """At rest the accelerometer measures +g upwards for every attitude of the body."""
     control = np.concatenate([R0.T @ [0.0, 0.0, G], np.zeros(3)])
     after = run(state(np.zeros(6)), control.astype(np.float32), 0.1, 20)
     np.testing.assert_allclose(np.asarray(after.T_world_body), np.asarray(state(np.zeros(6)).T_world_body), atol=1e-5)

@@ -50,7 +50,7 @@ def test_the_outline_closes_two_walls_to_a_rectangle(angle: float) -> None:
     assert inside.sum() * CELL**2 == pytest.approx(2.5 * 2.0, rel=0.1)
 
 
-def test_the_outline_grows_with_what_is_known() -> None:
+def test_the_outline_grows_with_known_space() -> None:
     before = corner(0.0)
     cells = before.cells.copy()
     cells[10:12, 100] = FREE

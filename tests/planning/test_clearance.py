@@ -75,10 +75,10 @@ def test_at_interpolates(points):
 
 def test_an_added_obstacle_only_lowers_clearance():
     plan = clearance_map(ROOM, shapely.box(1.0, 1.0, 1.5, 1.4))
-    felt = plan.with_obstacle(np.array([2.0, 0.5]), 0.03)
-    assert np.all(felt.clearance <= plan.clearance)
-    assert felt.at(np.array([2.0, 0.5])) == pytest.approx(-0.03, abs=0.02)
-    assert felt.at(np.array([2.2, 0.5])) == pytest.approx(0.17, abs=1e-2)
+    closer = plan.with_obstacle(np.array([2.0, 0.5]), 0.03)
+    assert np.all(closer.clearance <= plan.clearance)
+    assert closer.at(np.array([2.0, 0.5])) == pytest.approx(-0.03, abs=0.02)
+    assert closer.at(np.array([2.2, 0.5])) == pytest.approx(0.17, abs=1e-2)
 
 
 @pytest.fixture(scope="module")

@@ -82,7 +82,7 @@ def test_a_robot_at_a_wall_can_leave_it(west):
     assert Roadmap.of(plan, np.array([0.08, 1.0]), 0.15).reaches(START)
 
 
-def test_places_cover_what_can_be_reached(west):
+def test_places_cover_reachable_space(west):
     _, plan = west
     roadmap = Roadmap.of(plan, START, 0.15)
     places = spread_places(roadmap, 0.5)

@@ -110,9 +110,9 @@ def test_an_unreached_random_viewpoint_can_be_drawn_again():
         assert strategy.choose(believed(CORRIDOR, (5.0, 0.55), arrived=True)) is not None
 
 
-# A corridor 12.5 m long with three niches in its upper wall that nobody has looked into, at these x (m).
+# A corridor 12.5 m long with three unseen niches in its upper wall, at these x (m).
 NICHES = np.array([1.0, 9.0, 11.0])
-KNATS = np.array([13.0, 30.0, 40.0])  # what a look around in front of each is said to give
+GAINS = np.array([13.0, 30.0, 40.0])  # 1000 nats, of a full turn in front of each
 
 
 def with_niches() -> FloorPlan:
@@ -122,21 +122,21 @@ def with_niches() -> FloorPlan:
     return drawn("\n".join(["#" * 126, *["#" + "." * 124 + "#"] * 10, *[wall] * 5, "#" * 126]))
 
 
-def told(_map: Any, views: np.ndarray, paths: np.ndarray, *_rest: Any) -> Gain:
+def gains_by_hand(_map: Any, views: np.ndarray, paths: np.ndarray, *_rest: Any) -> Gain:
     """Return gains by hand: that of the first place in front of each niche, and none for other views of it."""
     away = np.abs(views[paths[0], None, 0, 3] - NICHES)
     gained, seen = np.zeros(len(away)), set()
     for k, (niche, gap) in enumerate(zip(away.argmin(axis=1), away.min(axis=1), strict=True)):
         if gap < 0.8 and niche not in seen:
             seen.add(niche)
-            gained[k] = 1e3 * KNATS[niche]
+            gained[k] = 1e3 * GAINS[niche]
     return Gain(np.array([gained.sum()]), np.cumsum(gained)[None], np.zeros(len(views)))
 
 
 @pytest.mark.parametrize(
     ("config", "niche"),
     [
-        # The first one is 13 knat in 2 m: more in a metre than 30 in 6 m, or 40 in 8 m. But these two are on one way,
+        # The first one has 13 in 2 m: more per metre than 30 in 6 m, or 40 in 8 m. But these two are on one path,
         # 70 in 8 m, and lose more by waiting for it than it does.
         (MiExplorerConfig(), 1),
         (MiExplorerConfig(mode="rate"), 0),
@@ -145,7 +145,7 @@ def told(_map: Any, views: np.ndarray, paths: np.ndarray, *_rest: Any) -> Gain:
     ],
 )
 def test_the_explorer_goes_to_the_place_of_its_mode(config, niche, monkeypatch):
-    monkeypatch.setattr(mi_explorer, "gain_of_paths", told)
+    monkeypatch.setattr(mi_explorer, "gain_of_paths", gains_by_hand)
     plan = with_niches()
     nothing_known = VoxelMap.prior(np.array([0.0, 0.0, 0.0]), 0.1, (128, 24, 8))
     situation = believed(plan, (3.0, 0.55), map=nothing_known)
@@ -155,10 +155,10 @@ def test_the_explorer_goes_to_the_place_of_its_mode(config, niche, monkeypatch):
     assert choice.goal is not None
     assert np.abs(choice.goal[0] - NICHES[niche]) < 0.8
     assert np.array_equal(choice.goal, tour.xy[tour.first])
-    # One place for each niche, worth what was told less the price of a place, about as far away as drawn.
+    # One place for each niche, with its gain less the price of a place, about as far away as drawn.
     which = np.abs(tour.xy[:, :1] - NICHES).argmin(axis=1)
     assert sorted(which) == [0, 1, 2]
-    assert tour.nats == pytest.approx(1e3 * KNATS[which] - config.least_gain)
+    assert tour.nats == pytest.approx(1e3 * GAINS[which] - config.least_gain)
     assert np.abs(roadmap.at(roadmap.distance, tour.xy) - np.abs(NICHES[which] - 3.0)).max() < 0.6
 
 

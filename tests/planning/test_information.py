@@ -173,7 +173,7 @@ def test_laws_of_information(seed: int, kind: str) -> None:
     assert (np.diff(gain.along, axis=1) >= 0).all()
     added = np.diff(gain.along, axis=1, prepend=0.0)
     assert (added[paths == -1] == 0.0).all()
-    # Submodular: a look adds no more after others than on its own, and no step is worth more than all.
+    # Submodular: a view adds no more after others than alone, and no step has more gain than all.
     assert (added <= np.where(paths >= 0, single[paths], 0.0) * (1 + 1e-9) + 1e-9).all()
     # The order of the views, and other trajectories in the same call, change nothing.
     np.testing.assert_allclose(gain_of_paths(m, T, paths[:, ::-1], CAMERA, config).total, gain.total, rtol=1e-9)

@@ -257,5 +257,5 @@ def test_every_outcome_has_a_message_of_its_own(outcome):
     """Planners, value iteration, controllers and the safety layer share one kind of outcome."""
     assert issubclass(outcome, Outcome)
     messages = [member.message for member in outcome]
-    assert len(outcome.__members__) == len(set(messages)) >= 4  # a message told twice would make two outcomes one
+    assert len(outcome.__members__) == len(set(messages)) >= 4  # two outcomes with one message would be one member
     assert all(" " in message and message == message.strip() for message in messages)

@@ -33,14 +33,14 @@ def test_the_length_lies_between_the_shortened_and_the_grid_path(obstacles, seed
     """It is no longer than A*'s path over the grid's edges, and within 2 % and a cell of the shortened one."""
     plan_map, start, goal = scene(obstacles, seed)
     result = plan(start, goal, plan_map, RADIUS)
-    taut = astar.plan(start, goal, plan_map, RADIUS)
+    shortened = astar.plan(start, goal, plan_map, RADIUS)
     edges = astar.plan(start, goal, plan_map, RADIUS, any_angle=False)
-    assert result.status is taut.status
+    assert result.status is shortened.status
     if not result.found:
         assert result.cost == math.inf
         return
     assert result.cost <= edges.cost + 1e-6
-    assert result.cost <= 1.02 * taut.cost + plan_map.resolution
+    assert result.cost <= 1.02 * shortened.cost + plan_map.resolution
 
 
 @settings(max_examples=20)

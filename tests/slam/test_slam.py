@@ -168,8 +168,8 @@ def test_a_tracker_with_a_wrong_start_is_lost(vssm, recording, learned, tmp_path
     ],
 )
 def test_bad_options_of_the_tracker_are_one_line(vssm, recording, learned, tmp_path, options, message):
-    told = [word.format(map=learned) for word in options]
-    code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *told)
+    options_here = [word.format(map=learned) for word in options]
+    code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--size", SIZE, *options_here)
     assert code == 2
     assert message in err and err.strip().count("\n") == 0
     assert not (tmp_path / "out").exists()

@@ -24,8 +24,8 @@ def run(
     """Write a folder as `vssm-gym train` does; the return is 10 x success - 5; all robots' episode has 100 steps."""
     folder.mkdir(parents=True)
     where = {"id": "vssm_gym/WorldModelNav-v0", "map": f"{folder}.npz", "num_envs": 4, "max_episode_steps": 25}
-    told = {"name": name, "environment": where, "algorithm": {"name": "ppo"}, "steps": 10**6, "seed": seed} | config
-    (folder / "training.json").write_text(json.dumps({"config": told, "world_hash": world}))
+    settings = {"name": name, "environment": where, "algorithm": {"name": "ppo"}, "steps": 10**6, "seed": seed} | config
+    (folder / "training.json").write_text(json.dumps({"config": settings, "world_hash": world}))
     lines = [
         {"seconds": seconds, "steps": steps, "episodes": 7, "return": 10.0 * success - 5.0, "success": success}
         for seconds, steps, success in points

@@ -43,7 +43,7 @@ def test_an_imagined_failure_by_hand(tmp_path, ahead):
 
 
 @pytest.mark.slow
-def test_the_gap_is_what_imagination_adds(tmp_path):
+def test_the_gap_is_imagined_minus_simulated(tmp_path):
     """The sweep in ``oak`` gives rows; means and gap are those of the rows, task by task."""
     file, out = tmp_path / "straight.npz", tmp_path / "out"
     policy_file.save(file, straight())
@@ -51,7 +51,7 @@ def test_the_gap_is_what_imagination_adds(tmp_path):
     real = [{**row, "return": real_return(row)} for row in read_rows(out / "episodes.jsonl")]
     tasks, map_file = files_of(out, "oak")
     imagined = imagine(straight(), map_file, load(tasks).tasks[:4], "low", 0)
-    told = json.loads((out / "evaluation.json").read_text())
+    stored = json.loads((out / "evaluation.json").read_text())
     assert found.imagined is not None and found.gap is not None and found.notice == ""
     assert sorted(row["task"] for row in real) == [row["task"] for row in imagined]
     for metric in METRICS:
@@ -59,4 +59,4 @@ def test_the_gap_is_what_imagination_adds(tmp_path):
         assert found.imagined[metric].mean == pytest.approx(there)
         assert found.real[metric].mean == pytest.approx(here)
         assert found.gap[metric].mean == pytest.approx(there - here)
-        assert told["gap"][metric][0] == pytest.approx(found.gap[metric].mean)
+        assert stored["gap"][metric][0] == pytest.approx(found.gap[metric].mean)

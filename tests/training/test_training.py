@@ -215,7 +215,7 @@ def test_collisions_have_the_configured_cost():
 @pytest.mark.parametrize("algorithm", [PPO, SAC], ids=["ppo", "sac"])
 @pytest.mark.parametrize("frames", [1, 3])
 def test_a_run_is_resumed_where_it_was(corridor, tmp_path, algorithm, frames):
-    """Steps, seconds and the network go on; the file drives as the network that was trained."""
+    """Steps, seconds and the network continue; the file acts as the trained network."""
     import torch
 
     from vssm_gym.training.sb3.learner import make_model, restore_checkpoint, wrapped
@@ -248,7 +248,7 @@ def test_a_run_is_resumed_where_it_was(corridor, tmp_path, algorithm, frames):
         run_training(config(**shape, seed=5), tmp_path / "run", resume=True)
 
 
-def test_ctrl_c_keeps_what_was_learned_and_resume_ends_it(corridor, tmp_path):
+def test_ctrl_c_keeps_the_training_and_resume_completes_it(corridor, tmp_path):
     def interrupt(row: dict[str, Any], share: float) -> None:
         if row["steps"] == 64:
             os.kill(os.getpid(), signal.SIGINT)
@@ -415,7 +415,7 @@ def test_tracking_errors_are_added_to_the_simulators_poses():
         c, s = np.cos(true["pose"][:, 2]), np.sin(true["pose"][:, 2])
         dx, dy, turn = (tracked_["pose"] - true["pose"]).T
         errors.append(np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(turn)], axis=-1))
-    np.testing.assert_allclose(errors[40], 0.0, atol=1e-6)  # all episodes have begun anew
+    np.testing.assert_allclose(errors[40], 0.0, atol=1e-6)  # all episodes have restarted
     assert np.abs(tracked_["goal"] - true["goal"]).max() > 1e-3
     np.testing.assert_allclose(np.std(np.concatenate(errors), axis=0), [0.02, 0.04, 0.01], rtol=0.3)
     for env in (exact, tracked):

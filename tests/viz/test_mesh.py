@@ -83,7 +83,7 @@ def test_faces_point_into_free_space(ball_map):
     step = 0.3 * VOXEL * solid.face_normals
     oracle = FieldOracle.of(ball_map)
     ahead, behind = (oracle(solid.triangles_center + sign * step)[:, 0] for sign in (1.0, -1.0))
-    large = solid.area_faces > 1e-3 * VOXEL**2  # a sliver has no normal worth the name
+    large = solid.area_faces > 1e-3 * VOXEL**2  # a sliver has no well-defined normal
     assert large.mean() > 0.9
     assert (ahead < behind)[large].all()
 

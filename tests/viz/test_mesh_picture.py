@@ -44,7 +44,7 @@ def test_a_floor_is_a_parallelogram_in_its_colour():
     assert inside[0] > 150
     assert (inside[1:] == 0).all()
     assert (image[0, 0] == PAPER).all()
-    # Parallel projection: its area is that of the floor by the sine of the elevation, whatever the turn.
+    # Parallel projection: its area is that of the floor by the sine of the elevation, for every azimuth.
     columns = np.flatnonzero((image != PAPER).any(axis=(0, 2)))
     scale = (columns[-1] - columns[0] + 1) / (4 * np.cos(np.radians(20)) + 3 * np.sin(np.radians(20)))
     assert area(image) == pytest.approx(12 * np.sin(np.radians(52)) * scale**2, rel=0.02)

@@ -241,7 +241,7 @@ def test_a_painting_hangs_upright_and_unmirrored_on_every_face(monkeypatch, head
     assert dominant[1][1].min() > 100
 
 
-def test_a_wall_in_two_pieces_looks_like_one():
+def test_a_wall_in_two_pieces_has_the_texture_of_one():
     material = Material(color=(0.9, 0.8, 0.7), texture="brick", scale=0.7)
     whole = [solid((2.0, 0.3, 1.0), (0.1, 4.0, 2.0), material=material, kind="wall")]
     parts = [

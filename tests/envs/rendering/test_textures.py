@@ -7,7 +7,7 @@ from vssm_gym.envs.textures.motifs import PICTURES
 from vssm_gym.envs.textures.registry import TEXTURES, texture_atlas
 
 SURFACES = sorted(set(TEXTURES) - set(PICTURES) | {"leaves"})
-# Things with an edge by design: fronts and panels, not surfaces that go on.
+# Textures with an edge by design: fronts and panels, not continuous surfaces.
 BOUNDED = {"cabinet", "drawers", "wainscot", "rug", "stripes", "plaid", "wicker", "checker"}
 
 

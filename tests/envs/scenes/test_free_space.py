@@ -79,7 +79,7 @@ def test_closed_door_cuts_a_room_off() -> None:
     assert space.notice(["A sofa floats."]).startswith("A sofa floats; cut off")
     with pytest.raises(InputError, match=f"two_rooms: rooms: .*cut off: {space.cut_off_rooms()[0]}"):
         space.check_connected()
-    # The caller may go on with the largest component.
+    # The caller may continue with the largest component.
     assert np.unique(space.sample(np.random.default_rng(0), 200)[:, 0] > 3.0).size == 1
 
 

@@ -145,7 +145,7 @@ def test_sizes(name: str) -> None:
 # ---- by seed
 
 
-# The promise to users: these change only with a new version of the generator, and then the changelog says so.
+# These change only with a new version of the generator, which the changelog states.
 GOLDEN = {
     (0, "small"): "ba04636eef8f2889",
     (7, "medium"): "c91c397c39ac8634",
@@ -198,7 +198,7 @@ def test_bad_arguments(seed: object, size: object) -> None:
 
 @pytest.mark.parametrize("name", sorted(MAKERS))
 def test_the_files_equal_what_the_code_generates(name: str, tmp_path: Path) -> None:
-    """If this fails a plan or the catalogue changed: `built_in.write_built_in()` writes files and tasks anew."""
+    """If this fails a plan or the catalogue changed: `built_in.write_built_in()` writes files and tasks again."""
     save_scene(MAKERS[name](), tmp_path / "made.json")
     assert json.loads((tmp_path / "made.json").read_text()) == json.loads((ASSETS / f"{name}.json").read_text())
 
@@ -224,7 +224,7 @@ def test_homes_have_their_rooms_and_fit_a_map(name: str, rooms: int, boxes: int)
     assert (np.ptp(corners, axis=0) <= 11.5).all()
 
 
-def test_a_car_finds_its_way_through_the_arena() -> None:
+def test_a_car_can_cross_the_arena() -> None:
     arena = scene("arena")
     inner = shapely.box(0.1, 0.1, 5.1, 4.1)
     assert inner.contains(shapely.union_all([footprint(box) for box in furniture(arena)]))
@@ -249,7 +249,7 @@ def test_the_hall_is_wide_and_its_columns_reach_the_ceiling() -> None:
 
 
 @pytest.mark.parametrize("name", ["fern", "arena", "procedural:0"])
-def test_a_preview_is_a_picture_of_the_height_asked_for(name: str) -> None:
+def test_a_preview_has_the_given_height(name: str) -> None:
     picture = preview(scene(name), 120)
     assert picture.dtype == np.uint8 and picture.shape[0] == 120 and picture.shape[2] == 3
     view = picture[:58, -77:]  # the upper camera image

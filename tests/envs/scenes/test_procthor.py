@@ -241,7 +241,7 @@ def test_a_tilted_object_stays_inside_its_box(size: list[float], yaw: float, x: 
 @given(st.permutations(range(9)), st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_the_order_and_direction_of_faces_do_not_matter(order: list[int], from_other_side: bool) -> None:
-    """Whichever face comes first, and whichever side describes the door, the same space is solid."""
+    """The same space is solid for every order of the faces and for both sides that may describe the door."""
     house = small_house()
     house["walls"] = [house["walls"][i] for i in order]
     if from_other_side:

@@ -307,7 +307,7 @@ def change(data: dict, where: str, value: object) -> dict:
         ("ceiling_height", None, "ceiling_height", "number"),
     ],
 )
-def test_an_error_names_the_file_the_field_and_what_is_expected(
+def test_an_error_names_the_file_the_field_and_the_expected_value(
     tmp_path: Path, plain: dict, where: str, value: object, field: str, expected: str
 ) -> None:
     path = tmp_path / "flat.json"

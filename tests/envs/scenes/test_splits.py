@@ -15,7 +15,7 @@ from vssm_gym.envs.tasks.splits import FROZEN, freeze, frozen_splits, scenes, sp
 from vssm_gym.errors import InputError
 
 
-def test_every_built_in_scene_has_one_split_and_is_what_was_frozen():
+def test_every_built_in_scene_has_one_split_and_its_frozen_hash():
     """Every scene has its frozen hash; after a scene is added or changed, list its name and run `splits.freeze()`."""
     frozen = frozen_splits()
     assert set(built_in_scenes()) <= set(scenes("train")) | set(scenes("test"))

@@ -136,9 +136,9 @@ def test_the_cars_bumper_shows_the_side_of_the_wall(physics: str, start: tuple, 
     observation, info = env.reset(seed=0, options={"task": task})
     first: list[int] = []
     for _ in range(60):
-        felt = np.flatnonzero(observation["bumper"]).tolist()
-        assert bool(felt) == info["collision"]
-        first = first or felt
+        switches = np.flatnonzero(observation["bumper"]).tolist()
+        assert bool(switches) == info["collision"]
+        first = first or switches
         observation, _, terminated, _, info = env.step(np.array([speed, 0.0], np.float32))
         assert not terminated
     assert first == expected

@@ -76,7 +76,7 @@ def test_white_noise_is_its_density_times_the_root_of_the_rate(rate: float) -> N
 
 @pytest.mark.parametrize("dt", [0.005, 0.1])
 def test_the_bias_is_a_random_walk(dt: float) -> None:
-    """Its variance after a time t is ``walk^2 t``, whatever the rate."""
+    """Its variance after a time t is ``walk^2 t`` at every rate."""
     noise = ImuSensorNoise(accel_walk=0.01, gyro_walk=0.002)
     for seconds in (1.0, 4.0):
         ends = []

@@ -169,7 +169,7 @@ def test_two_sensors_of_one_key_are_refused():
         SensorSuite("test", [TaskObservation(key, space, tell) for key in "aba"])
 
 
-def test_a_suite_measures_once_a_pose_and_hands_out_copies():
+def test_a_suite_measures_once_per_pose_and_returns_copies():
     teller, space = CallCounter(), gym.spaces.Box(0.0, 9.0, (1,), np.float32)
     suite: SensorSuite[None] = SensorSuite("test", [TaskObservation("a", space, teller.tell)])
     suite.begin(None)

@@ -52,7 +52,7 @@ def test_velocity_and_acceleration_are_the_derivatives(flight):
 
 @given(flights)
 @settings(deadline=None, max_examples=30)
-def test_the_peak_speed_is_the_one_asked_for(flight):
+def test_the_peak_speed_is_the_given_one(flight):
     speed = np.linalg.norm(flight.at(np.linspace(0.0, flight.duration, 20000)).velocity, axis=1)
     assert speed.max() <= flight.speed * (1.0 + 1e-6)
     if 2.0 * np.pi * flight.laps / flight.rate > 1.5 * flight.ramp:  # else it is never at full speed

@@ -83,7 +83,7 @@ def test_space_behind_a_narrow_passage_is_seen(gap: float) -> None:
 
 @settings(max_examples=8)
 @given(x=st.floats(2.6, 3.4), y=st.floats(1.3, 2.6), w=st.floats(0.2, 1.2), d=st.floats(0.2, 1.2), yaw=st.floats(0, 3))
-def test_sees_past_what_stands_in_the_door(x: float, y: float, w: float, d: float, yaw: float) -> None:
+def test_sees_past_an_obstacle_in_the_door(x: float, y: float, w: float, d: float, yaw: float) -> None:
     check(two_rooms(pieces=(furniture("piece", (x, y, 0.3), (w, d, 0.6), yaw),)))
 
 

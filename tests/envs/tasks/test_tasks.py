@@ -138,7 +138,7 @@ HOMES = [scene for scene in built_in_scenes() if scene not in VENUES]
 @pytest.mark.parametrize("scene", HOMES)
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_built_in_scenes_are_frozen(scene: str, split: Split) -> None:
-    """If this fails the scene changed: `tasks.freeze(load_scene(name), HolonomicRobot())` writes the files anew."""
+    """If this fails the scene changed: `tasks.freeze(load_scene(name), HolonomicRobot())` writes the files again."""
     apartment = load_scene(scene)
     frozen = load(tasks_module.FROZEN / f"{scene}-{split}.json", apartment)
     assert len(frozen.tasks) == 200 and frozen.split == split

@@ -174,7 +174,7 @@ def test_a_ray_outside_and_parallel_to_the_field_ends():
     assert float(scan_depths(field, ScanTable.of(field), which, outside, along, jnp.zeros(1), 100.0)[0]) == 0.0
 
 
-def test_clearance_is_the_distance_to_what_stands_in_the_robots_height():
+def test_clearance_is_the_distance_to_obstacles_at_the_robots_height():
     collision_map = CollisionMap.of([room()], 0.5, "blocked")
     solid = shapely.union_all([CUPBOARD, TABLE, FLOOR.buffer(1.0) - FLOOR])
     xy = np.random.default_rng(1).uniform([0.2, 0.2], [4.8, 2.8], (200, 2))
@@ -197,7 +197,7 @@ def test_a_disc_slides_along_a_wall_without_friction():
 
 
 @pytest.mark.parametrize("unknown", ["blocked", "free"])
-def test_unknown_space_blocks_or_lets_pass(unknown):
+def test_unknown_space_is_blocked_or_free(unknown):
     collision_map = CollisionMap.of([half_seen()], 0.5, unknown)
     x, y = jnp.array([3.7]), jnp.array([1.6])  # nothing was observed here
     clearance, _, _ = collision_map.at(jnp.zeros(1, jnp.int32), x, y)

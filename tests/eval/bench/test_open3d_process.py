@@ -78,7 +78,7 @@ def test_a_process_that_does_not_answer_to_the_end_is_one_clear_error(command, m
     assert "\n" not in str(caught.value)
 
 
-def test_the_program_says_how_to_install_the_library(tmp_path, monkeypatch):
+def test_the_programs_error_names_the_installation(tmp_path, monkeypatch):
     (tmp_path / "open3d.py").write_text("raise OSError('libGL.so.1: cannot open shared object file')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(InputError, match=r"open3d: expected Open3D: pip install open3d.*Debian.*\(libGL"):

@@ -196,7 +196,7 @@ def corridor():
     return arena, Critic(arena, Car())
 
 
-def test_slices_show_the_least_over_headings_and_what_is_blocked(corridor, monkeypatch):
+def test_slices_show_the_least_cost_over_headings_and_blocked_cells(corridor, monkeypatch):
     arena, critic = corridor
     poses, goal = np.array([[0.5, 0.6, 0.0], [1.8, 0.6, 0.0]]), np.array([1.8, 0.6, 0.0])
     cost = critic.aim(poses[0], goal).cost_to_go

@@ -181,7 +181,7 @@ def test_failures_and_collisions_come_first_and_final_maps_are_shown(page):
     assert "to goal m" not in reasons[0]
 
 
-def test_runs_are_drawn_on_the_widest_map_of_their_scene_cut_to_what_is_known():
+def test_runs_are_drawn_on_the_largest_map_of_their_scene_cropped_to_known_space():
     plan = explore_figures.plan_of(box_map())
     left, right, bottom, top = plan.extent
     assert (right - left, top - bottom) == pytest.approx((plan.image.shape[1] * 0.07, plan.image.shape[0] * 0.07))

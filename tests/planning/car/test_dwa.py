@@ -55,7 +55,7 @@ def test_commands_are_in_the_window(grid, start, goal):
             assert np.all(np.abs(after.control - before.control) <= reach + 1e-9)
 
 
-def test_it_can_stop_before_what_is_ahead():
+def test_it_can_stop_before_an_obstacle_ahead():
     """At every step towards a wall, braking at twice the planned deceleration stops the car before a collision."""
     grid = occupied(3.0, 1.0)
     controller = DynamicWindow(levels(grid), CAR, np.array([2.6, 0.5]))

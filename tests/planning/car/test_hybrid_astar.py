@@ -156,7 +156,7 @@ def drive_cost(table: FootprintLevels, result: CarPlan) -> float:
     return float((hops * weight).sum()) + DEFAULT_COSTS.cusp * result.cusps
 
 
-def test_arcs_are_what_the_car_drives():
+def test_arcs_equal_the_cars_motion():
     moves = arcs(0.15, RADIUS, 5, 0.025)
     for k in range(10):
         steering = math.atan(CAR.wheelbase * moves.steering[k] / RADIUS)

@@ -52,7 +52,7 @@ def test_targets_are_reached_without_a_collision(make) -> None:
     x, y = np.meshgrid(*axes, indexing="ij")
     arena = Arena.from_occupied(shapely.intersects_xy(solid, x, y), np.array([-0.2, -0.2]), CELL)
     grid = PoseGrid.of(arena, PROBLEM.car, ValueConfig(margin=MARGIN))
-    rng, state, reached, touched, asked = np.random.default_rng(3), np.array([0.4, 1.6, 0.5]), 0, 0, 0
+    rng, state, reached, collisions, asked = np.random.default_rng(3), np.array([0.4, 1.6, 0.5]), 0, 0, 0
     while asked < TARGETS:
         target = rng.uniform([0.25, 0.25], SIZE - 0.25)
         found = solve(grid, target, start=state)
@@ -68,5 +68,5 @@ def test_targets_are_reached_without_a_collision(make) -> None:
             if np.hypot(*(state[:2] - target)) <= REACHED:
                 reached += 1
                 break
-        touched += hit
-    assert (reached, touched) == (TARGETS, 0)
+        collisions += hit
+    assert (reached, collisions) == (TARGETS, 0)

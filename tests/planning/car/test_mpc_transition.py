@@ -105,7 +105,7 @@ def test_a_transition_that_does_not_fit_is_an_error(transition):
         MpcProblem(config=CONFIG, transition=transition)
 
 
-def test_ipopt_knows_the_bicycle_only():
+def test_ipopt_takes_the_bicycle_only():
     problem = MpcProblem(config=CONFIG, transition=Unicycle())
     with pytest.raises(InputError, match="Bicycle"):
         Ipopt(problem)

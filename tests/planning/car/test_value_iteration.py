@@ -145,7 +145,7 @@ def test_agrees_with_an_exact_dynamic_program(small_grid):
     assert np.abs(values(result) - expected).max() < 0.02
 
 
-def test_bellman_residual_is_what_is_returned(small_grid):
+def test_the_returned_residual_is_the_bellman_residual(small_grid):
     """The oracle is one more sweep in numpy, from the motions' definition."""
     result = solve(small_grid, place(small_grid.arena, 3.0, 3.0), radius=0.06)
     grid, V = small_grid, values(result)
