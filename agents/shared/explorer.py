@@ -239,14 +239,14 @@ class Explorer:
             if np.any(command != 0.0):
                 self._failures = 0 if command[2] > 0.0 else self._failures
                 return command, choice.status
-            self._make_room(self._path, planar, near)
+            self._retreat(self._path, planar, near)
             return np.array([limits[0], 0.0, 0.0]), "blocked: turns in place"
         if not choice.headings:
             return np.array(STOP_COMMAND), choice.status
         turn = float(np.clip(wrap_angle(choice.headings[0] - planar[2]), -limits[0], limits[0]))
         return np.array([turn, 0.0, 0.0]), choice.status
 
-    def _make_room(self, planned: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:
+    def _retreat(self, planned: PlannedPath, planar: np.ndarray, near: ClearanceMap) -> None:
         """Handle a path along which no step is allowed: retreat, or choose again from here."""
         self._failures += 1
         if self._blocked_steps.add(planar[:2]):

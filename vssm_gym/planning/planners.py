@@ -16,7 +16,7 @@ from vssm_gym.planning.result import PlanResult
 
 
 class Planner(Protocol):
-    """Plan a path of a disc through a space, or say why there is none; metres, world frame.
+    """Plan a path of a disc through a space, or report why there is none; metres, world frame.
 
     The path is a polyline from the start. Everywhere on it the clearance is at least ``radius + margin``. A start with
     less clearance is left along a ramp, see
@@ -48,7 +48,7 @@ class Planner(Protocol):
 
         Returns:
             Status, path, cost (the path's length) and time. A start or a goal that cannot be reached is a status;
-            :class:`InputError` is raised only for what is no number.
+            :class:`InputError` is raised only for arguments that are not finite numbers.
         """
         ...
 

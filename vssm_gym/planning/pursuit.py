@@ -11,8 +11,8 @@ import numpy as np
 
 from vssm_gym.geometry.transforms import wrap_angle
 
-# m; a bend so near counts as passed, because a shorter step is not worth its noise. The end of the path is driven to
-# however near it is.
+# m; a bend so near counts as passed, because a shorter step adds more noise than progress. The end of the path is
+# driven to at any distance.
 REACHED = 0.02
 
 

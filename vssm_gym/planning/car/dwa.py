@@ -9,7 +9,7 @@ A steering held for :data:`REACH` metres drives an arc, of which ``free`` metres
 to collision avoidance", IEEE RAM 4, 1997). ``h = d + across |sin(heading - downhill)|`` is the distance to the goal
 around obstacles for a point, and how far the car stands across the path there; either end may lead.
 
-What stays is the method's weakness, local minima: one arc is evaluated, so a manoeuvre that must first drive away from
+The method's weakness remains, local minima: one arc is evaluated, so a manoeuvre that must first drive away from
 the goal, such as parking sideways or turning in a dead end, is not found, and the heading at the goal is left open.
 Where no arc makes progress the car backs up along a free arc, each time further until it has come nearer to the goal
 than ever before; that leaves many such places and not all.
@@ -35,11 +35,11 @@ STEERING_RATE = 6.0  # rad/s, of the window
 BRAKING = 0.6  # m/s^2
 SPEEDS, STEERINGS = 11, 15  # samples across the window
 PROGRESS, CLEAR, SPEED, CUSP = 1.0, 0.15, 0.1, 0.25  # weights
-STUCK = 0.02  # m of progress below which an arc leads nowhere
+STUCK = 0.02  # m of progress below which an arc counts as blocked
 RECOVERY_SPEED, RECOVERY_STEPS = 0.25, 10  # m/s; steps for which the car backs up the first time
 LONGEST = 4  # times as far it backs up at most
 ESCAPE_LENGTH = 0.1  # m that may be driven to come free from a collision
-NEARER = 0.1  # m that count as coming nearer than ever
+NEARER = 0.1  # m by which the car must come nearer than ever before
 _PART = 0.02  # m of an arc between two tests
 
 

@@ -19,7 +19,7 @@ from vssm_gym.planning.clearance import ClearanceMap
 
 Unknown = Literal["optimistic", "mean", "averse"]
 
-OVERLAP = 1e-9  # m; a smaller overlap is rounding, and touching is no collision
+OVERLAP = 1e-9  # m; a smaller overlap is rounding, and contact is no collision
 AVERSE_DEVIATIONS = 2.0  # of a surface's standard deviation: occupied from P(occupied) = 2.3 % on
 Z_MIN, Z_MAX = 0.08, 0.2  # m: above the floor's noise, up to just above the car's roof
 
@@ -60,7 +60,7 @@ def arena_from_map(
     z_max: float = Z_MAX,
     bounds: np.ndarray | None = None,
 ) -> Arena:
-    """The arena of a belief: cells in which a body of height ``z_min..z_max`` (m) would meet something.
+    """Return the arena of a belief: cells in which a body of height ``z_min..z_max`` (m) would meet something.
 
     A cell is evaluated in columns half a voxel apart or less. With ``o ~ N(mean, std^2)`` the occupancy of a point, it
     is occupied where any observed point of any column has
@@ -142,7 +142,7 @@ def rectangle_collisions(
         margin: m, may be zero.
 
     Returns:
-        ``(nx, ny, n_headings)`` bool for poses with the rear axle at cell centres. Exact: touching is no overlap.
+        ``(nx, ny, n_headings)`` bool for poses with the rear axle at cell centres. Exact: contact is no overlap.
     """
     kernels = [cells_under(np.array([[0.0, 0.0, h]]), resolution, car, margin) for h in np.asarray(headings, float)]
     return np.stack(dilate(occupied, kernels), axis=-1)

@@ -30,7 +30,7 @@ DEFAULT_COSTS = Costs(reverse=0.2, cusp=0.3, steer=0.05, tight=1.0)
 FULL_LOCK = 0.9  # fraction of the steering that plans use; the rest corrects errors while following them
 ESCAPE_LENGTH = 0.25  # m that a start in collision may drive to come free
 ARRIVALS = 24  # headings tried at a goal that is only a point
-_BATCH = 200  # nodes between two looks at the clock
+_BATCH = 200  # nodes between two readings of the clock
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def plan(
         cell: of the search, m; arcs are one and a half as long. Halved where the search finds no path.
         headings: of the search; doubled there.
         steerings: of the arcs, from full lock to full lock, odd.
-        weight: of the heuristic; above 1 faster and up to as many times dearer.
+        weight: of the heuristic; above 1 the search is faster, and the plan costs up to that factor more.
         time_limit: s of searching, after which the best plan so far is returned: it then depends on the machine.
         max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
 

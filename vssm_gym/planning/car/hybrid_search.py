@@ -16,7 +16,7 @@ from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, Lookup, lev
 from vssm_gym.planning.car.reeds_shepp import CANDIDATES, relative, shortest, words
 from vssm_gym.planning.grid_search.heap import pop, sift_up
 
-OPEN, FOUND, EXHAUSTED = 0, 1, 2  # what `search` says: its budget is used up, the goal is reached, nothing is left
+OPEN, FOUND, EXHAUSTED = 0, 1, 2  # results of `search`: its budget is used up, the goal is reached, nothing is left
 SPACING = 0.25  # m of remaining distance per which one more node is expanded between two shots
 COLLISION_COST = 10.0  # a metre, extra, while a start in collision leaves it
 

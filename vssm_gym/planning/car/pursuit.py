@@ -1,11 +1,11 @@
-"""PursuitCommand a drive with a car: pure pursuit of the rear axle, forwards and backwards, one gear at a time.
+"""Follow a drive with a car: pure pursuit of the rear axle, forwards and backwards, one gear at a time.
 
     steering = atan(wheelbase (k + p(planar) - p(drive))),   p(pose) = 2 y / (x^2 + y^2)
 
 ``p`` is the curvature of the arc from the rear axle through ``(x, y)``, a place of the drive :data:`LOOK_AHEAD` metres
 ahead in the pose's own frame (Coulter, "Implementation of the pure pursuit path tracking algorithm", CMU-RI-TR-92-01,
 1992); it holds in both gears. Alone it cuts bends: a car exactly on the drive would be sent off it. So only the
-difference to what it says at the nearest pose of the drive corrects ``k``, the drive's own curvature. Beyond a cusp or
+difference to its value at the nearest pose of the drive corrects ``k``, the drive's own curvature. Beyond a cusp or
 the goal the aim lies on the tangent there, so that the car arrives with the heading of the drive; the speed is what
 ``braking`` can still stop before it, ``v = sqrt(2 braking left)``.
 """
@@ -26,7 +26,7 @@ SETTING_OFF = 0.15  # m/s, the first command of each gear's piece
 ARRIVED = 0.02  # m along the drive from a cusp or the goal
 BEND = 0.4  # share of the speed that is given up at full lock
 PREVIEW = 0.1  # s
-_WINDOW = 0.5  # m of the drive, from the last progress on, in which the nearest place is looked for
+_WINDOW = 0.5  # m of the drive, from the last progress on, in which the nearest place is searched
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class CarPath:
     """Prepare a drive for following: poses, gears and the length driven up to each pose."""
 
     def __init__(self, poses: np.ndarray, gears: np.ndarray) -> None:
-        """Poses ``(n, 3)`` at most a few centimetres apart and gears ``(n,)``, as a ``CarPlan`` holds them."""
+        """Take poses ``(n, 3)`` at most a few centimetres apart and gears ``(n,)``, as a ``CarPlan`` holds them."""
         self.poses, self.gears = np.asarray(poses, dtype=np.float64), np.asarray(gears)
         if self.poses.ndim != 2 or self.poses.shape[1:] != (3,) or len(self.poses) == 0:
             raise InputError("CarPath", "poses", f"shape (n, 3) with n > 0; found {self.poses.shape}")
@@ -90,7 +90,7 @@ class CarPath:
         gear = float(self.gears[last])
         aim = self._aim(progress, last, gear)
         correction = _pursuit(planar, aim) - _pursuit(self._at(progress), aim)
-        # The wheels need a moment to turn: what counts is the bend that the car comes to meanwhile.
+        # The wheels need a moment to turn, so the bend ahead of the car counts.
         soon = min(progress + PREVIEW * car.max_speed, float(self.along[last]) - 1e-6)
         bend = self._bends[int(np.searchsorted(self.along, soon, side="right")) - 1]
         steering = math.atan(car.wheelbase * (bend + correction))
@@ -98,7 +98,7 @@ class CarPath:
         # From a cusp on the wheels turn while the car gathers speed.
         driven = progress - float(self.along[first])
         speed = math.sqrt(SETTING_OFF**2 + 2.0 * BRAKING * driven)
-        # What is driven in the coming step is no longer there to brake in.
+        # The length of the coming step is not available for braking.
         speed = min(speed, math.sqrt((BRAKING * car.dt) ** 2 + 2.0 * BRAKING * left) - BRAKING * car.dt)
         speed = min(speed, car.max_speed * (1.0 - BEND * abs(steering) / car.max_steering))
         speed = max(speed, min(CRAWL, left / car.dt))

@@ -6,7 +6,7 @@ With the unit turning circle, a word is a list of signed lengths ``l_i`` (negati
 
 Each word is solved from the centres of its first and its last circle. At pose ``(p, a)`` the left circle's centre is
 ``p + n(a)`` and the right one's ``p - n(a)``, ``n(a) = (-sin a, cos a)``; a cusp or a bend leaves the old circle, so
-that ``D``, the last centre less the first, is a sum of few such vectors. Signs are what the geometry makes them: every
+that ``D``, the last centre less the first, is a sum of few such vectors. Signs follow from the geometry: every
 solution reaches the goal, so the least of them is the shortest whichever signs its word has, and no candidate is lost
 to rounding at the border between two words.
 """

@@ -2,8 +2,8 @@
 
     J(k) = min over i < k of J(i) + cost(i -> k),    i -> k: a free curve, or the drive itself from i to i + 1
 
-A dynamic program over poses picked from the drive, cusps among them, so the result is never dearer than the drive but
-for the steering that the picks cut.
+A dynamic program over poses picked from the drive, cusps among them, so the result never costs more than the drive,
+except for changes of the steering at the picked poses.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Order the visits to places so that least is left undone on the path: ``min over orders of sum_i w_i l_i`` (eq. P42).
+"""Order the visits to places by minimum latency: ``min over orders of sum_i w_i l_i`` (eq. P42).
 
 ``l_i`` is the path length until place i is reached and ``w_i`` what is gained there: the minimum-latency problem, or
 travelling repairman problem. Summed by legs it is ``sum_legs |leg| * (weight not yet gained)``. With one place at a

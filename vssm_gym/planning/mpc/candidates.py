@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.planning.mpc.objective import shifted, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem
 
-SEGMENTS = 3  # arcs of a manoeuvre: there, back and there again
+SEGMENTS = 3  # arcs of a manoeuvre: forward, back and forward again
 KNOTS = 6  # of smooth noise over the horizon
 NOISE = (0.3, 0.5)  # its std, shares of the limits (speed, steering)
 STEERING = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of the constant arcs, shares of the limit

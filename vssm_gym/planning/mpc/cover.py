@@ -2,7 +2,7 @@
 
     radius^2 = (length / 2 columns)^2 + (width / 2 rows)^2
 
-Discs on the centre line alone reach 6 cm beyond the bumpers, so a plan would stop short of what the critic asks for.
+Discs on the centre line alone reach 6 cm beyond the bumpers, so a plan would stop before goals that the critic reaches.
 """
 
 import numpy as np

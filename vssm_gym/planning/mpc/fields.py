@@ -106,11 +106,11 @@ def _a_cell_deeper(table: Array, never: float, cost: float) -> Array:
 
 
 def continued(table: Array, value: CostToGo) -> Array:
-    """Return the cost-to-go, continued :data:`CONTINUED` cells into poses that collide, at the price of driving there.
+    """Return the cost-to-go, continued :data:`CONTINUED` cells into poses that collide, at the cost of driving there.
 
-    Interpolation mixes the cost of never arriving into every pose within a cell of a collision. A critic alone must be
-    warned so; here the constraint keeps the car out, and next to walls the warning makes barriers and hollows that
-    drown the differences which lead through a tight manoeuvre.
+    Interpolation mixes the cost of never arriving into every pose within a cell of a collision. A critic alone needs
+    that cost; here the constraint keeps the car out, and next to walls the cost would form barriers and hollows that
+    hide the differences which guide a tight manoeuvre.
     """
     for _ in range(CONTINUED):
         table = _a_cell_deeper(table, value.never, float(value.resolution) / value.motion_length)

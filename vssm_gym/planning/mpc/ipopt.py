@@ -8,7 +8,7 @@ looked up by indices computed in the graph, so the solver is built once and no s
 
 Two smooth stand-ins: the spline takes the cost-to-go's table as coefficients, which blurs it by half a cell and cannot
 overshoot where it jumps, and ``min(s, J)`` is rounded over a tenth of ``s``. The clearance's spline interpolates. The
-plan that comes out is within_deadline by the same tables as everybody else's.
+resulting plan is evaluated by the same tables as those of the other solvers.
 """
 
 import math
@@ -208,7 +208,7 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
 
 
 def _bicycle(problem: MpcProblem) -> Bicycle:
-    """Return the problem's transition, the one law that is spelled in CasADi here; an error for another one."""
+    """Return the problem's transition, the only law that is written in CasADi here; an error for another one."""
     if not isinstance(problem.motion, Bicycle):
         raise InputError("Ipopt", "problem.transition", f"a Bicycle; found {type(problem.motion).__name__}")
     return problem.motion

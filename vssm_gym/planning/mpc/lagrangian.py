@@ -26,7 +26,7 @@ class RefineConfig:
     inner: int = 12  # Adam's steps between them
     penalty: float = 300.0  # rho of the first round, step costs / m^2
     growth: float = 3.0  # of rho from round to round
-    rate: float = 0.04  # Adam's first step, shares of the limits: a longer one wrecks a plan that needed mending only
+    rate: float = 0.04  # Adam's first step, shares of the limits: a longer one destroys a nearly feasible plan
     last_rate: float = 0.004  # and its last: the steps shrink geometrically
     tightening: float = 5e-4  # m; the penalty approaches a bound from outside, so the bound is set a little inside
 

@@ -3,11 +3,12 @@
     eps_k = B n_k,  n_k ~ N(0, sigma^2)      w_k ∝ exp(-(C(u + eps_k) - min_j C(u + eps_j)) / lambda) [no collision]
     u <- u + sum_k w_k eps_k
 
-Noise is drawn at a few knots and interpolated by ``B``, so a sample is a drive and not a tremble. The last plan is the
-base distribution (alpha = 1 there), so no further control cost enters the weights; ``C`` has its own. A sample that
-violates the clearance gets no weight at all; where every sample does, the shortfall is charged instead. The average of
-two paths around an obstacle can lead into it: the answer is the average only where it is allowed and cheaper than the
-best sample. The first round also samples manoeuvres that the last plan does not suggest, and later rounds draw nearer.
+Noise is drawn at a few knots and interpolated by ``B``, so that a sample is smooth. The last plan is the base
+distribution (alpha = 1 there), so no further control cost enters the weights; ``C`` has its own. A sample that violates
+the clearance gets no weight at all; where every sample does, the shortfall is charged instead. The average of two paths
+around an obstacle can lead into it: the answer is the average only where it is allowed and cheaper than the best
+sample. The first round also samples manoeuvres that the last plan does not suggest, and later rounds sample closer to
+it.
 """
 
 from dataclasses import dataclass

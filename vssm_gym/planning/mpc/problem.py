@@ -36,11 +36,11 @@ class MpcConfig:
         discs: rows and columns of the discs that cover the footprint.
         speed_rate: largest change of speed, m/s^2.
         steering_rate: largest change of the steering angle, rad/s.
-        effort: cost of a step at full speed, beside time: what makes the car stand still once it has arrived.
+        effort: cost of a step at full speed, in addition to time; it makes the car stand still at the goal.
         smoothness: cost of changing speed or steering by its whole limit from one step to the next.
-        proximity: cost of a step with one disc at clearance zero, falling to nothing at ``comfort`` by a parabola.
+        proximity: cost of a step with one disc at clearance zero, falling to zero at ``comfort`` by a parabola.
         tolerance: violation of the clearance constraint that still counts as none, m.
-        deadline: seconds within which an answer is of use; infinite: whenever it comes.
+        deadline: seconds after which a plan is not used any more; infinite: none.
         seed: of everything random.
     """
 

@@ -63,7 +63,7 @@ def init(control: np.ndarray) -> SafeMemory:
 
 
 def prepare(problem: MpcProblem) -> None:
-    """Compile what :func:`step` needs where there is no plan: an emergency waits for no compiler."""
+    """Compile what :func:`step` needs where there is no plan: an emergency must not wait for the compiler."""
     drives = jnp.zeros((ALTERNATIVES, problem.config.horizon, 2))
     jax.block_until_ready(_drive(problem, jnp.zeros(3), jnp.zeros(2), drives))
 

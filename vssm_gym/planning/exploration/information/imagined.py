@@ -1,8 +1,8 @@
 """Imagine images from the current belief: depth of many views in one call, at the map's mean or in a sample (eq. P36).
 
 Literal samples of unknown cells, ``N(-0.001, 10^2)`` each on its own, are solid by the next cell: no ray would enter
-the unknown. The prior does not say how surfaces hang together, so samples use another model: unknown space is scattered
-with obstacles at random, one cell wide, as dense as a given mean free path of rays asks for.
+the unknown. The prior has no correlation between cells, so samples use another model: unknown space holds random
+obstacles, one cell wide, with the density of a given mean free path of rays.
 """
 
 from functools import partial

@@ -3,8 +3,8 @@
     z_end = min(z_image, z_ground, z where the integral of h along the ray through unknown cells reaches 1)
 
 At the mean all unknown space is free: nothing stops a ray that leaves through a gap between two walls, or that meets
-the floor where it has not been seen yet. The information that such rays promise does not exist. Both cases are known
-better. A robot on wheels knows the plane that it stands on. Surfaces that are met at random, ``h`` per metre, let a ray
+the floor where it has not been seen yet. The expected information of such rays does not exist. Two facts limit
+them. A robot on wheels knows the plane that it stands on. Surfaces that are met at random, ``h`` per metre, let a ray
 through ``(1 - exp(-h L)) / h`` of ``L`` metres, which is at most ``1 / h``.
 """
 
