@@ -179,7 +179,7 @@ def test_a_blocked_robot_retreats_and_finally_gives_up_the_goal(world):
     dismissed, goal = len(explorer._dismissed), np.array([1.0, 2.0])
     for _ in range(FollowingConfig().tries):
         explorer._choice = Choice(goal, (), None, "somewhere")
-        explorer._make_room(PlannedPath(np.stack([planar[:2], goal]), near, 0.03), planar, near)
+        explorer._retreat(PlannedPath(np.stack([planar[:2], goal]), near, 0.03), planar, near)
     assert len(explorer._dismissed) == dismissed + 1
     path = points_along(explorer._path.path, 1.0)
     assert (near.at(path) >= here - 1e-3).all()
