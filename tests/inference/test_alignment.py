@@ -292,7 +292,7 @@ def test_spread_widens_residuals_as_variances_add() -> None:
 
 
 def test_the_image_at_the_reference_pose_adds_information() -> None:
-    """Where the rendered image has no texture, a turn about a wall's normal follows from the image taken there."""
+    """A turn about a wall's normal follows from the image taken there if the rendered image has no texture."""
     rng = np.random.default_rng(12)
     wall = Room(((-9.0, -9.0, -9.0), (1.5, 9.0, 9.0)))
     T_world_ref = camera_pose((0.0, 0.0, 0.0), 0.0)
