@@ -121,6 +121,13 @@ def test_a_corridor_is_not_divided() -> None:
     assert len(split_rooms(Polygon(bend))[0]) == 1
 
 
+def star(points: int) -> list[list[float]]:
+    """Return the corners of a star between circles of 5 and 20 m."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 2 * points, endpoint=False)
+    radius = np.where(np.arange(2 * points) % 2, 20.0, 5.0)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1).tolist()
+
+
 @pytest.mark.parametrize(
     ("change", "field", "expected"),
     [
@@ -131,7 +138,9 @@ def test_a_corridor_is_not_divided() -> None:
         ({"verts": [[0, 0], [4, 3], [4, 0], [0, 3]]}, "verts", "Self-intersection"),
         ({"verts": [[0, 0], [4, 0], [8, 0]]}, "verts", "simple polygon"),
         ({"verts": [[0, 0], [0.5, 0], [0.5, 0.5], [0, 0.5]]}, "verts", "at least 1 m^2"),
-        ({"verts": [[0, 0]] * 5001}, "verts", "at most 5000"),
+        ({"verts": [[0, 0]] * 1001}, "verts", "at most 1000"),
+        ({"verts": star(100)}, "verts", "at most 1,000 pieces of walls"),
+        ({"room_category": {"Bedroom": [[0, 0, 1, 1]] * 301}}, "room_category", "at most 300 boxes"),
         ({"room_category": {"Bedroom": [[0, 0, 1]]}}, "room_category", "at least 4"),
         ({"room_category": []}, "room_category", "dictionary"),
     ],

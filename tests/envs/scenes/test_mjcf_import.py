@@ -14,6 +14,7 @@ from tests.helpers.damage import damaged_bytes, valid_or_refused
 from tests.helpers.scene_checks import check_scene
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.importers.mjcf import import_mjcf
+from vssm_gym.envs.scenes.importers.mjcf_xml import StillModel
 from vssm_gym.envs.scenes.importers.voxels import CELL, bounds_of, inside_of, voxelised
 from vssm_gym.envs.scenes.scene import Apartment, Box, load_scene
 from vssm_gym.errors import InputError
@@ -141,8 +142,11 @@ BOMB = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>'
         ("<geom type='box' size='1 1'/>", "", None, "MuJoCo compiles"),
         ("<geom type='teapot' size='1'/>", "", None, "MuJoCo compiles"),
         ("<geom type='plane' size='0 0 1' euler='90 0 0'/>", "", None, "only the floor"),
-        ("<replicate count='100000000'><geom size='1'/></replicate>", "", None, "up to 20,000"),
-        ("<replicate count='9999'><replicate count='9999'><geom size='1'/></replicate></replicate>", "", None, "geoms"),
+        ("<replicate count='100000000'><geom size='1'/></replicate>", "", None, "up to 5,000"),
+        ("<replicate count='999'><replicate count='9'><geom size='1'/></replicate></replicate>", "", None, "up to 5,0"),
+        ("<replicate count='999'><replicate count='9999'></replicate></replicate>", "", None, "up to 5,000"),
+        ("<replicate count='²'><geom size='1'/></replicate>", "", None, "a whole number"),
+        ("<geom name='moon' size='1000'/>", "", None, "less than or equal to 1000"),
         ("<body>" * 200 + "</body>" * 200, "", None, "64 levels"),
         ("<geom type='mesh' mesh='m'/>", '<asset><mesh name="m" file="../m.obj"/></asset>', None, "inside the model's"),
         ("<geom type='mesh' mesh='m'/>", '<asset><mesh name="m" file="/etc/passwd"/></asset>', None, "inside the"),
@@ -164,6 +168,14 @@ def test_bad_models_are_refused(
     assert expected in caught.value.expected
     assert caught.value.source == str(path)
     assert [file.name for file in tmp_path.iterdir()] == ["scene.xml"]  # no log of MuJoCo's
+
+
+def test_what_holds_no_geom_is_left_to_nobody(tmp_path: Path) -> None:
+    """MuJoCo needs minutes for 50,000 empty bodies."""
+    empty = "<body><frame/></body>" * 20_000
+    model = tmp_path / "empty.xml"
+    model.write_text(f"<mujoco><worldbody><geom type='plane' size='5 5 .1'/>{empty}</worldbody></mujoco>")
+    assert StillModel(model).xml.count("<body") == 0
 
 
 def test_document_types_and_other_roots_are_refused(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import shapely
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 from shapely import Polygon
 
 from vssm_gym.envs.scenes.apartment import Apartment
@@ -37,10 +37,14 @@ LARGEST = 100.0  # m, extent of a plan
 LEAST = 1.0  # m^2 of floor
 NAMED = 0.25  # least overlap (intersection over union) of a room with a category's box
 LONG = 1.4  # m, shortest wall that carries a picture
+MOST_CORNERS = 1000  # of an outline; the plans of the data set have a few hundred at most
+MOST_WALLS = 1000  # pieces of walls
+MOST_BOXES = 300  # of all categories; the largest plans have 60 rooms
 FAR_BOX = 1e5  # m; boxes of categories may lie far outside the plan
 
 _Corner = tuple[Coordinate, Coordinate]
 _Box = tuple[Annotated[float, Field(ge=-FAR_BOX, le=FAR_BOX)], ...]
+_Boxes = tuple[Annotated[_Box, Field(min_length=4, max_length=4)], ...]
 
 
 class HouseExpoPlan(BaseModel):
@@ -48,8 +52,15 @@ class HouseExpoPlan(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    verts: tuple[_Corner, ...] = Field(min_length=3, max_length=5000)
-    room_category: dict[str, tuple[Annotated[_Box, Field(min_length=4, max_length=4)], ...]] = {}
+    verts: tuple[_Corner, ...] = Field(min_length=3, max_length=MOST_CORNERS)
+    room_category: dict[str, _Boxes] = {}
+
+    @field_validator("room_category")
+    @classmethod
+    def _bounded(cls, categories: dict[str, _Boxes]) -> dict[str, _Boxes]:
+        if len(categories) > MOST_BOXES or sum(map(len, categories.values())) > MOST_BOXES:
+            raise ValueError(f"at most {MOST_BOXES} boxes")
+        return categories
 
 
 def is_houseexpo(data: Any) -> bool:
@@ -73,7 +84,12 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
         corners = [(float(x), float(y)) for x, y in shapely.get_coordinates(part.exterior)[:-1]]
         content = {"name": room, "kind": kind, "polygon": corners, "floor": floor_material(kind, room)}
         rooms.append(validated(Room, content, source, at="verts"))
-        for face in wall_faces(part, outline):
+        try:
+            faces = wall_faces(part, outline, MOST_WALLS - len(walls))
+        except ValueError as error:
+            expected = f"an outline with at most {MOST_WALLS:,} pieces of walls, each as thick as what is behind it"
+            raise InputError(source, "verts", expected) from error
+        for face in faces:
             furniture += _picture(face, part, len(walls))
             walls.append(_wall(face, wall_material(kind, room)))
     doors = [_doorway(opening, parts, names, walls) for opening in openings]

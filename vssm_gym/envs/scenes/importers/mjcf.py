@@ -108,9 +108,9 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[st
             if high - low < 1e-4 or high <= 0.0:
                 continue
             at = (float(center[0]), float(center[1]), float(low + high) / 2)
-            solid.append(
-                Box(center=at, size=(float(size[0]), float(size[1]), float(high - low)), yaw=yaw, material=material)
-            )
+            sides = (float(size[0]), float(size[1]), float(high - low))
+            box = {"center": at, "size": sides, "yaw": yaw, "material": material}
+            solid.append(validated(Box, box, path, at=f"geom {geom.name!r}"))
         total += len(solid)
         if total > BOXES:
             raise InputError(path, "worldbody", f"geoms that make at most {BOXES:,} upright boxes")

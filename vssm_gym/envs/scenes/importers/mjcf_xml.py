@@ -13,7 +13,8 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_bytes
 
 XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20  # largest text, mesh, and all files of a model
-LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 20_000  # most of a model; nesting, then counts
+LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 10_000  # most of a model; nesting, then counts
+COPIES = 5000  # made by nested replicates; MuJoCo needs a second for them, and four times as long for twice as many
 
 _IN_BODY = {"body", "geom", "frame", "replicate"}
 _KEPT = {
@@ -136,8 +137,9 @@ class StillModel:
         result.attrib.pop("mocap", None)
         if element.tag == "replicate":
             count = element.get("count", "")
-            if not (count.isdigit() and int(count[:9]) <= GEOMS):
-                raise self._refuse("replicate.count", f"a whole number up to {GEOMS:,}; found {count[:40]!r}")
+            if not (count.isascii() and count.isdigit() and int(count[:9]) * copies <= COPIES):
+                expected = f"a whole number, all nested ones multiplied up to {COPIES:,}"
+                raise self._refuse("replicate.count", f"{expected}; found {count[:40]!r}")
             copies *= int(count)
         for child in element:
             if child.tag not in _KEPT[element.tag]:
@@ -147,7 +149,9 @@ class StillModel:
                 ):  # textures, and defaults of omitted elements, are not needed
                     self._left_out[child.tag] += copies
             elif child.tag in _KEPT:
-                result.append(self._kept(child, copies))
+                kept = self._kept(child, copies)
+                if len(kept) or child.tag not in _IN_BODY:  # what holds no geom costs MuJoCo time and shows nothing
+                    result.append(kept)
             else:
                 result.append(self._leaf(child, element.tag, copies))
         return result

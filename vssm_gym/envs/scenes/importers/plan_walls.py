@@ -44,21 +44,33 @@ class Face:
         return Polygon([self.start, self.end, self.end - back, self.start - back])
 
 
-def wall_faces(room: Polygon, free: Polygon) -> list[Face]:
-    """Return walls along those edges of ``room`` that are edges of ``free``; the others are openings to other rooms."""
+def wall_faces(room: Polygon, free: Polygon, most: int) -> list[Face]:
+    """Return walls along those edges of ``room`` that are edges of ``free``; the others are openings to other rooms.
+
+    Raises ValueError where the walls have more than ``most`` pieces: thin walls between many corners are halved often.
+    """
     shapely.prepare(free)
     points = shapely.get_coordinates(shapely.orient_polygons(room).exterior)
     solid: list[Face] = []
     for a, b in itertools.pairwise(points):
         if np.linalg.norm(b - a) > 1e-6 and free.exterior.distance(shapely.Point((a + b) / 2)) < 1e-6:
-            solid += _behind(a, b, free)
+            for piece in _behind(a, b, free):
+                solid.append(piece)
+                if len(solid) > most:
+                    raise ValueError(f"more than {most} pieces of walls")
     # The end of a thin wall is covered by the walls on both its sides; long walls first, so that they stay.
     solid.sort(key=lambda face: -float(np.linalg.norm(face.end - face.start)))
     kept: list[Face] = []
+    bodies, bounds = np.empty(len(solid), object), np.zeros((len(solid), 4))  # of those kept
     for face in solid:
-        near = [other.body() for other in kept if other.body().distance(face.body()) < 1e-6]
-        if face.body().difference(shapely.union_all(near).buffer(1e-4)).area > 1e-5:
+        body, n = face.body(), len(kept)
+        low, high = np.array(body.bounds[:2]) - 1e-6, np.array(body.bounds[2:]) + 1e-6
+        beside = bodies[:n][((bounds[:n, :2] <= high) & (bounds[:n, 2:] >= low)).all(axis=1)]
+        near = beside[shapely.distance(beside, body) < 1e-6]
+        if body.difference(shapely.union_all(near).buffer(1e-4)).area > 1e-5:
             kept.append(_closed_corners(face, free))
+            bodies[n] = kept[-1].body()
+            bounds[n] = bodies[n].bounds
     return kept
 
 
