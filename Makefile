@@ -9,18 +9,20 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WORKERS ?= 2
 OUT ?= out/demo
+RECORDINGS ?=
 
 # The first interpreter that really runs (version managers leave shims that do not), is in range and can make a venv.
 CANDIDATES := python3.11 python3.12 python3.13 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow additions lint format install clean
+.PHONY: help demo test test-slow additions faults lint format install clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
 	@echo "make test       the test suite without the slow tests (WORKERS=$(WORKERS) processes)"
 	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims"
 	@echo "make additions  take out a sensor, a metric, a planner, a robot in turn: the rest must pass"
+	@echo "make faults     faulty images for SLAM; RECORDINGS=DIR adds TUM folders to the simulated walks"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
 	@echo "make clean      remove .venv, caches and build products"
@@ -57,6 +59,9 @@ test-slow: $(STAMP)
 
 additions: $(STAMP)
 	$(BIN)/python tests/remove_additions.py
+
+faults: $(STAMP)
+	$(BIN)/vssm-gym faults slam $(RECORDINGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check

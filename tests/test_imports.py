@@ -103,7 +103,7 @@ FOLDERS = {
         ["sweep"],
         ["report"],
         ["video"],
-        ["bench", "studies", ""],
+        ["bench", "studies", "faults", ""],
     ],
 }
 EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it

@@ -42,6 +42,7 @@ COMMANDS: dict[str, Any] = {
         "calibration": "study.calibration",
         "flight": "study.flight",
     },
+    "faults": {"slam": "faults.slam"},
     "doctor": "doctor.doctor",
 }
 

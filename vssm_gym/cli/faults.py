@@ -1,0 +1,59 @@
+"""Run ``vssm-gym faults NAME``: give faulty images to what uses images, and fail where it believes them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+FAILED = 1  # exit code: a fault was missed, or believed
+
+
+def slam(
+    sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")] = (),
+    out: Path = Path("out/faults"),
+    seed: int = 0,
+) -> int:
+    """Run SLAM on simulated walks and on recordings whose camera fails for a while or is carried off.
+
+    Prints when each fault was flagged, and the largest error of a pose that was accepted; OUT gets slam.json. The exit
+    code is 1 where a fault was missed or a wrong pose was accepted.
+
+    Args:
+        sequences: further TUM folders with groundtruth.txt; their second halves are used.
+        out: folder for the results.
+        seed: seed of the walks and of the faults.
+    """
+    import json
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.eval.faults import slam as faulty_slam
+    from vssm_gym.files import atomic_write
+    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.version import package_version
+
+    check_at_least("faults", "seed", seed, 0)
+    check_folder(out)
+    recordings = [load_sequence(sequence) for sequence in sequences]
+    with progress_bars() as progress:
+        rows = faulty_slam.run(recordings, seed=seed, on_progress=progress)
+    table = Table(title="SLAM with faults", caption="error: of the worst accepted position since the fault began")
+    for name in ("fault", "where", "flagged after", "error, cm", "stds", "back after", "outcome"):
+        table.add_column(name, justify="left" if name in ("fault", "where", "outcome") else "right", no_wrap=True)
+    for row in rows:
+        flagged, back = ("-" if n is None else str(n) for n in (row.flagged, row.back))
+        believed = f"{row.wrong} wrong poses accepted" if row.wrong else ""
+        outcome = "passed" if row.passed else ", ".join(filter(None, ("missed" if row.missed else "", believed)))
+        errors = (f"{100 * row.error_m:.1f}", f"{row.error_stds:.1f}") if row.confident else ("-", "-")
+        table.add_row(row.fault, row.place, flagged, *errors, back, outcome)
+    Console().print(table)
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out / "slam.json") as temporary:
+        stored = {"version": package_version(), "seed": seed} | faulty_slam.figures(rows)
+        temporary.write_text(json.dumps(stored, indent=1) + "\n")
+    failed = sum(not row.passed for row in rows)
+    print(f"{len(rows) - failed} of {len(rows)} runs passed; {out / 'slam.json'}")
+    return FAILED if failed else 0
