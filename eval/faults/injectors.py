@@ -17,8 +17,8 @@ ImageFault = Callable[[Sequence[Image], int, np.random.Generator], Image]
 
 CARD_DISTANCE = 0.3  # m from the lens
 CARD_NOISE = (2.0, 0.001)  # std of its grey levels and of its depth, m: a real sensor repeats no image
-SCALE = 1.2  # of the depth
-LAG = 20  # images that the depth is older than the colour
+SCALE_ERROR = 1.2  # of the depth
+DEPTH_LAG = 20  # images that the depth is older than the colour
 KIDNAP, SHOVE = 0.5, 0.25  # m that the camera is carried at least, within one image
 
 
@@ -43,12 +43,12 @@ def grey_card(images: Sequence[Image], before: int, rng: np.random.Generator) ->
 def scaled_depth(images: Sequence[Image], before: int, rng: np.random.Generator) -> Image:
     """Return the image with its depth too large by a fifth."""
     rgb, depth = images[-1]
-    return rgb, np.float32(SCALE) * depth
+    return rgb, np.float32(SCALE_ERROR) * depth
 
 
 def swapped_depth(images: Sequence[Image], before: int, rng: np.random.Generator) -> Image:
     """Return the colour of the present image with the depth of an earlier one."""
-    return images[-1][0], images[max(len(images) - 1 - LAG, 0)][1]
+    return images[-1][0], images[max(len(images) - 1 - DEPTH_LAG, 0)][1]
 
 
 def mirrored(images: Sequence[Image], before: int, rng: np.random.Generator) -> Image:

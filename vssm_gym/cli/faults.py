@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-FAILED = 1  # exit code: a fault was missed, or believed
+FAULTS_FAILED = 1  # exit code: a fault was missed, or believed
 
 
 def slam(
@@ -31,8 +31,8 @@ def slam(
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.faults import slam as faulty_slam
-    from vssm_gym.files import atomic_write
-    from vssm_gym.output_folders import check_at_least, check_folder
+    from vssm_gym.files.atomic import atomic_write
+    from vssm_gym.files.output_folders import check_at_least, check_folder
     from vssm_gym.version import package_version
 
     check_at_least("faults", "seed", seed, 0)
@@ -56,4 +56,4 @@ def slam(
         temporary.write_text(json.dumps(stored, indent=1) + "\n")
     failed = sum(not row.passed for row in rows)
     print(f"{len(rows) - failed} of {len(rows)} runs passed; {out / 'slam.json'}")
-    return FAILED if failed else 0
+    return FAULTS_FAILED if failed else 0

@@ -6,11 +6,11 @@ import pytest
 from vssm_gym.errors import InputError
 from vssm_gym.eval.faults.injectors import (
     CARD_DISTANCE,
+    DEPTH_LAG,
     IMAGE_FAULTS,
     KIDNAP,
-    LAG,
     MOTION_FAULTS,
-    SCALE,
+    SCALE_ERROR,
     SHOVE,
     reordered,
 )
@@ -50,7 +50,7 @@ def test_a_fault_keeps_the_form_of_images_and_leaves_the_true_ones_alone(name):
 
 
 def test_each_fault_shows_what_it_says():
-    taken, rng = images(LAG + 3), np.random.default_rng(0)
+    taken, rng = images(DEPTH_LAG + 3), np.random.default_rng(0)
     rgb, depth = taken[-1]
     shown = {name: fault(taken, 2, rng) for name, fault in IMAGE_FAULTS.items()}
     assert not shown["blackout"][0].any()
@@ -59,7 +59,7 @@ def test_each_fault_shows_what_it_says():
     assert abs(float(shown["grey card"][1].mean()) - CARD_DISTANCE) < 0.001
     assert shown["grey card"][0].std() < 5.0
     np.testing.assert_array_equal(shown["scaled depth"][0], rgb)
-    np.testing.assert_allclose(shown["scaled depth"][1], SCALE * depth, rtol=1e-6)
+    np.testing.assert_allclose(shown["scaled depth"][1], SCALE_ERROR * depth, rtol=1e-6)
     np.testing.assert_array_equal(shown["swapped depth"][0], rgb)
     np.testing.assert_array_equal(shown["swapped depth"][1], taken[2][1])
     np.testing.assert_array_equal(shown["mirrored"][1][:, 0], depth[:, -1])
