@@ -26,7 +26,7 @@ from vssm_gym.planning.exploration.building_prior import expected_surfaces, over
 from vssm_gym.planning.exploration.candidates import Roadmap, candidates, representatives
 from vssm_gym.planning.exploration.frontier import REACH
 from vssm_gym.planning.exploration.information import Gain, InformationConfig, gain_of_paths
-from vssm_gym.planning.exploration.minimum_latency_tour import MOST, best_order
+from vssm_gym.planning.exploration.minimum_latency_tour import MOST_PLACES, best_order
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
 SAME_PLACE = 0.2  # m; a place so near to one that was visited counts as visited: it sees the same
@@ -64,8 +64,8 @@ class MiExplorerConfig:
             raise InputError("MiExplorerConfig", "mode", f"coverage, rate or difference; found {self.mode!r}")
         if not (len(self.hazard) == 2 and min(self.hazard) >= 0.0):
             raise InputError("MiExplorerConfig", "hazard", f"two rates, at least 0 1/m; found {self.hazard!r}")
-        if not 1 <= self.places <= MOST:
-            raise InputError("MiExplorerConfig", "places", f"1 to {MOST}; found {self.places!r}")
+        if not 1 <= self.places <= MOST_PLACES:
+            raise InputError("MiExplorerConfig", "places", f"1 to {MOST_PLACES}; found {self.places!r}")
 
 
 @dataclass(frozen=True)

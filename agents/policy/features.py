@@ -20,7 +20,7 @@ from vssm_gym.geometry.scan import BEAMS
 
 # These numbers are part of the policies on disk.
 HALF_DISTANCE = 0.5  # m, at which the nearness of a distance is one half
-FAR = 10.0  # m, of the order of an apartment
+APARTMENT_SIZE = 10.0  # m, of the order of an apartment
 WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m, from the size of a house to that of a passage
 SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3}
 """Length of each part of the vector, in the order of the vector."""
@@ -65,7 +65,7 @@ def _scan(observation: Mapping[str, np.ndarray]) -> np.ndarray:
 def _goal(observation: Mapping[str, np.ndarray]) -> np.ndarray:
     goal = observation["goal"]
     distance = goal[..., :1]
-    return np.concatenate([goal[..., 1:], distance / FAR, _nearness(distance)], axis=-1)
+    return np.concatenate([goal[..., 1:], distance / APARTMENT_SIZE, _nearness(distance)], axis=-1)
 
 
 def _pose(observation: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -28,7 +28,7 @@ from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.npz_file import StoredArrays, open_npz
 from vssm_gym.files.numbers import as_float32
 
-FORMAT, VERSION = "vssm_gym.Policy", 1
+POLICY_FORMAT, POLICY_VERSION = "vssm_gym.Policy", 1
 PREFIX = "policy:"  # of agents' names that are a policy's file
 HASH_DIGITS = 8
 POLICY_BYTES = 256 << 20  # of a file, and of its arrays; the policies trained here have 0.3 MB
@@ -97,7 +97,7 @@ class Policy:
 
 def save(path: Path, policy: Policy) -> None:
     """Write a policy; equal policies give equal files."""
-    header = {"format": FORMAT, "version": VERSION, **asdict(policy.spec)}
+    header = {"format": POLICY_FORMAT, "version": POLICY_VERSION, **asdict(policy.spec)}
     arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     for i, (weight, bias) in enumerate(policy.layers):
         arrays |= {f"weight{i}": weight.astype(np.float32), f"bias{i}": bias.astype(np.float32)}
@@ -148,8 +148,8 @@ def _parsed(path: str | Path) -> tuple[Policy, str]:
     with open_npz(io.BytesIO(data), path, POLICY_BYTES, expected) as stored:
         header = stored.read_json("header", path)
         found = (header.pop("format", None), header.pop("version", None)) if isinstance(header, dict) else (None, None)
-        if found != (FORMAT, VERSION):
-            raise InputError(path, "version", f"{FORMAT} version {VERSION}; found {found[0]!s:.80} {found[1]!s:.80}")
+        if found != (POLICY_FORMAT, POLICY_VERSION):
+            raise InputError(path, "version", f"{POLICY_FORMAT} version {POLICY_VERSION}; found {found[0]!s:.80} {found[1]!s:.80}")
         spec = _spec(path, header)
         layers = _layers(path, spec, stored)
     return Policy(spec, layers), hashlib.sha256(data).hexdigest()

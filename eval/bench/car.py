@@ -19,7 +19,7 @@ import shapely
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.agents.car.vi_mpc import PROBLEM
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import RESOLUTION
+from vssm_gym.agents.shared.driver import PLAN_RESOLUTION
 from vssm_gym.envs.physics import obstacles
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.scene import load_scene
@@ -44,13 +44,13 @@ from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, solve
 from vssm_gym.progress import OnProgress
 
 SCENE = "arena"
-CELL = RESOLUTION  # m, as in the agents' floor plans
-AROUND = (0.2, 0.14)  # m beyond the floor along x, y: the car's arenas, 5.2 x 4.2 m, make 160 x 128 cells
+CELL = PLAN_RESOLUTION  # m, as in the agents' floor plans
+ARENA_MARGIN = (0.2, 0.14)  # m beyond the floor along x, y: the car's arenas, 5.2 x 4.2 m, make 160 x 128 cells
 SEALED, THICK = 1.0, 0.05  # m: edge of the corner that is sealed off, and thickness of its fences
 GOALS = 5  # of value iteration
-ASIDE = 0.05  # m that a goal moves before a warm start
-TARGETS = 40  # of controllers and hybrid A*
-PATIENCE = 600  # steps a target, one minute
+WARM_START_SHIFT = 0.05  # m that a goal moves before a warm start
+CONTROLLED_TARGETS = 40  # of controllers and hybrid A*
+TARGET_STEPS = 600  # steps a target, one minute
 SPEED_ERROR, STEERING_ERROR = 0.03, np.radians(0.5)  # standard deviations of a step: relative, rad
 AIM_VALUE, AIM_CONTROL = 2.0, 100.0  # the project's own aims: s, and ms (one control period)
 SOLVERS: tuple[type[MpcSolver], ...] = (RandomSearch, Ipopt, Mppi)
@@ -76,7 +76,7 @@ def measure(*, scene: str = SCENE, steps: int, seed: int, on_progress: OnProgres
         InputError: an unknown scene, or one without room for a car.
     """
     apartment, car = load_scene(scene), PROBLEM.car
-    tasks = make_car_tasks(apartment, TARGETS).tasks
+    tasks = make_car_tasks(apartment, CONTROLLED_TARGETS).tasks
     machine = {"cores": os.cpu_count(), "processor": platform.machine(), "load": round(os.getloadavg()[0], 1)}
     solid, low, high = floor_plan(apartment, car)
     arena = rasterised(solid, low, high)
@@ -115,8 +115,8 @@ def sealed_off(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Ar
 def rasterised(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Arena:
     """Rasterise ``solid``: cells that it overlaps are occupied."""
     shapely.prepare(solid)
-    nx, ny = np.round((high - low + 2.0 * np.array(AROUND)) / CELL).astype(int)
-    origin = low - AROUND + 0.5 * CELL
+    nx, ny = np.round((high - low + 2.0 * np.array(ARENA_MARGIN)) / CELL).astype(int)
+    origin = low - ARENA_MARGIN + 0.5 * CELL
     x, y = np.meshgrid(origin[0] + CELL * np.arange(nx), origin[1] + CELL * np.arange(ny), indexing="ij")
     half = 0.5 * CELL
     cells = shapely.box(x - half, y - half, x + half, y + half)
@@ -135,7 +135,7 @@ def value_rows(arena: Arena, sealed: np.ndarray, tasks: Sequence[CarTask], car: 
         cold.append(time.perf_counter() - began)
         cpu.append(time.process_time() - worked)
         results.append(result)
-        moved = solve(grid, goal + np.array([ASIDE, 0.0, 0.0]), warm=result.cost_to_go)
+        moved = solve(grid, goal + np.array([WARM_START_SHIFT, 0.0, 0.0]), warm=result.cost_to_go)
         if moved.cost_to_go is not None:  # the moved goal may be occupied
             warm.append(moved.seconds)
             again.append(moved)
@@ -151,7 +151,7 @@ def value_rows(arena: Arena, sealed: np.ndarray, tasks: Sequence[CarTask], car: 
     rows = [_row(f"value iteration {size}, {motions} motions, a room sealed off", cold, "s", AIM_VALUE, facts)]
     if again:
         facts = {"sweeps": max(result.sweeps for result in again)}
-        rows.append(_row(f"the same, warm, goal moved by {100 * ASIDE:g} cm", warm, "s", None, facts))
+        rows.append(_row(f"the same, warm, goal moved by {100 * WARM_START_SHIFT:g} cm", warm, "s", None, facts))
     return rows
 
 
@@ -182,7 +182,7 @@ def control_row(
         cpu.append(time.process_time() - worked)
         planar, spent = _driven(planar, action.control, rng, car), spent + 1
         collided = collided or bool(shapely.Polygon(car.corners(planar)).intersects(solid))
-        if task.reached(planar) or spent == PATIENCE:
+        if task.reached(planar) or spent == TARGET_STEPS:
             reached, collisions = reached + task.reached(planar), collisions + collided
             task, value = _next(waiting, critic, planar)
             memory, collided, spent = safety.init(np.zeros(2)), False, 0
@@ -234,12 +234,12 @@ def rate_rows(scene: str, physics: str, seed: int) -> list[Row]:
 
 def _next(waiting: Iterator[CarTask], critic: Critic, planar: np.ndarray) -> tuple[CarTask, CostToGo]:
     """Return the next target that can be reached, and its cost-to-go."""
-    for task in itertools.islice(waiting, TARGETS):
+    for task in itertools.islice(waiting, CONTROLLED_TARGETS):
         value = critic.aim(planar, np.array(task.goal)).cost_to_go
         if value is not None:
             return task, value
     raise InputError(
-        task.scene, "rooms", f"room for the car; none of {TARGETS} targets can be reached at {CELL} m a cell"
+        task.scene, "rooms", f"room for the car; none of {CONTROLLED_TARGETS} targets can be reached at {CELL} m a cell"
     )
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from vssm_gym.agents.base import Agent, Observation
 from vssm_gym.agents.shared.localization import Localizer
 from vssm_gym.envs.pointnav import PointNavEnv
-from vssm_gym.envs.tasks.navigation import MARGIN, TaskSampler
+from vssm_gym.envs.tasks.navigation import BORDER_MARGIN, TaskSampler
 from vssm_gym.eval.protocols.agent_context import context_in
 from vssm_gym.maps.voxel_map import VoxelMap
 
@@ -79,7 +79,7 @@ def drive(
             given_up += 1
             if given_up > MAX_GIVEN_UP:
                 raise RuntimeError(f"the driver gives up goal after goal: {decision.status}")
-            observation = {**observation, "goal": sampler.space.sample(rng, 1, MARGIN)[0].astype(np.float32)}
+            observation = {**observation, "goal": sampler.space.sample(rng, 1, BORDER_MARGIN)[0].astype(np.float32)}
             continue
         given_up = 0
         goal = observation["goal"]

@@ -24,7 +24,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.progress import OnProgress
 
-WINDOWS, SECONDS = 5, 1.0  # windows a row, and their least length, s
+WINDOWS, WINDOW_SECONDS = 5, 1.0  # windows a row, and their least length, s
 ROBOTS = 16  # of a vector environment
 SCENE = "oak"
 
@@ -144,7 +144,7 @@ def steps_a_second(step: Callable[[], int]) -> float:
     rates = []
     for _ in range(WINDOWS):
         began, done = time.perf_counter(), 0
-        while (now := time.perf_counter()) < began + SECONDS:
+        while (now := time.perf_counter()) < began + WINDOW_SECONDS:
             done += step()
         rates.append(done / (now - began))
     return float(np.median(rates))

@@ -18,7 +18,7 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scan_wrapper import ScanObservation
 from vssm_gym.maps.voxel_map import VoxelMap
 
-SECONDS = 5.0  # of a rollout
+ROLLOUT_SECONDS = 5.0  # of a rollout
 
 
 def commands(rng: np.random.Generator, steps: int) -> np.ndarray:
@@ -49,7 +49,7 @@ def replay(scene: Any, belief: Path | VoxelMap, *, rollouts: int = 100, seed: in
         max_episode_steps=-1,
     )
     real = ScanObservation(real)
-    steps = round(SECONDS / HolonomicRobot().dt)
+    steps = round(ROLLOUT_SECONDS / HolonomicRobot().dt)
     rng = np.random.default_rng(seed)
     acts = np.stack([commands(rng, steps) for _ in range(rollouts)], axis=1)  # (steps, rollouts, 4)
     tasks, at, seen, collided = (
@@ -87,7 +87,7 @@ def replay(scene: Any, belief: Path | VoxelMap, *, rollouts: int = 100, seed: in
         scans[t] = np.where(both, np.abs(observation["scan"] - seen[t]), np.nan)
         collided |= infos["collision"]
     imagined.close()
-    result: dict[str, Any] = {"rollouts": rollouts, "seconds": SECONDS, "collisions": int(collided.sum())}
+    result: dict[str, Any] = {"rollouts": rollouts, "seconds": ROLLOUT_SECONDS, "collisions": int(collided.sum())}
     for name, chosen in (("all", np.ones(rollouts, bool)), ("free", ~collided), ("collided", collided)):
         if chosen.any():
             result[name] = {

@@ -31,12 +31,12 @@ from vssm_gym.planning.exploration.information.information_sum import gains
 from vssm_gym.planning.exploration.information.observed import Grid, observed
 from vssm_gym.progress import OnProgress
 
-VOXEL = 0.07  # m
-MARGIN = 0.25  # m of the map beyond floor and ceiling
+SURVEY_VOXEL = 0.07  # m
+ROOM_MARGIN = 0.25  # m of the map beyond floor and ceiling
 VIEWPOINTS = (1, 4, 12)  # of the survey, whose images the maps hold
-HEADINGS = 8  # images a viewpoint
-STEPS = 5  # of a candidate
-TURN, STEP = 0.5, 0.25  # rad and m a step, at most
+SURVEY_HEADINGS = 8  # images a viewpoint
+CANDIDATE_STEPS = 5  # of a candidate
+LARGEST_TURN, LARGEST_STEP = 0.5, 0.25  # rad and m a step, at most
 AIM_MS, AIM_RANK = 3.0, 0.95  # the project's own aims: ms a step, rank correlation
 ALL = InformationConfig(pixels=None, every=1)
 # Configuration, and surfaces expected in a metre of unknown space, 1/m.
@@ -76,37 +76,43 @@ def measure(*, scene: str, candidates: int, seed: int, on_progress: OnProgress |
     rng, rows, recompilations = np.random.default_rng(seed), [], 0
     poses = survey_poses(apartment, robot, seed)
     for i, viewpoints in enumerate(VIEWPOINTS):
-        m = learned(apartment, scene_camera, poses[: viewpoints * HEADINGS])
+        m = learned(apartment, scene_camera, poses[: viewpoints * SURVEY_HEADINGS])
         T = candidate_trajectories(m, apartment, robot, candidates, rng)
         exact, truth = expected_gain(m, T, scene_camera.camera, ALL).total, true_gain(m, T, scene_camera)
         for j, (what, (config, hazard)) in enumerate(ESTIMATES.items()):
             gain, ms, compiled = timed(m, T, scene_camera.camera, config, hazard)
             rank, rank_true = (float(spearmanr(gain, other).statistic) for other in (exact, truth))
             ratio = float(np.median(gain / truth))
-            row = {"map": min(viewpoints * HEADINGS, len(poses)), "entropy": entropy(m), "what": what, "ms": ms}
+            row = {"map": min(viewpoints * SURVEY_HEADINGS, len(poses)), "entropy": entropy(m), "what": what, "ms": ms}
             rows.append(row | {"rank": rank, "rank_true": rank_true, "ratio": ratio})
             recompilations += compiled
             if on_progress:
                 on_progress("measuring", i * len(ESTIMATES) + j + 1, len(VIEWPOINTS) * len(ESTIMATES))
     scene_camera.close()
-    found = {"scene": scene, "candidates": candidates, "steps": STEPS, "cells": int(np.prod(m.shape)), "rows": rows}
+    found = {
+        "scene": scene,
+        "candidates": candidates,
+        "steps": CANDIDATE_STEPS,
+        "cells": int(np.prod(m.shape)),
+        "rows": rows,
+    }
     return found | {"aims": (AIM_MS, AIM_RANK), "recompilations": recompilations, "machine": machine}
 
 
 def survey_poses(apartment: Apartment, robot: HolonomicRobot, seed: int) -> np.ndarray:
     """Return camera poses ``(images, 4, 4)``: a full turn at every viewpoint of a survey, in its order."""
     places = [(w.x, w.y) for w in survey_route(apartment, robot, seed) if w.turn_around]
-    turns = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
+    turns = np.arange(SURVEY_HEADINGS) * 2.0 * np.pi / SURVEY_HEADINGS
     return np.stack([planar_to_matrix(np.array([x, y, a])) @ robot.T_body_cam for x, y in places for a in turns])
 
 
 def learned(apartment: Apartment, scene_camera: SceneCamera, poses: np.ndarray) -> VoxelMap:
     """Learn the map of the whole apartment from images at these poses."""
     corners = np.concatenate([np.array(room.polygon) for room in apartment.rooms])
-    low = np.append(corners.min(axis=0), 0.0) - MARGIN
-    high = np.append(corners.max(axis=0), apartment.ceiling_height) + MARGIN
-    x, y, z = (int(n) for n in np.ceil((high - low) / VOXEL) + 1)
-    m = VoxelMap.prior(low, VOXEL, (x, y, z))
+    low = np.append(corners.min(axis=0), 0.0) - ROOM_MARGIN
+    high = np.append(corners.max(axis=0), apartment.ceiling_height) + ROOM_MARGIN
+    x, y, z = (int(n) for n in np.ceil((high - low) / SURVEY_VOXEL) + 1)
+    m = VoxelMap.prior(low, SURVEY_VOXEL, (x, y, z))
     for T in poses:
         rgb, depth = scene_camera.render(T)
         colour = jnp.asarray(rgb, jnp.float32) / 255.0
@@ -117,7 +123,10 @@ def learned(apartment: Apartment, scene_camera: SceneCamera, poses: np.ndarray) 
 def candidate_trajectories(
     m: VoxelMap, apartment: Apartment, robot: HolonomicRobot, n: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw camera poses ``(n, STEPS, 4, 4)`` of paths from known free space that turn and stop before obstacles."""
+    """Draw camera poses ``(n, CANDIDATE_STEPS, 4, 4)`` of paths from known free space.
+
+    They turn, and stop before obstacles.
+    """
     space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
     xy = space.sample(rng, 50 * n)
     centres = np.column_stack([xy, np.full(len(xy), robot.camera_height)])
@@ -125,11 +134,11 @@ def candidate_trajectories(
     if len(xy) < n:
         raise InputError(apartment.name, "floor", f"known free space around the survey's start for {n} candidates")
     heading = rng.uniform(-np.pi, np.pi, n)
-    turn, poses = rng.uniform(-TURN, TURN, n), []
-    for _ in range(STEPS):
+    turn, poses = rng.uniform(-LARGEST_TURN, LARGEST_TURN, n), []
+    for _ in range(CANDIDATE_STEPS):
         poses.append(planar_to_matrix(np.column_stack([xy, heading])) @ robot.T_body_cam)
         heading = wrap_angle(heading + turn)
-        ahead = xy + STEP * np.column_stack([np.cos(heading), np.sin(heading)])
+        ahead = xy + LARGEST_STEP * np.column_stack([np.cos(heading), np.sin(heading)])
         xy = np.where(space.contains(ahead)[:, None], ahead, xy)
     return np.stack(poses, axis=1)
 

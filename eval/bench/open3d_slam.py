@@ -24,10 +24,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 HOW = "Open3D: pip install open3d, and on Debian apt install libusb-1.0-0 libgl1"
-TRUNCATION = 8.0  # voxels, Open3D's default
+OPEN3D_TRUNCATION = 8.0  # voxels, Open3D's default
 BLOCKS = 20_000  # initial number of blocks of 16^3 voxels; the grid grows
-MIN_DEPTH = 0.1  # m, Open3D's default
-JUMP = 0.07  # m: largest difference of associated depths, Open3D's default
+OPEN3D_MIN_DEPTH = 0.1  # m, Open3D's default
+DEPTH_JUMP = 0.07  # m: largest difference of associated depths, Open3D's default
 UNITS = 5000.0  # units of depth images a metre
 STAGES = ("track", "integrate", "ray cast")
 
@@ -74,15 +74,17 @@ class Open3dSlam:
         failed, start = False, time.perf_counter()
         if self._frames:
             try:
-                found = self._model.track_frame_to_model(self._seen, self._cast, UNITS, self._max_depth, JUMP)
+                found = self._model.track_frame_to_model(self._seen, self._cast, UNITS, self._max_depth, DEPTH_JUMP)
                 self._T_world_cam = self._T_world_cam @ found.transformation.numpy()
             except RuntimeError:  # too few matches: a singular system
                 failed = True
         tracked = time.perf_counter()
         self._model.update_frame_pose(self._frames, tensor(self._T_world_cam))
-        self._model.integrate(self._seen, UNITS, self._max_depth, TRUNCATION)
+        self._model.integrate(self._seen, UNITS, self._max_depth, OPEN3D_TRUNCATION)
         integrated = time.perf_counter()
-        self._model.synthesize_model_frame(self._cast, UNITS, MIN_DEPTH, self._max_depth, TRUNCATION, False)
+        self._model.synthesize_model_frame(
+            self._cast, UNITS, OPEN3D_MIN_DEPTH, self._max_depth, OPEN3D_TRUNCATION, False
+        )
         cast = time.perf_counter()
         self._frames += 1
         return Open3dStep(self._T_world_cam, failed, (tracked - start, integrated - tracked, cast - integrated))

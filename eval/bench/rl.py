@@ -26,7 +26,7 @@ SCANS = (1, 16, 64, 256, 1024)  # robots of the imagined rows
 IMAGES = (16, 64, 256)
 MAIN = 256  # robots of the rows with an aim
 SCAN_AIM, IMAGE_AIM, RATIO_AIM = 150_000.0, 5_000.0, 50.0  # the project's own aims: steps/s, steps/s, their ratio
-BLOCK = 50  # batches of actions drawn beforehand, because drawing them is not part of a step
+DRAWN_BATCHES = 50  # batches of actions drawn beforehand, because drawing them is not part of a step
 
 Plan = tuple[str, int, Callable[[], float], float | None]  # what, robots, its rate, aim
 
@@ -107,13 +107,13 @@ def _real(scene: str, robots: int, seed: int, **keywords: Any) -> float:
 def _driver(env: Any, seed: int) -> Callable[[], int]:
     """Return a function that makes one step of the vector environment."""
     rng = np.random.default_rng(seed)
-    actions = rng.uniform(env.action_space.low, env.action_space.high, (BLOCK, *env.action_space.shape))
+    actions = rng.uniform(env.action_space.low, env.action_space.high, (DRAWN_BATCHES, *env.action_space.shape))
     actions[..., -1] = 0.0
     batches, count = actions.astype(np.float32), 0
 
     def drive() -> int:
         nonlocal count
-        env.step(batches[count % BLOCK])
+        env.step(batches[count % DRAWN_BATCHES])
         count += 1
         return 1
 

@@ -24,9 +24,9 @@ from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
 
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
 OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}
-RATE = 10.0  # frames a second
+FRAME_RATE = 10.0  # frames a second
 OURS = ("track", "map", "reference", "recover")  # stages of our step; Open3D's are in open3d_slam.STAGES
-LARGE = 0.05  # m: a frame with a larger error counts as astray
+ASTRAY_ERROR = 0.05  # m: a frame with a larger error counts as astray
 
 
 def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_progress: OnProgress | None = None) -> dict:
@@ -56,7 +56,7 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_prog
         theirs: list[dict[str, np.ndarray]] = []
         for _ in range(trials):
             report = None if on_progress is None else functools.partial(_report, on_progress)
-            run = run_slam(sequence, SlamOptions(size=size, rate=RATE, voxel=voxel), on_progress=report)
+            run = run_slam(sequence, SlamOptions(size=size, rate=FRAME_RATE, voxel=voxel), on_progress=report)
             ours.append(_stages(run))
             if missing is None:
                 try:
@@ -70,7 +70,7 @@ def compare(sequence: Sequence, *, trials: int = 1, voxel: float = 0.07, on_prog
             rows.append(row | {"odometry_failures": failed})
     notices = list(run.notices)
     machine = {"cores": os.cpu_count(), "processor": platform.machine()}
-    result = {"scene": sequence.root.name, "rate": RATE, "rows": rows, "missing": missing}
+    result = {"scene": sequence.root.name, "rate": FRAME_RATE, "rows": rows, "missing": missing}
     return result | {"notices": notices, "machine": machine}
 
 
@@ -90,7 +90,7 @@ def _theirs(
     sequence: Sequence, size: tuple[int, int], on_progress: OnProgress | None
 ) -> tuple[tuple[np.ndarray, np.ndarray], int, dict[str, np.ndarray]]:
     """Run Open3D; return (times, poses), failures of its odometry, and the seconds of every step after the first."""
-    reader, indices = FrameReader(sequence, size), thin(sequence.times, RATE)
+    reader, indices = FrameReader(sequence, size), thin(sequence.times, FRAME_RATE)
     frames = ((rgb, depth) for rgb, depth, _ in prefetch(reader, indices))
     report = None if on_progress is None else lambda version, done: on_progress(f"Open3D {version}", done, len(indices))
     run = run_open3d(frames, reader.camera, OPEN3D_VOXEL[size], MAX_DEPTH, on_progress=report)
@@ -111,7 +111,9 @@ def _row(
 
 
 def _errors(sequence: Sequence, times: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
-    """Return ``ate_m`` (RMSE) and ``ate_max_m`` after SE(3) alignment, and ``astray``, frames with errors above LARGE.
+    """Return ``ate_m`` (RMSE) and ``ate_max_m`` after SE(3) alignment, and ``astray``.
+
+    That is the number of frames with errors above ASTRAY_ERROR.
 
     All are None without ground truth.
     """
@@ -122,4 +124,4 @@ def _errors(sequence: Sequence, times: np.ndarray, poses: np.ndarray) -> dict[st
         return {"ate_m": None, "ate_max_m": None, "astray": None}
     off = trajectory_error.ate(poses[of_est], sequence.truth[1][of_true]).translation
     statistics = trajectory_error.Statistics.of(off)
-    return {"ate_m": statistics.rmse, "ate_max_m": statistics.max, "astray": int(np.sum(off > LARGE))}
+    return {"ate_m": statistics.rmse, "ate_max_m": statistics.max, "astray": int(np.sum(off > ASTRAY_ERROR))}

@@ -1,7 +1,7 @@
 """Drive a random policy through all environments for a long time and check every step: ``bench soak``.
 
 Observations must lie inside their spaces (so no NaN), rewards be finite, no body be inside an obstacle by more than
-``TOLERANCE`` (computed from geometry, not from the simulator's contacts), and memory must not grow.
+``PENETRATION`` (computed from geometry, not from the simulator's contacts), and memory must not grow.
 """
 
 import gc
@@ -15,14 +15,13 @@ import numpy as np
 from shapely import Point, contains_xy, prepare
 
 import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.envs.tasks.navigation import START_SLACK
 from vssm_gym.progress import OnProgress
 
 APARTMENTS = ("vssm_gym/PointNav-v0", "vssm_gym/ImageNav-v0", "vssm_gym/Explore-v0")
-PROCEDURAL = 10
+PROCEDURAL = 10  # procedural apartments that each environment drives in
 GROWTH = 100.0  # MB: growth from the first tenth to the end that caches explain
-TOLERANCE = 0.006  # m: contacts are found no deeper than a substep, 5 mm (envs/physics/floor_world.py)
-# m outside free space that is allowed: contacts, and the recess behind a closed outer door (envs/tasks/navigation.py)
-FLOOR = 0.03
+PENETRATION = 0.006  # m: contacts are found no deeper than a substep, 5 mm (envs/physics/floor_world.py)
 SEEING = {"camera": {"width": 40, "height": 30}, "sensor_noise": "kinect"}
 CAR_SCENE = "arena"
 
@@ -85,7 +84,7 @@ def _drive(name: str, scene: str, steps: int, seed: int, keywords: dict[str, Any
         observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
         depth = inside()
         deepest = max(deepest, depth)
-        if not env.observation_space.contains(observation) or not np.isfinite(float(reward)) or depth > TOLERANCE:
+        if not env.observation_space.contains(observation) or not np.isfinite(float(reward)) or depth > PENETRATION:
             raise SoakError(f"{name} in {scene}, seed {seed}, step {k}: {1e3 * depth:.1f} mm inside, reward {reward}")
         collisions += bool(info["collision"])
         if terminated or truncated:
@@ -102,7 +101,7 @@ def _penetration(world: Any) -> Callable[[], float]:
     """
     if hasattr(world, "simulation"):
         space, radius = world.simulation.scene_cache.sampler.space, world.simulation.robot.radius
-        reachable = space.largest.buffer(FLOOR)
+        reachable = space.largest.buffer(START_SLACK)
         prepare(reachable)
 
         def of_plan() -> float:

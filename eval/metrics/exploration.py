@@ -17,8 +17,8 @@ from jaxtyping import Float
 from vssm_gym.eval.metrics.aggregate import CONDITION, RESAMPLES, Interval, bootstrap_mean, task_key
 from vssm_gym.eval.metrics.metric import Row
 
-LEVELS = (50, 90, 95, 99)  # % of coverage, to which path length and time are measured
-GOAL = 90  # % of coverage: a run that reaches it succeeds
+COVERAGE_LEVELS = (50, 90, 95, 99)  # % of coverage, to which path length and time are measured
+COVERAGE_GOAL = 90  # % of coverage: a run that reaches it succeeds
 EVERY_METRES, EVERY_SECONDS = 2.0, 10.0  # between samples of a curve, whichever comes first
 ONE_STEP = {
     "metres": 0.16,
@@ -46,7 +46,7 @@ class Recorder:
 
     def record(self, metres: float, seconds: float, coverage: float, *, last: bool = False) -> None:
         """Record one step; steps come in order, and the last one is sampled in any case."""
-        for level in LEVELS:
+        for level in COVERAGE_LEVELS:
             if level not in self.reached and 100.0 * coverage >= level - 1e-9:
                 self.reached[level] = round(metres, 4), round(seconds, 3)
         if last and self.curve["seconds"] and self.curve["seconds"][-1] == round(seconds, 3):
@@ -65,12 +65,12 @@ class Recorder:
 
     def row(self) -> dict[str, Any]:
         """Return ``curve``, and ``metres_50, seconds_50, ...``, None where the run ended before."""
-        metres = {f"metres_{s}": self.reached[s][0] if s in self.reached else None for s in LEVELS}
-        seconds = {f"seconds_{s}": self.reached[s][1] if s in self.reached else None for s in LEVELS}
+        metres = {f"metres_{s}": self.reached[s][0] if s in self.reached else None for s in COVERAGE_LEVELS}
+        seconds = {f"seconds_{s}": self.reached[s][1] if s in self.reached else None for s in COVERAGE_LEVELS}
         return {**metres, **seconds, "curve": self.curve}
 
 
-def censored_ratio(first: Row, second: Row, level: int = GOAL, axis: Axis = "metres") -> float | None:
+def censored_ratio(first: Row, second: Row, level: int = COVERAGE_GOAL, axis: Axis = "metres") -> float | None:
     """Return ``T_first / T_second`` of the metres (or seconds) to ``level`` % coverage, or its largest possible value.
 
     - Both reached it: their ratio.
@@ -109,7 +109,7 @@ class Ratio:
 
 
 def ratio(
-    rows: Iterable[Row], first: str, second: str, level: int = GOAL, seed: int = 0, axis: Axis = "metres"
+    rows: Iterable[Row], first: str, second: str, level: int = COVERAGE_GOAL, seed: int = 0, axis: Axis = "metres"
 ) -> Ratio:
     """Compute ``exp(mean(log(T_first / T_second)))`` over starts that both agents ran, resampling :func:`clusters`.
 

@@ -2,7 +2,7 @@
 
     completeness = |{p in S : the map's surface crosses the normal at p within 0.1 m}| / |S|
     accuracy     = mean over the map's surface of the distance to the scene's nearest face
-    completion   = mean over p in S of the distance to the map's surface, each no more than ``FAR``
+    completion   = mean over p in S of the distance to the map's surface, each no more than ``CLIPPED_AT``
 
 ``S`` are the points of the scene's faces that a camera on the robot sees from anywhere the robot can reach, level, in
 any direction, no farther than coverage counts: surfaces behind furniture enter no score, so that 1 can be
@@ -21,20 +21,20 @@ from scipy.spatial import cKDTree
 from trimesh.triangles import closest_point
 
 from vssm_gym.envs.scenes.solids import SolidBox
-from vssm_gym.envs.tasks.coverage import REACH
+from vssm_gym.envs.tasks.coverage import SEEING_RANGE
 from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import KNOWN_SHARE, TAU
 from vssm_gym.viz.mesh import Mesh, surface_mesh
 
-SPACING = 0.1  # m between points of S: one a cell of this size on each face
-POSITIONS = 0.4  # m between viewpoints
-AROUND, UPWARDS = 240, 60  # rays of a whole turn, and from the image's lower edge to its upper one
-WITHIN = 0.1  # m: largest error of a map's surface that counts as found
-ALONG = 9  # samples of a normal: closer together than half a cell of any map in use
-NEAR = 0.05  # m: threshold of the proportions of accurate and of complete surface
-FAR = 0.5  # m: distances are clipped here, so that a room that was never entered counts the same wherever it is
-SAMPLES = 10_000  # points of the mesh, and of the surface, that accuracy and completion are computed from
+POINT_SPACING = 0.1  # m between points of S: one a cell of this size on each face
+VIEWPOINT_SPACING = 0.4  # m between viewpoints
+RAYS_AROUND, RAYS_UPWARDS = 240, 60  # rays of a whole turn, and from the image's lower edge to its upper one
+FOUND_WITHIN = 0.1  # m: largest error of a map's surface that counts as found
+NORMAL_SAMPLES = 9  # samples of a normal: closer together than half a cell of any map in use
+ACCURATE_WITHIN = 0.05  # m: threshold of the proportions of accurate and of complete surface
+CLIPPED_AT = 0.5  # m: distances are clipped here, so that a room that was never entered counts the same wherever it is
+DRAWN_POINTS = 10_000  # points of the mesh, and of the surface, that accuracy and completion are computed from
 SEED = 0  # of the points that are drawn: a map's scores repeat exactly
 _CANDIDATES = 8  # triangles with the nearest centres, among which the nearest triangle is searched
 
@@ -55,17 +55,17 @@ class Surface:
 
 
 def observable_surface(scene_cache: SceneCache) -> Surface:
-    """Compute ``S`` of the module: about one point a ``SPACING``^2 of every face, in a fixed order."""
+    """Compute ``S`` of the module: about one point a ``POINT_SPACING``^2 of every face, in a fixed order."""
     space, config = scene_cache.sampler.space, scene_cache.renderer.config
     low, high = np.split(np.array(space.largest.bounds), 2)
-    xs, ys = (np.arange(a, b, POSITIONS) for a, b in zip(low, high, strict=True))
+    xs, ys = (np.arange(a, b, VIEWPOINT_SPACING) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
     places = grid[shapely.contains_xy(space.largest, grid)]
     if not len(places):
         places = np.array(space.largest.representative_point().coords)
     half = math.tan(0.5 * config.hfov) * config.height / config.width  # slope of the image's upper edge
-    bearing = np.linspace(-math.pi, math.pi, AROUND, endpoint=False)
-    a, slope = (g.ravel() for g in np.meshgrid(bearing, np.linspace(-half, half, UPWARDS), indexing="ij"))
+    bearing = np.linspace(-math.pi, math.pi, RAYS_AROUND, endpoint=False)
+    a, slope = (g.ravel() for g in np.meshgrid(bearing, np.linspace(-half, half, RAYS_UPWARDS), indexing="ij"))
     # z-depth 1 each: a camera that turns has every bearing in the middle of its image
     directions = np.stack([np.cos(a), np.sin(a), slope], axis=-1).astype(np.float32)
     faces = _Faces.of(scene_cache.renderer.boxes)
@@ -73,7 +73,7 @@ def observable_surface(scene_cache: SceneCache) -> Surface:
     for x, y in places:
         origin = np.array([x, y, scene_cache.robot.camera_height])
         t, box = scene_cache.renderer.tracer.trace(origin, directions)
-        seen = (box >= 0) & (t <= REACH)
+        seen = (box >= 0) & (t <= SEEING_RANGE)
         points = origin + t[seen, None] * directions[seen].astype(np.float64)
         keys, normals = faces.cells(points, box[seen])
         _, first = np.unique(keys, return_index=True)
@@ -105,16 +105,16 @@ class _Faces:
         every = np.arange(len(points))
         axis = np.argmin(self.half[box] - np.abs(local), axis=1)
         sign = np.where(local[every, axis] > 0.0, 1.0, -1.0)
-        u, v = (np.floor(local[every, (axis + k) % 3] / SPACING).astype(np.int64) + (1 << 14) for k in (1, 2))
+        u, v = (np.floor(local[every, (axis + k) % 3] / POINT_SPACING).astype(np.int64) + (1 << 14) for k in (1, 2))
         keys = (((box.astype(np.int64) * 6 + 2 * axis + (sign > 0.0)) << 15) + u << 15) + v
         level = np.stack([np.where(axis == 0, c, -s), np.where(axis == 0, s, c), np.zeros(len(points))], axis=-1)
         normals = np.where((axis == 2)[:, None], [0.0, 0.0, 1.0], level) * sign[:, None]
         return keys, normals
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distance (n,) to the nearest face of any box, no more than ``FAR``."""
-        nearest = np.full(len(points), FAR)
-        reach = np.linalg.norm(self.half, axis=1) + FAR
+        """Return the distance (n,) to the nearest face of any box, no more than ``CLIPPED_AT``."""
+        nearest = np.full(len(points), CLIPPED_AT)
+        reach = np.linalg.norm(self.half, axis=1) + CLIPPED_AT
         for i in range(len(self.centre)):
             d = points - self.centre[i]
             near = np.flatnonzero(np.einsum("na,na->n", d, d) < reach[i] ** 2)
@@ -127,7 +127,7 @@ class _Faces:
 
 
 def completeness(m: VoxelMap, surface: Surface) -> float:
-    """Return the proportion of ``surface`` that ``m`` shows within ``WITHIN``; see the module."""
+    """Return the proportion of ``surface`` that ``m`` shows within ``FOUND_WITHIN``; see the module."""
     found = _found(m, jnp.asarray(surface.points, jnp.float32), jnp.asarray(surface.normals, jnp.float32))
     return float(np.mean(np.asarray(found)))
 
@@ -138,14 +138,14 @@ def _found(m: VoxelMap, points: Float[Array, "n 3"], normals: Float[Array, "n 3"
 
     The first such crossing decides. A wall's far side is none, because there the field falls.
     """
-    offsets = jnp.linspace(WITHIN, -WITHIN, ALONG)
+    offsets = jnp.linspace(FOUND_WITHIN, -FOUND_WITHIN, NORMAL_SAMPLES)
     occupancy = m.occupancy_at(points[:, None] + offsets[:, None] * normals[:, None])
     before, after = occupancy[:, :-1], occupancy[:, 1:]
     rises = (before <= TAU) & (after > TAU)
     first = jnp.argmax(rises, axis=1)[:, None]
     before, after = (jnp.take_along_axis(a, first, axis=1)[:, 0] for a in (before, after))
     share = (TAU - before) / jnp.where(after > before, after - before, 1.0)
-    offset = WITHIN + (first[:, 0] + share) * (offsets[1] - offsets[0])
+    offset = FOUND_WITHIN + (first[:, 0] + share) * (offsets[1] - offsets[0])
     known = m.observed_at(points + offset[:, None] * normals) >= KNOWN_SHARE
     return jnp.any(rises, axis=1) & known
 
@@ -164,14 +164,14 @@ def mesh_quality(m: VoxelMap, surface: Surface, boxes: list[SolidBox]) -> dict[s
     """
     mesh = surface_mesh(m)
     if not len(mesh.faces):
-        return {"accuracy": None, "accurate_5cm": None, "completion": FAR, "complete_5cm": 0.0}
-    off = _Faces.of(boxes).distance(sample_mesh(mesh, SAMPLES, SEED))
-    missing = distance_to_mesh(surface.thinned(SAMPLES).points, mesh)
+        return {"accuracy": None, "accurate_5cm": None, "completion": CLIPPED_AT, "complete_5cm": 0.0}
+    off = _Faces.of(boxes).distance(sample_mesh(mesh, DRAWN_POINTS, SEED))
+    missing = distance_to_mesh(surface.thinned(DRAWN_POINTS).points, mesh)
     return {
         "accuracy": float(off.mean()),
-        "accurate_5cm": float(np.mean(off <= NEAR)),
+        "accurate_5cm": float(np.mean(off <= ACCURATE_WITHIN)),
         "completion": float(missing.mean()),
-        "complete_5cm": float(np.mean(missing <= NEAR)),
+        "complete_5cm": float(np.mean(missing <= ACCURATE_WITHIN)),
     }
 
 
@@ -186,11 +186,11 @@ def sample_mesh(mesh: Mesh, n: int, seed: int) -> Float[np.ndarray, "n 3"]:
 
 
 def distance_to_mesh(points: Float[np.ndarray, "n 3"], mesh: Mesh) -> Float[np.ndarray, "n"]:
-    """Return the distance to a mesh, no more than ``FAR``; exact for the compact triangles of marching cubes."""
+    """Return the distance to a mesh, no more than ``CLIPPED_AT``; exact for the compact triangles of marching cubes."""
     triangles = mesh.vertices[mesh.faces].astype(np.float64)
     k = min(_CANDIDATES, len(triangles))
     _, which = cKDTree(triangles.mean(axis=1)).query(points, k=k)
     which = which.reshape(len(points), k)
     nearest = closest_point(triangles[which.ravel()], np.repeat(points, k, axis=0))
     distance = np.linalg.norm(nearest.reshape(len(points), k, 3) - points[:, None], axis=-1).min(axis=1)
-    return np.minimum(distance, FAR)
+    return np.minimum(distance, CLIPPED_AT)

@@ -24,7 +24,7 @@ from vssm_gym.planning.car import reeds_shepp
 
 __all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
-MOVING = 0.05  # m/s: slower commands count as standing when direction changes are counted
+MOVING_SPEED = 0.05  # m/s: slower commands count as standing when direction changes are counted
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
@@ -154,5 +154,5 @@ def shortest_curve(start: np.ndarray, goal: np.ndarray, radius: float) -> float:
 
 def direction_changes(speeds: np.ndarray) -> int:
     """Count the changes between forward and backward driving, with or without a stand in between."""
-    signs = np.sign(speeds[np.abs(speeds) > MOVING])
+    signs = np.sign(speeds[np.abs(speeds) > MOVING_SPEED])
     return int(np.count_nonzero(np.diff(signs)))

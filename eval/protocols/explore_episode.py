@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from vssm_gym.agents.base import Agent, Decision
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.tasks.scene_cache import SceneCache
-from vssm_gym.eval.metrics.exploration import GOAL, Recorder
+from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, Recorder
 from vssm_gym.eval.metrics.failure import lost_track, stuck_at
 from vssm_gym.eval.metrics.navigation import location_errors, path_length
 from vssm_gym.eval.metrics.surfaces import Surface, completeness, mesh_quality, observable_surface
@@ -88,7 +88,7 @@ def run_episode(
     estimates = estimates_of(decisions, stopped)
     statuses = [decision.status for decision in decisions]
     coverage, final = float(info["coverage"]), map_of(agent)
-    success = 100.0 * coverage >= GOAL - 1e-9
+    success = 100.0 * coverage >= COVERAGE_GOAL - 1e-9
     why = None if success else _failure(statuses, stopped, coverage, path, estimates, contact, context.body_length)
     quality = {} if final is None else mesh_quality(final, surface, world.simulation.renderer.boxes)
     curve = recorder.curve
@@ -129,7 +129,7 @@ def _failure(
     contacts: Bool[np.ndarray, "steps"],
     body_length: float,
 ) -> str:
-    """Explain why a run ended below :data:`GOAL`, as ``kind: detail``; failures are counted by the kind."""
+    """Explain why a run ended below :data:`COVERAGE_GOAL`, as ``kind: detail``; failures are counted by the kind."""
     reached = f"{100.0 * coverage:.0f} % covered"
     if lost := lost_track(statuses, path, estimates, contacts, body_length):
         return f"{lost}, {reached}"

@@ -12,8 +12,8 @@ from vssm_gym.eval.report.view import View, learned
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 
-CUT_HEIGHT = 0.1  # m: cuts all obstacles of the car and lies above the floor
-TARGETS = 2  # targets of each scene whose cost-to-go is drawn
+CAR_CUT_HEIGHT = 0.1  # m: cuts all obstacles of the car and lies above the floor
+DRAWN_TARGETS = 2  # targets of each scene whose cost-to-go is drawn
 
 NOTE = (
     "<b>Reached</b>: within 0.10 m of the target, and 15 deg of its heading where a pose is asked, inside the time "
@@ -45,7 +45,7 @@ def _plans(rows: Sequence[Row], maps: Mapping[str, VoxelMap], folder: Path) -> s
             continue
         painter = ValuePainter(maps[scene])
         tasks = group_rows([row for row in members if (row.get("trace") or {}).get("poses")], ["task"])
-        for (task,), runs in list(tasks.items())[:TARGETS]:
+        for (task,), runs in list(tasks.items())[:DRAWN_TARGETS]:
             image, caption = painter.paint(runs[0])
             name = f"{scene} · task {task} · run of {runs[0]['agent']} in {runs[0]['physics']}"
             picture = f"<img src='{pictures.data_url(image, 'image/webp')}' alt='{escape(name)}'>" if image else ""
@@ -85,9 +85,9 @@ CAR_VIEW = View(
     curves_by=lambda rows: [name for name in tables.grouping(rows) if name not in ("scene", "agent")],
     curves=car_figures.curves,
     plans=_plans,
-    backgrounds=learned(CUT_HEIGHT),
+    backgrounds=learned(CAR_CUT_HEIGHT),
     drawn_on="on the map that the agents were given",
-    cut_height=CUT_HEIGHT,
+    cut_height=CAR_CUT_HEIGHT,
     failed=lambda row: bool(row["failure"] or row["collided"]),
     failures="Failures and collisions",
     such="episodes that failed or collided",

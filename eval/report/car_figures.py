@@ -15,7 +15,7 @@ from vssm_gym.geometry.car import Car
 from vssm_gym.viz import pictures
 
 CAR = Car()
-SPACING = 0.3  # m driven between two footprints
+FOOTPRINT_SPACING = 0.3  # m driven between two footprints
 VISIBLE = 0.005  # m: smaller location errors are not drawn
 ARROW = 0.3  # m, length of the arrow of a heading
 # Panels of the curves: metric -> labels and limits of its axes.
@@ -42,7 +42,7 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
     pictures.draw_background(axes, background)
     poses = np.asarray(row["trace"].get("poses") or [], dtype=float).reshape(-1, 3)
     if len(poses):
-        shown = poses[apart(poses, SPACING)]
+        shown = poses[apart(poses, FOOTPRINT_SPACING)]
         pictures.draw_outlines(axes, CAR.corners(shown[1:-1]), pictures.TRUE_COLOUR)
         pictures.draw_outlines(axes, CAR.corners(shown[[0, -1]]), pictures.TRUE_COLOUR, filled=True)
     pictures.draw_run(axes, {**row, "goal": row["goal"][:2], "trace": _trace(row)}, float(row["success_radius"]))

@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 
 from vssm_gym.eval.metrics.aggregate import group_rows
-from vssm_gym.eval.metrics.exploration import GOAL, KNOWN, ONE_STEP, Axis, Ratio, median_to_level, ratio
+from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, KNOWN, ONE_STEP, Axis, Ratio, median_to_level, ratio
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import explore_figures, explore_tables, summary
 from vssm_gym.eval.report.tables import reference_agent
@@ -30,8 +30,8 @@ NOTE = (
     "brackets 95 % intervals: of proportions by Clopper and Pearson, else the percentile bootstrap over starts."
 )
 CENSORED = (
-    f"A run that ended below {GOAL} % (or 95 or 99 %) is censored, and counts: in medians as longer than any run "
-    "that reached the level, in ratios with the value that is least favourable to the first agent. If the other "
+    f"A run that ended below {COVERAGE_GOAL} % (or 95 or 99 %) is censored, and counts: in medians as longer than any "
+    "run that reached the level, in ratios with the value that is least favourable to the first agent. If the other "
     "agent ran out of time, the metres that it had driven replace its path length, which would have been longer; if "
     "it stopped by itself, the ratio counts as 1 at most; if the first agent did not reach the level, all the "
     "metres that a robot can drive in the time replace its path length. Pairs in which neither reached it are left "
@@ -61,12 +61,12 @@ def _headline(rows: Sequence[Row], seed: int) -> str:
 def _verdict(rows: Sequence[Row], reference: str, seed: int) -> str:
     """State how the reference compares with the frontier baselines, and the scenes where it is not the best."""
     baselines = [name for name in explore_tables.others(rows, reference) if name.startswith(FRONTIER)]
-    found = {name: ratio(rows, reference, name, GOAL, seed) for name in baselines}
+    found = {name: ratio(rows, reference, name, COVERAGE_GOAL, seed) for name in baselines}
     found = {name: r for name, r in found.items() if r.interval.episodes}
     said = ""
     if found:
-        said = _leads(f"To {GOAL} % coverage {reference} drives", "the path", found, TARGET)
-        times = {name: ratio(rows, reference, name, GOAL, seed, "seconds") for name in found}
+        said = _leads(f"To {COVERAGE_GOAL} % coverage {reference} drives", "the path", found, TARGET)
+        times = {name: ratio(rows, reference, name, COVERAGE_GOAL, seed, "seconds") for name in found}
         said += _leads("It takes", "the simulated time, without computing time,", times)
     behind = [rival for rival in explore_tables.rivals(rows, reference, seed) if rival.ratio.interval.mean >= 1.0]
     where = ", ".join(f"{rival.scene} ({rival.agent}, {rival.ratio.text})" for rival in behind)
@@ -113,8 +113,8 @@ def _comparison(rows: Sequence[Row], seed: int) -> str:
     page = ""
     if reference:
         page = (
-            f"<h2>Scene by scene</h2><p class=note>The other agent whose path to {GOAL} % is the shortest relative to "
-            f"{escape(reference)}'s; intervals over starts.</p>"
+            f"<h2>Scene by scene</h2><p class=note>The other agent whose path to {COVERAGE_GOAL} % is the shortest "
+            f"relative to {escape(reference)}'s; intervals over starts.</p>"
             f"<div class=wide>{explore_tables.by_scene(explore_tables.rivals(rows, reference, seed), reference)}</div>"
             f"<h2>At equal path length and time</h2><p class=note>{EQUAL.format(reference=escape(reference))}</p>"
             f"<div class=beside>{_at_equal(rows, reference, seed, 'metres')}"
@@ -185,12 +185,12 @@ def _success(row: Row) -> str:
 
 def _numbers(row: Row) -> str:
     metres = "-" if row["metres_90"] is None else f"{row['metres_90']:.1f}"
-    return f"{GOAL} % after {metres} m; {row['path_length']:.1f} m and {row['seconds']:.0f} s in all"
+    return f"{COVERAGE_GOAL} % after {metres} m; {row['path_length']:.1f} m and {row['seconds']:.0f} s in all"
 
 
 SUMMARY = {
-    f"m to {GOAL} %": lambda rows: explore_tables.median_text(median_to_level(rows, GOAL)),
-    f"covered {GOAL} %": summary.mean("covered_90"),
+    f"m to {COVERAGE_GOAL} %": lambda rows: explore_tables.median_text(median_to_level(rows, COVERAGE_GOAL)),
+    f"covered {COVERAGE_GOAL} %": summary.mean("covered_90"),
     "collided": lambda rows: str(sum(bool(row["collided"]) for row in rows)),
 }
 
@@ -209,8 +209,8 @@ EXPLORE_VIEW = View(
     cut_height=pictures.CUT_HEIGHT,
     failed=lambda row: bool(row["failure"] or row["collided"]),
     failures="Failures and collisions",
-    such=f"runs that ended below {GOAL} % or collided",
-    without_failures=f"None: every run covered {GOAL} % without a collision.",
+    such=f"runs that ended below {COVERAGE_GOAL} % or collided",
+    without_failures=f"None: every run covered {COVERAGE_GOAL} % without a collision.",
     legend=explore_figures.legend,
     picture=explore_figures.run_picture,
     condition=lambda row: f"{row['scene']} · {row['noise']}",

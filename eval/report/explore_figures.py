@@ -11,15 +11,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from vssm_gym.eval.metrics.aggregate import group_rows
-from vssm_gym.eval.metrics.exploration import GOAL, LEVELS, mean_curve
+from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, COVERAGE_LEVELS, mean_curve
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.figures import colours
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 
 PLAN_CELL = 0.07  # m, pixel of a plan; coarse, because an explorer's map is larger than the apartment
-AROUND = 0.3  # m of unknown space that a plan keeps around known space
-POINTS = 61  # points of a mean curve
+KNOWN_MARGIN = 0.3  # m of unknown space that a plan keeps around known space
+MEAN_POINTS = 61  # points of a mean curve
 CURVES = {"entropy": ("entropy of the map, Mnat", 1e-6), "coverage": ("coverage, %", 100.0)}
 CURVES |= {"completeness": ("surface complete, %", 100.0)}
 SCENE_COLUMNS = 4
@@ -32,7 +32,7 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
     figure = Figure(figsize=(11.5, 6.4), layout="constrained")
     panels = figure.subplots(2, 3)
     for line, (axis, unit) in zip(panels, (("metres", "path length, m"), ("seconds", "time, s")), strict=True):
-        grid = np.linspace(0.0, _end(rows, axis), POINTS)
+        grid = np.linspace(0.0, _end(rows, axis), MEAN_POINTS)
         for axes, (name, (label, factor)) in zip(line, CURVES.items(), strict=True):
             for agent, members in _agents(rows):
                 mean, low, high = factor * mean_curve(members, name, axis, grid, seed)
@@ -47,8 +47,8 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
 def reached(rows: Sequence[Row]) -> bytes:
     """Draw the proportion of all runs that had reached each level of coverage by a path length, as SVG."""
     figure = Figure(figsize=(11.5, 3.2), layout="constrained")
-    panels = figure.subplots(1, len(LEVELS), sharey=True)
-    for axes, level in zip(panels, LEVELS, strict=True):
+    panels = figure.subplots(1, len(COVERAGE_LEVELS), sharey=True)
+    for axes, level in zip(panels, COVERAGE_LEVELS, strict=True):
         name = f"metres_{level}"
         longest = max((row[name] for row in rows if row[name] is not None), default=1.0)
         for agent, members in _agents(rows):
@@ -69,12 +69,12 @@ def scenes(rows: Sequence[Row], seed: int) -> bytes:
     figure = Figure(figsize=(2.9 * columns, 2.3 * lines + 0.4), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes, ((scene,), members) in zip(panels, groups.items(), strict=False):
-        grid = np.linspace(0.0, _end(members, "metres"), POINTS)
+        grid = np.linspace(0.0, _end(members, "metres"), MEAN_POINTS)
         for agent, runs in _agents(members):
             mean, low, high = 100.0 * mean_curve(runs, "coverage", "metres", grid, seed)
             axes.plot(grid, mean, color=colours(rows)[agent], label=agent, linewidth=1.2)
             axes.fill_between(grid, low, high, color=colours(rows)[agent], alpha=0.15, linewidth=0)
-        axes.axhline(GOAL, color="black", linewidth=0.6, linestyle=pictures.DASHES)
+        axes.axhline(COVERAGE_GOAL, color="black", linewidth=0.6, linestyle=pictures.DASHES)
         axes.set(title=scene, xlim=(0, grid[-1]), ylim=(0, 102))
         axes.title.set_fontsize(9)
         _plain(axes)
@@ -114,7 +114,7 @@ def plan_of(m: VoxelMap) -> pictures.Background:
     known = (full.image != pictures.UNKNOWN_COLOUR).any(axis=2)
     if not known.any():
         return full
-    keep = round(AROUND / PLAN_CELL)
+    keep = round(KNOWN_MARGIN / PLAN_CELL)
     rows, columns = (np.flatnonzero(known.any(axis=a)) for a in (1, 0))
     low = np.maximum([columns[0] - keep, rows[0] - keep], 0)
     high = np.minimum([columns[-1] + keep + 1, rows[-1] + keep + 1], known.shape[::-1])

@@ -7,7 +7,7 @@ import numpy as np
 
 from vssm_gym.eval.metrics import exploration, proportions
 from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean, group_rows
-from vssm_gym.eval.metrics.exploration import GOAL, LEVELS, Axis, Ratio
+from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, COVERAGE_LEVELS, Axis, Ratio
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.tables import Measures, grouping
 from vssm_gym.viz.html import html_table
@@ -34,10 +34,15 @@ def headline(rows: Sequence[Row], seed: int) -> str:
     """Tabulate each agent over all scenes: median path lengths, coverage, collisions, mesh, navigation on its maps."""
     by = (*pooled(rows), "agent")
     shown = [name for name in POOLED if any(row.get(name) is not None for row in rows)]
-    header = [*(name.replace("_", " ") for name in by), "runs", "scenes", *(f"m to {level} %" for level in LEVELS)]
+    header = [
+        *(name.replace("_", " ") for name in by),
+        "runs",
+        "scenes",
+        *(f"m to {level} %" for level in COVERAGE_LEVELS),
+    ]
     header += [
-        f"s to {GOAL} %",
-        f"covered {GOAL} %",
+        f"s to {COVERAGE_GOAL} %",
+        f"covered {COVERAGE_GOAL} %",
         "covered 99 %",
         "collided %",
         *(EXPLORE.label(name) for name in shown),
@@ -45,8 +50,8 @@ def headline(rows: Sequence[Row], seed: int) -> str:
     lines = []
     for group, members in group_rows(rows, by).items():
         line = [*group, str(len(members)), str(len({row["scene_hash"] for row in members}))]
-        line += [median_text(exploration.median_to_level(members, level, seed)) for level in LEVELS]
-        line += [median_text(exploration.median_to_level(members, GOAL, seed, "seconds"))]
+        line += [median_text(exploration.median_to_level(members, level, seed)) for level in COVERAGE_LEVELS]
+        line += [median_text(exploration.median_to_level(members, COVERAGE_GOAL, seed, "seconds"))]
         line += [proportions.percent(members, name).text(1) for name in ("covered_90", "covered_99", "collided")]
         line += [EXPLORE.text(name, over_scenes(members, name, seed)) for name in shown]
         lines.append(line)
@@ -69,20 +74,20 @@ def median_text(interval: Interval) -> str:
 
 
 def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
-    """Tabulate the reference's path length to levels of coverage over each other agent's, and its time to ``GOAL``."""
+    """Tabulate the reference's path length to levels of coverage over each other agent's, and its time to the goal."""
     by = pooled(rows)
     header = [*(name.replace("_", " ") for name in by), "ratio of path lengths", "pairs", "scenes"]
-    header += [f"{column} {level} %" for level in (GOAL, 95, 99) for column in ("to", "shorter to", "missed")]
-    header.append(f"seconds to {GOAL} %")
+    header += [f"{column} {level} %" for level in (COVERAGE_GOAL, 95, 99) for column in ("to", "shorter to", "missed")]
+    header.append(f"seconds to {COVERAGE_GOAL} %")
     lines = []
     for group, members in group_rows(rows, by).items():
         for other in others(members, reference):
-            found = [exploration.ratio(members, reference, other, level, seed) for level in (GOAL, 95, 99)]
+            found = [exploration.ratio(members, reference, other, level, seed) for level in (COVERAGE_GOAL, 95, 99)]
             scenes = str(len({a["scene_hash"] for a, _ in exploration.pairs(members, reference, other)}))
             line = [*group, f"{reference} / {other}", str(found[0].pairs), scenes]
             for r in found:
                 line += [r.text, f"{r.shorter} of {r.interval.episodes}", f"{r.first_missed} / {r.second_missed}"]
-            lines.append([*line, exploration.ratio(members, reference, other, GOAL, seed, "seconds").text])
+            lines.append([*line, exploration.ratio(members, reference, other, COVERAGE_GOAL, seed, "seconds").text])
     return html_table(header, lines, len(by) + 1)
 
 
@@ -109,11 +114,12 @@ class Rival:
 
 
 def rivals(rows: Sequence[Row], reference: str, seed: int) -> list[Rival]:
-    """Find the strongest other agent of each scene by the ratio of path lengths to ``GOAL`` %."""
+    """Find the strongest other agent of each scene by the ratio of path lengths to ``COVERAGE_GOAL`` %."""
     strongest = []
     for (scene,), members in group_rows(rows, ["scene"]).items():
         by_agent = {
-            name: exploration.ratio(members, reference, name, GOAL, seed) for name in others(members, reference)
+            name: exploration.ratio(members, reference, name, COVERAGE_GOAL, seed)
+            for name in others(members, reference)
         }
         candidates = [Rival(scene, name, found) for name, found in by_agent.items() if found.interval.episodes]
         if candidates:
@@ -135,7 +141,7 @@ def by_scene(found: Sequence[Rival], reference: str) -> str:
         ]
         for rival in found
     ]
-    header = ["scene", "strongest other agent", f"{reference}'s path is", "pairs", f"ratio to {GOAL} %"]
+    header = ["scene", "strongest other agent", f"{reference}'s path is", "pairs", f"ratio to {COVERAGE_GOAL} %"]
     return html_table([*header, "shorter", "missed"], lines, 3)
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import RESOLUTION
+from vssm_gym.agents.shared.driver import PLAN_RESOLUTION
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.car_figures import CAR, draw_target
 from vssm_gym.geometry.transforms import wrap_angle
@@ -20,7 +20,7 @@ from vssm_gym.planning.car.footprint import Arena, arena_from_map
 from vssm_gym.planning.value_iteration import CostToGo
 from vssm_gym.viz import pictures
 
-TURNS = np.radians([0.0, 90.0, 180.0, -90.0])  # headings of the slices, relative to the target's
+SLICE_TURNS = np.radians([0.0, 90.0, 180.0, -90.0])  # headings of the slices, relative to the target's
 WALL = "#33373d"
 TRAPPED = "#b9bec5"  # free of obstacles, but without a path to the target
 
@@ -29,7 +29,7 @@ class ValuePainter:
     """Draw targets in one scene's map; the floor plan and its collision tests are made once."""
 
     def __init__(self, voxel_map: VoxelMap) -> None:
-        self._arena = arena_from_map(voxel_map, "mean", RESOLUTION)
+        self._arena = arena_from_map(voxel_map, "mean", PLAN_RESOLUTION)
         self._critic = Critic(self._arena, CAR)
 
     def paint(self, row: Row) -> tuple[bytes, str]:
@@ -60,10 +60,10 @@ def slices(arena: Arena, cost: CostToGo, poses: np.ndarray, goal: np.ndarray) ->
     values = np.asarray(cost.values)
     values = np.where(values < np.float32(cost.never), values, np.nan)
     nearest = goal[2] if len(goal) == 3 else 0.0
-    index = np.round((nearest + TURNS) * values.shape[2] / (2.0 * np.pi)).astype(int) % values.shape[2]
+    index = np.round((nearest + SLICE_TURNS) * values.shape[2] / (2.0 * np.pi)).astype(int) % values.shape[2]
     top = float(np.nanquantile(values, 0.98))  # poses that take many turns to leave would use most of the scale
     figure = Figure(figsize=(14.5, 2.7), layout="constrained")
-    panels = figure.subplots(1, 1 + len(TURNS), sharex=True, sharey=True)
+    panels = figure.subplots(1, 1 + len(SLICE_TURNS), sharex=True, sharey=True)
     planes = [np.where(np.isnan(values).all(axis=2), np.nan, np.nanmin(np.nan_to_num(values, nan=np.inf), axis=2))]
     planes += [values[:, :, k] for k in index]
     degrees = [float(np.degrees(wrap_angle(heading))) for heading in 2.0 * np.pi * index / values.shape[2]]

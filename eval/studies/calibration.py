@@ -25,7 +25,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.calibration import Calibration, cross_fitted, fit_scale, pose_residuals
 from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
-from vssm_gym.slam.states import BAND, tidy
+from vssm_gym.slam.states import NORMAL_95, tidy
 from vssm_gym.viz import pictures
 
 COLUMNS = 5  # of the small pictures
@@ -136,7 +136,7 @@ def _short(value: float) -> str:
 
 def _of_band(errors: Float[np.ndarray, "n d"]) -> dict[str, float]:
     """Return ``share``, of components inside their 95 % band, and ``rms`` of error over std, 1 where calibrated."""
-    return {"share": float(np.mean(np.abs(errors) <= BAND)), "rms": float(np.sqrt(np.mean(errors**2)))}
+    return {"share": float(np.mean(np.abs(errors) <= NORMAL_95)), "rms": float(np.sqrt(np.mean(errors**2)))}
 
 
 def _band_text(band: Mapping[str, float]) -> str:

@@ -27,7 +27,7 @@ from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.viz import pictures
 
-GOAL = 0.10  # m of ATE, the project's own aim
+ATE_GOAL = 0.10  # m of ATE, the project's own aim
 # The yaw mode of the Blackbird flights that the papers chose.
 YAWS: dict[str, Yaw] = {"star": "forward", "picasso": "constant", "figure8": "forward", "clover": "forward"}
 # ATE (m) at 1, 2, 3, 4 m/s on Blackbird's real flights (PRISM, table 1), in other scenes with another stereo camera.
@@ -166,13 +166,13 @@ def _line(row: Mapping[str, Any]) -> list[str]:
 
 def _answer(rows: list[dict[str, Any]]) -> str:
     aligned = [row for row in rows if row["ate_m"] is not None]
-    within = sum(row["ate_m"] <= GOAL for row in aligned)
+    within = sum(row["ate_m"] <= ATE_GOAL for row in aligned)
     lost, frames = sum(row["lost"] for row in rows), sum(row["frames"] for row in rows)
     if not aligned:
         return "No flight was followed."
     worst = max(aligned, key=lambda row: row["ate_m"])
     return (
-        f"{within} of {len(rows)} flights within {100 * GOAL:.0f} cm ATE, {lost} of {frames} frames lost. "
+        f"{within} of {len(rows)} flights within {100 * ATE_GOAL:.0f} cm ATE, {lost} of {frames} frames lost. "
         f"Largest ATE: {100 * worst['ate_m']:.1f} cm, {worst['flight']} at {worst['speed']:g} m/s."
     )
 
@@ -187,7 +187,7 @@ def _picture(rows: list[dict[str, Any]]) -> bytes:
         speeds = sorted({row["speed"] for row in mine})
         means = [100 * np.mean([row["ate_m"] for row in mine if row["speed"] == speed]) for speed in speeds]
         left.plot(speeds, means, "o-", color=f"C{i}", label=name, markersize=5, linewidth=1.2)
-    left.axhline(100 * GOAL, color="0.4", linewidth=0.8, linestyle="--")
+    left.axhline(100 * ATE_GOAL, color="0.4", linewidth=0.8, linestyle="--")
     left.set(xlabel="peak speed, m/s", ylabel="ATE, cm", title="error")
     left.set_ylim(bottom=0.0)
     left.grid(alpha=0.3)

@@ -28,7 +28,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import grid_bounds
 from vssm_gym.viz import pictures
 
-STEPS = (1, 4, 16, 64)  # of gradient descent a frame
+DESCENT_STEPS = (1, 4, 16, 64)  # of gradient descent a frame
 FACTORS = (1.0, 0.2, 0.04)  # on the rates of gradient descent; the best counts
 HELD_OUT = 10  # one frame in so many is held out
 # On-line rates: a cell has few steps to move from the prior to its value, a truncation band away.
@@ -62,7 +62,7 @@ def run(
     nx, ny, nz = (int(n) for n in np.ceil((high - low) / voxel) + 1)
     prior = VoxelMap.prior(low, voxel, (nx, ny, nz))
     arms: dict[str, dict[str, Any]] = {}
-    names = {"closed form": 0} | {f"{k} steps": k for k in STEPS}
+    names = {"closed form": 0} | {f"{k} steps": k for k in DESCENT_STEPS}
     for name, k in names.items():
         tried = []
         for factor in FACTORS if k else (0.0,):

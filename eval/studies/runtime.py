@@ -18,7 +18,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.run import MAX_DENSE_CELLS, SlamOptions, TrackedFrame, run_slam
 from vssm_gym.viz import pictures
 
-SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded size are run
+IMAGE_SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded size are run
 VOXELS = (0.04, 0.07, 0.10)  # m
 EXTENTS = (7.0, 14.0, 28.0)  # m
 ROUNDS = 2
@@ -34,7 +34,7 @@ def settings(recorded: tuple[int, int], rate: float) -> dict[tuple[str, str], Sl
         rate: frames a second at most.
     """
     default = SlamOptions(rate=rate)
-    sizes = [size for size in SIZES if size[0] <= recorded[0] and size[1] <= recorded[1]]
+    sizes = [size for size in IMAGE_SIZES if size[0] <= recorded[0] and size[1] <= recorded[1]]
     chosen = {("image", "x".join(map(str, size))): replace(default, size=size) for size in sizes}
     chosen |= {("cell", f"{100 * voxel:g} cm"): replace(default, voxel=voxel) for voxel in VOXELS}
     return chosen | {("extent", f"{extent:g} m"): replace(default, extent=extent) for extent in EXTENTS}

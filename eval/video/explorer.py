@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.eval.video import pictures
 from vssm_gym.eval.video.recording import EVERY, Recording
-from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
+from vssm_gym.eval.video.writer import VIDEO_RATE, Page, Window, write_frames
 from vssm_gym.progress import OnProgress
 
 _CHARACTERS = 92  # of a status: a line holds no more
@@ -42,7 +42,7 @@ class Sheet:
         self._page = Page()
         self._moves, figure = self._page.moves, self._page.figure
         figure.text(0.02, 0.95, title, fontsize=15, weight="bold")
-        speed = EVERY * HolonomicRobot().dt * RATE
+        speed = EVERY * HolonomicRobot().dt * VIDEO_RATE
         figure.text(0.98, 0.95, f"{speed:g} x as fast as driven", fontsize=10, ha="right", color="0.35")
         self._image_panel(figure)
         self._curve(figure)

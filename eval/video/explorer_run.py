@@ -24,7 +24,7 @@ from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
 
-DPI = 110  # of the pictures
+PICTURE_DPI = 110  # of the pictures
 
 
 def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
@@ -67,8 +67,8 @@ def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = Non
         explored.save(unfinished / "map.npz", agent=row["agent"], scene_hash=content, package_version=version)
         choice = recording.choice()
         if choice is not None:
-            pictures.candidates(choice, recording).savefig(unfinished / "candidates.png", dpi=DPI)
-        pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=DPI)
+            pictures.candidates(choice, recording).savefig(unfinished / "candidates.png", dpi=PICTURE_DPI)
+        pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=PICTURE_DPI)
         Image.fromarray(mesh_picture(surface_mesh(explored))).save(unfinished / "mesh.png")
         title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
         write_video(unfinished / "run.mp4", recording, title, on_progress)

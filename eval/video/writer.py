@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from vssm_gym.errors import InputError
 from vssm_gym.progress import OnProgress
 
-RATE = 15  # frames a second
-SIZE, DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
+VIDEO_RATE = 15  # frames a second
+VIDEO_SIZE, VIDEO_DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
 HOLD = 2.0  # s that the last frame is shown
 HOW = "imageio-ffmpeg, which writes videos: pip install 'vssm-gym[viz]'"
 
@@ -47,7 +47,7 @@ def write_frames(
         on_progress: called with ("video", done, total).
     """
     writer: Any = imageio.get_writer(
-        path, format="FFMPEG", fps=RATE, codec="libx264", quality=6, ffmpeg_log_level="error"
+        path, format="FFMPEG", fps=VIDEO_RATE, codec="libx264", quality=6, ffmpeg_log_level="error"
     )
     # As a context of its own the writer leaves ffmpeg running where a frame fails
     with contextlib.closing(writer), warnings.catch_warnings():
@@ -57,7 +57,7 @@ def write_frames(
             writer.append_data(frame)
             if on_progress:
                 on_progress("video", i + 1, total)
-        for _ in range(round(HOLD * RATE)):
+        for _ in range(round(HOLD * VIDEO_RATE)):
             writer.append_data(frame)
 
 
@@ -82,8 +82,8 @@ class Page:
     """Hold a figure of which a frame redraws the moving parts only: pictures, then artists in the order of addition."""
 
     def __init__(self) -> None:
-        self.figure = Figure(figsize=SIZE, dpi=DPI)
-        self.size = round(DPI * SIZE[1]), round(DPI * SIZE[0])  # (height, width), pixels
+        self.figure = Figure(figsize=VIDEO_SIZE, dpi=VIDEO_DPI)
+        self.size = round(VIDEO_DPI * VIDEO_SIZE[1]), round(VIDEO_DPI * VIDEO_SIZE[0])  # (height, width), pixels
         self._canvas = FigureCanvasAgg(self.figure)
         self._moving: list[Artist] = []
         self._background: Any = None

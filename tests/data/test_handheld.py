@@ -39,8 +39,8 @@ def test_a_person_around_the_camera_never_collides(apartment, seed):
 
 def test_corners_are_not_cut_at_any_speed(apartment, monkeypatch):
     """Even without stops to turn, smoothing never leads the path through a wall."""
-    monkeypatch.setattr("vssm_gym.data.handheld.SPEED", (3.0, 4.0))
-    monkeypatch.setattr("vssm_gym.data.handheld.TURN", 100.0)
+    monkeypatch.setattr("vssm_gym.data.handheld.SPEED_RANGE", (3.0, 4.0))
+    monkeypatch.setattr("vssm_gym.data.handheld.TURN_RATE", 100.0)
     path = walk(apartment, 60.0, 100.0)
     assert FreeSpace.from_apartment(apartment, path.body, 1.8).contains(path.T_world_cam[:, :2, 3]).all()
 

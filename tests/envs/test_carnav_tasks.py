@@ -17,14 +17,14 @@ from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.envs.tasks.car import (
     ALIGNED,
-    APART,
     GOAL_MARGIN,
     REACHED,
+    TARGET_APART,
     CarTask,
     CarTaskSampler,
 )
 from vssm_gym.envs.tasks.car_sets import make_car_tasks
-from vssm_gym.envs.tasks.car_space import CELL, HEADINGS, TURNS, CarSpace
+from vssm_gym.envs.tasks.car_space import ARC_TURNS, LATTICE_CELL, LATTICE_HEADINGS, CarSpace
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
@@ -103,7 +103,7 @@ def test_tasks_are_free_apart_and_within_reach(scene, targets):
         assert sampler.space.free(np.array(task.start), GOAL_MARGIN - 1e-9)
         if targets == "poses":
             assert sampler.space.free(np.array(task.goal), GOAL_MARGIN - 1e-9)
-        assert math.dist(task.start[:2], task.goal[:2]) > APART
+        assert math.dist(task.start[:2], task.goal[:2]) > TARGET_APART
         sampler.validate(task)
         assert not task.reached(np.array(task.start))
     assert sampler.draw(np.random.default_rng([7, 5]), targets, 5) == tasks[5]
@@ -194,11 +194,13 @@ def test_every_target_that_is_drawn_would_be_accepted():
 @pytest.mark.parametrize("k", [0, 5, 40])
 def test_the_lattice_is_joined_by_the_arcs_of_the_bicycle(k: int, curvature: int) -> None:
     """The twin of the model's law: cells of the exact arc at full lock, to the rounding to a cell."""
-    turn, angle = TURNS[1], 2.0 * np.pi * TURNS[1] / HEADINGS
+    turn, angle = ARC_TURNS[1], 2.0 * np.pi * ARC_TURNS[1] / LATTICE_HEADINGS
     steering = curvature * CAR.max_steering
     bicycle = Bicycle(wheelbase=CAR.wheelbase)
     for share, (i, j, heading) in zip((0.25, 0.5, 0.75, 1.0), SPACE._cells_along(k, curvature, turn), strict=True):
-        start = jnp.array([0.0, 0.0, 2.0 * np.pi * k / HEADINGS])
+        start = jnp.array([0.0, 0.0, 2.0 * np.pi * k / LATTICE_HEADINGS])
         x, y, after = bicycle.mean(start, jnp.array([CAR.turning_radius * angle * share, steering]), 1.0)
-        assert max(abs(CELL * i - float(x)), abs(CELL * j - float(y))) <= 0.5 * CELL + 1e-6
-        assert abs(wrap_angle(float(after) - 2.0 * np.pi * heading / HEADINGS)) <= np.pi / HEADINGS + 1e-5
+        assert max(abs(LATTICE_CELL * i - float(x)), abs(LATTICE_CELL * j - float(y))) <= 0.5 * LATTICE_CELL + 1e-6
+        assert (
+            abs(wrap_angle(float(after) - 2.0 * np.pi * heading / LATTICE_HEADINGS)) <= np.pi / LATTICE_HEADINGS + 1e-5
+        )

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.flight_hall import hall
 from vssm_gym.envs.flight import HOVERING, STRAYED, FlightEnv
 from vssm_gym.envs.flight_body import (
-    NOISE_LEVELS,
+    FLIGHT_NOISE,
     FlightBody,
     FlightController,
     FlightNoise,
@@ -135,7 +135,7 @@ def test_the_controller_follows_the_reference(name, speed, scale, noise, error):
     rng, errors = np.random.default_rng(0), []
     for k in range(int(reference.duration / dt)):
         command = pilot(state, reference, k * dt, dt)
-        gust = NOISE_LEVELS[noise].following(gust, dt, rng)
+        gust = FLIGHT_NOISE[noise].following(gust, dt, rng)
         for _ in range(10):
             state, _ = fly(state, command, gust, BODY.drag, 0.005)
         errors.append(np.linalg.norm(state.position - reference.at(np.array([(k + 1) * dt])).position[0]))

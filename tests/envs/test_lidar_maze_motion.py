@@ -8,7 +8,7 @@ import shapely
 from scipy import stats
 
 from tests.helpers.maze_episodes import LIDAR, MAZE, TASK, act, make, random_actions
-from vssm_gym.envs.lidar_maze import LONGEST
+from vssm_gym.envs.lidar_maze import LONGEST_RANGE
 from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE
 from vssm_gym.envs.physics.planar import scan
 from vssm_gym.envs.robots import ExecutionNoise, execute
@@ -94,7 +94,7 @@ def test_ranges_err_by_the_stated_law(level):
 
 def test_ranges_stay_within_the_space():
     read = measured(np.tile([0.01, 1.4], 5000), replace(LIDAR, noise=LidarNoise(floor=0.5)), np.random.default_rng(0))
-    assert read.min() == 0.0 and 0.99 * LONGEST < read.max() <= LONGEST
+    assert read.min() == 0.0 and 0.99 * LONGEST_RANGE < read.max() <= LONGEST_RANGE
 
 
 def test_the_scan_is_that_of_the_true_pose():

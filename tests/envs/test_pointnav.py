@@ -18,7 +18,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, e
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.geodesic import Geodesics
-from vssm_gym.envs.tasks.goal_progress import SPACING, GoalDistance
+from vssm_gym.envs.tasks.goal_progress import GRID_SPACING, GoalDistance
 from vssm_gym.envs.tasks.navigation import Task, TaskSampler, make_tasks
 from vssm_gym.errors import InputError
 
@@ -208,7 +208,7 @@ def test_goal_distance_follows_the_exact_geodesic(seed):
     distance.aim(points[0])
     for point in points[1:]:
         true = exact.length(point, points[0])
-        assert true - SPACING <= distance(point) <= 1.03 * true + 2.0 * SPACING
+        assert true - GRID_SPACING <= distance(point) <= 1.03 * true + 2.0 * GRID_SPACING
 
 
 def test_collisions_are_reported_and_stop_the_robot():

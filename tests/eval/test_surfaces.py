@@ -87,7 +87,7 @@ def test_neither_unobserved_cells_nor_the_back_of_a_thin_wall_are_a_surface():
 @pytest.mark.parametrize("boxes", [[WALL], [CRATE], [WALL, CRATE]])
 def test_distances_to_faces_are_those_of_the_boxes(boxes):
     points = np.random.default_rng(0).uniform([-1.0, -1.5, -0.3], [1.7, 1.5, 2.3], (500, 3))
-    expected = np.minimum(np.abs([signed_distance(box, points) for box in boxes]).min(axis=0), surfaces.FAR)
+    expected = np.minimum(np.abs([signed_distance(box, points) for box in boxes]).min(axis=0), surfaces.CLIPPED_AT)
     np.testing.assert_allclose(surfaces._Faces.of(boxes).distance(points), expected, atol=1e-12)
 
 
@@ -98,7 +98,7 @@ def test_distances_to_a_mesh_are_those_to_its_nearest_triangle():
     each = [
         np.linalg.norm(closest_point(triangles, np.broadcast_to(p, (len(triangles), 3))) - p, axis=1) for p in points
     ]
-    expected = np.minimum(np.min(each, axis=1), surfaces.FAR)
+    expected = np.minimum(np.min(each, axis=1), surfaces.CLIPPED_AT)
     np.testing.assert_allclose(distance_to_mesh(points, mesh), expected, atol=1e-3)
 
 
@@ -113,7 +113,7 @@ def test_a_shifted_map_is_off_by_its_shift_both_ways(shift):
 
 def test_an_empty_map_has_no_accuracy_and_no_completion():
     found = mesh_quality(map_of([WALL], observed=False), front_of_wall(), [WALL])
-    assert found == {"accuracy": None, "accurate_5cm": None, "completion": surfaces.FAR, "complete_5cm": 0.0}
+    assert found == {"accuracy": None, "accurate_5cm": None, "completion": surfaces.CLIPPED_AT, "complete_5cm": 0.0}
 
 
 def test_points_of_a_mesh_are_spread_over_its_area():

@@ -3,12 +3,12 @@
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.lidar_maze import LONGEST, LidarMazeEnv
+from vssm_gym.envs.lidar_maze import LONGEST_RANGE, LidarMazeEnv
 from vssm_gym.envs.sensors.lidar import LidarConfig
 from vssm_gym.envs.tasks.mazes import load_maze
 
 ID = "vssm_gym:vssm_gym/LidarMaze-v0"
-LIDAR = LidarConfig(max_range=LONGEST)
+LIDAR = LidarConfig(max_range=LONGEST_RANGE)
 MAZE = load_maze("rooms-v1")
 TASK = MAZE.sampler.task((0.1, 0.1, 0.0), (0.3, 0.1))
 

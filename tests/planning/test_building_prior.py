@@ -8,12 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.exploration.building_prior import TURNS, expected_surfaces, main_direction, outline, over_map
+from vssm_gym.planning.exploration.building_prior import (
+    COMPARED_TURNS,
+    expected_surfaces,
+    main_direction,
+    outline,
+    over_map,
+)
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 CELL = 0.05  # m
-STEP = 0.5 * math.pi / TURNS
+STEP = 0.5 * math.pi / COMPARED_TURNS
 
 
 def plan(cells: np.ndarray) -> FloorPlan:

@@ -72,6 +72,6 @@ def test_reading_stops_when_the_consumer_does():
     next(images)
     images.close()
     read = len(reader.asked)
-    assert read <= slam_run.AHEAD + 1
+    assert read <= slam_run.READ_AHEAD + 1
     time.sleep(0.05)
     assert len(reader.asked) == read

@@ -13,7 +13,7 @@ from PIL import Image
 from vssm_gym.cli import main as main_module
 from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.aggregate import bootstrap_mean
-from vssm_gym.training.learning_curves import POINTS, curve, figure, grouped, read_training, speed, time_to
+from vssm_gym.training.learning_curves import CURVE_POINTS, curve, figure, grouped, read_training, speed, time_to
 
 Point = tuple[float, float, float]  # seconds, steps, success
 
@@ -77,16 +77,16 @@ def test_a_curve_is_the_mean_as_far_as_all_seeds_go(tmp_path):
     late = [(120.0, 300, 0.1), (480.0, 900, 0.4)]
     group = [read_training(run(tmp_path / str(i), points, seed=i)) for i, points in enumerate((long, late))]
     found = curve(group, "success", "minutes")
-    assert (found.x[0], found.x[-1], len(found.x)) == (2.0, 8.0, POINTS)
+    assert (found.x[0], found.x[-1], len(found.x)) == (2.0, 8.0, CURVE_POINTS)
     np.testing.assert_allclose(found.mean, 0.075 * found.x, atol=1e-12)
-    middle = POINTS // 2
+    middle = CURVE_POINTS // 2
     by_hand = bootstrap_mean([0.5, 0.25], [0, 1])
     assert (found.low[middle], found.high[middle]) == (by_hand.low, by_hand.high)
     assert (found.low <= found.mean).all() and (found.mean <= found.high).all()
     np.testing.assert_allclose(curve(group, "returns", "minutes").mean, 10.0 * found.mean - 5.0, atol=1e-9)
     by_steps = curve(group, "success", "steps")
     np.testing.assert_allclose([by_steps.x[0], by_steps.x[-1]], [300.0, 900.0])
-    np.testing.assert_allclose(np.diff(np.log(by_steps.x)), math.log(3.0) / (POINTS - 1))
+    np.testing.assert_allclose(np.diff(np.log(by_steps.x)), math.log(3.0) / (CURVE_POINTS - 1))
     np.testing.assert_allclose(by_steps.mean, 0.5 * ((by_steps.x - 100.0) / 1000.0 + (by_steps.x - 100.0) / 2000.0))
 
 

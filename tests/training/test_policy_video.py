@@ -17,7 +17,7 @@ from vssm_gym.agents.policy import policy_file
 from vssm_gym.cli import main as main_module
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.eval.video.recording import CroppedPlan
-from vssm_gym.eval.video.writer import HOLD, RATE
+from vssm_gym.eval.video.writer import HOLD, VIDEO_RATE
 from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.training.imagined_episodes import ImaginedStep, imagine
@@ -132,7 +132,7 @@ def test_a_video_has_a_frame_a_step_and_holds_the_last(both, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["task.mp4"]
     with imageio.get_reader(tmp_path / "task.mp4") as video:
         frames = [np.asarray(frame) for frame in video]
-    assert len(frames) == 7 + round(HOLD * RATE)
+    assert len(frames) == 7 + round(HOLD * VIDEO_RATE)
     assert frames[0].shape == (720, 1280, 3)
 
 
@@ -202,5 +202,5 @@ def test_an_evaluation_with_a_video(vssm, rooms, tmp_path):
     (real,) = [json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()]
     assert real["success"]
     with imageio.get_reader(out / "task-0.mp4") as video:
-        frames = video.count_frames() - round(HOLD * RATE)
+        frames = video.count_frames() - round(HOLD * VIDEO_RATE)
     assert real["steps"] <= frames < real["steps"] + 10  # the same episode over again, and what was imagined

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-STARTS = 100  # test tasks of a scene, whose starts can be taken
+TEST_STARTS = 100  # test tasks of a scene, whose starts can be taken
 FILES = "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json"
 
 
@@ -41,8 +41,8 @@ def explore(
 
     for field, value, least in (("start", start, 0), ("steps", steps, 1), ("seed", seed, 0)):
         check_at_least("explore", field, value, least)
-    if start >= STARTS:
-        raise InputError("explore", "start", f"at most {STARTS - 1}, found {start}")
+    if start >= TEST_STARTS:
+        raise InputError("explore", "start", f"at most {TEST_STARTS - 1}, found {start}")
     config = SweepConfig(
         env=("vssm_gym/Explore-v0",),
         scenes=(scene,),

@@ -22,7 +22,7 @@ T = TypeVar("T")
 Row = tuple[float, list[str]]  # of an index file: its time (s) and all its words
 
 ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame, or between a frame and its pose
-GAP = 0.5  # s between two frames that gives a notice, where it is also five times the median
+NOTICED_GAP = 0.5  # s between two frames that gives a notice, where it is also five times the median
 
 
 @dataclass(frozen=True)
@@ -176,11 +176,11 @@ def _note_gaps(times: np.ndarray, notices: list[str]) -> None:
     steps = np.diff(times)
     if len(steps) == 0:
         return
-    gaps = steps > max(GAP, 5.0 * float(np.median(steps)))
+    gaps = steps > max(NOTICED_GAP, 5.0 * float(np.median(steps)))
     if gaps.any():
         longest = int(np.argmax(steps))
         where = f"the longest {steps[longest]:.2f} s, after {times[longest]:.6f} s"
-        notices.append(f"frames are missing {_times(int(gaps.sum()))} for more than {GAP:g} s; {where}")
+        notices.append(f"frames are missing {_times(int(gaps.sum()))} for more than {NOTICED_GAP:g} s; {where}")
 
 
 def _times(count: int) -> str:

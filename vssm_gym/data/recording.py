@@ -32,7 +32,7 @@ from vssm_gym.planning.pursuit import steer
 from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
-ARRIVED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
+WAYPOINT_REACHED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
 def record(
@@ -209,7 +209,7 @@ def _drive(
         target = np.array([waypoint.x, waypoint.y])
         # A robot pushed behind a corner by noise slides along it; if it cannot pass, it drives to the next waypoint.
         for _ in range(_patience(env.planar[:2], target, limits)):
-            if np.hypot(*(env.planar[:2] - target)) < ARRIVED:
+            if np.hypot(*(env.planar[:2] - target)) < WAYPOINT_REACHED:
                 break
             command(*steer(env.planar, np.array([env.planar[:2], target]), limits))
         if waypoint.turn_around:

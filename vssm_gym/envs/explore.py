@@ -13,7 +13,7 @@ import numpy as np
 from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.coverage import Coverage
-from vssm_gym.envs.tasks.navigation import MARGIN
+from vssm_gym.envs.tasks.navigation import BORDER_MARGIN
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
@@ -112,7 +112,7 @@ class ExploreEnv(PhasedEnv):
 
     def _start(self, given: Any) -> np.ndarray:
         space, stream = self.simulation.scene_cache.sampler.space, self.simulation.streams["task"]
-        drawn = np.array([*space.sample(stream, 1, MARGIN)[0], stream.uniform(-np.pi, np.pi)])
+        drawn = np.array([*space.sample(stream, 1, BORDER_MARGIN)[0], stream.uniform(-np.pi, np.pi)])
         if given is None:
             return drawn
         try:

@@ -29,24 +29,32 @@ from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.tasks.reference_flights import CURVES, HEIGHT, LIFT, Placement, ReferenceFlight, Yaw, place
+from vssm_gym.envs.tasks.reference_flights import (
+    CURVES,
+    FLIGHT_HEIGHT,
+    FLIGHT_LIFT,
+    Placement,
+    ReferenceFlight,
+    Yaw,
+    place,
+)
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import matrix_to_planar
 
-SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
+DRAWN_SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
 SLOWEST, FASTEST = 0.2, 20.0  # m/s, range of the keyword; a flight that needs too much thrust is refused
-LONGEST = 600.0  # s, most of a reference, and so of an episode
+LONGEST_FLIGHT = 600.0  # s, most of a reference, and so of an episode
 STRAYED = 2.0  # m from the reference, at which the flight is given up
-NEAR = 1.0  # m from the reference, beyond which a step earns nothing
-CRASH = 5.0  # cost of a collision, in the dense reward
+EARNING_DISTANCE = 1.0  # m from the reference, beyond which a step earns nothing
+CRASH_COST = 5.0  # cost of a collision, in the dense reward
 HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
 
 
 class FlightEnv(PhasedEnv):
     """Simulate one body in one hall, with one reference flight per episode. Registered as ``vssm_gym/Flight-v0``.
 
-    No wrapper counts its steps: an episode lasts as long as its reference, LONGEST seconds at most, at every rate.
+    No wrapper counts its steps: an episode lasts as long as its reference, LONGEST_FLIGHT seconds at most, at any rate.
 
     Args:
         scene: built-in name, path of a scene file, or an :class:`Apartment`.
@@ -59,7 +67,7 @@ class FlightEnv(PhasedEnv):
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
         observe_pose: if True, the observation holds true pose and velocity (an oracle's privilege).
         flight: name of the reference, or None: one is drawn at each reset.
-        speed: its peak, m/s, 0.2 to 20 as far as the rotors allow, or None: drawn from SPEEDS.
+        speed: its peak, m/s, 0.2 to 20 as far as the rotors allow, or None: drawn from DRAWN_SPEEDS.
         yaw: ``forward``: the nose points along the motion; ``constant``.
         reward: ``dense`` (nearness to the reference) or ``sparse`` (1 for a flight completed).
         render_mode: ``rgb_array`` or None.
@@ -106,7 +114,7 @@ class FlightEnv(PhasedEnv):
         self.imu_period = self.dt / self.substeps  # s
         self._places: dict[str, Placement] = {}
         if flight is not None:
-            self._checked(self._reference(flight, SPEEDS[0] if speed is None else speed))
+            self._checked(self._reference(flight, DRAWN_SPEEDS[0] if speed is None else speed))
         self.world = FlightWorld(self.apartment, self.body.radius)
         self.renderer = SharedRenderer.of(self.apartment, camera_config(camera), renderer)
         self.camera, self.renderer_name = self.renderer.camera, self.renderer.name
@@ -203,7 +211,7 @@ class FlightEnv(PhasedEnv):
         if self._first or self.reward == "sparse":
             reward = float(success)
         else:
-            reward = self.dt * max(0.0, 1.0 - error / NEAR) - CRASH * self._collision
+            reward = self.dt * max(0.0, 1.0 - error / EARNING_DISTANCE) - CRASH_COST * self._collision
         return self.sensors.observation(), reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
@@ -215,7 +223,7 @@ class FlightEnv(PhasedEnv):
         self.sense()
         planar = matrix_to_planar(self.state.T_world_body)
         goal = self.task.at(np.array([self.time])).position[0, :2]
-        plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * NEAR)
+        plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * EARNING_DISTANCE)
         return beside_plan(self.sensors.reading("rgb"), plan)
 
     def tracking_error(self) -> float:
@@ -236,7 +244,7 @@ class FlightEnv(PhasedEnv):
     def _drawn(self) -> ReferenceFlight:
         """Draw the next task; both numbers are drawn even if they are not needed."""
         stream = self._streams["task"]
-        name, speed = list(CURVES)[stream.integers(len(CURVES))], float(stream.uniform(*SPEEDS))
+        name, speed = list(CURVES)[stream.integers(len(CURVES))], float(stream.uniform(*DRAWN_SPEEDS))
         return self._reference(self.flight or name, speed if self.speed is None else self.speed)
 
     def _checked(self, reference: ReferenceFlight) -> ReferenceFlight:
@@ -244,15 +252,19 @@ class FlightEnv(PhasedEnv):
 
         Else raise InputError.
         """
-        if reference.duration > LONGEST:
-            expected = f"a flight of at most {LONGEST:g} s; {reference.speed:g} m/s here takes {reference.duration:.0f}"
+        if reference.duration > LONGEST_FLIGHT:
+            expected = (
+                f"a flight of at most {LONGEST_FLIGHT:g} s; {reference.speed:g} m/s here takes {reference.duration:.0f}"
+            )
             raise InputError("Flight", "speed", expected)
         limit = 0.8 * self.body.limits[1][2]
         if not (needed := reference.push()) <= limit:
             expected = f"a flight that asks for at most {limit:.1f} m/s^2 of the rotors, so that some is left to steer"
             raise InputError("Flight", "speed", f"{expected}; {reference.speed:g} m/s here asks for {needed:.1f}")
         if self._places.get(reference.name) != reference.place:
-            space = FreeSpace.from_apartment(self.apartment, self.body.radius, HEIGHT + LIFT + self.body.radius)
+            space = FreeSpace.from_apartment(
+                self.apartment, self.body.radius, FLIGHT_HEIGHT + FLIGHT_LIFT + self.body.radius
+            )
             path = reference.at(np.linspace(0.0, reference.duration, 2048)).position[:, :2]
             if not (free := space.contains(path)).all():
                 obstacles = ", ".join(space.obstacles_at(path[~free][0])[:3]) or "the end of the floor"

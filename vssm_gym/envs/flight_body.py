@@ -72,7 +72,7 @@ class FlightNoise:
         return keep * gust + math.sqrt(1.0 - keep**2) * std * rng.standard_normal(6)
 
 
-NOISE_LEVELS: dict[str, FlightNoise] = {
+FLIGHT_NOISE: dict[str, FlightNoise] = {
     "none": FlightNoise(0.0, 0.0),
     "low": FlightNoise(0.2, 0.02),
     "mid": FlightNoise(0.5, 0.05),
@@ -80,7 +80,7 @@ NOISE_LEVELS: dict[str, FlightNoise] = {
 }
 
 
-flight_noise = Presets("Flight", "noise", FlightNoise, NOISE_LEVELS)
+flight_noise = Presets("Flight", "noise", FlightNoise, FLIGHT_NOISE)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from vssm_gym.envs.rendering.topdown import PICTURE, beside_plan
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.geometry.transforms import planar_to_matrix
 
-HEADINGS = 8  # directions, evenly spread, in which a goal image may look
-OPEN = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place
+GOAL_HEADINGS = 8  # directions, evenly spread, in which a goal image may look
+OPEN_DEPTH = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place
 
 
 class ImageNavEnv(PhasedEnv):
@@ -81,13 +81,13 @@ class ImageNavEnv(PhasedEnv):
         """
         task, renderer = self.navigation.task, self.simulation.renderer
         assert task is not None
-        spread = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
+        spread = 2.0 * np.pi * np.arange(GOAL_HEADINGS) / GOAL_HEADINGS
         drawn = np.random.default_rng([task.id, *np.frombuffer(np.array(task.goal).tobytes(), np.uint32)])
         views = []
         for heading in drawn.uniform(0.0, 2.0 * np.pi) + drawn.permutation(spread):
             pose = np.array([*task.goal, heading])
             rgb, depth = renderer.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
             views.append((float(np.median(depth)), rgb))
-            if views[-1][0] >= OPEN:
+            if views[-1][0] >= OPEN_DEPTH:
                 return rgb
         return max(views, key=lambda view: view[0])[1]

@@ -33,9 +33,9 @@ from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-LONGEST = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
+LONGEST_RANGE = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
 STEP_COST, SUCCESS_REWARD = 0.001, 1.0  # of the dense reward, whose unit is a metre gained
-PICTURE = 480  # pixels, height and width of a rendered picture
+MAZE_PICTURE = 480  # pixels, height and width of a rendered picture
 _RAY = (236, 140, 40)
 
 
@@ -94,7 +94,7 @@ class LidarMazeEnv(PhasedEnv):
         self.action_space = gym.spaces.Box(
             np.array([-turn, 0.0, 0.0], np.float32), np.array([turn, step, 1.0], np.float32)
         )
-        scanner = LidarConfig(beams=beams, max_range=LONGEST, noise=range_noise(sensor_noise))
+        scanner = LidarConfig(beams=beams, max_range=LONGEST_RANGE, noise=range_noise(sensor_noise))
         sensors: list[Sensor[HasPlanar]] = [MazeScan(scanner, self.maze.rectangles)]
         if task == "navigate":
             sensors.append(TaskObservation("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
@@ -168,7 +168,7 @@ class LidarMazeEnv(PhasedEnv):
         if self.render_mode is None or self.task is None:
             return None
         if self._plan is None:
-            self._plan = TopDown(self.maze.apartment.boxes(), PICTURE, PICTURE, margin=0.02)
+            self._plan = TopDown(self.maze.apartment.boxes(), MAZE_PICTURE, MAZE_PICTURE, margin=0.02)
         goal = np.asarray(self.task.goal) if isinstance(self.objective, Approach) else None
         picture = self._plan.draw(np.array(self._path), self.planar, self.robot.radius, goal, self.success_radius)
         self.sense()

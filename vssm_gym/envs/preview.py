@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
 from vssm_gym.envs.rendering.raycast import RaycastCamera
-from vssm_gym.envs.rendering.topdown import ROBOT, TopDown
+from vssm_gym.envs.rendering.topdown import ROBOT_COLOUR, TopDown
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.free_space import FreeSpace
@@ -17,23 +17,23 @@ from vssm_gym.envs.tasks.mazes import is_maze
 from vssm_gym.geometry.axes import Matrix4
 
 CAMERA_HEIGHT = 1.4  # m
-DOWN = math.radians(12.0)  # rad, its pitch: furniture stands below the camera
+CAMERA_PITCH = math.radians(12.0)  # rad, its pitch: furniture stands below the camera
 HFOV = math.radians(78.0)  # rad
-POSITIONS, HEADINGS = 48, 16  # viewpoints tried in a room
+VIEW_POSITIONS, VIEW_HEADINGS = 48, 16  # viewpoints tried in a room
 ENOUGH = 4  # rays of the coarse image that must meet a thing for it to count as seen
-NEAR = 0.9  # m; things as close as this spoil a view
-FAR = 8.0  # m; beyond, distance makes a view no better
-APART = 1.5  # m between the two viewpoints
+TOO_CLOSE = 0.9  # m; things as close as this spoil a view
+FAR_ENOUGH = 8.0  # m; beyond, distance makes a view no better
+VIEWPOINTS_APART = 1.5  # m between the two viewpoints
 _GAP = 4  # pixels between the pictures
 
 
 def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "height width 3"]:
     """Draw the plan, north up, and beside it two camera images one above the other.
 
-    The images are taken in the two largest rooms (both in the one room of a studio, at least APART from each other
-    where it is large enough), each from where most pieces of furniture are seen that the other does not show. Blue dots
-    in the plan mark the viewpoints, their angles the field of view. The width follows the plan's proportions. A maze is
-    drawn as its plan alone, since it is a world of two dimensions.
+    The images are taken in the two largest rooms (both in the one room of a studio, at least VIEWPOINTS_APART from each
+    other where it is large enough), each from where most pieces of furniture are seen that the other does not show.
+    Blue dots in the plan mark the viewpoints, their angles the field of view. The width follows the plan's proportions.
+    A maze is drawn as its plan alone, since it is a world of two dimensions.
 
     Args:
         apartment: the scene.
@@ -75,24 +75,24 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
 
 
 def _positions(space: FreeSpace, room: shapely.Polygon) -> Float[np.ndarray, "n 2"]:
-    """Return about POSITIONS viewpoints spread over the free space well inside a room, or of all rooms without one."""
+    """Return about VIEW_POSITIONS viewpoints spread over the free space well inside a room, or of all rooms."""
     inside_doors = space.largest.intersection(room.buffer(-0.5))
     area = inside_doors if inside_doors.area > 0.01 else space.largest
     shapely.prepare(area)
     x0, y0, x1, y1 = area.bounds
-    step = math.sqrt(area.area / POSITIONS)
+    step = math.sqrt(area.area / VIEW_POSITIONS)
     grid = np.stack(np.meshgrid(np.arange(x0, x1, step), np.arange(y0, y1, step), indexing="ij"), axis=-1)
     inside = grid[shapely.contains_xy(area, grid[..., 0], grid[..., 1])]
     return inside if len(inside) else shapely.get_coordinates(area.representative_point())
 
 
 def _apart(positions: Float[np.ndarray, "n 2"], poses: list[Matrix4]) -> Float[np.ndarray, "m 2"]:
-    """Return the positions APART from all that were chosen, or the farthest one where there are none."""
+    """Return the positions VIEWPOINTS_APART from all that were chosen, or the farthest one where there are none."""
     if not poses:
         return positions
     taken = np.array([pose[:2, 3] for pose in poses])
     away = np.linalg.norm(positions[:, None] - taken, axis=-1).min(axis=1)
-    return positions[away >= min(APART, float(away.max()))]
+    return positions[away >= min(VIEWPOINTS_APART, float(away.max()))]
 
 
 def _best_view(
@@ -101,22 +101,22 @@ def _best_view(
     """Return the pose that shows most pieces not in ``known``, then the deepest view, and the pieces it shows."""
     best: tuple[float, Matrix4, set[str]] = (-math.inf, np.eye(4), set())
     for x, y in positions:
-        for heading in 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS:
+        for heading in 2.0 * math.pi * np.arange(VIEW_HEADINGS) / VIEW_HEADINGS:
             T_world_cam = _look(x, y, heading)
             depth, box = coarse.first_boxes(T_world_cam)
             met, count = np.unique(names[box[box >= 0]], return_counts=True)
             shown = set(met[count >= ENOUGH].tolist()) - {""}
             # A near object hides the room: distance counts as much as a handful of pieces.
-            score = len(shown - known) + 8.0 * float(np.clip(depth, 0.0, FAR).mean()) / FAR
-            score -= 20.0 * float((depth < NEAR).mean())
+            score = len(shown - known) + 8.0 * float(np.clip(depth, 0.0, FAR_ENOUGH).mean()) / FAR_ENOUGH
+            score -= 20.0 * float((depth < TOO_CLOSE).mean())
             if score > best[0]:
                 best = (score, T_world_cam, shown)
     return best[1], best[2]
 
 
 def _look(x: float, y: float, heading: float) -> Matrix4:
-    """Return the camera pose at (x, y, CAMERA_HEIGHT), looking along ``heading`` and DOWN below the horizon."""
-    c, s, cd, sd = math.cos(heading), math.sin(heading), math.cos(DOWN), math.sin(DOWN)
+    """Return the camera pose at (x, y, CAMERA_HEIGHT), looking along ``heading`` and CAMERA_PITCH below the horizon."""
+    c, s, cd, sd = math.cos(heading), math.sin(heading), math.cos(CAMERA_PITCH), math.sin(CAMERA_PITCH)
     right, down, forward = (s, -c, 0.0), (-c * sd, -s * sd, -cd), (c * cd, s * cd, -sd)
     T = np.eye(4)
     T[:3, :3] = np.column_stack([right, down, forward])
@@ -132,6 +132,6 @@ def _with_cameras(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "hei
         edges = math.atan2(T[1, 2], T[0, 2]) + np.array([-0.5, 0.5]) * HFOV
         tips = T[:2, 3] + np.stack([np.cos(edges), np.sin(edges)], axis=-1)
         left, eye, right = (tuple(p) for p in plan.pixels(np.stack([tips[0], T[:2, 3], tips[1]])))
-        pen.line([left, eye, right], fill=ROBOT, width=2)
-        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=ROBOT)
+        pen.line([left, eye, right], fill=ROBOT_COLOUR, width=2)
+        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=ROBOT_COLOUR)
     return np.asarray(image)

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorObservationWrapper,
 from gymnasium.vector.utils import batch_space
 
 from vssm_gym.envs.wrappers import (
-    MAX_DEPTH,
+    POLICY_MAX_DEPTH,
     Observation,
     checked_max_depth,
     depth_only,
@@ -40,7 +40,7 @@ class DepthOnly(VectorObservationWrapper):
 class NormalizedDepth(VectorObservationWrapper):
     """``depth' = min(depth / max_depth, 1)``; 0 = no reading."""
 
-    def __init__(self, env: VectorEnv, max_depth: float = MAX_DEPTH) -> None:
+    def __init__(self, env: VectorEnv, max_depth: float = POLICY_MAX_DEPTH) -> None:
         super().__init__(env)
         self.max_depth = checked_max_depth(max_depth)
         self.single_observation_space = with_normalized_depth(env.single_observation_space)

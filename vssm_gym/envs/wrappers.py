@@ -14,8 +14,8 @@ from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-MAX_DEPTH = 5.0  # m: across most rooms; a policy needs no distinction beyond
-MAX_DISTANCE = 2.0 * MAX_COORDINATE * np.sqrt(2.0)  # m
+POLICY_MAX_DEPTH = 5.0  # m: across most rooms; a policy needs no distinction beyond
+MAX_GOAL_DISTANCE = 2.0 * MAX_COORDINATE * np.sqrt(2.0)  # m
 _EXACT = ExecutionNoise(0.0, 0.0)
 
 Observation = dict[str, np.ndarray]
@@ -42,7 +42,7 @@ class NormalizedDepth(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
         max_depth: m; larger depths become 1.
     """
 
-    def __init__(self, env: gym.Env, max_depth: float = MAX_DEPTH) -> None:
+    def __init__(self, env: gym.Env, max_depth: float = POLICY_MAX_DEPTH) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, max_depth=max_depth)
         super().__init__(env)
         self.max_depth = checked_max_depth(max_depth)
@@ -129,7 +129,7 @@ def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.
     if "pose" not in found.spaces and action_space.shape != (4,):
         expected = f"an observed pose, or commands (turn, o, s, stop) to reckon with; found actions {action_space}"
         raise InputError("RelativeGoal", "env", expected)
-    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_DISTANCE, 1.0, 1.0], np.float32)
+    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_GOAL_DISTANCE, 1.0, 1.0], np.float32)
     return gym.spaces.Dict(dict(found) | {"goal": gym.spaces.Box(low, high)})
 
 

@@ -23,7 +23,7 @@ from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold
 
 MANIFOLDS: dict[str, Manifold] = {"planar": PLANAR, "rigid": RIGID}
-FORMAT, VERSION = "vssm_gym.Belief", 1  # of a file with a belief and no map
+BELIEF_FORMAT, BELIEF_VERSION = "vssm_gym.Belief", 1  # of a file with a belief and no map
 
 
 class Draw(NamedTuple):
@@ -90,7 +90,7 @@ class Posterior(eqx.Module):
             readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.measurement_noise)]
             self.map.save(path, **metadata, belief=belief, readings=readings)
             return
-        header = {"format": FORMAT, "version": VERSION, **metadata, "belief": belief}
+        header = {"format": BELIEF_FORMAT, "version": BELIEF_VERSION, **metadata, "belief": belief}
         with atomic_write(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8))
 
@@ -104,9 +104,11 @@ class Posterior(eqx.Module):
         Raises:
             InputError: the file is missing, damaged or of another version, or a map file without a belief.
         """
-        header = map_file.read_header(path, {map_file.FORMAT, FORMAT})
-        if header["format"] == FORMAT and header.get("version") != VERSION:
-            raise InputError(path, "version", f"{FORMAT} version {VERSION}, found {header.get('version')!r:.80}")
+        header = map_file.read_header(path, {map_file.FORMAT, BELIEF_FORMAT})
+        if header["format"] == BELIEF_FORMAT and header.get("version") != BELIEF_VERSION:
+            raise InputError(
+                path, "version", f"{BELIEF_FORMAT} version {BELIEF_VERSION}, found {header.get('version')!r:.80}"
+            )
         stored = header.get("belief")
         if not isinstance(stored, dict):
             raise InputError(path, "belief", "a belief over the state; this file holds a map alone")
@@ -126,7 +128,7 @@ class Posterior(eqx.Module):
         R = np.asarray(manifold.pose(belief.mean), np.float64)[:3, :3]
         if np.abs(R - _rotation(R)).max() > 1e-3:
             raise InputError(path, "belief.mean", "a pose whose 3x3 part is a rotation")
-        if header["format"] == FORMAT:
+        if header["format"] == BELIEF_FORMAT:
             return cls(belief, None)
         readings = _arrays(path, "readings", header.get("readings", jax.tree.leaves(MEASUREMENT_NOISE)), [()] * 3)
         if not all(float(std) > 0.0 for std in readings):

@@ -19,7 +19,7 @@ from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, level_distance, 
 from vssm_gym.maps.voxel_map import VoxelMap
 
 OUTSIDE = -1.0  # m, clearance beyond the grid, where nothing is known; deep enough that no planner starts there
-ROUNDING = 1e-6  # cells; a border cell taken to world coordinates and back still lies on the grid
+BORDER_ROUNDING = 1e-6  # cells; a border cell taken to world coordinates and back still lies on the grid
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def _window(free: np.ndarray) -> tuple[slice, slice]:
 def bilinear(clearance: np.ndarray, x: float, y: float) -> float:
     """Return the clearance (m) at cell coordinates ``(x, y)``; :data:`OUTSIDE` beyond the outermost cell centres."""
     nx, ny = clearance.shape
-    if not (-ROUNDING <= x <= nx - 1 + ROUNDING and -ROUNDING <= y <= ny - 1 + ROUNDING):
+    if not (-BORDER_ROUNDING <= x <= nx - 1 + BORDER_ROUNDING and -BORDER_ROUNDING <= y <= ny - 1 + BORDER_ROUNDING):
         return OUTSIDE
     i, j = min(int(x), nx - 2), min(int(y), ny - 2)
     a, b = x - i, y - j

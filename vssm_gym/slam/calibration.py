@@ -26,7 +26,7 @@ from vssm_gym.geometry.transforms import inverse
 from vssm_gym.viz import pictures
 
 AXES = ("x", "y", "z", "about x", "about y", "about z")
-LEVELS = (0.5, 0.9, 0.95, 0.99)
+NOMINAL_LEVELS = (0.5, 0.9, 0.95, 0.99)
 
 
 def pose_residuals(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
@@ -108,7 +108,7 @@ class Calibration:
         level = np.linspace(0.0, 1.0, 201)
         observed = np.searchsorted(np.sort(predicted), level, side="right") / len(predicted)
         result = {"nees": float(self.nees.mean()), "nees_over_dimension": float(self.nees.mean() / self.dimension)}
-        result |= {f"share_within_{round(100 * p)}": float(np.mean(predicted <= p)) for p in LEVELS}
+        result |= {f"share_within_{round(100 * p)}": float(np.mean(predicted <= p)) for p in NOMINAL_LEVELS}
         result["gap"] = float(np.mean(np.abs(observed - level)))
         result["bias"] = float(np.mean(observed - level))
         return result

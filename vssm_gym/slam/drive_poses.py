@@ -23,8 +23,8 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
 from vssm_gym.progress import OnProgress
 
-REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
-LOW, HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
+MAP_REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
+MAP_LOW, MAP_HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
     reader = FrameReader(sequence)
     rig = Rig.of(reader.camera, sequence.T_body_cam)
     start = matrix_to_planar(jnp.asarray(sequence.true_poses()[0], jnp.float32) @ inverse(rig.T_body_cam))
-    low = np.array([float(start[0]) - REACH, float(start[1]) - REACH, LOW])
-    sides = np.array([2.0 * REACH, 2.0 * REACH, HIGH - LOW])
+    low = np.array([float(start[0]) - MAP_REACH, float(start[1]) - MAP_REACH, MAP_LOW])
+    sides = np.array([2.0 * MAP_REACH, 2.0 * MAP_REACH, MAP_HIGH - MAP_LOW])
     nx, ny, nz = (int(n) for n in np.ceil(sides / voxel))
     sparse = VoxelMap.prior(low, voxel, (nx, ny, nz), slots=DEFAULT_SLOTS)
     motion = Planar(MotionNoise(noise.turn, noise.step))
@@ -69,8 +69,8 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
         )
         planar.append(np.asarray(prism.posterior(state).belief.mean, float))
         accepted.append(info.status.accepted)
-        if np.abs(planar[-1][:2] - planar[0][:2]).max() > REACH - 1.0:
-            raise InputError(sequence.root, "controls", f"a drive that stays within {REACH - 1.0} m of its start")
+        if np.abs(planar[-1][:2] - planar[0][:2]).max() > MAP_REACH - 1.0:
+            raise InputError(sequence.root, "controls", f"a drive that stays within {MAP_REACH - 1.0} m of its start")
         if on_progress:
             on_progress("poses", i + 1, len(reader))
     if state.map.table is not None and (refused := int(state.map.table.refused)):

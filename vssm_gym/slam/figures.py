@@ -23,8 +23,8 @@ from vssm_gym.slam.states import Truth, tidy
 from vssm_gym.viz import pictures
 
 OBSERVED_COLOUR = "#0072b2"
-MARGIN = 0.4  # m around the content of a slice
-PIXELS = 420  # of a slice along its longer edge, at most
+SLICE_MARGIN = 0.4  # m around the content of a slice
+SLICE_PIXELS = 420  # of a slice along its longer edge, at most
 STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9"}
 ELLIPSES = 25  # drawn along a path
 REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
@@ -145,8 +145,8 @@ def slices(run: SlamRun, display: Display, counted: float) -> bytes:
         layers, counts = np.unique(np.round(most[:, fixed] / voxel), return_counts=True)
         height = voxel * float(layers[np.argmax(counts)])
         shown = np.concatenate([seen[np.abs(seen[:, fixed] - height) <= voxel], cameras])
-        low, high = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
-        resolution = max((high - low)[[a, b]].max() / PIXELS, 0.25 * voxel)
+        low, high = shown.min(axis=0) - SLICE_MARGIN, shown.max(axis=0) + SLICE_MARGIN
+        resolution = max((high - low)[[a, b]].max() / SLICE_PIXELS, 0.25 * voxel)
         u, v = (np.arange(low[c], high[c], resolution) for c in (a, b))
         p = np.empty((len(v), len(u), 3))
         p[..., a], p[..., b], p[..., fixed] = u, v[:, None], height

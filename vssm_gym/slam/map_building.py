@@ -26,9 +26,9 @@ from vssm_gym.version import package_version
 
 Poses = Literal["recorded", "estimated"]
 
-MARGIN = 0.25  # m around the farthest points seen, for the truncation band and the noise of other frames
+BOUNDS_MARGIN = 0.25  # m around the farthest points seen, for the truncation band and the noise of other frames
 LOOKED_AT = 200  # about how many frames the bounds are computed from
-MAX_CELLS = 40_000_000  # 25 bytes each: 1 GB
+MAX_MAP_CELLS = 40_000_000  # 25 bytes each: 1 GB
 NOISE = "low"  # execution noise of the drive that a map is learned from
 
 
@@ -116,7 +116,7 @@ def _fused(
     config = MapUpdateConfig()
     low, high = grid_bounds(frames, T_world_cam, camera, config, source)
     shape = tuple(int(n) for n in np.ceil((high - low) / voxel).astype(int) + 1)
-    if np.prod(shape) > MAX_CELLS:
+    if np.prod(shape) > MAX_MAP_CELLS:
         raise InputError("map", "voxel", f"larger cells: {high - low} m at {voxel} m makes {np.prod(shape):,} of them")
     m = VoxelMap.prior(low, voxel, (shape[0], shape[1], shape[2]))
     for done, i in enumerate(chosen, 1):
@@ -156,7 +156,7 @@ def grid_bounds(
             low, high = np.minimum(low, p_world.min(axis=0)), np.maximum(high, p_world.max(axis=0))
     if not np.isfinite(low).all():
         raise InputError(source, "depth", "readings; every sampled pixel has none")
-    return low - MARGIN, high + MARGIN
+    return low - BOUNDS_MARGIN, high + BOUNDS_MARGIN
 
 
 def _rays(camera: Camera) -> np.ndarray:

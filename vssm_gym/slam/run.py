@@ -36,11 +36,12 @@ from vssm_gym.model.transition import RIGID
 from vssm_gym.progress import OnProgress
 
 START_STD = 0.3  # m, rad: std of the tracker's given start in a map
-PATIENCE = 3  # readable frames that may be rejected after the first one before the map is restarted
-AHEAD = 4  # images that are read ahead of the filter
+START_PATIENCE = 3  # readable frames that may be rejected after the first one before the map is restarted
+READ_AHEAD = 4  # images that are read ahead of the filter
 MAX_DENSE_CELLS = 30_000_000  # of about 25 bytes; larger cubes are stored block-sparse
-MAX_CELLS = 1_000_000_000  # an unobserved cell of a sparse cube takes a tenth of a byte
-SMALLEST, LARGEST = (40, 30), (1280, 960)  # image sizes; the rotation search needs to shrink images to 20 pixels
+MAX_SPARSE_CELLS = 1_000_000_000  # an unobserved cell of a sparse cube takes a tenth of a byte
+# Pixels; the rotation search needs to shrink images to 20 pixels.
+SMALLEST_IMAGE, LARGEST_IMAGE = (40, 30), (1280, 960)
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ class SlamOptions:
     )
 
     def __post_init__(self) -> None:
-        if not all(low <= n <= high for low, n, high in zip(SMALLEST, self.size, LARGEST, strict=True)):
-            low, high = ("x".join(map(str, size)) for size in (SMALLEST, LARGEST))
+        if not all(low <= n <= high for low, n, high in zip(SMALLEST_IMAGE, self.size, LARGEST_IMAGE, strict=True)):
+            low, high = ("x".join(map(str, size)) for size in (SMALLEST_IMAGE, LARGEST_IMAGE))
             raise InputError("slam", "size", f"width x height between {low} and {high}, not {self.size}")
         if not 0.0 < self.rate < np.inf:
             raise InputError("slam", "rate", f"frames a second, above 0, not {self.rate}")
@@ -102,9 +103,11 @@ class SlamOptions:
             raise InputError("slam", "voxel", f"a cell size in (0, 0.5] m, not {self.voxel}")
         if not 10 * self.voxel <= self.extent < np.inf:
             raise InputError("slam", "extent", f"at least 10 cells of {self.voxel} m, not {self.extent} m")
-        if self.cells > MAX_CELLS:
+        if self.cells > MAX_SPARSE_CELLS:
             raise InputError(
-                "slam", "extent", f"at most {MAX_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels"
+                "slam",
+                "extent",
+                f"at most {MAX_SPARSE_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels",
             )
         if self.solver not in SOLVERS:
             raise InputError("slam", "solver", f"one of {', '.join(SOLVERS)}, not {self.solver!r}")
@@ -131,9 +134,11 @@ class SlamOptions:
             raise InputError("slam", "depth", f"one of {', '.join(DEPTHS)}, not {self.depth!r}")
         if not 0 <= self.seed < 2**32:
             raise InputError("slam", "seed", f"between 0 and 2^32 - 1, not {self.seed}")
-        if not SMALLEST[0] <= self.render_width <= LARGEST[0]:
+        if not SMALLEST_IMAGE[0] <= self.render_width <= LARGEST_IMAGE[0]:
             raise InputError(
-                "slam", "render-width", f"between {SMALLEST[0]} and {LARGEST[0]} pixels, not {self.render_width}"
+                "slam",
+                "render-width",
+                f"between {SMALLEST_IMAGE[0]} and {LARGEST_IMAGE[0]} pixels, not {self.render_width}",
             )
 
     @property
@@ -270,11 +275,11 @@ def prefetch(reader: FrameReader, indices: list[int]) -> Generator[tuple[np.ndar
 
     pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frame-reader")
     try:
-        waiting = deque(pool.submit(read, index) for index in indices[:AHEAD])
+        waiting = deque(pool.submit(read, index) for index in indices[:READ_AHEAD])
         for position in range(len(indices)):
             frame = waiting.popleft().result()
-            if position + AHEAD < len(indices):
-                waiting.append(pool.submit(read, indices[position + AHEAD]))
+            if position + READ_AHEAD < len(indices):
+                waiting.append(pool.submit(read, indices[position + READ_AHEAD]))
             yield frame
     finally:
         pool.shutdown(cancel_futures=True)
@@ -346,7 +351,7 @@ class _Tracker:
     """Keep the filter's state between frames; ``None`` before the first readable frame.
 
     A map that starts from a bad image (too dark, too little depth, an object in front of the camera) matches no later
-    image: if none of ``PATIENCE`` readable frames is accepted after the first one, the map is restarted.
+    image: if none of ``START_PATIENCE`` readable frames is accepted after the first one, the map is restarted.
     """
 
     def __init__(self, options: SlamOptions, camera: Camera, sequence: Sequence) -> None:
@@ -377,7 +382,7 @@ class _Tracker:
         info = None
         status = Status.OK
         image = RGBD.from_camera(rgb, depth)
-        if self.state is not None and (self._misses is None or self._misses < PATIENCE):
+        if self.state is not None and (self._misses is None or self._misses < START_PATIENCE):
             control, dt = self._control(self.state, stamp), stamp - self.stamp
             self.state, info = self.filter.step(self.state, control, image, dt, clock=stages)
             status = info.status

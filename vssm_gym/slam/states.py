@@ -22,7 +22,7 @@ from vssm_gym.slam.calibration import Calibration, pose_residuals
 from vssm_gym.slam.run import SlamRun, TrackedFrame
 from vssm_gym.viz import pictures
 
-BAND = 1.96  # stds: 95 % of a normal
+NORMAL_95 = 1.96  # stds: 95 % of a normal
 POSE, VELOCITY = slice(0, 6), slice(6, 12)  # of the covariance
 FEWEST = 10  # frames for a calibration
 AXIS_COLOURS = ("#c2185b", "#0b6e4f", "#0072b2")
@@ -102,7 +102,7 @@ def calibration_summary(run: SlamRun, truth: Truth | None) -> dict[str, Any] | N
     if "velocity" in result:
         rows, true = truth.velocities(run)
         mean, std = velocity_bands(run)
-        inside = np.abs(true - mean[rows]) <= BAND * std[rows]
+        inside = np.abs(true - mean[rows]) <= NORMAL_95 * std[rows]
         known = np.isfinite(std[rows, 0])
         result["velocity"]["share_in_band"] = inside[known].mean(axis=0).tolist()
     return result
@@ -139,7 +139,7 @@ def velocity(run: SlamRun, truth: Truth | None) -> bytes:
     panels = figure.subplots(2, 3, sharex=True, sharey="row").ravel()
     rows, true = truth.velocities(run) if truth else (np.zeros(0, int), np.zeros((0, 6)))
     for c, axes in enumerate(panels):
-        low, high = mean[:, c] - BAND * std[:, c], mean[:, c] + BAND * std[:, c]
+        low, high = mean[:, c] - NORMAL_95 * std[:, c], mean[:, c] + NORMAL_95 * std[:, c]
         band = axes.fill_between(t, low, high, color=pictures.ESTIMATE_COLOUR, alpha=0.2, linewidth=0, label="95 %")
         (line,) = axes.plot(t, mean[:, c], color=pictures.ESTIMATE_COLOUR, linewidth=1.1, label="estimate")
         handles = [line, band]
@@ -154,7 +154,7 @@ def velocity(run: SlamRun, truth: Truth | None) -> bytes:
         size = np.nanmax(
             np.abs(mean[:, first : first + 3]), initial=0.01, where=np.isfinite(mean[:, first : first + 3])
         )
-        width = BAND * np.nanmedian(std[:, first : first + 3]) if np.isfinite(std).any() else 0.0
+        width = NORMAL_95 * np.nanmedian(std[:, first : first + 3]) if np.isfinite(std).any() else 0.0
         panels[first].set(ylabel=unit, ylim=(-1.1 * size - 1.3 * width, 1.1 * size + 1.3 * width))
     for axes in panels[3:]:
         axes.set_xlabel("time, s")

@@ -31,9 +31,9 @@ from vssm_gym.training.train import MANIFEST, PROGRESS
 from vssm_gym.viz import pictures
 
 SUCCESS_LEVELS = (0.5, 0.9)  # success rates whose times the table shows
-POINTS = 121  # points of a curve
+CURVE_POINTS = 121  # points of a curve
 KINDS = (".svg", ".png")
-DPI = 150
+CURVES_DPI = 150
 MEASURES: dict[str, str] = {"success": "success rate", "returns": "return of an episode"}
 AXES: dict[str, str] = {"minutes": "minutes of training", "steps": "steps of all robots"}
 
@@ -120,7 +120,7 @@ def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: flo
         content = pictures.svg(drawn)
     else:
         buffer = io.BytesIO()
-        drawn.savefig(buffer, format="png", dpi=DPI)
+        drawn.savefig(buffer, format="png", dpi=CURVES_DPI)
         content = buffer.getvalue()
     with atomic_write(out) as temporary:
         temporary.write_bytes(content)
@@ -205,7 +205,7 @@ def curve(group: Sequence[Training], measure: str, axis: Axis, seed: int = 0) ->
     if not low < high:
         expected = f"seeds that are known over the same {axis}; all of them from {low:g} on, but one ends at {high:g}"
         raise InputError("curves", group[0].name, expected)
-    x = (np.linspace if axis == "minutes" else np.geomspace)(low, high, POINTS)
+    x = (np.linspace if axis == "minutes" else np.geomspace)(low, high, CURVE_POINTS)
     each = np.array([np.interp(x, getattr(one, axis), getattr(one, measure)) for one in group])
     seeds = [one.seed for one in group]
     found = [bootstrap_mean(values.tolist(), seeds, seed) for values in each.T]

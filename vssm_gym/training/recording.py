@@ -35,8 +35,8 @@ from vssm_gym.training.evaluation import files_of
 from vssm_gym.training.imagined_episodes import STEPS, ImaginedStep, imagine
 from vssm_gym.viz import pictures
 
-CELL = 0.025  # m, of the simulator's floor plan
-AROUND = 0.3  # m, margin of that plan
+SIMULATOR_CELL = 0.025  # m, of the simulator's floor plan
+PLAN_MARGIN = 0.3  # m, margin of that plan
 ROBOT = HolonomicRobot()
 
 
@@ -200,13 +200,13 @@ def ray_ends(planar: Float[np.ndarray, "3"], scan: Float[np.ndarray, "beams"], h
 def true_plan(scene: str) -> CroppedPlan:
     """Compute the simulator's floor plan at the robot's height; cells off the floor are UNKNOWN."""
     space = FreeSpace.from_apartment(load_scene(scene), ROBOT.radius, ROBOT.height)
-    low, high = (np.array(space.region.bounds[i : i + 2]) + sign * AROUND for i, sign in ((0, -1.0), (2, 1.0)))
-    n = np.ceil((high - low) / CELL).astype(int)
-    axes = [low[a] + CELL * (np.arange(n[a]) + 0.5) for a in range(2)]
+    low, high = (np.array(space.region.bounds[i : i + 2]) + sign * PLAN_MARGIN for i, sign in ((0, -1.0), (2, 1.0)))
+    n = np.ceil((high - low) / SIMULATOR_CELL).astype(int)
+    axes = [low[a] + SIMULATOR_CELL * (np.arange(n[a]) + 0.5) for a in range(2)]
     xy = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     solid, free = space.distance_to_solid(xy) == 0.0, space.distance_to_obstacle(xy) > 0.0
     cells = np.where(solid, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
-    return CroppedPlan(cells, low + 0.5 * CELL, CELL)
+    return CroppedPlan(cells, low + 0.5 * SIMULATOR_CELL, SIMULATOR_CELL)
 
 
 def _seen(m: VoxelMap, planar: np.ndarray, hfov: float) -> UInt8[np.ndarray, "height width 3"]:

@@ -15,14 +15,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
 from vssm_gym.eval.video import pictures as explorer_pictures
-from vssm_gym.eval.video.writer import RATE, Page, Window, write_frames
+from vssm_gym.eval.video.writer import VIDEO_RATE, Page, Window, write_frames
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.recording import ROBOT, PolicyRun, PolicyRuns
 from vssm_gym.viz import pictures
 
 RAY_COLOUR = "#3a8fd0"
-AROUND = 0.4  # m, margin of the plans, which holds the scale
+LABELLED_MARGIN = 0.4  # m, margin of the plans, which holds the scale
 LETTERS = 42  # of a line next to the image
 HEADS = "in the simulator", "imagined in the learned map"
 SEEN = "its camera's image", "the map rendered from there; the policy sees the scan alone"
@@ -53,9 +53,11 @@ class Sheet:
         self._page = page = Page()
         figure = page.figure
         figure.text(0.02, 0.955, f"{both.label} in {both.scene}, task {both.task.id}", fontsize=15, weight="bold")
-        figure.text(0.98, 0.955, f"{ROBOT.dt * RATE:g} x as fast as driven", fontsize=10, ha="right", color="0.35")
+        figure.text(
+            0.98, 0.955, f"{ROBOT.dt * VIDEO_RATE:g} x as fast as driven", fontsize=10, ha="right", color="0.35"
+        )
         corners = np.array([run.plan.bounds for run in (both.real, both.imagined)])
-        bounds = np.stack([corners[:, 0].min(axis=0) - AROUND, corners[:, 1].max(axis=0) + AROUND])
+        bounds = np.stack([corners[:, 0].min(axis=0) - LABELLED_MARGIN, corners[:, 1].max(axis=0) + LABELLED_MARGIN])
         runs = zip((both.real, both.imagined), HEADS, SEEN, (0.02, 0.515), strict=True)
         self._sides = [Side(page, both, run, bounds, head, caption, left) for run, head, caption, left in runs]
         figure.legend(handles=_handles(), loc="lower center", **explorer_pictures.KEY)

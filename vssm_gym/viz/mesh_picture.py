@@ -1,6 +1,6 @@
 """Draw a mesh obliquely from above: parallel projection, z-buffer, Lambert's law; needs no GPU and no window.
 
-    [u v d]^T = [right; down; ahead] p     colour = rgb (AMBIENT + (1 - AMBIENT) max(0, n . light))
+    [u v d]^T = [right; down; ahead] p     colour = rgb (MESH_AMBIENT + (1 - MESH_AMBIENT) max(0, n . light))
 
 Faces are drawn from the side of free space only, so that ceilings, and walls seen from behind, disappear. Geometry
 above ``cut`` is left out, as in an architect's model: near walls would hide the rooms behind them.
@@ -14,17 +14,19 @@ from numba import njit
 
 from vssm_gym.viz.mesh import Mesh
 
-CUT = 1.6  # m: above door handles and most furniture
+MESH_CUT = 1.6  # m: above door handles and most furniture
 ELEVATION = math.radians(52.0)  # of the viewer above the horizon
-TURN = math.radians(-20.0)  # of the view from straight along the shorter side, so that two sides of objects are seen
+VIEW_TURN = math.radians(
+    -20.0
+)  # of the view from straight along the shorter side, so that two sides of objects are seen
 LIGHT = (-0.35, -0.5, 0.8)  # towards it in the viewer's level frame: right, ahead, up
-AMBIENT = 0.75
+MESH_AMBIENT = 0.75
 PAPER = 238  # pale grey, so that unobserved space is not taken for a white wall
 SMOOTH = 2  # supersampling factor
 _MARGIN = 0.02  # of the longer side, around what is drawn
 
 
-def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = CUT) -> UInt8[np.ndarray, "height width 3"]:
+def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = MESH_CUT) -> UInt8[np.ndarray, "height width 3"]:
     """Draw the mesh in its colours on pale grey, the longer side of its floor across the picture.
 
     Args:
@@ -57,7 +59,7 @@ def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = CUT) -> UInt8[np.nd
     points[:, :2] = (points[:, :2] - first + margin) * scale
     light = np.array(LIGHT) @ np.stack([right, ahead, up])
     lit = np.maximum(_normals(mesh) @ (light / np.linalg.norm(light)), 0.0)
-    rgb = mesh.colours * (AMBIENT + (1.0 - AMBIENT) * lit)[:, None]
+    rgb = mesh.colours * (MESH_AMBIENT + (1.0 - MESH_AMBIENT) * lit)[:, None]
     image = np.full((height, SMOOTH * width, 3), float(PAPER))
     _draw(points, mesh.vertices[:, 2].astype(np.float64), rgb, faces.astype(np.int64), cut, image)
     reduced = image.reshape(height // SMOOTH, SMOOTH, width, SMOOTH, 3).mean(axis=(1, 3))
@@ -67,7 +69,7 @@ def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = CUT) -> UInt8[np.nd
 def _level_axes(xy: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the picture's right and ahead directions as horizontal unit vectors."""
     size = xy.max(axis=0) - xy.min(axis=0)
-    angle = TURN + (0.0 if size[0] >= size[1] else 0.5 * math.pi)
+    angle = VIEW_TURN + (0.0 if size[0] >= size[1] else 0.5 * math.pi)
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c, s, 0.0]), np.array([-s, c, 0.0])
 

@@ -18,8 +18,9 @@ from vssm_gym.viz.mesh import Mesh
 
 HOW = "rerun: pip install 'vssm-gym[viz]'"  # of the error without it
 PATH_EVERY = 10  # frames between two drawings of the whole path
-AHEAD = 0.3  # m from the camera at which its image is drawn in space
-FOUND, LOST, PATH = (11, 110, 79), (194, 24, 91), (30, 80, 160)  # RGB of positions, of lost ones, of the path
+IMAGE_DISTANCE = 0.3  # m from the camera at which its image is drawn in space
+# RGB of positions, of lost ones, of the path
+FOUND_COLOUR, LOST_COLOUR, TRACK_COLOUR = (11, 110, 79), (194, 24, 91), (30, 80, 160)
 
 
 class Viewer:
@@ -29,7 +30,7 @@ class Viewer:
         self._rerun, self._stream = rerun, stream
         self._path: list[np.ndarray] = []
         pinhole = rerun.Pinhole(
-            image_from_camera=camera.K, width=camera.width, height=camera.height, image_plane_distance=AHEAD
+            image_from_camera=camera.K, width=camera.width, height=camera.height, image_plane_distance=IMAGE_DISTANCE
         )
         stream.log("world", rerun.ViewCoordinates.RDF, static=True)
         stream.log("world/camera/image", pinhole, static=True)
@@ -62,7 +63,9 @@ class Viewer:
         stream.log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
         stream.log("world/camera/image/colour", rr.Image(rgb))
         stream.log("world/camera/image/depth", rr.DepthImage(np.asarray(depth, np.float32), meter=1.0))
-        stream.log("world/position", rr.Points3D([T[:3, 3]], colors=[LOST if lost else FOUND], radii=0.02))
+        stream.log(
+            "world/position", rr.Points3D([T[:3, 3]], colors=[LOST_COLOUR if lost else FOUND_COLOUR], radii=0.02)
+        )
         if step_ms is not None:
             stream.log("step_ms", rr.Scalars(step_ms))
         self._path.append(T[:3, 3])
@@ -85,7 +88,9 @@ class Viewer:
         self._stream.disconnect()
 
     def _draw_path(self) -> None:
-        self._stream.log("world/path", self._rerun.LineStrips3D([np.array(self._path)], colors=[PATH], radii=0.005))
+        self._stream.log(
+            "world/path", self._rerun.LineStrips3D([np.array(self._path)], colors=[TRACK_COLOUR], radii=0.005)
+        )
 
 
 def open_viewer(name: str, camera: Camera, file: Path | None = None) -> Viewer:

@@ -8,7 +8,7 @@ from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.envs.physics.planar import clearance, scan
 from vssm_gym.envs.scenes.scene import Apartment, save_scene
 from vssm_gym.envs.tasks.maze_objectives import TILES, MazeCoverage
-from vssm_gym.envs.tasks.mazes import FOLDER, GRID, MAZES, ROBOT, grid_tasks, load_maze
+from vssm_gym.envs.tasks.mazes import FOLDER, GRID_SIDE, MAZES, ROBOT, grid_tasks, load_maze
 from vssm_gym.envs.tasks.navigation import SUCCESS, load
 from vssm_gym.errors import InputError
 
@@ -67,7 +67,7 @@ def test_its_tasks_are_all_pairs_of_the_grid_and_frozen(name):
     frozen = load(FOLDER / "tasks" / f"{name}.json", maze.apartment)  # checks both hashes
     assert maze.tasks == frozen and frozen.split == ("train" if name == "pillars-v1" else "test")
     pairs = {(task.start[:2], task.goal) for task in frozen.tasks}
-    centres = {(0.1 + 0.2 * i, 0.1 + 0.2 * j) for i in range(GRID) for j in range(GRID)}
+    centres = {(0.1 + 0.2 * i, 0.1 + 0.2 * j) for i in range(GRID_SIDE) for j in range(GRID_SIDE)}
     assert len(pairs) == len(frozen.tasks) == 600
     assert {(round(x, 1), round(y, 1)) for x, y in centres} == {place for pair in pairs for place in pair}
     for task in frozen.tasks:
@@ -138,7 +138,7 @@ def test_an_invalid_maze_is_refused(spec, field, expected):
 
 
 def test_a_grid_without_two_free_positions_has_no_tasks():
-    bars = tuple(furniture(f"bar {i}", (0.1 + 0.2 * i, 0.52, 0.05), (0.1, 0.92, 0.1)) for i in range(GRID))
+    bars = tuple(furniture(f"bar {i}", (0.1 + 0.2 * i, 0.52, 0.05), (0.1, 0.92, 0.1)) for i in range(GRID_SIDE))
     border = load_maze("rooms-v1").apartment.walls[:4]
     maze = load_maze(changed(walls=border, furniture=bars))
     with pytest.raises(InputError, match="two free positions"):

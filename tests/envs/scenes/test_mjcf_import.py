@@ -15,7 +15,7 @@ from tests.helpers.scene_checks import check_scene
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.importers.mjcf import import_mjcf
 from vssm_gym.envs.scenes.importers.mjcf_xml import StillModel
-from vssm_gym.envs.scenes.importers.voxels import CELL, bounds_of, inside_of, voxelised
+from vssm_gym.envs.scenes.importers.voxels import VOXEL_EDGE, bounds_of, inside_of, voxelised
 from vssm_gym.envs.scenes.scene import Apartment, Box, load_scene
 from vssm_gym.errors import InputError
 
@@ -84,9 +84,9 @@ def test_voxels_fill_the_shape(shape: str, size: list[float]) -> None:
     points = np.random.default_rng(0).uniform(-bounds - 0.1, bounds + 0.1, (2000, 3))
     low, high = (np.array(corner) for corner in zip(*boxes, strict=True))
     filled = ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=-1).any(axis=1)
-    assert inside_of(shape, half + 2 * CELL)(points)[filled].all()
-    if half.min() > 3 * CELL:
-        assert filled[inside_of(shape, half - 2 * CELL)(points)].all()
+    assert inside_of(shape, half + 2 * VOXEL_EDGE)(points)[filled].all()
+    if half.min() > 3 * VOXEL_EDGE:
+        assert filled[inside_of(shape, half - 2 * VOXEL_EDGE)(points)].all()
     volume = np.prod(high - low, axis=1).sum()
     exact = {
         "box": 8 * half.prod(),

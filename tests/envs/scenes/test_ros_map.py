@@ -20,7 +20,7 @@ from tests.helpers.paths import SHARED_DATA
 from tests.helpers.scene_checks import check_scene
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.importers.rectangles import cover
-from vssm_gym.envs.scenes.importers.ros_map import LEAST, import_ros_map
+from vssm_gym.envs.scenes.importers.ros_map import LEAST_PIECE, import_ros_map
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.envs.tasks.geodesic import Geodesics
@@ -87,7 +87,7 @@ def test_free_cells_are_free_and_the_others_beside_them_are_wall(
     path = written(tmp_path, grey, binary, resolution=resolution, origin=[3.0, -4.0, yaw])
     flat = valid_or_refused(lambda: import_ros_map(path))
     labels, _ = ndimage.label(grey == FREE)
-    large = [i for i, n in enumerate(np.bincount(labels.ravel())) if i and n * resolution**2 >= LEAST]
+    large = [i for i, n in enumerate(np.bincount(labels.ravel())) if i and n * resolution**2 >= LEAST_PIECE]
     assert (flat is None) == (not large)
     if flat is None:
         return

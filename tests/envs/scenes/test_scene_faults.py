@@ -10,7 +10,7 @@ import pytest
 from tests.envs.scenes.test_procthor import imported, small_house, vec
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Material, Room, Wall
-from vssm_gym.envs.scenes.faults import MOST, floating, misplaced, open_edges, with_notes
+from vssm_gym.envs.scenes.faults import MOST_SENTENCES, floating, misplaced, open_edges, with_notes
 from vssm_gym.envs.scenes.importers.houseexpo import import_houseexpo
 from vssm_gym.envs.scenes.importers.mjcf import import_mjcf
 from vssm_gym.envs.scenes.scene import built_in_scenes, load_scene, save_scene
@@ -74,11 +74,11 @@ def test_large_floating_objects_are_named() -> None:
 
 
 def test_a_fault_adds_a_warning_and_a_note_and_leaves_the_scene_unchanged() -> None:
-    odd = room(*((f"chair {i}", box(9, i, 0.3)) for i in range(MOST + 5)), walls=3)
+    odd = room(*((f"chair {i}", box(9, i, 0.3)) for i in range(MOST_SENTENCES + 5)), walls=3)
     with pytest.warns(UserWarning, match=r"room: Den has no wall along .*; chair 0 is outside the walls") as caught:
         said = with_notes(odd, open_edges, misplaced)
     assert len(caught) == 1
-    assert len(said.notes) == 1 + MOST + 1 and said.notes[-1] == "and 5 more of the same kind"
+    assert len(said.notes) == 1 + MOST_SENTENCES + 1 and said.notes[-1] == "and 5 more of the same kind"
     assert said.content_hash() == odd.content_hash()
     with pytest.warns(UserWarning, match="Den has no wall"):
         assert with_notes(said, open_edges, misplaced) == said  # notes that a file has are not doubled

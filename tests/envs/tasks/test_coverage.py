@@ -8,7 +8,7 @@ from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.envs.physics.tracing import EmbreeTracer
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.free_space import FreeSpace
-from vssm_gym.envs.tasks.coverage import CELL, REACH, Coverage, Observable
+from vssm_gym.envs.tasks.coverage import COVERAGE_CELL, SEEING_RANGE, Coverage, Observable
 
 ROBOT = HolonomicRobot()
 AROUND = 2.0 * np.pi
@@ -21,14 +21,14 @@ def observable(**keywords) -> tuple[Observable, FreeSpace]:
 
 
 def centres(seen: Observable) -> np.ndarray:
-    return seen.origin + CELL * (np.stack(np.indices(seen.cells.shape), axis=-1) + 0.5)
+    return seen.origin + COVERAGE_CELL * (np.stack(np.indices(seen.cells.shape), axis=-1) + 0.5)
 
 
 def test_all_of_an_empty_room_can_be_seen_and_nothing_beyond_its_walls():
     seen, space = observable()
     floor = shapely.union_all(list(space.rooms.values()))
     at = centres(seen)[seen.cells]
-    assert shapely.contains_xy(floor.buffer(CELL), at).all()
+    assert shapely.contains_xy(floor.buffer(COVERAGE_CELL), at).all()
     walls = two_rooms().walls
     thick = shapely.union_all(
         [shapely.LineString([w.start, w.end]).buffer(w.thickness / 2, cap_style="flat") for w in walls]
@@ -41,7 +41,7 @@ def test_a_closed_off_room_is_not_observable():
     one, space = observable(openness=0.0, leaves=1)
     room = next(room for room in space.rooms.values() if room.intersects(space.largest))
     assert one.area < 0.7 * both.area
-    assert shapely.contains_xy(room.buffer(CELL), centres(one)[one.cells]).all()
+    assert shapely.contains_xy(room.buffer(COVERAGE_CELL), centres(one)[one.cells]).all()
 
 
 def test_a_wardrobe_occludes_and_a_low_table_does_not():
@@ -74,8 +74,8 @@ def test_a_camera_sees_a_sector_as_long_as_its_reach():
     at = centres(seen)[coverage.seen] - xy
     bearing = np.abs((np.arctan2(at[:, 1], at[:, 0]) - 0.3 + np.pi) % AROUND - np.pi)
     away = np.hypot(*at.T)
-    assert away.max() <= REACH + CELL
-    assert (bearing[away > 0.5] <= np.pi / 6 + np.arctan2(CELL, 0.5)).all()
+    assert away.max() <= SEEING_RANGE + COVERAGE_CELL
+    assert (bearing[away > 0.5] <= np.pi / 6 + np.arctan2(COVERAGE_CELL, 0.5)).all()
 
 
 def test_neighbouring_rays_leave_no_cell_out():

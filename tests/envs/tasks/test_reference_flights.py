@@ -12,9 +12,9 @@ from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.envs.tasks.reference_flights import (
     CLEARANCE,
     CURVES,
-    HEIGHT,
+    FLIGHT_HEIGHT,
+    FLIGHT_LIFT,
     HOVER,
-    LIFT,
     Placement,
     ReferenceFlight,
     place,
@@ -102,7 +102,7 @@ def test_a_placement_keeps_its_distance(name):
     scene = hall()
     flight = ReferenceFlight(name, 2.0, place(scene, name))
     path = flight.at(np.linspace(0.0, flight.duration, 2000)).position
-    space = FreeSpace.from_apartment(scene, 0.0, HEIGHT + LIFT + CLEARANCE)
+    space = FreeSpace.from_apartment(scene, 0.0, FLIGHT_HEIGHT + FLIGHT_LIFT + CLEARANCE)
     assert space.distance_to_obstacle(path[:, :2]).min() > CLEARANCE - 0.02  # checked between the samples of the fit
     assert path[:, 2].min() > CLEARANCE
     assert path[:, 2].max() < scene.ceiling_height - CLEARANCE

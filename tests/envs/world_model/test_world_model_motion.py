@@ -10,7 +10,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.envs.robots.car_noise import CarActuators, CarNoise
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.tasks.geodesic import Geodesics
-from vssm_gym.envs.tasks.navigation import APART, SHORTEST, SUCCESS
+from vssm_gym.envs.tasks.navigation import GOAL_APART, SHORTEST, SUCCESS
 from vssm_gym.envs.world_model.collision_map import CollisionMap
 from vssm_gym.envs.world_model.config import Imagination
 from vssm_gym.envs.world_model.goal_distance import Lattice
@@ -100,7 +100,7 @@ def test_goal_distances_are_geodesics_of_the_true_room(lattice):
 
 def test_drawn_tasks_keep_the_rules(lattice):
     robot = HolonomicRobot()
-    limits = TaskLimits(RADIUS, RADIUS, APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
+    limits = TaskLimits(RADIUS, RADIUS, GOAL_APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
     pool, distances = draw_tasks(lattice, limits, Imagination(pool=100, goals=8))
     assert int(pool.count) == 100 and len(pool.goal) == 128
     start, goal = np.asarray(pool.start)[:100], np.asarray(distances.goals)[np.asarray(pool.goal)[:100]]

@@ -65,7 +65,7 @@ def test_an_arena_without_room_is_refused_before_anything_is_measured(tmp_path):
 @pytest.mark.slow
 def test_the_whole_bench(monkeypatch, tmp_path, capsys):
     """Two steps of each controller, and short windows: every part runs, and is in the table and in the file."""
-    monkeypatch.setattr(bench_envs, "SECONDS", 0.05)
+    monkeypatch.setattr(bench_envs, "WINDOW_SECONDS", 0.05)
     for few in ("GOALS", "TARGETS"):
         monkeypatch.setattr(bench_car, few, 3)
     found = importlib.util.find_spec

@@ -50,7 +50,7 @@ def test_the_path_ends_at_the_goal(start, goal, radius):
 @settings(max_examples=100)
 @given(poses)
 def test_every_solution_of_every_word_ends_at_the_goal(goal):
-    lengths, steerings = np.empty((rs.CANDIDATES, 5)), np.empty((rs.CANDIDATES, 5), np.int8)
+    lengths, steerings = np.empty((rs.SOLUTIONS, 5)), np.empty((rs.SOLUTIONS, 5), np.int8)
     count = rs.words(*goal, lengths, steerings)
     end = drive(lengths[:count], steerings[:count], 1.0)
     np.testing.assert_allclose(end[:, :2] - goal[:2], 0.0, atol=1e-9)

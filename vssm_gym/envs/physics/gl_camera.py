@@ -25,7 +25,7 @@ from vssm_gym.envs.textures.registry import texture_atlas
 from vssm_gym.geometry.axes import Matrix4
 from vssm_gym.geometry.camera import Camera
 
-NEAR = 0.01  # m, nearest depth; half of the thinnest thing, a window's pane
+NEAR_PLANE = 0.01  # m, nearest depth; half of the thinnest thing, a window's pane
 
 
 class GlCamera:
@@ -125,15 +125,15 @@ class _Picture:
         far = float(np.linalg.norm(position - self._center)) + self._radius + 1.0
         for eye in self._scene.camera:  # one for each eye of a stereo view; both the same
             eye.pos[:], eye.forward[:], eye.up[:] = position, T_world_cam[:3, 2], -T_world_cam[:3, 1]
-            eye.frustum_near, eye.frustum_far = NEAR, far
-            eye.frustum_center = 0.5 * NEAR * (self._left + self._right)
-            eye.frustum_width = 0.5 * NEAR * (self._right - self._left)  # half of it
-            eye.frustum_top, eye.frustum_bottom = NEAR * self._top, NEAR * self._bottom
+            eye.frustum_near, eye.frustum_far = NEAR_PLANE, far
+            eye.frustum_center = 0.5 * NEAR_PLANE * (self._left + self._right)
+            eye.frustum_width = 0.5 * NEAR_PLANE * (self._right - self._left)  # half of it
+            eye.frustum_top, eye.frustum_bottom = NEAR_PLANE * self._top, NEAR_PLANE * self._bottom
         self._scene.lights[_HEAD].pos[:] = position
         mujoco.mjr_render(self._view, self._scene, self._context)
         mujoco.mjr_readPixels(self._rgb, self._buffer, self._view, self._context)
         rgb, depth = np.empty_like(self._rgb), np.empty_like(self._buffer)
-        _develop(self._rgb, self._buffer, NEAR, far, rgb, depth)
+        _develop(self._rgb, self._buffer, NEAR_PLANE, far, rgb, depth)
         return rgb, depth
 
     def free(self) -> None:

@@ -19,7 +19,7 @@ from vssm_gym.envs.scenes.solids import SolidBox
 # m: a disc is stopped this far from an obstacle, so that rounding never puts it inside: the rounding of a million steps
 # is smaller by some orders of magnitude.
 SKIN = 1e-6
-CONTACTS = 8  # walls that one step may slide along; the rest of the step is not driven
+MOST_CONTACTS = 8  # walls that one step may slide along; the rest of the step is not driven
 _CONTACT = 1.0 + 1e-12  # squared distances up to this multiple of the squared radius are contacts, to rounding
 _LEAST = 1e-12  # m: a shorter push moves nothing, and none is so short that its square vanishes
 _PARALLEL = 1e-30  # a direction's smallest component: its inverse stays finite, and 0 times it is 0
@@ -82,7 +82,7 @@ def slide(x: float, y: float, dx: float, dy: float, radius: float, rectangles: n
     """
     grown = radius + SKIN
     collided = False
-    for _ in range(CONTACTS):
+    for _ in range(MOST_CONTACTS):
         if math.hypot(dx, dy) < _LEAST:
             break
         first, normal_x, normal_y = 1.0, 0.0, 0.0

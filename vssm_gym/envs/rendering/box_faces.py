@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from vssm_gym.envs.rendering.shading import texture_shifts
 from vssm_gym.envs.scenes.solids import SolidBox
 
-CELL = 1.0  # m, longest edge of a cell: a lamp at the camera is then right to a few grey levels
+FACE_CELL = 1.0  # m, longest edge of a cell: a lamp at the camera is then right to a few grey levels
 _MOST = 32  # cells along an edge, however long it is
 
 
@@ -29,7 +29,7 @@ class Triangles:
     triangles: Int[np.ndarray, "m 3"]  # rows of the above
 
 
-def box_triangles(boxes: Sequence[SolidBox], cell: float = CELL) -> Triangles:
+def box_triangles(boxes: Sequence[SolidBox], cell: float = FACE_CELL) -> Triangles:
     """Return all faces of ``boxes``, cut into cells of at most ``cell`` metres (longer on faces beyond 32 cells)."""
     vertices, normals, texture, triangles = [], [], [], []
     count = 0

@@ -15,7 +15,7 @@ import numpy as np
 
 from vssm_gym.envs.scenes.solids import SolidBox
 
-NEAR = 1e-6  # m, least distance from the camera of a visible point
+LEAST_DISTANCE = 1e-6  # m, least distance from the camera of a visible point
 _RIM = 1e-5  # pixels by which a face is drawn larger, so that no ray slips between two that share an edge
 _SAME = np.float32(1.0 + 2e-6)  # nearness of faces that coincide, but for rounding
 SIDES = 6  # faces a box
@@ -55,7 +55,7 @@ def draw(T, frames, fx, fy, cx, cy, nearness, face):
             axes[0, a], axes[1, a], axes[2, a] = c * T[0, a] + s * T[1, a], c * T[1, a] - s * T[0, a], T[2, a]
             spans[0, a], spans[1, a], spans[2, a] = hx * axes[0, a], hy * axes[1, a], hz * axes[2, a]
         reach = abs(spans[0, 2]) + abs(spans[1, 2]) + abs(spans[2, 2])
-        if center[2] + reach < NEAR:
+        if center[2] + reach < LEAST_DISTANCE:
             continue
         if (
             _beyond(center, spans, 0, -1.0, left)
@@ -64,7 +64,7 @@ def draw(T, frames, fx, fy, cx, cy, nearness, face):
             or _beyond(center, spans, 1, 1.0, -lower)
         ):
             continue
-        cut = center[2] - reach < NEAR  # part of the box may be behind the camera
+        cut = center[2] - reach < LEAST_DISTANCE  # part of the box may be behind the camera
         eye[0], eye[1], eye[2] = -(c * dx + s * dy), s * dx - c * dy, -dz  # the camera in the box's frame
         inside = abs(eye[0]) <= hx and abs(eye[1]) <= hy and abs(eye[2]) <= hz
         for axis in range(3):
@@ -107,21 +107,21 @@ def _beyond(center, spans, a, sign, bound):
 
 @numba.njit(nogil=True, cache=True)
 def _clip(corner, clipped, cut):
-    """Cut a quadrilateral to its part beyond the plane ``z = NEAR``; return its number of corners."""
+    """Cut a quadrilateral to its part beyond the plane ``z = LEAST_DISTANCE``; return its number of corners."""
     if not cut:
         clipped[:4] = corner
         return 4
     n = 0
     for v in range(4):
         p, q = corner[v], corner[(v + 1) % 4]
-        if p[2] >= NEAR:
+        if p[2] >= LEAST_DISTANCE:
             clipped[n] = p
             n += 1
-        if (p[2] >= NEAR) != (q[2] >= NEAR):
-            share = (NEAR - p[2]) / (q[2] - p[2])
+        if (p[2] >= LEAST_DISTANCE) != (q[2] >= LEAST_DISTANCE):
+            share = (LEAST_DISTANCE - p[2]) / (q[2] - p[2])
             for a in range(3):
                 clipped[n, a] = p[a] + share * (q[a] - p[a])
-            clipped[n, 2] = NEAR
+            clipped[n, 2] = LEAST_DISTANCE
             n += 1
     return n
 

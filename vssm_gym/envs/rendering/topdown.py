@@ -10,12 +10,12 @@ from PIL import Image, ImageDraw
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
 from vssm_gym.geometry.axes import PlanarPose
 
-CUT = 1.2  # m: boxes that begin higher (wall cupboards, lintels) are left out
+PLAN_CUT = 1.2  # m: boxes that begin higher (wall cupboards, lintels) are left out
 PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 FLATTEST = 2  # width over height of a camera's picture at most
 ZOOM = 2  # pictures are drawn this many times larger, then reduced, for smooth edges
 _INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}  # RGB
-PATH, ROBOT, GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)  # RGB
+PATH_COLOUR, ROBOT_COLOUR, GOAL_COLOUR = (214, 60, 48), (24, 92, 196), (28, 150, 72)  # RGB
 
 
 class TopDown:
@@ -35,7 +35,7 @@ class TopDown:
         image = Image.new("RGB", (width * ZOOM, height * ZOOM), "white")
         pen = ImageDraw.Draw(image)
         layers = {"floor": 0, "furniture": 1, "door": 2, "wall": 3, "window": 4}
-        shown = [box for box in boxes if box.kind in layers and box.center[2] - 0.5 * box.size[2] < CUT]
+        shown = [box for box in boxes if box.kind in layers and box.center[2] - 0.5 * box.size[2] < PLAN_CUT]
         for box in sorted(shown, key=lambda b: (layers[b.kind], b.center[2] + 0.5 * b.size[2])):
             self._box(pen, box)
         self.background = np.asarray(image.resize((width, height), Image.Resampling.BOX))
@@ -73,14 +73,14 @@ class TopDown:
         pen = ImageDraw.Draw(image)
         if goal is not None:
             goal_at, radius = self.pixels(goal) * ZOOM, goal_radius * self._scale * ZOOM
-            pen.ellipse(_circle(goal_at, radius), outline=GOAL, width=2 * ZOOM)
-            pen.ellipse(_circle(goal_at, 2.0 * ZOOM), fill=GOAL)
+            pen.ellipse(_circle(goal_at, radius), outline=GOAL_COLOUR, width=2 * ZOOM)
+            pen.ellipse(_circle(goal_at, 2.0 * ZOOM), fill=GOAL_COLOUR)
         if len(path) > 1:
-            pen.line([tuple(p) for p in self.pixels(path) * ZOOM], fill=PATH, width=2 * ZOOM, joint="curve")
+            pen.line([tuple(p) for p in self.pixels(path) * ZOOM], fill=PATH_COLOUR, width=2 * ZOOM, joint="curve")
         at, radius = self.pixels(robot[:2]) * ZOOM, max(robot_radius * self._scale, 4.0) * ZOOM
-        pen.ellipse(_circle(at, radius), fill=ROBOT)
+        pen.ellipse(_circle(at, radius), fill=ROBOT_COLOUR)
         ahead = at + 2.2 * radius * np.array([math.cos(robot[2]), -math.sin(robot[2])])
-        pen.line([tuple(at), tuple(ahead)], fill=ROBOT, width=2 * ZOOM)
+        pen.line([tuple(at), tuple(ahead)], fill=ROBOT_COLOUR, width=2 * ZOOM)
         return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
 

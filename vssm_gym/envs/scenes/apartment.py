@@ -15,7 +15,7 @@ from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 
 MAX_EXTENT = 250.0  # m, largest apartment
-ROOMS, WALLS, HOLES, PIECES = 1000, 20_000, 5000, 20_000  # most of one apartment
+MOST_ROOMS, MOST_WALLS, MOST_HOLES, MOST_PIECES = 1000, 20_000, 5000, 20_000  # most of one apartment
 
 
 class Apartment(StrictModel):
@@ -28,11 +28,11 @@ class Apartment(StrictModel):
 
     format: Literal[1] = 1
     name: str = Field(min_length=1, max_length=200, pattern=r"^[^/\\\x00]+$")  # files are named after it
-    rooms: tuple[Room, ...] = Field(min_length=1, max_length=ROOMS)
-    walls: tuple[Wall, ...] = Field(min_length=1, max_length=WALLS)
-    doors: tuple[Door, ...] = Field((), max_length=HOLES)
-    windows: tuple[Window, ...] = Field((), max_length=HOLES)
-    furniture: tuple[Furniture, ...] = Field((), max_length=PIECES)
+    rooms: tuple[Room, ...] = Field(min_length=1, max_length=MOST_ROOMS)
+    walls: tuple[Wall, ...] = Field(min_length=1, max_length=MOST_WALLS)
+    doors: tuple[Door, ...] = Field((), max_length=MOST_HOLES)
+    windows: tuple[Window, ...] = Field((), max_length=MOST_HOLES)
+    furniture: tuple[Furniture, ...] = Field((), max_length=MOST_PIECES)
     ceiling_height: Positive
     ceiling: Material = Material(color=(0.93, 0.93, 0.91), texture="plaster", scale=2.0)
     notes: tuple[str, ...] = ()

@@ -18,7 +18,7 @@ MAX_COORDINATE = 1000.0  # m, bound of all coordinates and lengths, of sensors a
 ROUNDING = 1e-6  # m, differences of coordinates that are rounding
 DOOR_HEIGHT = 2.05  # m, of doors and of doorways under their lintel, unless a file says otherwise
 CEILING_HEIGHT = 2.6  # m, unless a file says otherwise
-PIECES, CORNERS = 20_000, 20_000  # most boxes of a piece of furniture, most corners of a room
+MOST_PARTS, MOST_CORNERS = 20_000, 20_000  # most boxes of a piece of furniture, most corners of a room
 
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE)]
@@ -65,7 +65,7 @@ class Furniture(StrictModel):
 
     name: str = Field(min_length=1)
     category: str = Field(min_length=1)
-    boxes: tuple[Box, ...] = Field(min_length=1, max_length=PIECES)
+    boxes: tuple[Box, ...] = Field(min_length=1, max_length=MOST_PARTS)
 
 
 class Room(StrictModel):
@@ -77,7 +77,7 @@ class Room(StrictModel):
 
     name: str = Field(min_length=1)
     kind: str = Field(min_length=1)
-    polygon: tuple[XY, ...] = Field(min_length=3, max_length=CORNERS)
+    polygon: tuple[XY, ...] = Field(min_length=3, max_length=MOST_CORNERS)
     floor: Material
 
     @model_validator(mode="after")

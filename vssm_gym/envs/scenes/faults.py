@@ -13,13 +13,14 @@ from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import ROUNDING
 from vssm_gym.envs.scenes.solids import Solid, footprint
 
-GAP = 0.05  # m; shorter gaps between walls let no robot through
-BODY = (0.1, 0.3)  # m above the floor that a wall, or furniture in its place, spans to close an edge; no higher than
+WALL_GAP = 0.05  # m; shorter gaps between walls let no robot through
+# m above the floor that a wall, or furniture in its place, spans to close an edge; no higher than
 # the ceiling: mazes are a tenth of a metre high
-REACH = 0.02  # m between an edge and its wall: files round
+CLOSING_HEIGHTS = (0.1, 0.3)
+EDGE_REACH = 0.02  # m between an edge and its wall: files round
 TOUCH = 0.05  # m; nearer things hold each other
-LARGE = 0.5  # m; a smaller thing in the air stood on something that is no box: a chair's seat, a sink's rim
-MOST = 20  # sentences of one check; more are counted
+LARGE_THING = 0.5  # m; a smaller thing in the air stood on something that is no box: a chair's seat, a sink's rim
+MOST_SENTENCES = 20  # sentences of one check; more are counted
 
 Check = Callable[[Apartment], list[str]]
 
@@ -29,7 +30,9 @@ def with_notes(apartment: Apartment, *checks: Check) -> Apartment:
     found: list[str] = []
     for check in checks:
         sentences = check(apartment)
-        found += sentences[:MOST] + [f"and {len(sentences) - MOST} more of the same kind"] * (len(sentences) > MOST)
+        found += sentences[:MOST_SENTENCES] + [f"and {len(sentences) - MOST_SENTENCES} more of the same kind"] * (
+            len(sentences) > MOST_SENTENCES
+        )
     if not found:
         return apartment
     warnings.warn(f"{apartment.name}: {'; '.join(found)}", stacklevel=3)
@@ -43,14 +46,17 @@ def open_edges(apartment: Apartment) -> list[str]:
     Doors are holes in walls: their edges are closed. Robots leave the floor through an open edge at the outside, and
     rays the scene.
     """
-    low, high = min(BODY[0], 0.5 * apartment.ceiling_height), min(BODY[1], apartment.ceiling_height - ROUNDING)
+    low, high = (
+        min(CLOSING_HEIGHTS[0], 0.5 * apartment.ceiling_height),
+        min(CLOSING_HEIGHTS[1], apartment.ceiling_height - ROUNDING),
+    )
     closing = [
-        shapely.LineString([wall.start, wall.end]).buffer(wall.thickness / 2 + REACH, cap_style="square")
+        shapely.LineString([wall.start, wall.end]).buffer(wall.thickness / 2 + EDGE_REACH, cap_style="square")
         for wall in apartment.walls
         if wall.base <= low and wall.base + wall.height >= high
     ]
     closing += [
-        footprint(box).buffer(REACH)
+        footprint(box).buffer(EDGE_REACH)
         for piece in apartment.furniture
         for box in piece.boxes
         if _low(box) <= low and _high(box) >= high
@@ -62,7 +68,7 @@ def open_edges(apartment: Apartment) -> list[str]:
             edge = shapely.LineString([a, b])
             beside = shapely.union_all([closing[i] for i in tree.query(edge)])
             for part in shapely.get_parts(edge.difference(beside)):
-                if part.length > GAP:
+                if part.length > WALL_GAP:
                     (x0, y0), (x1, y1) = shapely.get_coordinates(part)[[0, -1]].tolist()
                     found.append(
                         f"{room.name} has no wall along {part.length:.2f} m of its edge, "
@@ -104,7 +110,7 @@ def floating(apartment: Apartment) -> list[str]:
     found = []
     for piece in apartment.furniture:
         low, high = min(map(_low, piece.boxes)), max(map(_high, piece.boxes))
-        if low <= TOUCH or max(extent for box in piece.boxes for extent in box.size) < LARGE:
+        if low <= TOUCH or max(extent for box in piece.boxes for extent in box.size) < LARGE_THING:
             continue
         plan = shapely.union_all([footprint(box) for box in piece.boxes]).buffer(TOUCH)
         near = [boxes[i] for i in tree.query(plan, predicate="intersects") if boxes[i].name != piece.name]

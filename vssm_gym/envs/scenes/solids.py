@@ -14,7 +14,7 @@ from vssm_gym.envs.scenes.apartment_parts import Door, Furniture, Material, Room
 Kind = Literal["floor", "ceiling", "wall", "door", "window", "furniture"]
 
 SLAB = 0.1  # m, thickness of floor and ceiling
-MARGIN = 0.3  # m that floor and ceiling reach beyond the walls' centre lines
+SLAB_MARGIN = 0.3  # m that floor and ceiling reach beyond the walls' centre lines
 LEAF = 0.04  # m, thickness of a door's leaf
 PANE = 0.02  # m, thickness of a window's pane
 FLOOR_STEP = 0.25  # m, resolution of the border between two floors where it is not parallel to x or y
@@ -114,7 +114,7 @@ def solid_boxes(apartment: Building) -> list[SolidBox]:
 def _extent(apartment: Building) -> tuple[np.ndarray, np.ndarray]:
     points = [p for room in apartment.rooms for p in room.polygon]
     points += [p for wall in apartment.walls for p in (wall.start, wall.end)]
-    return np.min(points, axis=0) - MARGIN, np.max(points, axis=0) + MARGIN
+    return np.min(points, axis=0) - SLAB_MARGIN, np.max(points, axis=0) + SLAB_MARGIN
 
 
 def _floor(apartment: Building) -> list[SolidBox]:

@@ -9,7 +9,7 @@ import math
 import numba
 import numpy as np
 
-JUMP = 0.05  # an edge is where inverse depth leaves the straight line of a plane by this fraction of itself
+EDGE_JUMP = 0.05  # an edge is where inverse depth leaves the straight line of a plane by this fraction of itself
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -68,7 +68,7 @@ def edges(w):
                 bend = abs(w[i, j + 1] - 2.0 * w[i, j] + w[i, j - 1])
             if 0 < i < height - 1:
                 bend = max(bend, abs(w[i + 1, j] - 2.0 * w[i, j] + w[i - 1, j]))
-            edge[i, j] = bend > JUMP * w[i, j]
+            edge[i, j] = bend > EDGE_JUMP * w[i, j]
     return edge
 
 

@@ -1,7 +1,7 @@
 """Sample and check tasks of the car: a start and a target, a point or a pose, that it can reach from there.
 
 Starts and targets are uniform among the poses whose footprint keeps GOAL_MARGIN from everything, in one connected part
-of what the car can reach (:mod:`vssm_gym.envs.tasks.car_space`), and more than APART from each other.
+of what the car can reach (:mod:`vssm_gym.envs.tasks.car_space`), and more than TARGET_APART from each other.
 """
 
 import copy
@@ -29,10 +29,10 @@ Targets = Literal["poses", "points"]
 TARGETS: tuple[Targets, ...] = get_args(Targets)
 REACHED = 0.10  # m from the target
 ALIGNED = math.radians(15.0)  # from the target's heading
-APART = 0.5  # m from start to target, more than
+TARGET_APART = 0.5  # m from start to target, more than
 GOAL_MARGIN = 0.05  # m around the footprint at start and target
-START_SLACK = 0.01  # m that a start may overlap obstacles: contacts give a little, and chains begin where they left it
-_BLOCK, _ATTEMPTS = 256, 64  # poses drawn at once, and how often
+CAR_START_SLACK = 0.01  # m that a start may overlap obstacles: contacts give, and chains begin where they left it
+_POSES_AT_ONCE, _ROUNDS = 256, 64  # poses drawn at once, and how often
 
 
 class CarTask(StrictModel):
@@ -127,7 +127,7 @@ class CarTaskSampler:
         validated(CarTask, dict(task), source)  # again, since pydantic's model_copy(update=...) checks nothing
         if task.scene != self.apartment.name:
             raise InputError(source, "scene", f"{self.apartment.name!r}; found {task.scene!r}")
-        for field, pose, margin in (("start", task.start, -START_SLACK), ("goal", task.goal, 0.0)):
+        for field, pose, margin in (("start", task.start, -CAR_START_SLACK), ("goal", task.goal, 0.0)):
             if len(pose) == 3 and not self.space.free(np.array(pose), margin):
                 obstacles = ", ".join(self.space.obstacles_at(np.array(pose))[:3])
                 why = f"it would collide with {obstacles}" if obstacles else "that is off the floor"
@@ -138,17 +138,17 @@ class CarTaskSampler:
             raise InputError(source, "goal", expected)
 
     def _first(self, rng: np.random.Generator, part: int, away_from: np.ndarray | None) -> np.ndarray:
-        """Return the first pose of ``rng`` in a connected part, more than APART from a point."""
-        for _ in range(_ATTEMPTS):
-            for pose in self.space.sample(rng, _BLOCK, GOAL_MARGIN).round(4):
-                if away_from is not None and math.hypot(*(pose[:2] - away_from)) <= APART:
+        """Return the first pose of ``rng`` in a connected part, more than TARGET_APART from a point."""
+        for _ in range(_ROUNDS):
+            for pose in self.space.sample(rng, _POSES_AT_ONCE, GOAL_MARGIN).round(4):
+                if away_from is not None and math.hypot(*(pose[:2] - away_from)) <= TARGET_APART:
                     continue
                 if self.space.part(pose) != part:
                     continue
                 # A target must be reachable by its own tolerances, which are tighter than those of `part`.
                 if away_from is None or part in self.space.parts_within(pose, REACHED, ALIGNED):
                     return pose
-        expected = f"room for a car to drive {APART} m; no target found that it can reach"
+        expected = f"room for a car to drive {TARGET_APART} m; no target found that it can reach"
         raise InputError(self.apartment.name, "rooms", expected)
 
     def _task(self, task_id: int, start: Sequence[float] | np.ndarray, goal: Sequence[float]) -> CarTask:

@@ -26,11 +26,11 @@ from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 
-CELL = 0.05  # m between the lattice's poses
-HEADINGS = 64  # of the lattice, evenly spread
-MARGIN = 0.03  # m that the lattice's poses keep from everything: room to err while manoeuvring
-TURNS = (3, 4)  # steps of heading that arcs turn: 0.13 and 0.18 m at full lock. Coprime: every heading can be had
-NEAR = 0.15  # m, and m of wheelbase times rad: less than lies between two cars with a fence between them
+LATTICE_CELL = 0.05  # m between the lattice's poses
+LATTICE_HEADINGS = 64  # of the lattice, evenly spread
+LATTICE_MARGIN = 0.03  # m that the lattice's poses keep from everything: room to err while manoeuvring
+ARC_TURNS = (3, 4)  # steps of heading that arcs turn: 0.13 and 0.18 m at full lock. Coprime: every heading can be had
+SAME_PART = 0.15  # m, and m of wheelbase times rad: less than lies between two cars with a fence between them
 _CHECKED_AT = (0.25, 0.5, 0.75, 1.0)  # shares of an arc at which it has to be free
 
 
@@ -78,16 +78,16 @@ class CarSpace:
     def labels(self) -> Int[np.ndarray, "nx ny headings"]:
         """Return the connected part of each pose of the lattice, 0 for the largest; -1 where it is not free.
 
-        Cell (0, 0) lies at ``low``, heading k is ``2 pi k / HEADINGS``.
+        Cell (0, 0) lies at ``low``, heading k is ``2 pi k / LATTICE_HEADINGS``.
         """
-        shape = np.ceil((self.high - self.low) / CELL).astype(int) + 1
-        x, y = (self.low[axis] + CELL * np.arange(shape[axis]) for axis in range(2))
-        heading = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
-        free = self.free(np.stack(np.meshgrid(x, y, heading, indexing="ij"), axis=-1), MARGIN)
+        shape = np.ceil((self.high - self.low) / LATTICE_CELL).astype(int) + 1
+        x, y = (self.low[axis] + LATTICE_CELL * np.arange(shape[axis]) for axis in range(2))
+        heading = 2.0 * np.pi * np.arange(LATTICE_HEADINGS) / LATTICE_HEADINGS
+        free = self.free(np.stack(np.meshgrid(x, y, heading, indexing="ij"), axis=-1), LATTICE_MARGIN)
         index = np.arange(free.size, dtype=np.int32).reshape(free.shape)
         starts, ends = [], []
-        for k in range(HEADINGS):
-            for curvature, turn in itertools.product((-1, 0, 1), TURNS):
+        for k in range(LATTICE_HEADINGS):
+            for curvature, turn in itertools.product((-1, 0, 1), ARC_TURNS):
                 cells = self._cells_along(k, curvature, turn)
                 passable = free[:, :, k].copy()
                 for i, j, then in cells:
@@ -106,15 +106,15 @@ class CarSpace:
         return labels
 
     def part(self, planar: PlanarPose) -> int:
-        """Return the label of the largest part that comes within NEAR of a pose; -1 where none does.
+        """Return the label of the largest part that comes within SAME_PART of a pose; -1 where none does.
 
         A car pressed against an obstacle belongs to the part that it came from, and one next to a pose without an exit
         to the part around that pose.
         """
-        states, labels = self._around(np.asarray(planar[:2]), NEAR)
+        states, labels = self._around(np.asarray(planar[:2]), SAME_PART)
         turn = np.abs(wrap_angle(states[:, 2] - planar[2]))
         away = np.hypot(*(states[:, :2] - planar[:2]).T) + self.car.wheelbase * turn
-        return int(min(labels[away <= NEAR], default=-1))
+        return int(min(labels[away <= SAME_PART], default=-1))
 
     def parts_within(self, goal: Float[np.ndarray, "2"] | PlanarPose, radius: float, angle: float) -> set[int]:
         """Return the labels of the free lattice poses within ``radius`` m of a goal, and ``angle`` rad of a pose."""
@@ -126,25 +126,25 @@ class CarSpace:
 
     def _around(self, xy: Float[np.ndarray, "2"], radius: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the lattice's free poses in the square of half side ``radius`` around ``xy``, and their labels."""
-        first = np.maximum(np.ceil((xy - radius - self.low) / CELL), 0).astype(int)
-        last = np.maximum(np.floor((xy + radius - self.low) / CELL), -1).astype(int) + 1
+        first = np.maximum(np.ceil((xy - radius - self.low) / LATTICE_CELL), 0).astype(int)
+        last = np.maximum(np.floor((xy + radius - self.low) / LATTICE_CELL), -1).astype(int) + 1
         labels = self.labels[first[0] : last[0], first[1] : last[1]]
         i, j, k = np.nonzero(labels >= 0)
-        x, y = self.low[0] + CELL * (i + first[0]), self.low[1] + CELL * (j + first[1])
-        return np.stack([x, y, 2.0 * np.pi / HEADINGS * k], axis=-1), labels[i, j, k]
+        x, y = self.low[0] + LATTICE_CELL * (i + first[0]), self.low[1] + LATTICE_CELL * (j + first[1])
+        return np.stack([x, y, 2.0 * np.pi / LATTICE_HEADINGS * k], axis=-1), labels[i, j, k]
 
     def _cells_along(self, k: int, curvature: int, turn: int) -> list[tuple[int, int, int]]:
         """Return the cells ``(i, j, heading)`` relative to the first, along an arc, or a line of its length."""
-        heading = 2.0 * math.pi * k / HEADINGS
+        heading = 2.0 * math.pi * k / LATTICE_HEADINGS
         cells = []
         for share in _CHECKED_AT:
-            a = 2.0 * math.pi * share * turn / HEADINGS  # rad along an arc at full lock
+            a = 2.0 * math.pi * share * turn / LATTICE_HEADINGS  # rad along an arc at full lock
             forward, left = (math.sin(a), 1.0 - math.cos(a)) if curvature else (a, 0.0)
             forward, left = self.car.turning_radius * forward, self.car.turning_radius * curvature * left
             x = math.cos(heading) * forward - math.sin(heading) * left
             y = math.sin(heading) * forward + math.cos(heading) * left
-            then = round(k + curvature * share * turn) % HEADINGS
-            cells.append((round(x / CELL), round(y / CELL), then))
+            then = round(k + curvature * share * turn) % LATTICE_HEADINGS
+            cells.append((round(x / LATTICE_CELL), round(y / LATTICE_CELL), then))
         return cells
 
     def _half(self, margin: float) -> tuple[float, float]:

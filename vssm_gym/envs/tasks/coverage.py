@@ -2,10 +2,10 @@
 
     coverage = |seen cells| / |cells that are seen from any reachable position in any direction|
 
-The plan is cut into cells of ``CELL``. A cell is seen when a ray at the camera's height, of its horizontal field of
-view and no longer than ``REACH``, crosses it before it hits anything. The denominator is the reachable, observable
-area: it excludes what is walled off, behind furniture, or beyond the plan, so that 1 can be attained and 90 % means
-90 % of what there is to see. It is computed once for an apartment, from all positions of a grid in free space.
+The plan is cut into cells of ``COVERAGE_CELL``. A cell is seen when a ray at the camera's height, of its horizontal
+field of view and no longer than ``SEEING_RANGE``, crosses it before it hits anything. The denominator is the reachable,
+observable area: it excludes what is walled off, behind furniture, or beyond the plan, so that 1 can be attained and 90
+% means 90 % of what there is to see. It is computed once for an apartment, from all positions of a grid in free space.
 """
 
 import math
@@ -19,10 +19,10 @@ from vssm_gym.envs.physics.tracing import Tracer
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.geometry.axes import PlanarPose
 
-CELL = 0.1  # m
-REACH = 5.0  # m, how far seeing counts: depth cameras are sharp so far
-POSITIONS = 0.2  # m between the positions that decide what is observable
-_AROUND = 360  # rays of a whole turn there
+COVERAGE_CELL = 0.1  # m
+SEEING_RANGE = 5.0  # m, how far seeing counts: depth cameras are sharp so far
+POSITION_SPACING = 0.2  # m between the positions that decide what is observable
+_RAYS_OF_A_TURN = 360  # rays of a whole turn there
 
 
 class Observable:
@@ -37,20 +37,20 @@ class Observable:
     def __init__(self, space: FreeSpace, tracer: Tracer, height: float) -> None:
         self._tracer, self._height = tracer, height
         low, high = np.split(np.array(space.largest.bounds), 2)
-        self.origin: Float[np.ndarray, 2] = low - REACH
-        shape = np.ceil((high - low + 2.0 * REACH) / CELL).astype(int)
+        self.origin: Float[np.ndarray, 2] = low - SEEING_RANGE
+        shape = np.ceil((high - low + 2.0 * SEEING_RANGE) / COVERAGE_CELL).astype(int)
         self.cells: Bool[np.ndarray, "nx ny"] = np.zeros(tuple(shape), dtype=bool)
-        xs, ys = (np.arange(a, b, POSITIONS) for a, b in zip(low, high, strict=True))
+        xs, ys = (np.arange(a, b, POSITION_SPACING) for a, b in zip(low, high, strict=True))
         grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1).reshape(-1, 2)
         inside = grid[shapely.contains_xy(space.largest, grid)]
-        around = np.linspace(-math.pi, math.pi, _AROUND, endpoint=False)
+        around = np.linspace(-math.pi, math.pi, _RAYS_OF_A_TURN, endpoint=False)
         for position in inside if len(inside) else [np.array(space.largest.representative_point().coords[0])]:
             self.mark(position, around, self.cells)
 
     @property
     def area(self) -> float:
         """Return the area that can be seen, m^2."""
-        return float(self.cells.sum()) * CELL**2
+        return float(self.cells.sum()) * COVERAGE_CELL**2
 
     def mark(
         self, xy: Float[np.ndarray, "2"], bearings: Float[np.ndarray, "n"], cells: Bool[np.ndarray, "nx ny"]
@@ -59,8 +59,13 @@ class Observable:
         directions = np.stack([np.cos(bearings), np.sin(bearings), np.zeros_like(bearings)], axis=1)
         origin = np.array([xy[0], xy[1], self._height])
         distance, _ = self._tracer.trace(origin, np.ascontiguousarray(directions, dtype=np.float32))
-        reach = np.where(distance > 0.0, np.minimum(distance, REACH), REACH)
-        return _mark((np.asarray(xy, dtype=np.float64) - self.origin) / CELL, directions[:, :2], reach / CELL, cells)
+        reach = np.where(distance > 0.0, np.minimum(distance, SEEING_RANGE), SEEING_RANGE)
+        return _mark(
+            (np.asarray(xy, dtype=np.float64) - self.origin) / COVERAGE_CELL,
+            directions[:, :2],
+            reach / COVERAGE_CELL,
+            cells,
+        )
 
 
 class Coverage:
@@ -74,7 +79,7 @@ class Coverage:
     def __init__(self, observable: Observable, hfov: float) -> None:
         self._observable = observable
         # Neighbouring rays part by less than half a cell at the end of their reach.
-        rays = math.ceil(hfov * REACH / (0.5 * CELL))
+        rays = math.ceil(hfov * SEEING_RANGE / (0.5 * COVERAGE_CELL))
         self._bearings = np.linspace(-0.5 * hfov, 0.5 * hfov, rays)
         self.seen = np.zeros_like(observable.cells)
 

@@ -7,9 +7,9 @@ computed once; a query links its two points to it and runs Dijkstra's algorithm.
 within 1 mm of the disc's own free space at every corner. It shares no code with the agents' planner, so that SPL is
 evaluated independently of A*.
 
-The graph grows with the square of the vertices. Free space with more than CORNERS of them (a large, noisy occupancy
-map) is first drawn in and straightened by at most the last of STRAIGHTEN: paths stay free, but are up to a few per cent
-longer than the shortest, and gaps narrower than twice that much are closed.
+The graph grows with the square of the vertices. Free space with more than EXACT_CORNERS of them (a large, noisy
+occupancy map) is first drawn in and straightened by at most the last of STRAIGHTEN: paths stay free, but are up to a
+few per cent longer than the shortest, and gaps narrower than twice that much are closed.
 """
 
 import numpy as np
@@ -20,11 +20,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from vssm_gym.envs.scenes.free_space import FreeSpace
 
-CORNERS = 3000  # of free space that is taken as it is
+EXACT_CORNERS = 3000  # of free space that is taken as it is
 STRAIGHTEN = (0.01, 0.02, 0.04, 0.07, 0.1)  # m, tried in this order
 _SIDE = 1e-9  # m^2; tolerance of the tangent test, which only removes edges: one too many never makes a path shorter
 _NUDGE = 1e-6  # rad; end points of free arcs of the goal's circle move this far inside free space
-_BATCH = 64  # candidate last segments tested for visibility at a time
+_SEGMENTS_AT_ONCE = 64  # candidate last segments tested for visibility at a time
 _NO_PATH = (np.inf, np.zeros((0, 2)))
 
 
@@ -107,8 +107,8 @@ class Geodesics:
         possible[:-1] = (away[:-1] > radius)[:, None] & self._tangent(end[:-1], node[:-1, None])
         rows, columns = np.nonzero(possible)
         order = np.argsort(total[rows, columns], kind="stable")
-        for first in range(0, len(order), _BATCH):
-            row, column = (index[order[first : first + _BATCH]] for index in (rows, columns))
+        for first in range(0, len(order), _SEGMENTS_AT_ONCE):
+            row, column = (index[order[first : first + _SEGMENTS_AT_ONCE]] for index in (rows, columns))
             visible = self._visible(leave[row], end[row, column])
             if visible.any():
                 row, column = row[np.argmax(visible)], column[np.argmax(visible)]
@@ -204,7 +204,7 @@ def _straightened(region: shapely.MultiPolygon) -> shapely.MultiPolygon:
     """Return ``region`` itself, or a part of it that has few enough corners."""
     result = region
     for distance in STRAIGHTEN:
-        if shapely.get_num_coordinates(result) <= CORNERS:
+        if shapely.get_num_coordinates(result) <= EXACT_CORNERS:
             break
         inner = region.buffer(-distance, join_style="mitre").simplify(0.95 * distance)
         result = shapely.MultiPolygon([part for part in shapely.get_parts(inner) if part.area > 1e-4])

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.geometry.grid_graph import LONGEST, edges, graph
 
-SPACING = 0.1  # m, for a radius of 0.1 m
+GRID_SPACING = 0.1  # m, for a radius of 0.1 m
 
 
 class GoalDistance:
@@ -22,7 +22,7 @@ class GoalDistance:
     ``spacing`` m lies between nodes; the longest edge is sqrt(5) times as long.
     """
 
-    def __init__(self, free_space: FreeSpace, spacing: float = SPACING) -> None:
+    def __init__(self, free_space: FreeSpace, spacing: float = GRID_SPACING) -> None:
         low, high = np.split(np.array(free_space.region.bounds), 2)
         shape = np.ceil((high - low) / spacing).astype(int) + 1
         self._origin, self._shape, self._spacing = low, shape, spacing

@@ -16,7 +16,7 @@ from vssm_gym.envs.tasks.navigation import Task
 
 TILES = 10  # along each side of the unit square: coverage counts tiles, as the exploration ratio of DVBF-LM does
 TILE = 1.0 / TILES  # m
-OPEN = 0.5  # fraction of a tile that must be free for it to count
+OPEN_SHARE = 0.5  # fraction of a tile that must be free for it to count
 
 
 class Objective(Protocol):
@@ -64,7 +64,7 @@ class MazeCoverage:
     def __init__(self, space: FreeSpace) -> None:
         low = TILE * np.stack(np.meshgrid(np.arange(TILES), np.arange(TILES), indexing="ij"), axis=-1)
         tiles = shapely.box(low[..., 0], low[..., 1], low[..., 0] + TILE, low[..., 1] + TILE)
-        self.counted = shapely.area(shapely.intersection(tiles, space.region)) >= OPEN * TILE**2  # (TILES, TILES)
+        self.counted = shapely.area(shapely.intersection(tiles, space.region)) >= OPEN_SHARE * TILE**2  # (TILES, TILES)
         self.visited = np.zeros_like(self.counted)
 
     @property

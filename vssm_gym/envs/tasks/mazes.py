@@ -30,7 +30,7 @@ MAZES = ("pillars-v1", "rings-v1", "rooms-v1", "serpentine-v1", "slanted-v1", "s
 ROBOT = HolonomicRobot(
     body_length=0.025, height=0.1, camera_height=0.05, max_turn=math.radians(30.0), max_offset=0.0, max_step=0.02
 )
-GRID = 5  # starts and goals lie on a grid of 5 x 5 positions
+GRID_SIDE = 5  # starts and goals lie on a grid of 5 x 5 positions
 MOST_RECTANGLES = 2000  # of a maze that someone brings: a scan's time grows with them
 
 
@@ -115,11 +115,13 @@ def grid_tasks(maze: Maze) -> TaskSet:
         InputError: fewer than two of the 25 positions are free.
     """
     split: Split = "train" if maze.name == MAZES[0] else "test"
-    centres = (np.arange(GRID) + 0.5) / GRID
+    centres = (np.arange(GRID_SIDE) + 0.5) / GRID_SIDE
     places = [(x, y) for y in centres.round(4).tolist() for x in centres.round(4).tolist()]
     free = [place for place in places if maze.space.contains(np.array(place))]
     if len(free) < 2:
-        raise InputError(maze.name, "walls", f"two free positions of the {GRID} x {GRID} grid; found {len(free)}")
+        raise InputError(
+            maze.name, "walls", f"two free positions of the {GRID_SIDE} x {GRID_SIDE} grid; found {len(free)}"
+        )
     key = hashlib.sha256(f"{maze.name}|grid".encode()).digest()
     heading = np.random.default_rng(list(key)).uniform(-np.pi, np.pi, len(free) ** 2).round(4).tolist()
     pairs = [(start, goal) for start in free for goal in free if start != goal]

@@ -29,15 +29,15 @@ FROZEN = ASSETS / "tasks"
 Split = Literal["train", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 
-APART = 3.0  # body lengths between start and goal, more than
+GOAL_APART = 3.0  # body lengths between start and goal, more than
 SUCCESS = 2.0  # body lengths from the goal within which stopping is success
 SHORTEST = 1.0  # m, least geodesic from start to success region
-MARGIN = 0.02  # m that start and goal keep from the border of free space, so that rounding never decides
+BORDER_MARGIN = 0.02  # m that start and goal keep from the border of free space, so that rounding never decides
 # m that a start may be off free space: a chained task begins where contacts left the robot. They give by 1 mm. And the
 # floor ends at the walls' centre lines, while a closed outer door flush with the outside (ProcTHOR's house_1) leaves a
 # recess behind that line, where the robot penetrates nothing: 1 cm deep in walls of 10 cm, 2 cm in walls of 12 cm.
 START_SLACK = 0.03
-_ATTEMPTS = 256  # pairs of positions tried for one task before giving up
+_PAIRS = 256  # pairs of positions tried for one task before giving up
 
 
 class Task(StrictModel):
@@ -161,7 +161,11 @@ class TaskSampler:
 
     def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
-        self._scene, self._apart, self._success = apartment.name, APART * robot.body_length, SUCCESS * robot.body_length
+        self._scene, self._apart, self._success = (
+            apartment.name,
+            GOAL_APART * robot.body_length,
+            SUCCESS * robot.body_length,
+        )
 
     @cached_property
     def geodesics(self) -> Geodesics:
@@ -173,9 +177,9 @@ class TaskSampler:
 
         Raises :class:`InputError` where free space is too small for any.
         """
-        positions = self.space.sample(rng, 2 * _ATTEMPTS, MARGIN).round(4)  # written to files as they are: 0.1 mm
+        positions = self.space.sample(rng, 2 * _PAIRS, BORDER_MARGIN).round(4)  # written to files as they are: 0.1 mm
         heading = round(float(rng.uniform(-np.pi, np.pi)), 4)
-        for start, goal in positions.reshape(_ATTEMPTS, 2, 2):
+        for start, goal in positions.reshape(_PAIRS, 2, 2):
             if np.linalg.norm(start - goal) <= self._apart:
                 continue
             length = self.geodesics.length(start, goal, self._success)

@@ -1,6 +1,6 @@
 """Define reference flights of a multirotor: closed smooth curves, flown from hover to hover (named after Blackbird's).
 
-    x + i y = scale sum_k c_k e^{i k phi} e^{i turn},   z = height + LIFT Re sum_k z_k e^{i k phi}
+    x + i y = scale sum_k c_k e^{i k phi} e^{i turn},   z = height + FLIGHT_LIFT Re sum_k z_k e^{i k phi}
     phi' = Omega s(t / ramp)  from rest, Omega, and back to rest;   s(u) = 10 u^3 - 15 u^4 + 6 u^5
 
 ``Omega`` is such that the fastest point of the curve is passed at the flight's speed. Position, velocity, acceleration
@@ -27,12 +27,12 @@ from vssm_gym.errors import InputError
 
 Yaw = Literal["forward", "constant"]
 
-HEIGHT, LIFT = 1.8, 0.6  # m: mean height of a flight, and by how much it rises and falls
-REACH = 5.0  # m, largest half-extent: Blackbird's room is 11 m wide
+FLIGHT_HEIGHT, FLIGHT_LIFT = 1.8, 0.6  # m: mean height of a flight, and by how much it rises and falls
+FLIGHT_REACH = 5.0  # m, largest half-extent: Blackbird's room is 11 m wide
 HOVER = 1.0  # s at rest before and after
 RAMP = 3.0  # s from rest to full speed
 CLEARANCE = 0.6  # m from the path to the nearest obstacle
-_TURNS, _SAMPLES = 12, 256  # orientations that are tried, points of the curve that are checked
+_ORIENTATIONS, _SAMPLES = 12, 256  # orientations that are tried, points of the curve that are checked
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ class ReferenceFlight:
         points = CURVES[self.name].derivative(phi, order)
         c, s = _turned(self.place.turn)
         points = points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        points *= [self.place.scale, self.place.scale, LIFT]
-        return points + np.array([*self.place.center, HEIGHT]) if order == 0 else points
+        points *= [self.place.scale, self.place.scale, FLIGHT_LIFT]
+        return points + np.array([*self.place.center, FLIGHT_HEIGHT]) if order == 0 else points
 
 
 def attitude(push: Float[np.ndarray, "n 3"], heading: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3 3"]:
@@ -181,14 +181,14 @@ def attitude(push: Float[np.ndarray, "n 3"], heading: Float[np.ndarray, "n 2"]) 
 
 
 def place(apartment: Apartment, name: str, clearance: float = CLEARANCE) -> Placement:
-    """Return the largest placement of a curve, up to REACH, that keeps ``clearance`` m around the body free.
+    """Return the largest placement of a curve, up to FLIGHT_REACH, that keeps ``clearance`` m around the body free.
 
     Placements are tried on a fixed grid; of those of the largest size the one farthest from everything is taken. Raises
     :class:`InputError` where the curve fits nowhere, or where the ceiling is too low.
     """
     if name not in CURVES:
         raise InputError("reference flight", "name", f"one of {', '.join(CURVES)}; found {name!r}")
-    top = HEIGHT + LIFT + clearance
+    top = FLIGHT_HEIGHT + FLIGHT_LIFT + clearance
     if apartment.ceiling_height < top:
         raise InputError(apartment.name, "ceiling_height", f"at least {top:.2f} m for a flight")
     space = FreeSpace.from_apartment(apartment, clearance, top)
@@ -196,10 +196,10 @@ def place(apartment: Apartment, name: str, clearance: float = CLEARANCE) -> Plac
     low, high = np.split(np.array(space.region.bounds), 2)
     x, y = (np.linspace(a, b, max(2, int((b - a) / 0.5) + 1)) for a, b in zip(low, high, strict=True))
     centers = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    turns = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
+    turns = 2.0 * np.pi * np.arange(_ORIENTATIONS) / _ORIENTATIONS
     rotated = np.stack([shape @ np.array([[c, s], [-s, c]]) for c, s in map(_turned, turns)])
-    for scale in REACH * 0.9 ** np.arange(16):
-        candidates = [(i, j) for i in range(_TURNS) for j in range(len(centers))]
+    for scale in FLIGHT_REACH * 0.9 ** np.arange(16):
+        candidates = [(i, j) for i in range(_ORIENTATIONS) for j in range(len(centers))]
         for every in (32, 8, 1):  # most are ruled out by a few of their points
             turn, center = np.array(candidates, dtype=int).reshape(-1, 2).T
             points = centers[center][:, None] + scale * rotated[turn][:, ::every]

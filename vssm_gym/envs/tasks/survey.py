@@ -21,11 +21,11 @@ from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError
 
-GRID = 0.2  # m between positions that must be seen, and between candidate viewpoints
+SURVEY_GRID = 0.2  # m between positions that must be seen, and between candidate viewpoints
 CLEARANCES = (0.2, 0.15, 0.1, 0.05)  # m between the robot's side and obstacles, tried in this order
 # m of clearance where nothing wider sees a place: the first with which free space stays in one part
 CLOSE = (0.03, 0.015, 0.005, 0.001)
-STRAIGHTEN = 2.0 / 3.0  # of the clearance: by how much a leg may cut the chords of a rounded corner
+STRAIGHTEN_SHARE = 2.0 / 3.0  # of the clearance: by how much a leg may cut the chords of a rounded corner
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def survey_route(apartment: Apartment, robot: Robot, seed: int = 0, reach: float
     margin, close = _close(space)
     wide = _clear(space, close)
     targets = _grid(space.largest, np.zeros(2))
-    offset = np.random.default_rng(seed).uniform(0.0, GRID, 2)
+    offset = np.random.default_rng(seed).uniform(0.0, SURVEY_GRID, 2)
     roomy, tight = _grid(wide.largest, offset), _grid(close.largest, offset)
     candidates = np.concatenate([roomy, tight])
     sees = _sees(space.widened(-space.radius).region, candidates, targets, reach)
@@ -66,7 +66,7 @@ def survey_route(apartment: Apartment, robot: Robot, seed: int = 0, reach: float
         if name not in space.cut_off_rooms() and len(inside) and not np.isin(chosen, inside).any():
             chosen.append(int(inside[np.argmax(space.distance_to_obstacle(candidates[inside]))]))
     places, is_roomy = candidates[chosen], np.array(chosen) < len(roomy)
-    return _route(places, is_roomy, Geodesics(wide), Geodesics(close), STRAIGHTEN * margin)
+    return _route(places, is_roomy, Geodesics(wide), Geodesics(close), STRAIGHTEN_SHARE * margin)
 
 
 def _clear(space: FreeSpace, close: FreeSpace) -> FreeSpace:
@@ -107,7 +107,7 @@ def _within(space: FreeSpace, margin: float) -> FreeSpace:
 def _grid(area: shapely.Polygon, offset: Float[np.ndarray, "2"]) -> Float[np.ndarray, "n 2"]:
     """Return grid points in ``area``, or one point of it where the grid has none."""
     low, high = np.split(np.array(area.bounds), 2)
-    x, y = (np.arange(a + o, b, GRID) for a, o, b in zip(low, offset, high, strict=True))
+    x, y = (np.arange(a + o, b, SURVEY_GRID) for a, o, b in zip(low, offset, high, strict=True))
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     inside = points[shapely.contains_xy(area, points)]
     return inside if len(inside) else np.array([area.representative_point().coords[0]])

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vssm_gym.envs.textures.noise import SIZE, grid, lerp, noise, smooth_step
+from vssm_gym.envs.textures.noise import TEXTURE_SIZE, grid, lerp, noise, smooth_step
 
 
 def _framed(image: np.ndarray, frame: tuple[float, float, float]) -> np.ndarray:
@@ -49,7 +49,7 @@ def _blocks(rng: np.random.Generator) -> np.ndarray:
 def _circles(rng: np.random.Generator) -> np.ndarray:
     """Draw a dozen concentric circles of random colours on a dark ground."""
     v, u = grid()
-    image = np.broadcast_to([0.14, 0.17, 0.28], (SIZE, SIZE, 3))
+    image = np.broadcast_to([0.14, 0.17, 0.28], (TEXTURE_SIZE, TEXTURE_SIZE, 3))
     for _ in range(13):
         distance = np.hypot(u - rng.uniform(0.1, 0.9), v - rng.uniform(0.1, 0.9))
         for radius in rng.uniform(0.05, 0.2) * np.array([1.0, 0.68, 0.36]):
@@ -75,7 +75,7 @@ def _harbour(rng: np.random.Generator) -> np.ndarray:
 
 def _flowers(rng: np.random.Generator) -> np.ndarray:
     v, u = grid()
-    image = np.broadcast_to([0.82, 0.78, 0.62], (SIZE, SIZE, 3))
+    image = np.broadcast_to([0.82, 0.78, 0.62], (TEXTURE_SIZE, TEXTURE_SIZE, 3))
     vase = (v > 0.6) & (v < 0.92) & (np.abs(u - 0.5) < 0.10 + 0.08 * np.sin(np.pi * (v - 0.6) / 0.32))
     image = np.where(vase[..., None], [0.18, 0.32, 0.55], image)
     for _ in range(16):
@@ -104,10 +104,10 @@ def _map(rng: np.random.Generator) -> np.ndarray:
 
 def _books(rng: np.random.Generator) -> np.ndarray:
     """Draw two shelves of book spines of uneven width, height and colour."""
-    image = np.full((SIZE, SIZE, 3), 0.12)
-    for bottom in (SIZE // 2, SIZE):
+    image = np.full((TEXTURE_SIZE, TEXTURE_SIZE, 3), 0.12)
+    for bottom in (TEXTURE_SIZE // 2, TEXTURE_SIZE):
         x = 0
-        while x < SIZE:
+        while x < TEXTURE_SIZE:
             width, height = int(rng.integers(5, 13)), int(rng.integers(42, 60))
             color = rng.uniform(0.12, 0.85, 3)
             spine = image[bottom - height : bottom - 2, x : x + width - 1]
@@ -137,7 +137,7 @@ def _window(rng: np.random.Generator) -> np.ndarray:
 def _leaves(rng: np.random.Generator) -> np.ndarray:
     """Draw overlapping green leaves with pale midribs; they repeat seamlessly."""
     v, u = grid()
-    image = np.broadcast_to([0.06, 0.14, 0.05], (SIZE, SIZE, 3))
+    image = np.broadcast_to([0.06, 0.14, 0.05], (TEXTURE_SIZE, TEXTURE_SIZE, 3))
     for _ in range(90):
         dv, du = (v - rng.uniform() + 0.5) % 1 - 0.5, (u - rng.uniform() + 0.5) % 1 - 0.5
         angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(0.06, 0.13)

@@ -5,13 +5,13 @@ Band-limited noise, cells with joints, colour helpers.
 
 import numpy as np
 
-SIZE = 128  # pixels, edge of a texture
+TEXTURE_SIZE = 128  # pixels, edge of a texture
 """Pixels along each side of a texture."""
 
 
 def grid() -> tuple[np.ndarray, np.ndarray]:
-    """Return (v, u) of the pixel centres, each (SIZE, SIZE) in (0, 1); v runs down, u to the right."""
-    at = (np.arange(SIZE) + 0.5) / SIZE
+    """Return (v, u) of the pixel centres, each (TEXTURE_SIZE, TEXTURE_SIZE) in (0, 1); v runs down, u to the right."""
+    at = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
     v, u = np.meshgrid(at, at, indexing="ij")
     return v, u
 
@@ -23,14 +23,16 @@ def noise(
     high: float = 40.0,
     stretch: tuple[float, float] = (1.0, 1.0),
 ) -> np.ndarray:
-    """Draw periodic Gaussian noise (SIZE, SIZE), mean 0, std 1, amplitude f^-slope for f in [low, high] cycles a tile.
+    """Draw periodic Gaussian noise ``(TEXTURE_SIZE, TEXTURE_SIZE)``, mean 0, std 1.
+
+    The amplitude is f^-slope for f in [low, high] cycles a tile.
 
     ``stretch`` multiplies the frequencies along (v, u): (1, 8) draws features eight times longer along u.
     """
-    cycles = np.fft.fftfreq(SIZE, 1 / SIZE)
+    cycles = np.fft.fftfreq(TEXTURE_SIZE, 1 / TEXTURE_SIZE)
     f = np.hypot(cycles[:, None] * stretch[0], cycles[None, :] * stretch[1])
     amplitude = np.where((f >= low) & (f <= high), np.maximum(f, 1e-9) ** -slope, 0.0)
-    field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((SIZE, SIZE))) * amplitude).real
+    field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE))) * amplitude).real
     return (field - field.mean()) / field.std()
 
 

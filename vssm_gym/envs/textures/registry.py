@@ -1,6 +1,7 @@
 """Define procedural textures: `TEXTURES` maps a name to a function of a random generator, `texture_atlas` renders them.
 
-A texture is a float array (SIZE, SIZE, 3) in [0, 1], row 0 at the top, that repeats seamlessly (pictures excepted).
+A texture is a float array (TEXTURE_SIZE, TEXTURE_SIZE, 3) in [0, 1], row 0 at the top, that repeats seamlessly
+(pictures excepted).
 Surfaces are near white at their brightest, so that `Material.color` tints them; pictures carry their own colours.
 Contrast sits where a small camera can see it, at a tenth to a hundredth of a tile, with tints that differ from plank to
 plank and tile to tile: a floor of identical tiles would let a tracker slip by one tile. The generator of each name is
@@ -14,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from vssm_gym.envs.textures.motifs import PICTURES
-from vssm_gym.envs.textures.noise import SIZE, cells, grid, lerp, noise, rgb, smooth_step
+from vssm_gym.envs.textures.noise import TEXTURE_SIZE, cells, grid, lerp, noise, rgb, smooth_step
 
 Texture = Callable[[np.random.Generator], np.ndarray]
 
@@ -70,9 +71,9 @@ def _boards(rng: np.random.Generator, rows: int, columns: int, spread: float) ->
     board, edge = cells(rows, columns, shift)
     tint = rng.uniform(1 - spread, 1.0, rows * columns)[board]
     warmth = rng.uniform(-0.05, 0.05, rows * columns)[board]
-    slide = rng.integers(0, SIZE, rows * columns)[board]
-    y, x = np.indices((SIZE, SIZE))
-    grain = _grain(rng)[y, (x + slide) % SIZE]
+    slide = rng.integers(0, TEXTURE_SIZE, rows * columns)[board]
+    y, x = np.indices((TEXTURE_SIZE, TEXTURE_SIZE))
+    grain = _grain(rng)[y, (x + slide) % TEXTURE_SIZE]
     joint = smooth_step(edge, 0.004, 0.012)
     return rgb(tint * (0.90 + 0.07 * grain) * lerp(0.45, 1.0, joint), warmth=warmth)
 
@@ -177,7 +178,7 @@ def _fabric(rng: np.random.Generator) -> np.ndarray:
 
 def _plaid(rng: np.random.Generator) -> np.ndarray:
     threads = rng.uniform(0.45, 0.95, (2, 16, 1)) + rng.uniform(-0.08, 0.08, (2, 16, 3))
-    index = np.arange(SIZE) * 16 // SIZE
+    index = np.arange(TEXTURE_SIZE) * 16 // TEXTURE_SIZE
     color = (threads[0, index][:, None] + threads[1, index][None]) / 2
     return np.clip(color * (0.97 + 0.04 * noise(rng, slope=0.3, low=8))[..., None], 0, 1)
 
@@ -218,9 +219,9 @@ def _wallpaper(rng: np.random.Generator) -> np.ndarray:
 def _stripes(rng: np.random.Generator) -> np.ndarray:
     """Draw vertical wallpaper stripes of uneven width and shade."""
     widths = rng.uniform(0.5, 2.0, 14)
-    stripe = np.searchsorted(np.cumsum(widths) / widths.sum(), (np.arange(SIZE) + 0.5) / SIZE)
+    stripe = np.searchsorted(np.cumsum(widths) / widths.sum(), (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE)
     shade = np.where(np.arange(14) % 2 > 0, rng.uniform(0.62, 0.80, 14), rng.uniform(0.88, 1.0, 14))
-    return rgb(np.broadcast_to(shade[stripe], (SIZE, SIZE)) + 0.02 * noise(rng, slope=1.2, high=16))
+    return rgb(np.broadcast_to(shade[stripe], (TEXTURE_SIZE, TEXTURE_SIZE)) + 0.02 * noise(rng, slope=1.2, high=16))
 
 
 def _wainscot(rng: np.random.Generator) -> np.ndarray:
@@ -298,5 +299,8 @@ def _render(name: str) -> np.ndarray:
 
 
 def texture_atlas(names: Sequence[str]) -> np.ndarray:
-    """Render the named textures as uint8 (n, SIZE, SIZE, 3), row 0 at the top; a name always gives the same bytes."""
+    """Render the named textures as uint8 ``(n, TEXTURE_SIZE, TEXTURE_SIZE, 3)``, row 0 at the top.
+
+    A name always gives the same bytes.
+    """
     return np.stack([_render(name) for name in names])

@@ -18,9 +18,9 @@ from vssm_gym.errors import InputError
 from vssm_gym.maps.columns import OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
-RESOLUTION = 0.025  # m
+NODE_SPACING = 0.025  # m
 Z_MIN = 0.08  # m: above the floor's noise
-PIECES = 4  # of one step's path: each shorter than the footprint's radius, so that no wall is jumped
+PATH_PIECES = 4  # of one step's path: each shorter than the footprint's radius, so that no wall is jumped
 PUSHES = 2  # out of an obstacle, after each piece: in a corner the first push may end in the other wall
 
 
@@ -39,7 +39,7 @@ class CollisionMap(eqx.Module):
 
         Raises :class:`InputError` for a map that shows no free floor.
         """
-        columns = [observed_columns(m, Z_MIN, height, RESOLUTION) for m in maps]
+        columns = [observed_columns(m, Z_MIN, height, NODE_SPACING) for m in maps]
         known = columns[0][1] >= OBSERVED_SHARE  # precisions are the belief's in every sample
         free = np.argwhere(known & (columns[0][0] <= 0.0))
         if len(free) == 0:
@@ -50,15 +50,15 @@ class CollisionMap(eqx.Module):
         for top, _ in columns:
             blocked = ~known & (top <= 0.0)
             # An unobserved column has no surface to interpolate: half a cell is the unbiased place of its border.
-            depth = np.where(blocked, 0.5 * RESOLUTION if unknown == "blocked" else -RESOLUTION, top)[window]
+            depth = np.where(blocked, 0.5 * NODE_SPACING if unknown == "blocked" else -NODE_SPACING, top)[window]
             rim = np.pad(np.zeros(np.subtract(depth.shape, 2), bool), 1, constant_values=True)
-            depth = np.where(rim & (depth <= 0.0), RESOLUTION, depth)
-            clearance.append(level_distance(depth, RESOLUTION))
+            depth = np.where(rim & (depth <= 0.0), NODE_SPACING, depth)
+            clearance.append(level_distance(depth, NODE_SPACING))
         nx, ny = clearance[0].shape
-        origin = maps[0].bounds[0, :2] + low * RESOLUTION
+        origin = maps[0].bounds[0, :2] + low * NODE_SPACING
         flat = jnp.asarray(np.stack(clearance).reshape(-1), jnp.float32)
         known_ = jnp.asarray(known[window].reshape(-1))
-        return cls(flat, known_, jnp.asarray(origin, jnp.float32), (nx, ny), RESOLUTION)
+        return cls(flat, known_, jnp.asarray(origin, jnp.float32), (nx, ny), NODE_SPACING)
 
     def mean(self) -> Float[np.ndarray, "nx ny"]:
         """Return the clearance ``(nx, ny)`` in the first map, m."""
@@ -102,7 +102,7 @@ def slide(
 
     def push(i, carry):
         x, y, collided = carry
-        further = (i % PUSHES == 0) / PIECES
+        further = (i % PUSHES == 0) / PATH_PIECES
         x, y = x + further * dx, y + further * dy
         clearance, slope_x, slope_y = collision_map.at(which, x, y)
         lacking = jnp.maximum(radius - clearance, 0.0)
@@ -110,7 +110,7 @@ def slide(
         return x + lacking * slope_x / steep, y + lacking * slope_y / steep, collided | (lacking > 0.0)
 
     # A loop: written out, the compiler works out again for each of the three all that leads to them, 3^8 times.
-    return jax.lax.fori_loop(0, PIECES * PUSHES, push, (x, y, jnp.zeros(x.shape, bool)))
+    return jax.lax.fori_loop(0, PATH_PIECES * PUSHES, push, (x, y, jnp.zeros(x.shape, bool)))
 
 
 def disc_clearance(

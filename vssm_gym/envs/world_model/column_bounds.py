@@ -32,7 +32,7 @@ FINE = 4  # pieces of the plan a cell along each axis
 SQUARES = (1, 2, 4, 8, 16, 32)  # pieces from the middle of a square to its border
 # Bounds count as nearly the same if they differ by no more than NEARLY (cells) + NEARLY_OF_HEIGHT of the bound.
 NEARLY, NEARLY_OF_HEIGHT = 0.1, 0.01
-STEPS = 32  # squares that a line is followed through; rays that go on are searched one by one
+LINE_SQUARES = 32  # squares that a line is followed through; rays that go on are searched one by one
 
 
 class ColumnBounds(eqx.Module):
@@ -96,14 +96,14 @@ class ColumnBounds(eqx.Module):
 
         k = jnp.full(n, FIRST_SAMPLE)
         *_, all_k, all_bounds = jax.lax.while_loop(
-            lambda carry: (carry[0] < STEPS) & jnp.any(carry[1] <= last),
+            lambda carry: (carry[0] < LINE_SQUARES) & jnp.any(carry[1] <= last),
             follow,
             (
                 0,
                 k,
                 jnp.full((2, n), HIT_OFFSET),
-                jnp.full((STEPS + 1, n), FIRST_SAMPLE),
-                jnp.full((STEPS + 1, 2, n), -1.0),
+                jnp.full((LINE_SQUARES + 1, n), FIRST_SAMPLE),
+                jnp.full((LINE_SQUARES + 1, 2, n), -1.0),
             ),
         )
         free = _free(all_k, all_bounds, -STEP * down[:, None])
@@ -119,12 +119,12 @@ def _free(
     # computed anew for each of its uses.
     passes = lambda j: (rise >= -all_bounds[j, 0]) & (rise <= all_bounds[j, 1])
     passed = jnp.zeros((len(rise), n), jnp.int32)
-    passed = jax.lax.fori_loop(0, STEPS, lambda j, passed: passed + passes(j).astype(jnp.int32), passed)
+    passed = jax.lax.fori_loop(0, LINE_SQUARES, lambda j, passed: passed + passes(j).astype(jnp.int32), passed)
     # The ray may cross a part of the next square: where it leaves there, that square alone bounds it.
     steep, upward, line = jnp.abs(rise), (rise > 0.0).astype(jnp.int32), jnp.arange(n)
     bound = lambda side: all_bounds.reshape(-1).at[(2 * passed + side) * n + line].get(mode="promise_in_bounds")
     k_of = lambda j: all_k.reshape(-1).at[j * n + line].get(mode="promise_in_bounds")
-    k, after = k_of(passed), k_of(jnp.minimum(passed + 1, STEPS))
+    k, after = k_of(passed), k_of(jnp.minimum(passed + 1, LINE_SQUARES))
     leaves = jnp.floor(bound(upward) * (after - 1.0) / jnp.maximum(steep, 1e-9)) + 1.0
     return jnp.where(bound(1 - upward) >= -steep, jnp.clip(leaves, k, jnp.maximum(k, after)), k)
 

@@ -13,12 +13,12 @@ from jaxtyping import Array, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from vssm_gym.envs.tasks.goal_progress import SPACING
+from vssm_gym.envs.tasks.goal_progress import GRID_SPACING
 from vssm_gym.envs.world_model.collision_map import CollisionMap, mean_clearance
 from vssm_gym.geometry.grid_graph import edges, graph
 
 UNREACHABLE = 1e6  # m: the distance of nodes from which no path leads to the goal
-MAX_DISTANCE = 1e3  # m: an interpolated distance above this is next to an unreachable node, and unknown
+REACHABLE_DISTANCE = 1e3  # m: an interpolated distance above this is next to an unreachable node, and unknown
 _RINGS = 3  # rings of blocked nodes next to free ones get a distance, so that a robot at a wall has one
 
 
@@ -31,11 +31,11 @@ class GoalDistances(eqx.Module):
     shape: tuple[int, int] = eqx.field(static=True)
 
     def at(self, goal: Int[Array, "*batch"], x: Array, y: Array) -> Float[Array, "*batch"]:
-        """Return the path length (m) from world points to goal number ``goal``; above MAX_DISTANCE where unknown."""
+        """Return the path length (m) from world points to goal ``goal``; above REACHABLE_DISTANCE where unknown."""
         nx, ny = self.shape
         straight = jnp.hypot(x - self.goals[goal, 0], y - self.goals[goal, 1])
-        u = jnp.clip((x - self.origin[0]) / SPACING, 0.0, nx - 1.0)
-        v = jnp.clip((y - self.origin[1]) / SPACING, 0.0, ny - 1.0)
+        u = jnp.clip((x - self.origin[0]) / GRID_SPACING, 0.0, nx - 1.0)
+        v = jnp.clip((y - self.origin[1]) / GRID_SPACING, 0.0, ny - 1.0)
         i, j = jnp.minimum(u.astype(jnp.int32), nx - 2), jnp.minimum(v.astype(jnp.int32), ny - 2)
         a, b = u - i, v - j
         low = (goal * nx + i) * ny + j
@@ -43,7 +43,7 @@ class GoalDistances(eqx.Module):
             self.distance.at[low + offset].get(mode="promise_in_bounds") for offset in (0, 1, ny, ny + 1)
         )
         left, right = d00 + b * (d01 - d00), d10 + b * (d11 - d10)
-        return jnp.where(straight <= SPACING, straight, left + a * (right - left))
+        return jnp.where(straight <= GRID_SPACING, straight, left + a * (right - left))
 
 
 class Lattice:
@@ -52,8 +52,8 @@ class Lattice:
     def __init__(self, collision_map: CollisionMap, radius: float) -> None:
         self.origin = np.asarray(collision_map.origin, np.float64)
         extent = (np.array(collision_map.shape) - 1) * collision_map.resolution
-        self.shape = tuple(int(n) for n in np.floor(extent / SPACING).astype(int) + 1)
-        axes = [o + SPACING * np.arange(n) for o, n in zip(self.origin, self.shape, strict=True)]
+        self.shape = tuple(int(n) for n in np.floor(extent / GRID_SPACING).astype(int) + 1)
+        axes = [o + GRID_SPACING * np.arange(n) for o, n in zip(self.origin, self.shape, strict=True)]
         self.nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         self._collision_map, self._radius = collision_map, radius
         self.free = self.clearance(self.nodes) >= radius
@@ -91,7 +91,7 @@ class Lattice:
         along = np.linspace(0.0, 1.0, 5)[1:-1, None, None]
         between = (1.0 - along) * self.nodes[begin] + along * self.nodes[end]
         passable = (self.clearance(between) >= 0.95 * self._radius).all(axis=0)
-        return graph(self.free.size, begin[passable], end[passable], SPACING * length[passable])
+        return graph(self.free.size, begin[passable], end[passable], GRID_SPACING * length[passable])
 
 
 def _filled(distance: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ def _filled(distance: np.ndarray) -> np.ndarray:
         padded = np.pad(distance, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
         nx, ny = distance.shape[1:]
         around = [
-            padded[:, 1 + dx : 1 + dx + nx, 1 + dy : 1 + dy + ny] + SPACING * np.hypot(dx, dy)
+            padded[:, 1 + dx : 1 + dx + nx, 1 + dy : 1 + dy + ny] + GRID_SPACING * np.hypot(dx, dy)
             for dx in (-1, 0, 1)
             for dy in (-1, 0, 1)
             if dx or dy

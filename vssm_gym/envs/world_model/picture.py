@@ -5,9 +5,9 @@ import numpy as np
 from vssm_gym.envs.rendering.topdown import PICTURE
 from vssm_gym.envs.world_model.collision_map import CollisionMap
 
-FREE, BLOCKED, UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)
-PATH, ROBOT, GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)
-REMEMBERED = 1000  # positions of a path that are drawn
+MAP_FREE, MAP_BLOCKED, MAP_UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)
+MAP_PATH, MAP_ROBOT, MAP_GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)
+DRAWN_POSITIONS = 1000  # positions of a path that are drawn
 
 
 class PlanPicture:
@@ -17,9 +17,9 @@ class PlanPicture:
         nx, ny = collision_map.shape
         clearance, known = collision_map.mean(), np.asarray(collision_map.known).reshape(nx, ny)
         plan = np.empty((nx, ny, 3), np.uint8)
-        plan[:] = FREE
-        plan[clearance <= 0.0] = BLOCKED
-        plan[~known] = UNKNOWN
+        plan[:] = MAP_FREE
+        plan[clearance <= 0.0] = MAP_BLOCKED
+        plan[~known] = MAP_UNKNOWN
         self._metres = ny * collision_map.resolution / PICTURE  # a pixel
         rows = ((np.arange(PICTURE) + 0.5) / PICTURE * ny).astype(int)
         width = max(1, round(nx * PICTURE / ny))
@@ -41,14 +41,14 @@ class PlanPicture:
         pictures = []
         for path, pose, goal in zip(self._paths, planar, goals, strict=True):
             path.append(pose[:2])
-            del path[:-REMEMBERED]
+            del path[:-DRAWN_POSITIONS]
             picture = self._plan.copy()
-            self._disc(picture, goal, reach, GOAL)
+            self._disc(picture, goal, reach, MAP_GOAL)
             for xy in path:
-                self._disc(picture, xy, 0.03, PATH)
-            self._disc(picture, pose[:2], radius, ROBOT)
+                self._disc(picture, xy, 0.03, MAP_PATH)
+            self._disc(picture, pose[:2], radius, MAP_ROBOT)
             ahead = pose[:2] + radius * np.array([np.cos(pose[2]), np.sin(pose[2])])
-            self._disc(picture, ahead, 0.5 * radius, ROBOT)
+            self._disc(picture, ahead, 0.5 * radius, MAP_ROBOT)
             pictures.append(picture)
         return tuple(pictures)
 

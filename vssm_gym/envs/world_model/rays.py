@@ -31,7 +31,7 @@ from vssm_gym.model.emission import STEP, TAU
 HIT_OFFSET = float(1 << 20)  # added to the sample of a hit; no ray has as many samples, and float32 counts to 2^24
 FIRST_SAMPLE = 2.0  # the first sample that can hit
 LEAPS = 2  # between two tests of samples
-NARROWING = (2, 8, 32)  # unfinished rays are gathered when one in 2, 8, 32 is left: grazing rays delay no others
+GATHER_AT = (2, 8, 32)  # unfinished rays are gathered when one in 2, 8, 32 is left: grazing rays delay no others
 GATHER_MULTIPLE = 64  # rays: gathering fewer does not pay; multiples of it fill vector registers
 SLACK = 1e-3  # samples and cells: a point on the box's face counts as inside
 Coordinates = tuple[Array, ...]  # one array a coordinate: operations over an axis of two or three do not vectorise
@@ -150,7 +150,7 @@ def narrowed(
     """
     n = k.shape[0]
     index, found = jnp.arange(n), k
-    for narrow in (subset_size(n, share) for share in NARROWING if n >= share * GATHER_MULTIPLE):
+    for narrow in (subset_size(n, share) for share in GATHER_AT if n >= share * GATHER_MULTIPLE):
 
         def crowded(k, rays=rays, narrow=narrow):
             return jnp.sum(k <= rays.last) > narrow

@@ -7,10 +7,10 @@ from anywhere in the cell meets it at
 
 Nine rays are traced for each cell and each of ``BINS`` directions: from the cell's corners along both edges of the bin,
 and from its centre along the middle. Their hits give the line (total least squares). Where it explains all nine to
-within ``TOLERANCE``, rays of that cell and bin are taken to meet it: in a learned map of ``oak`` 86 % of all rays, and
-all rays together are off by 0.2 mm (median) and 1.1 cm (99 %). Elsewhere, mostly at the edges of things, rays are
-traced (:mod:`vssm_gym.envs.world_model.rays`) from one cell before the shortest of the nine. What is thinner than the
-gaps between the nine, about half a cell, may be missed.
+within ``ACROSS_TOLERANCE``, rays of that cell and bin are taken to meet it: in a learned map of ``oak`` 86 % of all
+rays, and all rays together are off by 0.2 mm (median) and 1.1 cm (99 %). Elsewhere, mostly at the edges of things, rays
+are traced (:mod:`vssm_gym.envs.world_model.rays`) from one cell before the shortest of the nine. What is thinner than
+the gaps between the nine, about half a cell, may be missed.
 """
 
 from typing import Any
@@ -26,7 +26,7 @@ from vssm_gym.maps.compaction import first_set
 from vssm_gym.model.emission import STEP
 
 BINS = 128  # of directions
-TOLERANCE, ALONG = 0.4, 1.0  # cells: largest error of the nine hits across the line, and along the ray
+ACROSS_TOLERANCE, ALONG_TOLERANCE = 0.4, 1.0  # cells: largest error of the nine hits across the line, and along the ray
 UNSURE = 5  # one ray in UNSURE is traced in one pass: somewhat more than the rays without a line
 ANYWHERE = 1e3  # m: beyond every box, so that rays are traced to its end
 SURE = -1.0  # marks entries whose line holds
@@ -158,7 +158,7 @@ def _entries(traced: list[tuple[Array, Any, Array, Array]]) -> tuple[Array, Arra
     predicted = (1.0 - m_x * x - m_y * y) / jnp.where(steep > 1e-6, steep, 1e-6) / STEP
     error = STEP * jnp.abs(predicted - met)
     across = error * jnp.abs(n_x * cos + n_y * sin)
-    holds = jnp.all((met > 0.0) & (across < TOLERANCE) & (error < ALONG), axis=0)
+    holds = jnp.all((met > 0.0) & (across < ACROSS_TOLERANCE) & (error < ALONG_TOLERANCE), axis=0)
     nothing = jnp.all(met == 0.0, axis=0)
     shortest = jnp.min(jnp.where(met > 0.0, met, jnp.inf), axis=0)
     start = jnp.where(jnp.isfinite(shortest), jnp.maximum(shortest - 1.0 / STEP, 0.0), 0.0)

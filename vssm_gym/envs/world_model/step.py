@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from vssm_gym.envs.world_model.goal_distance import MAX_DISTANCE
+from vssm_gym.envs.world_model.goal_distance import REACHABLE_DISTANCE
 from vssm_gym.envs.world_model.motion import Motion, drive_car, drive_holonomic, estimated_pose
 from vssm_gym.envs.world_model.world import ImaginedWorld, Robot
 from vssm_gym.geometry.car import Car
@@ -38,7 +38,7 @@ class BatchState(eqx.Module):
     noise: Float[Array, "n parameters"]  # of this episode
     which: Int[Array, "n"]  # map of this episode
     task: Int[Array, "n"]  # of the pool
-    potential: Float[Array, "n"]  # m to the goal; more than MAX_DISTANCE where that is not known
+    potential: Float[Array, "n"]  # m to the goal; more than REACHABLE_DISTANCE where that is not known
     steps: Int[Array, "n"]  # of this episode
     ended: Bool[Array, "n"]
 
@@ -202,9 +202,9 @@ def _reward(
     lost = rules.unknown_cost * ~world.collision_map.known_at(state.planar[:, 0], state.planar[:, 1])
     now = world.goal_distances.at(world.pool.goal[state.task], state.planar[:, 0], state.planar[:, 1])
     # Squeezed between obstacles a robot may be off the grid of free positions: it gains nothing until it is back.
-    held = (now > MAX_DISTANCE) | (state.potential > MAX_DISTANCE)
+    held = (now > REACHABLE_DISTANCE) | (state.potential > REACHABLE_DISTANCE)
     gained = jnp.where(held, 0.0, state.potential - now)
-    potential = jnp.where(now > MAX_DISTANCE, state.potential, now)
+    potential = jnp.where(now > REACHABLE_DISTANCE, state.potential, now)
     dense = gained - rules.step_cost - rules.collision_cost * collision
     return jnp.where(rules.dense, dense, 0.0) + prize - lost, potential
 

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vssm_gym.envs.tasks.navigation import MARGIN
+from vssm_gym.envs.tasks.navigation import BORDER_MARGIN
 from vssm_gym.envs.world_model.config import SOURCE, Imagination
-from vssm_gym.envs.world_model.goal_distance import MAX_DISTANCE, GoalDistances, Lattice
+from vssm_gym.envs.world_model.goal_distance import REACHABLE_DISTANCE, GoalDistances, Lattice
 from vssm_gym.errors import InputError
 
-_ATTEMPTS = 64  # draws of a whole pool before giving up
+_POOLS_DRAWN = 64  # draws of a whole pool before giving up
 GIVEN_SLACK = 0.1  # m by which a given start or goal may be too close to mapped walls: it was drawn among the true ones
 
 
@@ -34,7 +34,7 @@ class TaskLimits(NamedTuple):
     """Hold the rules that a robot's tasks obey, m."""
 
     radius: float  # of the disc that paths are planned for
-    clearance: float  # of starts and goals, in addition to MARGIN
+    clearance: float  # of starts and goals, in addition to BORDER_MARGIN
     min_distance: float  # between start and goal
     success_radius: float  # around the goal
     min_path_length: float  # from the start to the success region
@@ -56,13 +56,13 @@ def draw_tasks(lattice: Lattice, limits: TaskLimits, config: Imagination) -> tup
     goals = _positions(rng, lattice, nodes, limits, config.goals)
     distances = lattice.goal_distances(goals)
     starts, numbers, lengths, found = [], [], [], 0
-    for _ in range(_ATTEMPTS):
+    for _ in range(_POOLS_DRAWN):
         xy = _positions(rng, lattice, nodes, limits, config.pool)
         number = rng.integers(len(goals), size=len(xy))
         heading = rng.uniform(-np.pi, np.pi, len(xy))
         length = _lengths(distances, number, xy)
         apart = np.linalg.norm(xy - goals[number], axis=1) > limits.min_distance
-        kept = apart & (length - limits.success_radius >= limits.min_path_length) & (length < MAX_DISTANCE)
+        kept = apart & (length - limits.success_radius >= limits.min_path_length) & (length < REACHABLE_DISTANCE)
         starts.append(np.column_stack([xy, heading])[kept])
         numbers.append(number[kept])
         lengths.append(length[kept])
@@ -78,14 +78,16 @@ def draw_tasks(lattice: Lattice, limits: TaskLimits, config: Imagination) -> tup
 def _positions(rng: np.random.Generator, lattice: Lattice, nodes: np.ndarray, limits: TaskLimits, n: int) -> np.ndarray:
     """Draw ``n`` positions uniformly in the cells around free nodes that are observed and free with a margin."""
     found = np.zeros((0, 2))
-    for _ in range(_ATTEMPTS):
+    for _ in range(_POOLS_DRAWN):
         xy = lattice.nodes[rng.choice(nodes, size=4 * n)] + rng.uniform(-0.05, 0.05, (4 * n, 2))
         xy = xy.round(4)  # 0.1 mm, as tasks are written to files
-        found = np.concatenate([found, xy[(lattice.clearance(xy) >= limits.clearance + MARGIN) & lattice.known(xy)]])
+        found = np.concatenate(
+            [found, xy[(lattice.clearance(xy) >= limits.clearance + BORDER_MARGIN) & lattice.known(xy)]]
+        )
         if len(found) >= n:
             return found[:n]
     raise InputError(
-        SOURCE, "map", f"positions with {limits.clearance + MARGIN:.2f} m of clearance; found {len(found)}"
+        SOURCE, "map", f"positions with {limits.clearance + BORDER_MARGIN:.2f} m of clearance; found {len(found)}"
     )
 
 
@@ -104,7 +106,7 @@ def _given(lattice: Lattice, limits: TaskLimits, tasks: Any) -> tuple[TaskPool, 
         if (worst := int(np.argmin(clearance))) >= 0 and clearance[worst] < limits.radius - GIVEN_SLACK:
             expected = f"a free position in this map; task {worst} has ({xy[worst][0]:.2f}, {xy[worst][1]:.2f})"
             raise InputError(SOURCE, f"tasks.{field}", expected)
-    if (lost := np.flatnonzero(length >= MAX_DISTANCE)).size:
+    if (lost := np.flatnonzero(length >= REACHABLE_DISTANCE)).size:
         raise InputError(SOURCE, "tasks", f"goals that can be reached from the start in this map; not task {lost[0]}")
     return _pool(start, number, length), distances
 

@@ -21,7 +21,7 @@ from vssm_gym.envs.world_model.batch_slices import BatchSlices
 from vssm_gym.envs.world_model.config import SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.world import build_world, robot_of
-from vssm_gym.envs.wrappers import MAX_DISTANCE
+from vssm_gym.envs.wrappers import MAX_GOAL_DISTANCE
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.scan import BEAMS
@@ -215,7 +215,7 @@ def _observation_space(config: Imagination) -> gym.spaces.Dict:
     camera: Any = config.camera
     size = (camera.height, camera.width)
     far = np.array([MAX_COORDINATE, MAX_COORDINATE, math.pi], np.float32)
-    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_DISTANCE, 1.0, 1.0], np.float32)
+    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_GOAL_DISTANCE, 1.0, 1.0], np.float32)
     spaces: dict[str, gym.Space[Any]] = {"goal": gym.spaces.Box(low, high), "pose": gym.spaces.Box(-far, far)}
     if config.observation == "scan":
         spaces["scan"] = gym.spaces.Box(0.0, config.max_depth, (BEAMS,), np.float32)

@@ -22,7 +22,7 @@ from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import STEP
 
 SLICE_FINE, BOX_FINE = 4, 1  # pieces a cell
-AT_ONCE = 4  # robots whose images are traced together on a CPU: their rays fit in its cache
+ROBOTS_AT_ONCE = 4  # robots whose images are traced together on a CPU: their rays fit in its cache
 
 
 class ImaginedCamera(eqx.Module):
@@ -78,7 +78,7 @@ class ImaginedCamera(eqx.Module):
 
     def _images(self, which: Array, planar: Array) -> dict[str, Array]:
         n, rows, columns = len(which), len(self.down), len(self.across)
-        at_once = min(n, AT_ONCE) if jax.default_backend() == "cpu" else n
+        at_once = min(n, ROBOTS_AT_ONCE) if jax.default_backend() == "cpu" else n
         fill = lambda a: jnp.pad(a, (0, -n % at_once))
         cameras = self._cameras(planar)  # here, because rays would each compute the cosine
         parts = jax.tree.map(lambda a: fill(a).reshape(-1, at_once), (which, cameras))

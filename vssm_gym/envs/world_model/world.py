@@ -14,9 +14,9 @@ from vssm_gym.envs.carnav import STEP_COST as CAR_STEP_COST
 from vssm_gym.envs.carnav import SUCCESS_REWARD as CAR_SUCCESS_REWARD
 from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.tasks.car import APART as CAR_APART
 from vssm_gym.envs.tasks.car import GOAL_MARGIN, REACHED
-from vssm_gym.envs.tasks.navigation import APART, SHORTEST, SUCCESS
+from vssm_gym.envs.tasks.car import TARGET_APART as CAR_APART
+from vssm_gym.envs.tasks.navigation import GOAL_APART, SHORTEST, SUCCESS
 from vssm_gym.envs.world_model.collision_map import CollisionMap
 from vssm_gym.envs.world_model.config import SOURCE, Imagination, noise_parameters
 from vssm_gym.envs.world_model.goal_distance import GoalDistances, Lattice
@@ -125,7 +125,7 @@ def _task_limits(robot: Robot) -> TaskLimits:
         inside = min(robot.rear_overhang, 0.5 * robot.width)
         reach = robot.center_forward + 0.5 * robot.length * (1.0 - 1.0 / 3.0) + disc_radius(robot)
         return TaskLimits(inside, reach + GOAL_MARGIN, CAR_APART, REACHED, 0.0)
-    return TaskLimits(robot.radius, robot.radius, APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
+    return TaskLimits(robot.radius, robot.radius, GOAL_APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
 
 
 def _map(source: Any) -> VoxelMap:

@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float
 
 from vssm_gym.model.emission import RGBD
 
-LIMIT = 4.0  # gains lie within [1 / LIMIT, LIMIT]: images darker or brighter than that have lost their detail
-DARK = 0.01  # luminance added to both means, so that the gain of a black image is finite
+GAIN_LIMIT = 4.0  # the largest gain, and its inverse the least: darker or brighter images have lost their detail
+LUMINANCE_OFFSET = 0.01  # luminance added to both means, so that the gain of a black image is finite
 
 
 def gain(
@@ -21,7 +21,7 @@ def gain(
     """``mean(reference) / mean(observed)`` of luminances in [0, 1] over the pixels seen in ``both``; 1 without any."""
     count = jnp.maximum(jnp.sum(both), 1)
     bright, dark = jnp.sum(reference * both) / count, jnp.sum(observed * both) / count
-    return jnp.clip((bright + DARK) / (dark + DARK), 1.0 / LIMIT, LIMIT)
+    return jnp.clip((bright + LUMINANCE_OFFSET) / (dark + LUMINANCE_OFFSET), 1.0 / GAIN_LIMIT, GAIN_LIMIT)
 
 
 def expose(image: RGBD, g: Float[Array, ""]) -> RGBD:

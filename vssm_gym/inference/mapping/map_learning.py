@@ -33,7 +33,7 @@ from vssm_gym.model import emission
 from vssm_gym.model.emission import MAX_DEPTH, STEP, TAU, EmissionScales
 from vssm_gym.progress import OnProgress
 
-BAND = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray without a surface is given one
+BAND_OFFSETS = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray without a surface is given one
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class _Values(NamedTuple):
     """Hold the values of the used cells; the loss is differentiated by these, never by the whole map."""
 
     crossing: Array  # (8, 2 rays)
-    band: Array  # (8, BAND rays)
+    band: Array  # (8, BAND_OFFSETS rays)
     colour: tuple[Array, ...]  # (8, rays) of each channel
 
 
@@ -170,7 +170,7 @@ def _step(
     rays = _draw(m, views, config, key)
     occupancy, colours = m.occupancy.reshape(-1), m.colour.reshape(-1)
     d_k, e = rays.k.astype(jnp.float32) * (STEP * m.voxel_size), STEP * m.voxel_size
-    shifts = [b * m.voxel_size for b in BAND]
+    shifts = [b * m.voxel_size for b in BAND_OFFSETS]
     crossing = _Cells.around(m, jnp.concatenate([rays.at(d_k - e), rays.at(d_k)]))
     band = _Cells.around(m, jnp.concatenate([rays.at(rays.depth + b) for b in shifts]))
     depth = _crossing(m, rays, crossing.mix(crossing.read(occupancy)))
@@ -185,7 +185,7 @@ def _step(
         """Return ``-log p`` times the scales, which the preconditioner would cancel, and the residuals."""
         off = jnp.abs(_crossing(m, rays, crossing.mix(values.crossing)) - rays.depth)
         off_band = jnp.abs(band.mix(values.band) - jnp.repeat(jnp.stack(shifts), rays.depth.size)) * band.inside
-        off_band = off_band.reshape(len(BAND), -1).sum(0)
+        off_band = off_band.reshape(len(BAND_OFFSETS), -1).sum(0)
         off_colour = sum(jnp.abs(surface.mix(v) - rays.rgb[:, c]) for c, v in enumerate(values.colour))
         off_colour = off_colour * (surface.inside & rays.read)
         geometry = jnp.where(rays.near, off, jnp.where(rays.read, off_band, 0.0))

@@ -13,12 +13,12 @@ from jaxtyping import Array, Bool, Float
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.maps.block_table import BLOCK, block_coordinates, block_number
-from vssm_gym.maps.compaction import TURN, append, empty_list, first_set
+from vssm_gym.maps.compaction import FLAGS_A_TURN, append, empty_list, first_set
 from vssm_gym.maps.voxel_map import VoxelMap
 
-GROUP = 4  # blocks along the edge of a group
+GROUP_EDGE = 4  # blocks along the edge of a group
 
-_IN_GROUP = np.stack(np.meshgrid(*[np.arange(GROUP)] * 3, indexing="ij"), -1).reshape(-1, 3)  # blocks of a group
+_IN_GROUP = np.stack(np.meshgrid(*[np.arange(GROUP_EDGE)] * 3, indexing="ij"), -1).reshape(-1, 3)  # blocks of a group
 
 
 def depth_ceilings(depth: Float[Array, "height width"]) -> list[Array]:
@@ -89,20 +89,20 @@ def blocks_in_view(
         ]
         return jnp.any(jnp.stack(seen), axis=0)
 
-    groups = tuple(-(-b // GROUP) for b in m.blocks)
+    groups = tuple(-(-b // GROUP_EDGE) for b in m.blocks)
     n = groups[0] * groups[1] * groups[2]
     coordinates = block_coordinates(jnp.arange(n), groups)
-    busy = may_see([GROUP * g for g in coordinates], GROUP * BLOCK)
-    at_once = TURN // GROUP**3
+    busy = may_see([GROUP_EDGE * g for g in coordinates], GROUP_EDGE * BLOCK)
+    at_once = FLAGS_A_TURN // GROUP_EDGE**3
     order = jnp.pad(first_set(busy, n), (0, at_once), constant_values=n)
 
     def turn(i, listed):
         group = jax.lax.dynamic_slice(order, (i * at_once,), (at_once,))
         block = [
-            (GROUP * g[:, None] + _IN_GROUP[:, a]).reshape(-1)
+            (GROUP_EDGE * g[:, None] + _IN_GROUP[:, a]).reshape(-1)
             for a, g in enumerate(block_coordinates(jnp.minimum(group, n - 1), groups))
         ]
-        inside = jnp.repeat(group < n, GROUP**3)
+        inside = jnp.repeat(group < n, GROUP_EDGE**3)
         for b, count in zip(block, m.blocks, strict=True):
             inside &= b < count
         number = block_number(block, m.blocks)

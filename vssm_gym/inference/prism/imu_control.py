@@ -3,7 +3,7 @@
     a_world = R mean(R_k f_k) + g,    w_world = R log(prod_k exp(w_k h_k)) / dt,    u = (a_world, (w_world - w) / dt)
 
 ``R_k`` is the rotation since the first image, integrated from the gyroscope. The body is taken to be at rest during the
-first ``REST`` seconds: the mean force is ``-g`` in the first camera's frame, which is the world's, and the mean rate is
+first ``REST_SECONDS``: the mean force is ``-g`` in the first camera's frame, which is the world's, and the mean rate is
 the gyroscope's bias. An error in gravity has little effect: the filter corrects velocities at every image.
 """
 
@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4
 
-REST = 0.5  # s
-MOVING = 0.5  # m/s^2 and rad/s: a larger std of the first readings means that the body was not at rest
+REST_SECONDS = 0.5  # s
+MOVING_STD = 0.5  # m/s^2 and rad/s: a larger std of the first readings means that the body was not at rest
 
 
 class ImuControl:
@@ -31,12 +31,14 @@ class ImuControl:
     def __init__(self, readings: Float[np.ndarray, "n 7"], T_body_cam: Matrix4, start: float) -> None:
         self._times, self._rates, self._forces = readings[:, 0], readings[:, 1:4], readings[:, 4:7]
         self._R_cam_body = np.asarray(T_body_cam, dtype=np.float64)[:3, :3].T
-        rest = (self._times > start - REST) & (self._times <= start + REST)
+        rest = (self._times > start - REST_SECONDS) & (self._times <= start + REST_SECONDS)
         if rest.sum() < 3:
-            raise InputError("imu", "times", f"readings within {REST} s of the first image; found {rest.sum()}")
+            raise InputError("imu", "times", f"readings within {REST_SECONDS} s of the first image; found {rest.sum()}")
         spread = max(self._rates[rest].std(axis=0).max(), self._forces[rest].std(axis=0).max())
-        if spread > MOVING:
-            raise InputError("imu", "readings", f"a body at rest in the first {REST} s; they spread by {spread:.2f}")
+        if spread > MOVING_STD:
+            raise InputError(
+                "imu", "readings", f"a body at rest in the first {REST_SECONDS} s; they spread by {spread:.2f}"
+            )
         self.gyro_bias = self._rates[rest].mean(axis=0)
         self.gravity = -self._R_cam_body @ self._forces[rest].mean(axis=0)  # m/s^2, world
 

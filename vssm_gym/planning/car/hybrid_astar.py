@@ -30,7 +30,7 @@ DEFAULT_COSTS = Costs(reverse=0.2, cusp=0.3, steer=0.05, tight=1.0)
 FULL_LOCK = 0.9  # fraction of the steering that plans use; the rest corrects errors while following them
 ESCAPE_LENGTH = 0.25  # m that a start in collision may drive to come free
 ARRIVALS = 24  # headings tried at a goal that is only a point
-_BATCH = 200  # nodes between two readings of the clock
+_NODES_AT_ONCE = 200  # nodes between two readings of the clock
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ def plan(
         state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, 0)
         if scale == 1.0:
             searching = time.perf_counter()
-        while state == hybrid_search.OPEN and closed + tree.counts[1] < max_expansions:
+        while state == hybrid_search.UNFINISHED and closed + tree.counts[1] < max_expansions:
             if time.perf_counter() - searching > time_limit:
                 break
-            budget = int(min(_BATCH, max_expansions - closed - tree.counts[1]))
+            budget = int(min(_NODES_AT_ONCE, max_expansions - closed - tree.counts[1]))
             state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, budget)
         closed += int(tree.counts[1])
         if state != hybrid_search.EXHAUSTED:

@@ -13,11 +13,11 @@ from numba import njit
 
 from vssm_gym.geometry.arc import pose_after
 from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, Lookup, level_at
-from vssm_gym.planning.car.reeds_shepp import CANDIDATES, relative, shortest, words
+from vssm_gym.planning.car.reeds_shepp import SOLUTIONS, relative, shortest, words
 from vssm_gym.planning.grid_search.heap import pop, sift_up
 
-OPEN, FOUND, EXHAUSTED = 0, 1, 2  # results of `search`: its budget is used up, the goal is reached, nothing is left
-SPACING = 0.25  # m of remaining distance per which one more node is expanded between two shots
+UNFINISHED, REACHED_GOAL, EXHAUSTED = 0, 1, 2  # results of `search`: its budget is used up, the goal is reached, nothing is left
+SHOT_SPACING = 0.25  # m of remaining distance per which one more node is expanded between two shots
 COLLISION_COST = 10.0  # a metre, extra, while a start in collision leaves it
 
 
@@ -147,7 +147,7 @@ def cheapest_curve(
     best: np.ndarray,
 ) -> float:
     """Return the cost of the cheapest free curve, written to ``best`` ``(5, 2)``; ``bound`` where none is cheaper."""
-    lengths, steerings = np.empty((CANDIDATES, 5)), np.empty((CANDIDATES, 5), np.int8)
+    lengths, steerings = np.empty((SOLUTIONS, 5)), np.empty((SOLUTIONS, 5), np.int8)
     x, y, a = relative(pose[0], pose[1], pose[2], end[0], end[1], end[2], radius)
     count = words(x, y, a, lengths, steerings)
     price = np.empty(count)
@@ -246,7 +246,7 @@ def search(
     tree: Tree, lookup: Lookup, goal: Goal, moves: Moves, radius: float, costs: Costs, weight: float, budget: int
 ) -> int:
     """Close up to ``budget`` nodes; call again to continue. Curves are shot the more often the nearer the goal is:
-    from one of ``n + 1`` nodes between ``n`` and ``n + 1`` times :data:`SPACING` from it.
+    from one of ``n + 1`` nodes between ``n`` and ``n + 1`` times :data:`SHOT_SPACING` from it.
     """
     last = tree.cost.shape[0] - 1
     for _ in range(budget):
@@ -256,14 +256,14 @@ def search(
         tree.counts[0] -= 1
         tree.place[node] = -2
         if node == last:
-            return FOUND
+            return REACHED_GOAL
         tree.counts[1] += 1
         if tree.ahead[node] < tree.ahead[tree.counts[2]]:
             tree.counts[2] = node
         tree.counts[3] += 1
-        if tree.counts[3] > tree.ahead[node] / SPACING:
+        if tree.counts[3] > tree.ahead[node] / SHOT_SPACING:
             tree.counts[3] = 0
             if tree.escape[node] == 0.0:
                 _shoot(tree, lookup, goal, moves, radius, costs, node)
         _expand(tree, lookup, goal, moves, radius, costs, weight, node)
-    return OPEN
+    return UNFINISHED

@@ -22,7 +22,7 @@ from vssm_gym.geometry.arc import poses_after
 from vssm_gym.geometry.transforms import wrap_angle
 
 LEFT, STRAIGHT, RIGHT = 1, 0, -1
-CANDIDATES = 40  # solutions a pair of poses can have: 8 CSC, 4 CCC, 8 CCCC, 8 CCSC, 8 CSCC, 4 CCSCC
+SOLUTIONS = 40  # solutions a pair of poses can have: 8 CSC, 4 CCC, 8 CCCC, 8 CCSC, 8 CSCC, 4 CCSCC
 _QUARTER = 0.5 * math.pi
 
 
@@ -67,7 +67,7 @@ def path(start: np.ndarray, goal: np.ndarray, radius: float) -> ReedsSheppPath:
     _check_radius(radius)
     if start.shape != (3,) or goal.shape != (3,):
         raise InputError("reeds_shepp", "start, goal", f"shape (3,); found {start.shape}, {goal.shape}")
-    lengths, steerings = np.empty((CANDIDATES, 5)), np.empty((CANDIDATES, 5), np.int8)
+    lengths, steerings = np.empty((SOLUTIONS, 5)), np.empty((SOLUTIONS, 5), np.int8)
     count = words(*relative(start[0], start[1], start[2], goal[0], goal[1], goal[2], radius), lengths, steerings)
     best = int(np.argmin(np.abs(lengths[:count]).sum(axis=1)))
     driven = np.flatnonzero(np.abs(lengths[best]) > 1e-12)
@@ -135,7 +135,7 @@ def _lengths(start, goal, radius):
 @njit(cache=True, nogil=True)
 def shortest(x: float, y: float, heading: float) -> float:
     """Return the length of the shortest path from the origin to a pose, both in turning radii."""
-    lengths, steerings = np.empty((CANDIDATES, 5)), np.empty((CANDIDATES, 5), np.int8)
+    lengths, steerings = np.empty((SOLUTIONS, 5)), np.empty((SOLUTIONS, 5), np.int8)
     best = np.inf
     for k in range(words(x, y, heading, lengths, steerings)):
         total = 0.0
@@ -149,7 +149,7 @@ def shortest(x: float, y: float, heading: float) -> float:
 def words(x: float, y: float, heading: float, lengths: np.ndarray, steerings: np.ndarray) -> int:
     """Compute every solution of every word from the origin to a pose, in turning radii; return their number.
 
-    Rows of ``lengths`` and ``steerings`` ``(CANDIDATES, 5)`` are filled from the first on, unused segments with zeros.
+    Rows of ``lengths`` and ``steerings`` ``(SOLUTIONS, 5)`` are filled from the first on, unused segments with zeros.
     """
     count = 0
     for side in (LEFT, RIGHT):  # a mirror image of the goal is reached by the mirror image of the word

@@ -16,7 +16,7 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
 
-TURNS = 30  # directions of a quarter turn that are compared, 3 degrees apart
+COMPARED_TURNS = 30  # directions of a quarter turn that are compared, 3 degrees apart
 
 
 def main_direction(plan: FloorPlan) -> float:
@@ -27,8 +27,8 @@ def main_direction(plan: FloorPlan) -> float:
     xy = np.argwhere(plan.cells == OCCUPIED).astype(np.float64)
     if not len(xy):
         return 0.0
-    angles = np.arange(TURNS) * 0.5 * math.pi / TURNS
-    sharp = np.zeros(TURNS)
+    angles = np.arange(COMPARED_TURNS) * 0.5 * math.pi / COMPARED_TURNS
+    sharp = np.zeros(COMPARED_TURNS)
     for k, angle in enumerate(angles):
         for shadow in _along(xy, angle):
             sharp[k] += np.square(np.bincount(np.floor(shadow - shadow.min() + 0.5).astype(int))).sum()

@@ -19,7 +19,7 @@ from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.occupancy_grid import FREE
 
 ESCAPE = 0.3  # m around the robot within which less clearance is enough, so that it can leave a tight place
-DISMISSED = 0.2  # m around a place that was given up, within which there are no candidates
+DISMISSED_PLACE = 0.2  # m around a place that was given up, within which there are no candidates
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,12 @@ def candidates(
         spacing: edge of the squares of which each gets a place, m.
         hazard: of unknown space, 1/m: see :func:`visible_unknown`.
         least_area: m^2.
-        dismissed: ``(n, 2)`` m, places that were given up, with what is within :data:`DISMISSED` of them.
+        dismissed: ``(n, 2)`` m, places that were given up, with what is within :data:`DISMISSED_PLACE` of them.
     """
     near = [frontier.goal for frontier in frontiers(roadmap.plan, roadmap.distance)]
     xy = np.concatenate([spread_places(roadmap, spacing), np.reshape(near, (-1, 2))])
     gap = np.linalg.norm(xy[:, None] - dismissed[None], axis=-1)
-    xy = xy[gap.min(axis=1, initial=np.inf) > DISMISSED]
+    xy = xy[gap.min(axis=1, initial=np.inf) > DISMISSED_PLACE]
     seen = seen_unknown(roadmap.plan, xy, hazard)
     cell = roadmap.plan.resolution**2
     worth = seen.sum(axis=1) * cell >= least_area

@@ -17,7 +17,8 @@ from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 REACH = 5.0  # m, up to which depth cameras measure well
-DISMISSED = 0.12  # m: a cell of 7 cm and its neighbours, so that half a door is not dismissed with its other half
+# m: a cell of 7 cm and its neighbours, so that half a door is not dismissed with its other half
+DISMISSED_FRONTIER = 0.12
 RAYS = 240  # of a full turn: two cells of 7 cm apart at the end of the reach
 
 
@@ -66,7 +67,8 @@ def frontiers(
         least: cells of a group; smaller ones are corners that rays just missed.
         near: a cell counts where the robot can come so near to it, m.
         length: groups wider than this (m) are cut in pieces, so that a goal stands for what is around it.
-        dismissed: ``(n, 2)`` points, m; cells within :data:`DISMISSED` of one are left out: they cannot be seen.
+        dismissed: ``(n, 2)`` points, m; cells within :data:`DISMISSED_FRONTIER` of one are left out: they cannot be
+            seen.
     """
     mask = frontier_cells(plan.cells)
     reached = np.isfinite(distance)
@@ -77,7 +79,7 @@ def frontiers(
     if dismissed is not None and len(dismissed):
         cell = np.argwhere(mask)
         gap = np.linalg.norm(plan.centres(cell)[:, None] - dismissed[None], axis=-1).min(axis=1)
-        mask[tuple(cell[gap < DISMISSED].T)] = False
+        mask[tuple(cell[gap < DISMISSED_FRONTIER].T)] = False
     labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
     found = []
     for group in _groups(labels, count):

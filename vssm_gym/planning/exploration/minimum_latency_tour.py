@@ -9,7 +9,7 @@ returned to. It is solved exactly by dynamic programming over subsets (Held and 
 import numpy as np
 from numba import njit
 
-MOST = 12  # places at most: 2^12 12^2 = 0.6 million steps, a few milliseconds
+MOST_PLACES = 12  # places at most: 2^12 12^2 = 0.6 million steps, a few milliseconds
 
 
 @njit(cache=True, nogil=True)
@@ -47,10 +47,10 @@ def best_order(start: np.ndarray, between: np.ndarray, weight: np.ndarray) -> tu
     Args:
         start: ``(n,)`` path length from the robot to each place, m.
         between: ``(n, n)`` path length from place to place, m.
-        weight: ``(n,)`` what is gained at each, not negative; up to :data:`MOST` places.
+        weight: ``(n,)`` what is gained at each, not negative; up to :data:`MOST_PLACES` places.
     """
     n = len(weight)
-    assert 0 < n <= MOST
+    assert 0 < n <= MOST_PLACES
     cost, before = _solve(*(np.asarray(a, np.float64) for a in (start, between, weight)))
     mask, last = (1 << n) - 1, int(np.argmin(cost[-1]))
     total, order = float(cost[-1, last]), []

@@ -16,7 +16,7 @@ from vssm_gym.planning.grid_search.clearance_requirement import ClearanceRequire
 # Effort of the local search, chosen on furnished apartments with cells of 2.5 cm.
 SWEEPS = 12  # of all moves over all bends, at most; 3 to 6 are enough there
 GAIN = 0.02  # cells; a sweep that shortens the path by less is the last: 0.5 mm
-SPACING = 6.0  # cells between the points that are added to a segment as ends of shortcuts: 15 cm
+ADDED_SPACING = 6.0  # cells between the points that are added to a segment as ends of shortcuts: 15 cm
 SHARP = 0.6  # rad; a sharper bend is split in two, because two bends follow the arc around a corner more closely
 
 
@@ -33,13 +33,13 @@ def _resample(clearance, path, required):
     """
     count = 1
     for i in range(path.shape[0] - 1):
-        count += 1 + int(math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]) / SPACING)
+        count += 1 + int(math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]) / ADDED_SPACING)
     out = np.empty((count, 2))
     out[0] = path[0]
     count = 1
     for i in range(path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
-        pieces = 1 + int(math.hypot(dx, dy) / SPACING)
+        pieces = 1 + int(math.hypot(dx, dy) / ADDED_SPACING)
         for k in range(1, pieces):
             px, py = path[i, 0] + dx * k / pieces, path[i, 1] + dy * k / pieces
             if _bend_free(clearance, px, py, required):

@@ -23,7 +23,7 @@ from vssm_gym.planning.mpc.objective import rollout, within_rates
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus, checked_pose
 from vssm_gym.planning.result import Outcome
 
-REMEMBERED = 50  # executed commands that can be undone: 5 s
+UNDO_STEPS = 50  # executed commands that can be undone: 5 s
 STANDING = 1e-3  # m/s
 ALTERNATIVES = 4  # control sequences that a step without a plan compares
 
@@ -89,7 +89,7 @@ def step(
     if kind is SafeKind.BACKED_OFF:
         came = came[:-1]
     elif abs(control[0]) > STANDING:
-        came = np.concatenate([came, control[None]])[-REMEMBERED:]
+        came = np.concatenate([came, control[None]])[-UNDO_STEPS:]
     if kind not in (SafeKind.PLANNED, SafeKind.CONTINUED):
         plan = np.zeros((0, 2))
     # A plan that was not driven is no warm start, except that of a step whose plan came late and was continued.

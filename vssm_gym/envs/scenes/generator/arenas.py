@@ -15,7 +15,7 @@ from vssm_gym.envs.scenes.generator.venues import one_room, pictures
 Color = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]  # x, y, width along x, breadth along y; m, about its middle
 
-CORNERS = ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2))  # m, of the walls' centre lines
+ARENA_CORNERS = ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2))  # m, of the walls' centre lines
 ENTRANCE = (2.6, 0.0)  # m, middle of the door
 RED, AMBER, GREEN, BLUE, CREAM = (
     (0.9, 0.4, 0.34),
@@ -128,7 +128,7 @@ def paddock() -> Apartment:
 
 
 def _arena(name: str, floor: Material, walls: Sequence[Material], pieces: Sequence[Furniture]) -> Apartment:
-    apartment = one_room(name, CORNERS, 2.2, floor, tuple(walls), ENTRANCE)
+    apartment = one_room(name, ARENA_CORNERS, 2.2, floor, tuple(walls), ENTRANCE)
     numbered = [piece.model_copy(update={"name": f"{piece.category} {i + 1}"}) for i, piece in enumerate(pieces)]
     return apartment.model_copy(update={"furniture": (*numbered, *pictures(apartment, 0.9, 1.2, 1.3))})
 

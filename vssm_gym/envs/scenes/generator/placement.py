@@ -2,7 +2,7 @@
 
 A place is refused where a block would meet another one, a wall, a door's swing or a window; where a gap would be left
 that is neither closed (<= CLOSED) nor a passage (>= PASSAGE); or where the room's doors would no longer be joined by
-free floor WIDE enough to drive on. Rooms are axis-parallel and pieces stand in quarter turns, so that all of this is
+free floor wide enough to drive on. Rooms are axis-parallel and pieces stand in quarter turns, so that all of this is
 comparison of numbers: the same on every machine.
 """
 
@@ -19,15 +19,15 @@ from scipy import ndimage
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import ROUNDING, Box, Door, Furniture, Room, Window
 from vssm_gym.envs.scenes.free_space import STEP_HEIGHT
-from vssm_gym.envs.scenes.generator.furniture.pieces import LOW, Block, Piece
+from vssm_gym.envs.scenes.generator.furniture.pieces import LOW_BLOCK, Block, Piece
 from vssm_gym.envs.scenes.generator.quarter_turns import contains, gaps, overlap, overlap3, turned, turned3
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
 
 CLOSED, PASSAGE = 0.11, 0.47  # m: gaps between two things are at most the one or at least the other
-WIDE = 0.21  # m, radius of the disc that reaches every door of a room
-GAP = 0.01  # m between a piece's back and the wall
+WIDE_DISC = 0.21  # m, radius of the disc that reaches every door of a room
+BACK_GAP = 0.01  # m between a piece's back and the wall
 APPROACH = 0.6  # m before and behind a door that stay free
-_WINDOW = 0.15  # m before a window that stay free
+_WINDOW_DEPTH = 0.15  # m before a window that stay free
 _CELL = 0.02  # m, grid on which passages are traced
 _POCKET = 0.15  # m^2 of floor that a piece may cut off
 _TRIES = 12  # places that would block a passage, after which a piece is given up
@@ -68,7 +68,7 @@ class Site:
         self.room, self.bare, self.ceiling = room, bare, apartment.ceiling_height
         corners = np.array(room.polygon)
         self.low, self.high = corners.min(axis=0), corners.max(axis=0)
-        self._margin = max(wall.thickness for wall in apartment.walls) / 2 + GAP
+        self._margin = max(wall.thickness for wall in apartment.walls) / 2 + BACK_GAP
         solids, floor = [], shapely.Polygon(room.polygon)
         for box in boxes:
             if box.kind not in ("wall", "door", "window"):
@@ -80,7 +80,7 @@ class Site:
                 z, h = box.center[2], 0.5 * box.size[2]
                 solids.append((a, b, z - h, c, d, z + h))
         self.solids = np.round(np.array(solids), 6)  # (n, 6) low and high corners of the placed blocks
-        low = (self.solids[:, 2] < LOW) & (self.solids[:, 5] > STEP_HEIGHT)
+        low = (self.solids[:, 2] < LOW_BLOCK) & (self.solids[:, 5] > STEP_HEIGHT)
         self.obstacles = self.solids[low][:, [0, 1, 3, 4]]  # (n, 4) obstacles of a ground robot
         self.airy = np.zeros(len(self.obstacles), dtype=bool)
         self.fronts = np.zeros((0, 4))
@@ -123,7 +123,7 @@ class Site:
             c, s = math.cos(wall.yaw), math.sin(wall.yaw)
             u, n = np.array([c, s]).round(), np.array([-s, c]).round()
             middle = np.array(wall.start) + u * (hole.offset + 0.5 * hole.width)
-            reach = _WINDOW
+            reach = _WINDOW_DEPTH
             if isinstance(hole, Door):
                 reach = max(hole.width, APPROACH) if hole.leaves else APPROACH
             for inward in (n, -n):
@@ -151,7 +151,7 @@ class Site:
             if last < first:
                 continue
             at = np.unique(np.round(np.concatenate([np.arange(first, last, 0.05), [last]]), 4))
-            origins.append(edge.start + at[:, None] * edge.u + GAP * edge.n)
+            origins.append(edge.start + at[:, None] * edge.u + BACK_GAP * edge.n)
             turns.append(np.full(len(at), edge.turn))
         if not origins:
             return np.zeros((0, 2)), np.zeros(0, dtype=int)
@@ -232,7 +232,7 @@ class Site:
         return good
 
     def _keeps_passages(self, piece: Piece, origin: np.ndarray, turn: int) -> bool:
-        """Return True if a disc of radius WIDE still reaches all doors, and little floor is cut off from them."""
+        """Return True if a disc of radius WIDE_DISC still reaches all doors, and little floor is cut off from them."""
         rects = piece.on_floor
         if not len(rects):
             return True
@@ -247,7 +247,7 @@ class Site:
             a, b = np.floor((np.array([x0, y0]) - self.low) / _CELL + ROUNDING).astype(int) + 1
             c, d = np.ceil((np.array([x1, y1]) - self.low) / _CELL - ROUNDING).astype(int) + 1
             blocked[max(a, 0) : max(c, 0), max(b, 0) : max(d, 0)] = True
-        free = ndimage.distance_transform_edt(~blocked) * _CELL > WIDE
+        free = ndimage.distance_transform_edt(~blocked) * _CELL > WIDE_DISC
         parts, _ = ndimage.label(free)
         if not self.entries:
             return bool(parts.max() == 1)

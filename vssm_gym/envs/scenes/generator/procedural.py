@@ -22,7 +22,7 @@ PREFIX = "procedural:"
 """How the specification of a scene by seed begins."""
 
 LARGEST_SEED = 2**63 - 1  # of a signed 64-bit integer
-_DRAWS = 50  # plans drawn before giving up; nine in ten seeds take the first or second
+_PLANS_DRAWN = 50  # plans drawn before giving up; nine in ten seeds take the first or second
 
 
 def generate(seed: int, size: Size = "medium") -> Apartment:
@@ -44,7 +44,7 @@ def generate(seed: int, size: Size = "medium") -> Apartment:
         raise InputError("procedural", "size", f"one of {', '.join(SIZES)}; found {size!r}")
     name = f"{PREFIX}{number}" + ("" if size == "medium" else f":{size}")
     robot = HolonomicRobot()
-    for draw in range(_DRAWS):
+    for draw in range(_PLANS_DRAWN):
         rng = np.random.default_rng([number, SIZES.index(size), draw])
         try:
             plan, bare = layout(name, rng, size)
@@ -54,7 +54,7 @@ def generate(seed: int, size: Size = "medium") -> Apartment:
         apartment = furnish(build(plan), seeds, bare)
         if not FreeSpace.from_apartment(apartment, robot.radius, robot.height).cut_off_rooms():
             return apartment
-    raise InputError(name, "seed", f"one for which a plan is found within {_DRAWS} draws: take another")
+    raise InputError(name, "seed", f"one for which a plan is found within {_PLANS_DRAWN} draws: take another")
 
 
 def parse_spec(spec: str) -> tuple[int, Size]:

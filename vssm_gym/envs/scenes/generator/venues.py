@@ -18,7 +18,7 @@ from vssm_gym.envs.scenes.generator.furniture.pieces import WHITE, pick, tinted
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
 
 ARENA_GAP = 0.38  # m between obstacles, and to the walls; the car is 0.2 m wide
-_DRAWS = 4000  # places tried for the arena's obstacles
+_PLACES_TRIED = 4000  # places tried for the arena's obstacles
 
 
 def arena() -> Apartment:
@@ -35,7 +35,7 @@ def arena() -> Apartment:
     inner = shapely.box(0.1, 0.1, 5.1, 4.1)
     pieces: list[Furniture] = []
     taken: list[shapely.Polygon] = []
-    for _ in range(_DRAWS):
+    for _ in range(_PLACES_TRIED):
         kind = pick(rng, ("crate", "crate", "tyre stack", "post")) if len(pieces) > 3 else "barrier"
         w, d, h = {
             "crate": (0.32, 0.32, 0.3),

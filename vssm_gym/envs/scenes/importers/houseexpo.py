@@ -27,19 +27,19 @@ from vssm_gym.envs.scenes.apartment_parts import (
     Room,
     Wall,
 )
-from vssm_gym.envs.scenes.importers.plan_looks import PICTURE, floor_material, picture, wall_material
+from vssm_gym.envs.scenes.importers.plan_looks import WALL_PICTURE, floor_material, picture, wall_material
 from vssm_gym.envs.scenes.importers.plan_rooms import Opening, split_rooms
 from vssm_gym.envs.scenes.importers.plan_walls import Face, square_corners, wall_faces
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
-LARGEST = 100.0  # m, extent of a plan
-LEAST = 1.0  # m^2 of floor
-NAMED = 0.25  # least overlap (intersection over union) of a room with a category's box
-LONG = 1.4  # m, shortest wall that carries a picture
-MOST_CORNERS = 1000  # of an outline; the plans of the data set have a few hundred at most
-MOST_WALLS = 1000  # pieces of walls
-MOST_BOXES = 300  # of all categories; the largest plans have 60 rooms
+LARGEST_PLAN = 100.0  # m, extent of a plan
+LEAST_FLOOR = 1.0  # m^2 of floor
+LEAST_OVERLAP = 0.25  # least overlap (intersection over union) of a room with a category's box
+PICTURE_WALL = 1.4  # m, shortest wall that carries a picture
+PLAN_CORNERS = 1000  # of an outline; the plans of the data set have a few hundred at most
+PLAN_WALLS = 1000  # pieces of walls
+PLAN_BOXES = 300  # of all categories; the largest plans have 60 rooms
 FAR_BOX = 1e5  # m; boxes of categories may lie far outside the plan
 
 _Corner = tuple[Coordinate, Coordinate]
@@ -52,14 +52,14 @@ class HouseExpoPlan(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    verts: tuple[_Corner, ...] = Field(min_length=3, max_length=MOST_CORNERS)
+    verts: tuple[_Corner, ...] = Field(min_length=3, max_length=PLAN_CORNERS)
     room_category: dict[str, _Boxes] = {}
 
     @field_validator("room_category")
     @classmethod
     def _bounded(cls, categories: dict[str, _Boxes]) -> dict[str, _Boxes]:
-        if len(categories) > MOST_BOXES or sum(map(len, categories.values())) > MOST_BOXES:
-            raise ValueError(f"at most {MOST_BOXES} boxes")
+        if len(categories) > PLAN_BOXES or sum(map(len, categories.values())) > PLAN_BOXES:
+            raise ValueError(f"at most {PLAN_BOXES} boxes")
         return categories
 
 
@@ -85,9 +85,9 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
         content = {"name": room, "kind": kind, "polygon": corners, "floor": floor_material(kind, room)}
         rooms.append(validated(Room, content, source, at="verts"))
         try:
-            faces = wall_faces(part, outline, MOST_WALLS - len(walls))
+            faces = wall_faces(part, outline, PLAN_WALLS - len(walls))
         except ValueError as error:
-            expected = f"an outline with at most {MOST_WALLS:,} pieces of walls, each as thick as what is behind it"
+            expected = f"an outline with at most {PLAN_WALLS:,} pieces of walls, each as thick as what is behind it"
             raise InputError(source, "verts", expected) from error
         for face in faces:
             furniture += _picture(face, part, len(walls))
@@ -110,8 +110,8 @@ def import_houseexpo(data: Any, name: str, source: object) -> Apartment:
 def _outline(plan: HouseExpoPlan, source: object, notes: list[str]) -> Polygon:
     corners = np.array(plan.verts)
     extent = float(np.ptp(corners, axis=0).max())
-    if extent > LARGEST:
-        raise InputError(source, "verts", f"a plan of at most {LARGEST:g} m; found {extent:.1f}")
+    if extent > LARGEST_PLAN:
+        raise InputError(source, "verts", f"a plan of at most {LARGEST_PLAN:g} m; found {extent:.1f}")
     outline = Polygon(corners)
     if not outline.is_valid:  # an outline that touches itself bounds one polygon all the same
         reason = shapely.is_valid_reason(outline)
@@ -122,14 +122,14 @@ def _outline(plan: HouseExpoPlan, source: object, notes: list[str]) -> Polygon:
             raise InputError(source, "verts", f"a simple polygon; found {reason}")
         notes.append(f"the outline was repaired: {reason}")
         outline = largest
-    if outline.area < LEAST:
-        raise InputError(source, "verts", f"an outline of at least {LEAST:g} m^2; found {outline.area:.3f}")
+    if outline.area < LEAST_FLOOR:
+        raise InputError(source, "verts", f"an outline of at least {LEAST_FLOOR:g} m^2; found {outline.area:.3f}")
     return square_corners(shapely.orient_polygons(outline))
 
 
 def _kind(part: Polygon, plan: HouseExpoPlan) -> str:
     """Return the category whose box overlaps the room most; "room" where none does."""
-    best, most = "room", NAMED
+    best, most = "room", LEAST_OVERLAP
     for category, boxes in plan.room_category.items():
         for x0, y0, x1, y1 in boxes:
             box = shapely.box(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1))
@@ -170,10 +170,10 @@ def _wall(face: Face, material: Material) -> Wall:
 def _picture(face: Face, room: Polygon, number: int) -> list[Furniture]:
     """Return a picture in the middle of a long wall; one long wall in five stays bare."""
     length = float(np.linalg.norm(face.end - face.start))
-    width = min(PICTURE[0], 0.4 * length)
-    if length < LONG or number % 5 == 4:
+    width = min(WALL_PICTURE[0], 0.4 * length)
+    if length < PICTURE_WALL or number % 5 == 4:
         return []
-    x, y = (face.start + face.end) / 2 + 0.5 * PICTURE[2] * face.inward
+    x, y = (face.start + face.end) / 2 + 0.5 * WALL_PICTURE[2] * face.inward
     hung = picture(f"picture {number}", float(x), float(y), math.atan2(face.along[1], face.along[0]), width)
     return [hung] if room.contains(shapely.Point(x, y).buffer(0.02)) or room.contains(shapely.Point(x, y)) else []
 

@@ -13,7 +13,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_bytes
 
 FILE_BYTES = 128 << 20  # largest file
-SIDE, PIXELS = 16384, 1 << 25  # largest side and number of pixels
+IMAGE_SIDE, IMAGE_PIXELS = 16384, 1 << 25  # largest side and number of pixels
 _HEADER = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,6})" + rb"\s")
 
 
@@ -31,8 +31,8 @@ def read_grey(path: Path) -> tuple[Float[np.ndarray, "rows columns"], Float[np.n
 
 
 def _check_size(width: int, height: int, path: Path) -> None:
-    if not (0 < width <= SIDE and 0 < height <= SIDE and width * height <= PIXELS):
-        expected = f"1 to {SIDE} pixels a side and at most {PIXELS:,} in all; found {width} x {height}"
+    if not (0 < width <= IMAGE_SIDE and 0 < height <= IMAGE_SIDE and width * height <= IMAGE_PIXELS):
+        expected = f"1 to {IMAGE_SIDE} pixels a side and at most {IMAGE_PIXELS:,} in all; found {width} x {height}"
         raise InputError(path, "image", expected)
 
 

@@ -20,21 +20,21 @@ from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE, Box, Furniture, Material, Room, Wall
 from vssm_gym.envs.scenes.faults import misplaced, with_notes
 from vssm_gym.envs.scenes.importers.mjcf_xml import StillModel
-from vssm_gym.envs.scenes.importers.voxels import CELL, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
+from vssm_gym.envs.scenes.importers.voxels import VOXEL_EDGE, bounds_of, inside_of, voxelised, voxelised_surface, yaw_of
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
-BOXES = 20_000  # most of a scene
+MOST_BOXES = 20_000  # most of a scene
 LEVEL = 0.02  # m; the floor's candidates within this of the lowest are one level
 FLAT = 4.0  # a box is flat whose sides are this many times its height
-LEAST = 1.0  # m^2 of floor
-MARGIN = 1.0  # m of an endless floor around the outermost geom
+LEAST_FLOOR = 1.0  # m^2 of floor
+ENDLESS_MARGIN = 1.0  # m of an endless floor around the outermost geom
 HEADROOM = 2.6  # m, least height of the ceiling
-BODY = (0.02, 1.0)  # m above the floor: geoms here enclose rooms
-GAP = 0.1  # m; narrower gaps do not open a room
+ENCLOSING_HEIGHTS = (0.02, 1.0)  # m above the floor: geoms here enclose rooms
+CLOSED_GAP = 0.1  # m; narrower gaps do not open a room
 ENCLOSED = 2.0  # m^2 of an enclosed room
-EDGE = 0.1  # m, thickness of the walls around the floor
+BORDER_THICKNESS = 0.1  # m, thickness of the walls around the floor
 UPRIGHT = 1e-6  # of a unit vector's z: below 0.1 degrees
 
 
@@ -80,10 +80,12 @@ def _floor(geoms: list[StaticGeom], path: Path) -> StaticGeom:
         for geom in geoms
         if geom.rotation[2, 2] > 1.0 - 1e-4
         and (geom.shape == "plane" or (geom.shape == "box" and min(geom.size[:2]) >= FLAT * geom.size[2]))
-        and (geom.shape == "plane" or 4.0 * geom.size[0] * geom.size[1] >= LEAST)
+        and (geom.shape == "plane" or 4.0 * geom.size[0] * geom.size[1] >= LEAST_FLOOR)
     ]
     if not found:
-        raise InputError(path, "worldbody", f"a floor: a plane or a flat box of at least {LEAST:g} m^2 that faces up")
+        raise InputError(
+            path, "worldbody", f"a floor: a plane or a flat box of at least {LEAST_FLOOR:g} m^2 that faces up"
+        )
     tops = [geom.center[2] + (geom.size[2] if geom.shape == "box" else 0.0) for geom in found]
     lowest = [geom for geom, top in zip(found, tops, strict=True) if top <= min(tops) + LEVEL]
     return max(lowest, key=lambda geom: (geom.shape == "plane", geom.size[0] * geom.size[1]))
@@ -112,8 +114,8 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[st
             box = {"center": at, "size": sides, "yaw": yaw, "material": material}
             solid.append(validated(Box, box, path, at=f"geom {geom.name!r}"))
         total += len(solid)
-        if total > BOXES:
-            raise InputError(path, "worldbody", f"geoms that make at most {BOXES:,} upright boxes")
+        if total > MOST_BOXES:
+            raise InputError(path, "worldbody", f"geoms that make at most {MOST_BOXES:,} upright boxes")
         if solid:
             name = geom.name[:80] or geom.shape
             used[name] += 1
@@ -121,7 +123,7 @@ def _furniture(geoms: list[StaticGeom], level: float, path: Path, notes: list[st
             pieces.append(Furniture(name=unique, category=geom.shape, boxes=tuple(solid)))
         under += not solid
     if cut:
-        notes.append(f"{cut} geoms that are no upright boxes were cut into upright boxes, {CELL:g} m fine")
+        notes.append(f"{cut} geoms that are no upright boxes were cut into upright boxes, {VOXEL_EDGE:g} m fine")
     if under:
         notes.append(f"left out: {under} geom{'s' * (under > 1)} under the floor, or with no more than its thickness")
     return pieces
@@ -180,18 +182,19 @@ def _rooms(
         footprint(box)
         for piece in furniture
         for box in piece.boxes
-        if box.center[2] + box.size[2] / 2 > BODY[0] and box.center[2] - box.size[2] / 2 < BODY[1]
+        if box.center[2] + box.size[2] / 2 > ENCLOSING_HEIGHTS[0]
+        and box.center[2] - box.size[2] / 2 < ENCLOSING_HEIGHTS[1]
     ]
-    free = ground - shapely.union_all(solid).buffer(GAP / 2, join_style="mitre")
+    free = ground - shapely.union_all(solid).buffer(CLOSED_GAP / 2, join_style="mitre")
     rim = ground.exterior.buffer(1e-3)
     enclosed = [p for p in shapely.get_parts(free) if p.area >= ENCLOSED and not p.intersects(rim)]
     if enclosed:
         # Back under the walls by more than the gap; whatever a room surrounds is solid or a room of its own.
-        outlines = [Polygon(p.exterior).buffer(GAP, join_style="mitre").simplify(0.01) for p in enclosed]
+        outlines = [Polygon(p.exterior).buffer(CLOSED_GAP, join_style="mitre").simplify(0.01) for p in enclosed]
         outlines = [Polygon(max(shapely.get_parts(outline), key=lambda p: p.area).exterior) for outline in outlines]
         outlines.sort(key=lambda outline: outline.area)
         notes.append(f"only what the geoms enclose is floor: {len(outlines)} room{'s' * (len(outlines) > 1)}")
-        ground = shapely.box(*shapely.union_all(outlines).buffer(MARGIN).bounds)
+        ground = shapely.box(*shapely.union_all(outlines).buffer(ENDLESS_MARGIN).bounds)
     else:
         outlines = [ground]
         notes.append("nothing encloses the floor: walls were put around it")
@@ -207,7 +210,7 @@ def _corners(outline: Polygon) -> tuple[tuple[float, float], ...]:
 
 
 def _ground(floor: StaticGeom, furniture: list[Furniture], path: Path) -> Polygon:
-    """Return the floor's rectangle; that of an endless plane goes MARGIN beyond what stands on it."""
+    """Return the floor's rectangle; that of an endless plane goes ENDLESS_MARGIN beyond what stands on it."""
     half = floor.size[:2].copy()
     if (half > 0.0).all():
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
@@ -216,15 +219,15 @@ def _ground(floor: StaticGeom, furniture: list[Furniture], path: Path) -> Polygo
     if not plans:
         raise InputError(path, "worldbody", "geoms on the floor or a floor of finite size")
     x0, y0, x1, y1 = shapely.union_all(plans).bounds
-    return shapely.box(x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
+    return shapely.box(x0 - ENDLESS_MARGIN, y0 - ENDLESS_MARGIN, x1 + ENDLESS_MARGIN, y1 + ENDLESS_MARGIN)
 
 
 def _edge(ground: Polygon, height: float) -> list[Wall]:
     """Return walls outside the floor's edges, so that no robot and no ray leaves the scene."""
     material = Material(color=(0.75, 0.72, 0.68), texture="concrete", scale=1.0)
-    corners = shapely.get_coordinates(ground.buffer(EDGE / 2, join_style="mitre").exterior)
+    corners = shapely.get_coordinates(ground.buffer(BORDER_THICKNESS / 2, join_style="mitre").exterior)
     corners = corners[np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1) > 1e-6]
     return [
-        Wall(start=a, end=b, thickness=EDGE, height=height, front=material, back=material)
+        Wall(start=a, end=b, thickness=BORDER_THICKNESS, height=height, front=material, back=material)
         for a, b in zip(corners.tolist(), np.roll(corners, -1, axis=0).tolist(), strict=True)
     ]

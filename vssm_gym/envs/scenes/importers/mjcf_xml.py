@@ -13,7 +13,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_bytes
 
 XML_BYTES, MESH_BYTES, ALL_BYTES = 8 << 20, 32 << 20, 128 << 20  # largest text, mesh, and all files of a model
-LEVELS, ELEMENTS, INCLUDES, GEOMS = 64, 50_000, 64, 10_000  # most of a model; nesting, then counts
+XML_LEVELS, XML_ELEMENTS, XML_INCLUDES, XML_GEOMS = 64, 50_000, 64, 10_000  # most of a model; nesting, then counts
 COPIES = 5000  # made by nested replicates; MuJoCo needs a second for them, and four times as long for twice as many
 
 _IN_BODY = {"body", "geom", "frame", "replicate"}
@@ -41,8 +41,8 @@ class _Builder(ET.TreeBuilder):
 
     def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
         self._level, self._count = self._level + 1, self._count + 1
-        if self._level > LEVELS or self._count > ELEMENTS:
-            raise ValueError(f"more than {ELEMENTS:,} elements or {LEVELS} levels")
+        if self._level > XML_LEVELS or self._count > XML_ELEMENTS:
+            raise ValueError(f"more than {XML_ELEMENTS:,} elements or {XML_LEVELS} levels")
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ET.Element:
@@ -123,8 +123,8 @@ class StillModel:
                 children.append(child)
                 continue
             self._includes += 1
-            if level >= 8 or self._includes > INCLUDES:
-                raise self._refuse("include", f"at most {INCLUDES} includes, 8 deep")
+            if level >= 8 or self._includes > XML_INCLUDES:
+                raise self._refuse("include", f"at most {XML_INCLUDES} includes, 8 deep")
             name = child.get("file", "")
             near = (path.parent / name).is_file() if "\0" not in name else False
             included = self._inside(name, path.parent if near else self._folder, "include.file")
@@ -160,8 +160,8 @@ class StillModel:
         attributes = dict(element.attrib)
         if element.tag == "geom" and parent != "default":
             self._geoms += copies
-            if self._geoms > GEOMS:
-                raise self._refuse("worldbody", f"at most {GEOMS:,} geoms")
+            if self._geoms > XML_GEOMS:
+                raise self._refuse("worldbody", f"at most {XML_GEOMS:,} geoms")
         if element.tag == "material":
             attributes.pop("texture", None)
         if element.tag == "mesh":

@@ -7,8 +7,8 @@ import zlib
 
 from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Material
 
-PICTURE = (1.2, 0.8, 0.03)  # m: widest, tallest, thickness
-PICTURE_AT = 1.5  # m, height of a picture's centre
+WALL_PICTURE = (1.2, 0.8, 0.03)  # m: widest, tallest, thickness
+WALL_PICTURE_HEIGHT = 1.5  # m, height of a picture's centre
 
 RGB = tuple[float, float, float]
 # Words in a room's kind -> floor (texture, m a tile, colour) and wall.
@@ -63,8 +63,11 @@ def picture(name: str, x: float, y: float, yaw: float, width: float) -> Furnitur
     """Return a picture ``width`` m wide; ``(x, y)`` m is its centre, ``yaw`` rad the direction of its width."""
     number = _hash(name)
     texture = f"painting_{_PICTURES[number % len(_PICTURES)]}"
-    size = (width, PICTURE[2], min(PICTURE[1], 0.75 * width))
+    size = (width, WALL_PICTURE[2], min(WALL_PICTURE[1], 0.75 * width))
     box = Box(
-        center=(x, y, PICTURE_AT), size=size, yaw=yaw, material=Material(color=(1, 1, 1), texture=texture, scale=width)
+        center=(x, y, WALL_PICTURE_HEIGHT),
+        size=size,
+        yaw=yaw,
+        material=Material(color=(1, 1, 1), texture=texture, scale=width),
     )
     return Furniture(name=name, category="picture", boxes=(box,))

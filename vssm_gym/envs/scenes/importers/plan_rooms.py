@@ -16,7 +16,7 @@ from shapely import Polygon
 from shapely.ops import split
 
 MIN_AREA = 1.2  # m^2 of a room
-NARROW, WIDE = 0.4, 2.1  # m, widths of openings
+NARROWEST_OPENING, WIDEST_OPENING = 0.4, 2.1  # m, widths of openings
 WIDE_CORNER = 1.3  # m: without a wall's end pointing at it, a wider opening is a corner of the room, not a door
 WIDER = 1.08  # the disc on either side of a cut against its length
 JAMB = 0.45  # m, thickest wall whose end counts as a door's jamb
@@ -82,7 +82,7 @@ def _candidates(outline: Polygon) -> list[Opening]:
         ahead = shapely.LineString([origin + 1e-4 * direction, origin + (widest + 0.1) * direction])
         hits = shapely.get_coordinates(ahead.intersection(border))
         width = min((float(np.dot(hit - origin, direction)) for hit in hits), default=math.inf)
-        if NARROW <= width <= widest:
+        if NARROWEST_OPENING <= width <= widest:
             end = origin + width * direction
             found.append(Opening((float(origin[0]), float(origin[1])), (float(end[0]), float(end[1])), thickness))
 
@@ -93,7 +93,7 @@ def _candidates(outline: Polygon) -> list[Opening]:
     for i, j in after:
         if juts[i] and juts[j] and lengths[i] <= JAMB:
             ahead = np.array([-edges[i, 1], edges[i, 0]]) / lengths[i]
-            look((points[i] + points[j]) / 2, ahead, float(lengths[i]), WIDE)
+            look((points[i] + points[j]) / 2, ahead, float(lengths[i]), WIDEST_OPENING)
     for i, j in after:
         if juts[j]:  # the edge goes on
             look(points[j], edges[i] / lengths[i], BARE, WIDE_CORNER)

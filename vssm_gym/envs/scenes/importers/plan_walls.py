@@ -13,7 +13,7 @@ import shapely
 from jaxtyping import Float
 from shapely import Polygon
 
-THICKNESS = 0.12  # m, where nothing is behind the wall
+OUTER_THICKNESS = 0.12  # m, where nothing is behind the wall
 THIN = 0.03  # m; an edge with less behind it is halved, down to pieces of PIECE m
 PIECE = 0.1  # m
 _ASIDE = 3e-3  # m that the test for space behind an edge leaves out at both its ends: corners of nearly 90 degrees
@@ -80,21 +80,23 @@ def _behind(a: np.ndarray, b: np.ndarray, free: Polygon) -> Iterator[Face]:
     along = (b - a) / length
     out = np.array([along[1], -along[0]])
     aside = min(_ASIDE, length / 4) * along
-    probe = Polygon([a + aside, b - aside, b - aside + 2 * THICKNESS * out, a + aside + 2 * THICKNESS * out])
+    probe = Polygon(
+        [a + aside, b - aside, b - aside + 2 * OUTER_THICKNESS * out, a + aside + 2 * OUTER_THICKNESS * out]
+    )
     behind = shapely.get_parts(probe.intersection(free))
     points = shapely.get_coordinates([part for part in behind if part.area > 1e-6])
-    gap = float(np.min((points - a) @ out)) if len(points) else 2 * THICKNESS
+    gap = float(np.min((points - a) @ out)) if len(points) else 2 * OUTER_THICKNESS
     if gap < 2 * THIN and length > 2 * PIECE:
         yield from _behind(a, (a + b) / 2, free)
         yield from _behind((a + b) / 2, b, free)
     else:
-        yield Face(a, b, min(max(gap / 2, 0.01), THICKNESS))
+        yield Face(a, b, min(max(gap / 2, 0.01), OUTER_THICKNESS))
 
 
 def _closed_corners(face: Face, free: Polygon) -> Face:
     """Return the face up to a thickness longer at ends where that stays behind other walls, to close corners."""
     allowed = free.intersection(face.body()).area + 1e-7
-    reach = min(THICKNESS, float(np.linalg.norm(face.end - face.start))) * face.along
+    reach = min(OUTER_THICKNESS, float(np.linalg.norm(face.end - face.start))) * face.along
     start, end = face.start - reach, face.end + reach
     at_start = free.intersection(Face(start, face.end, face.thickness).body()).area < allowed
     at_end = free.intersection(Face(face.start, end, face.thickness).body()).area < allowed

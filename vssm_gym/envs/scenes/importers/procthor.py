@@ -1,8 +1,8 @@
 """Import ProcTHOR houses (Deitke et al., 2022): walls, doors by openness, objects as boxes of their assets.
 
 Unity's frame is left-handed, so p_world = (x, z, y) and yaw = -rotation.y. The source's walls are planes without
-thickness, one face a room: the faces of one wall become one `Wall`, THICKNESS thick around their plane, each side with
-its own material.
+thickness, one face a room: the faces of one wall become one `Wall`, WALL_THICKNESS thick around their plane, each side
+with its own material.
 
 A hole's x runs from the first lower corner of ``wall0``. Evidence: of the 105 doors and windows of forty-three
 houses (three of 3-4 rooms, forty of one room) 99 are off the wall's centre; measured from the first
@@ -30,7 +30,7 @@ from vssm_gym.envs.scenes.solids import door_leaves, footprint
 from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
-THICKNESS = 0.1  # m, of every wall
+WALL_THICKNESS = 0.1  # m, of every wall
 DOUBLE_DOOR = 1.4  # m, the hole's width from which two leaves share it
 
 _KINDS = {"LivingRoom": "living room"}
@@ -166,7 +166,7 @@ def _walls(
         shape = {
             "start": start,
             "end": end,
-            "thickness": THICKNESS,
+            "thickness": WALL_THICKNESS,
             "base": min(heights),
             "height": max(heights) - min(heights),
             "front": front,

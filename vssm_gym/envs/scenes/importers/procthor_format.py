@@ -14,7 +14,8 @@ Angle = Annotated[float, Field(ge=-1e6, le=1e6)]  # degrees
 Extent = Annotated[float, Field(ge=0, le=100)]  # m
 Name = Annotated[str, Field(max_length=200)]
 
-ROOMS, WALLS, HOLES, OBJECTS, CORNERS = 200, 5000, 500, 5000, 1000  # most of a house; the largest have tens
+# Most of a house; the largest have tens.
+HOUSE_ROOMS, HOUSE_WALLS, HOUSE_HOLES, HOUSE_OBJECTS, HOUSE_CORNERS = 200, 5000, 500, 5000, 1000
 
 
 class _Read(BaseModel):
@@ -65,7 +66,7 @@ class HouseRoom(_Read):
 
     id: Name
     roomType: Name
-    floorPolygon: tuple[Vector, ...] = Field(min_length=3, max_length=CORNERS)
+    floorPolygon: tuple[Vector, ...] = Field(min_length=3, max_length=HOUSE_CORNERS)
     floorMaterial: SurfaceMaterial
 
 
@@ -97,7 +98,7 @@ class HouseObject(_Read):
     assetId: Name
     position: Vector
     rotation: Angles
-    children: tuple["HouseObject", ...] = Field((), max_length=OBJECTS)
+    children: tuple["HouseObject", ...] = Field((), max_length=HOUSE_OBJECTS)
 
 
 class Parameters(_Read):
@@ -115,11 +116,11 @@ class Metadata(_Read):
 class House(_Read):
     """Hold a ProcTHOR house."""
 
-    rooms: tuple[HouseRoom, ...] = Field(min_length=1, max_length=ROOMS)
-    walls: tuple[HouseWall, ...] = Field(min_length=1, max_length=WALLS)
-    doors: tuple[Hole, ...] = Field((), max_length=HOLES)
-    windows: tuple[Hole, ...] = Field((), max_length=HOLES)
-    objects: tuple[HouseObject, ...] = Field((), max_length=OBJECTS)
+    rooms: tuple[HouseRoom, ...] = Field(min_length=1, max_length=HOUSE_ROOMS)
+    walls: tuple[HouseWall, ...] = Field(min_length=1, max_length=HOUSE_WALLS)
+    doors: tuple[Hole, ...] = Field((), max_length=HOUSE_HOLES)
+    windows: tuple[Hole, ...] = Field((), max_length=HOUSE_HOLES)
+    objects: tuple[HouseObject, ...] = Field((), max_length=HOUSE_OBJECTS)
     metadata: Metadata = Metadata()
     proceduralParameters: Parameters = Parameters()
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from vssm_gym.envs.scenes.apartment_parts import Box, Furniture, Wall
-from vssm_gym.envs.scenes.importers.procthor_format import OBJECTS, Asset, House, HouseObject
+from vssm_gym.envs.scenes.importers.procthor_format import HOUSE_OBJECTS, Asset, House, HouseObject
 from vssm_gym.envs.scenes.importers.procthor_looks import object_material
 from vssm_gym.errors import InputError
 
 MOUNTED = 0.05  # m above the floor from which an object at a wall counts as hanging on it
-TILT = math.radians(1.0)  # rad, tilt of an object from which on it is noted
+NOTED_TILT = math.radians(1.0)  # rad, tilt of an object from which on it is noted
 
 
 def furniture_of(
@@ -30,8 +30,8 @@ def furniture_of(
         if item.assetId not in assets:
             raise InputError(source, f"{field}.assetId", f"an asset of the asset database; found {item.assetId!r}")
         asset = assets[item.assetId]
-        if len(pieces) >= OBJECTS:
-            raise InputError(source, field, f"at most {OBJECTS:,} objects with all their children")
+        if len(pieces) >= HOUSE_OBJECTS:
+            raise InputError(source, field, f"at most {HOUSE_OBJECTS:,} objects with all their children")
         if sum(extent > 0.0 for extent in (asset.boundingBox.x, asset.boundingBox.y, asset.boundingBox.z)) < 2:
             expected = f"an asset with a size; {item.assetId!r} has none in the asset database"
             raise InputError(source, f"{field}.assetId", expected)
@@ -41,7 +41,7 @@ def furniture_of(
         center = (box.center[0] + float(shift[0]), box.center[1] + float(shift[1]), box.center[2])
         used[item.id] += 1
         name = item.id if used[item.id] == 1 else f"{item.id} #{used[item.id]}"
-        if tilt > TILT:
+        if tilt > NOTED_TILT:
             notes.append(f"{name} is tilted by {math.degrees(tilt):.0f} degrees: it became the upright box around it")
         pieces.append(
             Furniture(name=name, category=asset.objectType, boxes=(box.model_copy(update={"center": center}),))
@@ -66,7 +66,7 @@ def _box(item: HouseObject, asset: Asset) -> tuple[Box, float]:
     turn_z = np.array([[math.cos(z), -math.sin(z), 0], [math.sin(z), math.cos(z), 0], [0, 0, 1]])
     tilt = max(abs(math.remainder(angle, math.pi / 2)) for angle in (x, z))
     bound = np.abs(turn_x @ turn_z) @ extents
-    if max(abs(math.remainder(angle, 2 * math.pi)) for angle in (x, z)) < TILT:
+    if max(abs(math.remainder(angle, 2 * math.pi)) for angle in (x, z)) < NOTED_TILT:
         bound = extents  # physics at rest leaves hundredths of a degree
     width, height, breadth = (max(float(extent), 1e-3) for extent in bound)  # sheets of paper have no thickness
     size = (width, breadth, height)

@@ -29,10 +29,10 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_bytes
 
 YAML_BYTES = 1 << 16  # largest file
-LEAST = 0.5  # m^2; smaller pieces of floor are noise of the scanner
-ROOMS, WALLS = 300, 20_000  # most of a map
-BAND = 3  # cells that a wall may reach beyond the floor's border
-BLOCK = 6.0  # m; walls in one block of the map have one look
+LEAST_PIECE = 0.5  # m^2; smaller pieces of floor are noise of the scanner
+MAP_ROOMS, MAP_WALLS = 300, 20_000  # most of a map
+WALL_BAND = 3  # cells that a wall may reach beyond the floor's border
+LOOK_BLOCK = 6.0  # m; walls in one block of the map have one look
 
 Threshold = Annotated[float, Field(ge=0, le=1)]
 
@@ -66,10 +66,10 @@ def import_ros_map(path: Path) -> Apartment:
     free, unknown = _cells(settings, _image_path(path, settings.image))
     labels, count = ndimage.label(free)  # joined through sides, not corners: a robot does not pass a corner
     areas = np.bincount(labels.ravel(), minlength=count + 1)[1:] * settings.resolution**2
-    kept = [int(i) + 1 for i in np.argsort(-areas, kind="stable") if areas[i] >= LEAST][:ROOMS]
+    kept = [int(i) + 1 for i in np.argsort(-areas, kind="stable") if areas[i] >= LEAST_PIECE][:MAP_ROOMS]
     if not kept:
         raise InputError(
-            path, "image", f"at least {LEAST} m^2 of connected free cells; found {areas.max(initial=0.0):.2f}"
+            path, "image", f"at least {LEAST_PIECE} m^2 of connected free cells; found {areas.max(initial=0.0):.2f}"
         )
     is_kept = np.zeros(count + 1, dtype=bool)
     is_kept[kept] = True
@@ -77,7 +77,7 @@ def import_ros_map(path: Path) -> Apartment:
     _check_extent(floor, settings, path)
     notes = []
     if dropped := len(areas) - len(kept):
-        least = min(areas[label - 1] for label in kept) if len(kept) == ROOMS else LEAST
+        least = min(areas[label - 1] for label in kept) if len(kept) == MAP_ROOMS else LEAST_PIECE
         notes.append(f"{dropped} pieces of floor of less than {least:.1f} m^2 were left out")
     walls = _walls(floor, settings, path, unknown, notes)
     pieces = _pieces(np.where(floor, labels, 0))
@@ -126,17 +126,17 @@ def _cells(settings: MapFile, image: Path) -> tuple[Bool[np.ndarray, "nx ny"], B
     unknown = ~free & ~(occupancy > settings.occupied_thresh)
     if not free.any():
         raise InputError(image, "image", "free cells; found none")
-    return tuple(np.pad(cells[::-1].T, BAND) for cells in (free, unknown))  # type: ignore[return-value]
+    return tuple(np.pad(cells[::-1].T, WALL_BAND) for cells in (free, unknown))  # type: ignore[return-value]
 
 
 def _walls(floor: np.ndarray, settings: MapFile, path: Path, unknown: np.ndarray, notes: list[str]) -> list[Wall]:
     solid = ~floor
     parts, _ = ndimage.label(solid)
     surrounded = solid & (parts != parts[0, 0])  # the rim is outside
-    beside, near = _grown(floor, 1) & solid, _grown(floor, BAND) & solid
-    rectangles = cover(surrounded | beside, surrounded | near, WALLS)
-    if len(rectangles) > WALLS:
-        raise InputError(path, "image", f"a map of at most {WALLS:,} walls; found more: reduce its resolution")
+    beside, near = _grown(floor, 1) & solid, _grown(floor, WALL_BAND) & solid
+    rectangles = cover(surrounded | beside, surrounded | near, MAP_WALLS)
+    if len(rectangles) > MAP_WALLS:
+        raise InputError(path, "image", f"a map of at most {MAP_WALLS:,} walls; found more: reduce its resolution")
     share = float((unknown & beside).sum() / beside.sum())
     if share > 0.005:
         notes.append(f"{share:.0%} of the cells around the floor are unknown; they became wall: robots stay on the map")
@@ -147,7 +147,7 @@ def _world(cells: Any, settings: MapFile) -> np.ndarray:
     """Return world coordinates ``(..., 2)`` m of corners of cells."""
     x, y, yaw = settings.origin
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-    return (np.asarray(cells, dtype=np.float64) - BAND) * settings.resolution @ turn + (x, y)
+    return (np.asarray(cells, dtype=np.float64) - WALL_BAND) * settings.resolution @ turn + (x, y)
 
 
 def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
@@ -157,7 +157,7 @@ def _wall(rectangle: Rectangle, settings: MapFile) -> Wall:
     # here is closed already.
     start, end = _world([(i0, middle[1]), (i1, middle[1])], settings).tolist()
     thickness = (j1 - j0) * settings.resolution
-    block = [int(c * settings.resolution // BLOCK) for c in middle]
+    block = [int(c * settings.resolution // LOOK_BLOCK) for c in middle]
     material = wall_material("", f"block {zlib.crc32(repr(block).encode())}")
     return Wall(start=start, end=end, thickness=thickness, height=CEILING_HEIGHT, front=material, back=material)
 

@@ -1,7 +1,7 @@
 """Approximate shapes by upright boxes: a shape is cut into cells, and equal cells join to larger boxes.
 
-Cells fill the shape's bounding box evenly, at most CELL wide; a cell is solid where its centre lies in the shape, or,
-for meshes, where the surface passes through it. So a box is off by half a cell at most.
+Cells fill the shape's bounding box evenly, at most VOXEL_EDGE wide; a cell is solid where its centre lies in the shape,
+or, for meshes, where the surface passes through it. So a box is off by half a cell at most.
 """
 
 import math
@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 
 from vssm_gym.envs.scenes.importers.rectangles import cover
 
-CELL = 0.04  # m
-CELLS = 2_000_000  # of one shape; a larger one has larger cells
-SAMPLES = 4_000_000  # points on one mesh's surface
+VOXEL_EDGE = 0.04  # m
+MOST_VOXELS = 2_000_000  # of one shape; a larger one has larger cells
+SURFACE_SAMPLES = 4_000_000  # points on one mesh's surface
 
 Extent = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]  # lowest and highest corner, m
 
@@ -41,7 +41,7 @@ def voxelised_surface(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray,
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     step = 0.5 * float(size.max())
     parts = np.maximum(np.ceil(edges / step), 1).astype(int)
-    while np.sum((parts + 1.0) * (parts + 2.0) / 2.0) > SAMPLES:
+    while np.sum((parts + 1.0) * (parts + 2.0) / 2.0) > SURFACE_SAMPLES:
         step *= 1.5
         parts = np.maximum(np.ceil(edges / step), 1).astype(int)
         shape, size = _grid(low, high, 2.0 * step)
@@ -57,10 +57,10 @@ def voxelised_surface(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray,
     return _boxes(solid, low, size)
 
 
-def _grid(low: np.ndarray, high: np.ndarray, cell: float = CELL) -> tuple[tuple[int, int, int], np.ndarray]:
+def _grid(low: np.ndarray, high: np.ndarray, cell: float = VOXEL_EDGE) -> tuple[tuple[int, int, int], np.ndarray]:
     """Return number and size of the cells."""
     extent = np.maximum(high - low, 1e-3)
-    while np.prod(np.ceil(extent / cell - 1e-9)) > CELLS:
+    while np.prod(np.ceil(extent / cell - 1e-9)) > MOST_VOXELS:
         cell *= 1.26
     shape = np.maximum(np.ceil(extent / cell - 1e-9), 1).astype(int)
     return (int(shape[0]), int(shape[1]), int(shape[2])), extent / shape
@@ -82,7 +82,7 @@ def _boxes(solid: Bool[np.ndarray, "nx ny nz"], low: np.ndarray, size: np.ndarra
 
 def inside_of(shape: str, size: Float[np.ndarray, "3"]) -> Callable[[np.ndarray], np.ndarray]:
     """Return the test of points (n, 3) in a shape's own frame; ``size`` as in MuJoCo (radii, half lengths), m."""
-    half = np.maximum(size, 0.5 * CELL)  # a part thinner than a cell would fall between two centres
+    half = np.maximum(size, 0.5 * VOXEL_EDGE)  # a part thinner than a cell would fall between two centres
     if shape == "box":
         return lambda p: (np.abs(p) <= half).all(axis=-1)
     if shape in ("sphere", "ellipsoid"):

@@ -19,7 +19,7 @@ from vssm_gym.model import emission
 from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
 
 SHADOW = 5.0  # voxels^2 that an occupied cell among free ones hides: 4 from a ray along an axis, up to 6 from others
-AT_ONCE = 16  # views per call of the renderer: with 1200 pixels per view as many rays as one image of 160 x 120
+VIEWS_AT_ONCE = 16  # views per call of the renderer: with 1200 pixels per view as many rays as one image of 160 x 120
 
 
 def imagine(m: VoxelMap, T_world_cam: np.ndarray, camera: Camera, max_depth: float) -> np.ndarray:
@@ -38,8 +38,10 @@ def imagine(m: VoxelMap, T_world_cam: np.ndarray, camera: Camera, max_depth: flo
         ``(views, height, width)`` z-depth, m, float32.
     """
     views = len(T_world_cam)
-    padded = np.concatenate([T_world_cam, np.repeat(T_world_cam[:1], -views % AT_ONCE, axis=0)])
-    batches = padded.astype(np.float32).reshape(-1, AT_ONCE, 4, 4)  # by NumPy: JAX would compile this for each length
+    padded = np.concatenate([T_world_cam, np.repeat(T_world_cam[:1], -views % VIEWS_AT_ONCE, axis=0)])
+    batches = padded.astype(np.float32).reshape(
+        -1, VIEWS_AT_ONCE, 4, 4
+    )  # by NumPy: JAX would compile this for each length
     images = [np.asarray(_depths(m, T, camera, max_depth)) for T in batches]
     return np.concatenate(images)[:views]
 

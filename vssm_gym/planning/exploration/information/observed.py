@@ -18,7 +18,7 @@ from vssm_gym.maps.block_table import BLOCK
 from vssm_gym.maps.voxel_map import VoxelMap
 
 ROWS = BLOCK * BLOCK  # rows of cells along z in a block: one bit each in a word
-TILES = 20  # along the image's width: largest depths, which tell blocks behind surfaces
+DEPTH_TILES = 20  # along the image's width: largest depths, which tell blocks behind surfaces
 SKEW = 5  # row (i, j) of a block starts with the cell at height (i + SKEW j) % every
 
 
@@ -68,7 +68,7 @@ def observed(
     T_cam_world, rows = np.ascontiguousarray(inverse(T_world_cam)), heights(every)
     (fx, _, cx), (_, fy, cy), _ = camera.K
     low, high = _reach(T_world_cam, camera.K, depth.shape[1:], grid, depth.max(axis=(1, 2)) + truncation)
-    tile = max(1, -(-camera.width // TILES))
+    tile = max(1, -(-camera.width // DEPTH_TILES))
     room = int(np.prod(high - low, axis=1).max(initial=0))
     block, words = np.empty(room, np.int64), np.empty((room, len(rows)), np.uint64)
     seen = []

@@ -12,7 +12,7 @@ from vssm_gym.geometry.camera import Camera
 
 MEASUREMENT_STD = 0.1  # m, of one of an image's MEASUREMENTS: large, because the errors of neighbours are correlated
 MEASUREMENTS = 1200  # independent ones per image, however many pixels it has; `InformationConfig.pixels` by default
-EDGE = 0.15  # fraction of the depth; neighbours further apart lie on different surfaces
+DEPTH_EDGE = 0.15  # fraction of the depth; neighbours further apart lie on different surfaces
 
 
 def pose_gain(
@@ -41,7 +41,7 @@ def pose_gain(
     length = np.linalg.norm(n, axis=-1)
     z = depth[:, :-1, :-1]
     whole = surface[:, :-1, :-1] & surface[:, :-1, 1:] & surface[:, 1:, :-1] & (length > 0.0)
-    whole &= np.maximum(np.abs(depth[:, :-1, 1:] - z), np.abs(depth[:, 1:, :-1] - z)) < EDGE * z
+    whole &= np.maximum(np.abs(depth[:, :-1, 1:] - z), np.abs(depth[:, 1:, :-1] - z)) < DEPTH_EDGE * z
     n = np.where(whole[..., None], n / np.maximum(length, 1e-12)[..., None], 0.0)
     turn = n[..., 1] * here[..., 0] - n[..., 0] * here[..., 1]
     J = np.stack([n[..., 0], n[..., 1], turn], axis=-1).reshape(len(depth), -1, 3)

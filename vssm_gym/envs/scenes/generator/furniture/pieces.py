@@ -20,7 +20,7 @@ WHITE: Color = (1.0, 1.0, 1.0)
 BLACK = Material(color=(0.15, 0.15, 0.16))
 STEEL = Material(color=(0.80, 0.82, 0.85), texture="metal", scale=0.8)
 CERAMIC = Material(color=(0.97, 0.97, 0.99))
-LOW = 0.5  # m: a block that begins below it and ends above STEP_HEIGHT stops a ground robot
+LOW_BLOCK = 0.5  # m: a block that begins below it and ends above STEP_HEIGHT stops a ground robot
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class PiecePart:
     @property
     def on_floor(self) -> tuple[float, float, float, float] | None:
         """Return (x0, y0, x1, y1) of what stops a ground robot; None for rugs and what hangs."""
-        low = [b for b in self.blocks if b.low[2] < LOW and b.high[2] > STEP_HEIGHT]
+        low = [b for b in self.blocks if b.low[2] < LOW_BLOCK and b.high[2] > STEP_HEIGHT]
         if not low:
             return None
         return (
