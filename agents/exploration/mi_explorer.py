@@ -24,9 +24,9 @@ from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.planning.exploration.building_prior import expected_surfaces, over_map
 from vssm_gym.planning.exploration.candidates import Roadmap, candidates, representatives
-from vssm_gym.planning.exploration.frontier import REACH
 from vssm_gym.planning.exploration.information import Gain, InformationConfig, gain_of_paths
 from vssm_gym.planning.exploration.minimum_latency_tour import MOST_PLACES, best_order
+from vssm_gym.planning.floor_plan import CAMERA_REACH
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
 SAME_PLACE = 0.2  # m; a place so near to one that was visited counts as visited: it sees the same
@@ -56,7 +56,7 @@ class MiExplorerConfig:
     # A cell that was observed is known to 3 cm. Without ``known`` the gains of many known cells would outweigh a small
     # unseen place.
     information: InformationConfig = field(
-        default_factory=lambda: InformationConfig(max_depth=REACH, known=OBSERVED_PRECISION, ground=0.0)
+        default_factory=lambda: InformationConfig(max_depth=CAMERA_REACH, known=OBSERVED_PRECISION, ground=0.0)
     )
 
     def __post_init__(self) -> None:

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena
 from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
-from vssm_gym.planning.value_iteration.solver import GOAL_HEADING_TOLERANCE, GOAL_RADIUS
 
 # Margin around the footprint (m) and fraction of the target's region, tried in turn. The first is the margin that the
 # solvers of vi_mpc keep, and the middle of the region; then 1 cm, for the error of the map's surfaces; then none, and

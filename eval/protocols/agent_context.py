@@ -8,8 +8,7 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.envs.robots.differential import DifferentialRobot
-from vssm_gym.envs.tasks.car import REACHED
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
 from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
@@ -114,7 +113,7 @@ def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None
             car,
             car.length,
             info["start_pose"],
-            success_radius=REACHED,
+            success_radius=GOAL_RADIUS,
             noise=(0.0, 0.0),
             voxel_map=voxel_map,
             camera=world.camera,

@@ -11,7 +11,7 @@ import numpy as np
 from vssm_gym.agents.base import Agent, Decision
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks import car_sets
-from vssm_gym.envs.tasks.car import ALIGNED, REACHED, CarTask
+from vssm_gym.envs.tasks.car import CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.metrics.failure import failure_reason
@@ -19,6 +19,7 @@ from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols.agent_context import context_of
 from vssm_gym.eval.protocols.episode import estimates_of, latency_of, thinned, trace_of
 from vssm_gym.eval.protocols.shared import conditions, keep_or_write, load, notice, scene_names, tasks_in, world
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car import reeds_shepp
 
@@ -69,7 +70,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         car,
         car.length,
         info["start_pose"],
-        success_radius=REACHED,
+        success_radius=GOAL_RADIUS,
         noise=(0.0, 0.0),
         voxel_map=voxel_map,
         camera=body.camera,
@@ -142,9 +143,13 @@ def shortest_curve(start: np.ndarray, goal: np.ndarray, radius: float) -> float:
     It is a lower bound of every car's path length, computed over a lattice of the region; at least a millimetre, so
     that ratios stay finite.
     """
-    r, angle = np.meshgrid(np.array([0.0, 0.5, 1.0]) * REACHED, np.linspace(-np.pi, np.pi, 13)[:-1], indexing="ij")
+    r, angle = np.meshgrid(np.array([0.0, 0.5, 1.0]) * GOAL_RADIUS, np.linspace(-np.pi, np.pi, 13)[:-1], indexing="ij")
     offsets = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
-    turns = np.linspace(-ALIGNED, ALIGNED, 5) if len(goal) == 3 else np.linspace(-np.pi, np.pi, 25)[:-1]
+    turns = (
+        np.linspace(-GOAL_HEADING_TOLERANCE, GOAL_HEADING_TOLERANCE, 5)
+        if len(goal) == 3
+        else np.linspace(-np.pi, np.pi, 25)[:-1]
+    )
     heading = goal[2] if len(goal) == 3 else 0.0
     places = np.concatenate([goal[:2] + offsets], axis=0)
     goals = np.array([(*place, heading + turn) for place in places for turn in turns])

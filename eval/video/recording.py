@@ -14,12 +14,12 @@ from vssm_gym.agents.exploration.mi_explorer import Tour
 from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.protocols.explore_episode import map_of
+from vssm_gym.eval.report.explore_figures import KNOWN_MARGIN
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import UNKNOWN
 
 EVERY = 2  # steps between two moments, 0.4 s
-AROUND = 0.3  # m, margin of pictures around known space
 EARLY = 0.4  # coverage from which on a choice is shown: by then there are several candidates
 SEVERAL = 4  # least number of candidates of a choice that is shown
 
@@ -128,9 +128,9 @@ class Recording:
         self._tour = tour
 
     def bounds(self) -> Float[np.ndarray, "2 2"]:
-        """Return the lowest and highest corner of all known space, with ``AROUND`` m on each side."""
+        """Return the lowest and highest corner of all known space, with ``KNOWN_MARGIN`` m on each side."""
         corners = np.array([moment.plan.bounds for moment in self.moments])
-        return np.stack([corners[:, 0].min(axis=0) - AROUND, corners[:, 1].max(axis=0) + AROUND])
+        return np.stack([corners[:, 0].min(axis=0) - KNOWN_MARGIN, corners[:, 1].max(axis=0) + KNOWN_MARGIN])
 
     def driven(self, moment: Moment) -> Float[np.ndarray, "n 2"]:
         """Return the path up to a moment, m."""

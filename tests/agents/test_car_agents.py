@@ -16,12 +16,12 @@ from tests.helpers.planning_worlds import voxel_map
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.envs.scenes.scene import load_scene
-from vssm_gym.envs.tasks.car import ALIGNED, REACHED, CarTask
+from vssm_gym.envs.tasks.car import CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet, load, make_car_tasks, save
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.agent_context import transition_of
 from vssm_gym.eval.protocols.carnav import direction_changes, run_episode, shortest_curve
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.transition import Bicycle
 from vssm_gym.planning.car import reeds_shepp
@@ -79,7 +79,7 @@ def test_it_parks_without_a_collision(name, goal, learned):
 @pytest.mark.slow
 def test_the_dynamic_window_reaches_at_least_the_position(learned):
     row = run("dwa", learned, (4.6, 2.0, -1.5))
-    assert row["distance_to_goal"] < REACHED and not row["collided"]
+    assert row["distance_to_goal"] < GOAL_RADIUS and not row["collided"]
 
 
 @pytest.mark.slow
@@ -138,7 +138,7 @@ def context() -> AgentContext:
         map=None,
         start_pose=np.zeros(3),
         body_length=CAR.length,
-        success_radius=REACHED,
+        success_radius=GOAL_RADIUS,
         noise=(0.0, 0.0),
         transition=Bicycle(wheelbase=CAR.wheelbase),
         car=CAR,
@@ -175,8 +175,8 @@ def test_no_curve_into_the_region_is_longer_than_one_to_its_middle(start, goal):
     length = shortest_curve(start, goal, radius)
     middle = float(reeds_shepp.length(start, goal, radius))
     assert length <= max(1e-3, middle + 1e-9)
-    assert length >= math.hypot(*(goal[:2] - start[:2])) - REACHED - 1e-9
-    assert shortest_curve(start, goal[:2], radius) <= length + ALIGNED * radius  # any heading will do
+    assert length >= math.hypot(*(goal[:2] - start[:2])) - GOAL_RADIUS - 1e-9
+    assert shortest_curve(start, goal[:2], radius) <= length + GOAL_HEADING_TOLERANCE * radius  # any heading will do
 
 
 def test_direction_changes_count_turns_not_stops():

@@ -9,11 +9,11 @@ import pytest
 
 from tests.helpers.box_rooms import furniture
 from tests.helpers.car_worlds import arc, two_yards, yard
-from vssm_gym.envs.carnav import COLLISION_COST, MAX_ACCELERATION, STEP_COST, SUCCESS_REWARD, CarNavEnv
+from vssm_gym.envs.carnav import CARNAV_REWARD, CarNavEnv
 from vssm_gym.envs.robots.car_noise import NOISE_LEVELS, CarNoise
-from vssm_gym.envs.tasks.car import REACHED, CarTask, CarTaskSampler
+from vssm_gym.envs.tasks.car import CarTask, CarTaskSampler
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_RADIUS, Car
 
 ID = "vssm_gym:vssm_gym/CarNav-v0"
 CAR = Car()
@@ -117,13 +117,13 @@ def test_commands_are_executed_and_poses_are_of_the_rear_axle(physics):
 
 def test_acceleration_ramps_the_speed_and_stops_at_the_limits():
     env = make(control="acceleration")
-    np.testing.assert_allclose(env.action_space.high, [MAX_ACCELERATION, CAR.max_steering], rtol=1e-6)
+    np.testing.assert_allclose(env.action_space.high, [CAR.max_acceleration, CAR.max_steering], rtol=1e-6)
     env.reset(options={"task": task(env, goal=(3.5, 0.8, 0.0))})
     done = [env.step(act(1.0))[4]["control"][0] for _ in range(8)]
     np.testing.assert_allclose(done, [1.0] * 6 + [0.0] * 2, atol=1e-6)  # 0.6 m/s after 0.6 s
     assert env.body.speed() == pytest.approx(0.6, rel=0.02)
     assert env.planar[0] - 0.6 == pytest.approx(0.5 * 0.6 * 0.6 + 0.12, rel=0.05)
-    assert env.step(act(-9.0))[4]["control"][0] == pytest.approx(-MAX_ACCELERATION)
+    assert env.step(act(-9.0))[4]["control"][0] == pytest.approx(-CAR.max_acceleration)
     assert env.step(act(0.0))[4]["control"][0] == 0.0
     assert env.body.speed() == pytest.approx(0.4, rel=0.05)
 
@@ -135,7 +135,7 @@ def test_it_terminates_where_it_reaches_the_target(physics):
         for _ in range(60):
             *_, terminated, truncated, info = env.step(act(0.3))
             away = math.hypot(*(env.planar[:2] - [2.0, 1.5]))
-            assert terminated == (away <= REACHED) and not truncated
+            assert terminated == (away <= GOAL_RADIUS) and not truncated
             if terminated:
                 break
         assert info["success"] is True and info["reason"] == "reached" and info["collisions"] == 0
@@ -297,11 +297,13 @@ def test_dense_rewards_are_progress_less_costs_plus_the_prize():
         _, reward, terminated, _, _ = env.step(act(0.3))
         rewards.append(reward)
     gained = env.planar[0] - 0.6
-    assert sum(rewards) == pytest.approx(gained - STEP_COST * len(rewards) + SUCCESS_REWARD, abs=0.1)
+    assert sum(rewards) == pytest.approx(
+        gained - CARNAV_REWARD.step_cost * len(rewards) + CARNAV_REWARD.success, abs=0.1
+    )
     env.reset(options={"task": env.sampler.task((3.6, 1.5, 0.0), (2.0, 1.5, 0.0))})
     for _ in range(5):
         reward = env.step(act(0.3))[1]
-    assert reward == pytest.approx(-STEP_COST - COLLISION_COST, abs=2e-3)
+    assert reward == pytest.approx(-CARNAV_REWARD.step_cost - CARNAV_REWARD.collision_cost, abs=2e-3)
 
 
 def test_sparse_rewards_success_only():
@@ -311,7 +313,7 @@ def test_sparse_rewards_success_only():
     while not terminated:
         _, reward, terminated, _, _ = env.step(act(0.5))
         rewards.append(reward)
-    assert rewards[-1] == SUCCESS_REWARD and not any(rewards[:-1])
+    assert rewards[-1] == CARNAV_REWARD.success and not any(rewards[:-1])
 
 
 @pytest.mark.parametrize(

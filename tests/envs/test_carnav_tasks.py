@@ -16,9 +16,7 @@ from tests.helpers.car_worlds import two_yards, yard
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import footprint
 from vssm_gym.envs.tasks.car import (
-    ALIGNED,
     GOAL_MARGIN,
-    REACHED,
     TARGET_APART,
     CarTask,
     CarTaskSampler,
@@ -26,7 +24,7 @@ from vssm_gym.envs.tasks.car import (
 from vssm_gym.envs.tasks.car_sets import make_car_tasks
 from vssm_gym.envs.tasks.car_space import ARC_TURNS, LATTICE_CELL, LATTICE_HEADINGS, CarSpace
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.transition import Bicycle
 
@@ -140,8 +138,8 @@ def test_targets_are_uniform_over_free_poses():
 def test_reached_means_near_and_aligned(dx, dy, turn):
     pose, point = (CarTask(scene="yard", start=(0, 0, 0), goal=goal) for goal in ((1.0, 1.0, 3.1), (1.0, 1.0)))
     planar = np.array([1.0 + dx, 1.0 + dy, 3.1 + turn])  # the heading may pass pi
-    assert point.reached(planar) == (math.hypot(planar[0] - 1.0, planar[1] - 1.0) <= REACHED)
-    assert pose.reached(planar) == (point.reached(planar) and pose.turn(planar) <= ALIGNED)
+    assert point.reached(planar) == (math.hypot(planar[0] - 1.0, planar[1] - 1.0) <= GOAL_RADIUS)
+    assert pose.reached(planar) == (point.reached(planar) and pose.turn(planar) <= GOAL_HEADING_TOLERANCE)
     assert pose.turn(planar) == pytest.approx(abs(turn), abs=1e-9)
 
 

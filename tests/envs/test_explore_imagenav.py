@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import furniture, two_rooms
-from vssm_gym.envs.explore import COVERAGE_REWARD, STEP_COST, ExploreEnv
+from vssm_gym.envs.explore import EXPLORE_REWARD, ExploreEnv
 from vssm_gym.envs.imagenav import ImageNavEnv
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.robots import HolonomicRobot
@@ -68,7 +68,9 @@ def test_dense_exploration_rewards_add_up_to_coverage():
         _, reward, _, _, info = env.step(action)
         rewards.append(reward)
     assert 0.0 < first < info["coverage"] < 1.0
-    assert sum(rewards) == pytest.approx(COVERAGE_REWARD * (info["coverage"] - first) - 5 * STEP_COST)
+    assert sum(rewards) == pytest.approx(
+        EXPLORE_REWARD.gain * (info["coverage"] - first) - 5 * EXPLORE_REWARD.step_cost
+    )
     assert info["path_length"] == pytest.approx(0.32)
 
 

@@ -22,9 +22,9 @@ from vssm_gym.envs.flight_body import (
     rotation,
 )
 from vssm_gym.envs.sensors import CameraConfig
-from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.envs.tasks.reference_flights import CURVES, Placement, ReferenceFlight
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.gravity import GRAVITY
 
 ID = "vssm_gym:vssm_gym/Flight-v0"
 SCENE = hall()

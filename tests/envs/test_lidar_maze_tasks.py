@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.maze_episodes import MAZE, TASK, act, make
-from vssm_gym.envs.lidar_maze import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.lidar_maze import MAZE_REWARD
 from vssm_gym.envs.tasks.goal_progress import GoalDistance
 from vssm_gym.envs.tasks.maze_objectives import TILE
 from vssm_gym.errors import InputError
@@ -41,10 +41,10 @@ def test_dense_rewards_add_up_to_progress_costs_and_prize():
     distance = GoalDistance(MAZE.space, 0.01)
     distance.aim(np.array(TASK.goal))
     gained = distance(np.array(TASK.start[:2])) - distance(env.planar[:2])
-    assert sum(rewards) == pytest.approx(gained - 6 * STEP_COST)
+    assert sum(rewards) == pytest.approx(gained - 6 * MAZE_REWARD.step_cost)
     assert gained > 0.05
     env.reset(options={"task": MAZE.sampler.task((0.27, 0.1, 0.0), TASK.goal)})
-    assert env.step(act(stop=1.0))[1] == pytest.approx(SUCCESS_REWARD - STEP_COST)
+    assert env.step(act(stop=1.0))[1] == pytest.approx(MAZE_REWARD.success - MAZE_REWARD.step_cost)
 
 
 def test_the_grid_behind_the_reward_follows_the_exact_geodesic():
@@ -61,7 +61,7 @@ def test_sparse_rewards_success_only():
     env.reset(options={"task": TASK})
     assert env.step(act(step=0.02))[1] == 0.0 and env.step(act(stop=1.0))[1] == 0.0
     env.reset(options={"task": MAZE.sampler.task((0.27, 0.1, 0.0), TASK.goal)})
-    assert env.step(act(stop=1.0))[1] == SUCCESS_REWARD
+    assert env.step(act(stop=1.0))[1] == MAZE_REWARD.success
 
 
 def test_exploration_pays_for_new_tiles_and_ends_when_all_are_visited():
@@ -73,13 +73,13 @@ def test_exploration_pays_for_new_tiles_and_ends_when_all_are_visited():
     counted = int(env.objective.counted.sum())
     assert info["coverage"] == pytest.approx(1.0 / counted)
     steps = [env.step(act(step=0.02)) for _ in range(6)]  # crosses x = 0.1 and stays below 0.2
-    assert sum(step[1] for step in steps) == pytest.approx(TILE - 6 * STEP_COST)
+    assert sum(step[1] for step in steps) == pytest.approx(TILE - 6 * MAZE_REWARD.step_cost)
     assert steps[-1][4]["coverage"] == pytest.approx(2.0 / counted)
     env.objective.visited[:] = env.objective.counted
     env.objective.visited[1, 0] = False
     _, reward, terminated, _, info = env.step(act(step=0.02))
     assert terminated and info["success"] is True and info["coverage"] == 1.0
-    assert reward == pytest.approx(TILE + SUCCESS_REWARD - STEP_COST)
+    assert reward == pytest.approx(TILE + MAZE_REWARD.success - MAZE_REWARD.step_cost)
     env.reset(seed=0)
     assert env.objective.visited.sum() == 1
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.helpers.box_rooms import furniture, two_rooms
-from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD, PointNavEnv
+from vssm_gym.envs.pointnav import POINTNAV_REWARD, PointNavEnv
 from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.simulation import Simulation
@@ -186,10 +186,10 @@ def test_dense_rewards_add_up_to_progress_costs_and_prize():
     distance = GoalDistance(SAMPLER.space)
     distance.aim(np.array(TASK.goal))
     gained = distance(np.array(TASK.start[:2])) - distance(env.planar[:2])
-    assert sum(rewards) == pytest.approx(gained - 6 * STEP_COST)
+    assert sum(rewards) == pytest.approx(gained - 6 * POINTNAV_REWARD.step_cost)
     near = SAMPLER.task((1.8, 1.0, 0.0), TASK.goal)
     env.reset(options={"task": near})
-    assert env.step(act(stop=1.0))[1] == pytest.approx(SUCCESS_REWARD - STEP_COST)
+    assert env.step(act(stop=1.0))[1] == pytest.approx(POINTNAV_REWARD.success - POINTNAV_REWARD.step_cost)
 
 
 def test_sparse_rewards_success_only():
@@ -197,7 +197,7 @@ def test_sparse_rewards_success_only():
     env.reset(options={"task": TASK})
     assert env.step(act(step=0.1))[1] == 0.0 and env.step(act(stop=1.0))[1] == 0.0
     env.reset(options={"task": SAMPLER.task((1.8, 1.0, 0.0), TASK.goal)})
-    assert env.step(act(stop=1.0))[1] == SUCCESS_REWARD
+    assert env.step(act(stop=1.0))[1] == POINTNAV_REWARD.success
 
 
 @given(st.integers(0, 2**32 - 1))

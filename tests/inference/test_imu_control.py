@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from vssm_gym.data.sequences import imu_line
 from vssm_gym.envs.flight_body import FlightBody
-from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.envs.tasks.reference_flights import HOVER, Placement, ReferenceFlight
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.gravity import GRAVITY
 from vssm_gym.geometry.transforms import inverse
 from vssm_gym.inference.prism.imu_control import ImuControl
 from vssm_gym.model.transition import Rigid, RigidState

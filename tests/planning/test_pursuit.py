@@ -8,7 +8,7 @@ from hypothesis import given
 
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.geometry.transforms import wrap_angle
-from vssm_gym.planning.pursuit import REACHED, steer
+from vssm_gym.planning.pursuit import BEND_PASSED, steer
 
 ROBOT = HolonomicRobot()
 LIMITS = ROBOT.limits
@@ -46,7 +46,7 @@ def test_drives_only_towards_the_waypoint(xy, heading, path):
     """A step that moves goes straight at a waypoint and does not pass it; a step that does not move turns to it."""
     planar, path = np.array([*xy, heading]), np.array(path)
     turn, offset, step = steer(planar, path, LIMITS)
-    ahead = [p for p in path[1:-1] if np.linalg.norm(p - planar[:2]) >= REACHED] + [path[-1]]
+    ahead = [p for p in path[1:-1] if np.linalg.norm(p - planar[:2]) >= BEND_PASSED] + [path[-1]]
     away = ahead[0] - planar[:2]
     distance, error = float(np.hypot(*away)), float(wrap_angle(np.arctan2(away[1], away[0]) - heading))
     if distance == 0.0:
@@ -70,7 +70,7 @@ def test_follows_the_path_to_its_end(heading, path):
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     rest = path
     for _ in range(60 + int(length / LIMITS[2]) + 30 * len(path)):
-        while len(rest) > 2 and np.linalg.norm(rest[1] - planar[:2]) < REACHED:
+        while len(rest) > 2 and np.linalg.norm(rest[1] - planar[:2]) < BEND_PASSED:
             rest = rest[1:]
         command = steer(planar, rest, LIMITS)
         moved = execute(planar, command, EXACT, np.random.default_rng(0))
@@ -78,7 +78,7 @@ def test_follows_the_path_to_its_end(heading, path):
         planar = moved
         off = max(off, distance_to_path(planar[:2], path))
     assert np.linalg.norm(planar[:2] - path[-1]) < 1e-6
-    assert off < REACHED + 1e-6
+    assert off < BEND_PASSED + 1e-6
     assert driven <= length + 1e-6
 
 

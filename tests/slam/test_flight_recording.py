@@ -13,9 +13,9 @@ from vssm_gym.data.recording import read_provenance
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.envs.sensors import CameraConfig
-from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import flight as study_flight
+from vssm_gym.geometry.gravity import GRAVITY
 from vssm_gym.slam.run import SlamOptions, run_slam
 
 SMALL = CameraConfig(64, 48)

@@ -8,7 +8,7 @@ import pytest
 from tests.helpers.imagined_room import room, task
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
-from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.pointnav import POINTNAV_REWARD
 from vssm_gym.envs.tasks.navigation import load
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.training.evaluation import METRICS, evaluate_policy, files_of
@@ -30,7 +30,7 @@ def test_an_imagined_success_by_hand(tmp_path, ahead):
     assert 10 <= row["steps"] <= 14  # 16 cm each, and the stop
     assert 1.6 <= row["path_length"] < 1.85
     assert row["spl"] == pytest.approx(1.6 / row["path_length"])
-    assert row["return"] == pytest.approx(1.6 - STEP_COST * row["steps"] + SUCCESS_REWARD)
+    assert row["return"] == pytest.approx(1.6 - POINTNAV_REWARD.step_cost * row["steps"] + POINTNAV_REWARD.success)
 
 
 def test_an_imagined_failure_by_hand(tmp_path, ahead):
@@ -39,7 +39,7 @@ def test_an_imagined_failure_by_hand(tmp_path, ahead):
     (row,) = imagine(straight(step=-1.0), tmp_path / "room.npz", [ahead], "none")
     assert not row["success"] and row["spl"] == 0.0 and row["steps"] == STEPS
     assert row["path_length"] < 1e-3
-    assert row["return"] == pytest.approx(-STEP_COST * STEPS, abs=0.1)  # 3 % of a grid's ways
+    assert row["return"] == pytest.approx(-POINTNAV_REWARD.step_cost * STEPS, abs=0.1)  # 3 % of a grid's ways
 
 
 @pytest.mark.slow

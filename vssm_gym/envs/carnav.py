@@ -31,15 +31,14 @@ from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
-from vssm_gym.envs.tasks.car import REACHED, TARGETS, CarTask, CarTaskSampler, Targets
+from vssm_gym.envs.tasks.car import TARGETS, CarTask, CarTaskSampler, Targets
+from vssm_gym.envs.tasks.rewards import DenseReward
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_RADIUS, Car
 
-MAX_ACCELERATION = 2.0  # m/s^2, of control="acceleration"
-STEP_COST, COLLISION_COST, SUCCESS_REWARD = 0.005, 0.05, 2.5  # of the dense reward, whose unit is a metre gained
-ALIGNING = 0.1  # m per radian of heading error, in the distance to a target pose
+CARNAV_REWARD = DenseReward(step_cost=0.005, success=2.5, collision_cost=0.05, alignment=0.1)
 
 
 class CarNavEnv(PhasedEnv):
@@ -198,7 +197,7 @@ class CarNavEnv(PhasedEnv):
         values = parse_action(action, (self.control, "steering"))
         before, was = self._speed, self._planar
         if self.control == "acceleration":
-            push = min(max(values[0], -MAX_ACCELERATION), MAX_ACCELERATION)
+            push = min(max(values[0], -self.car.max_acceleration), self.car.max_acceleration)
             values[0] = before + push * self.car.dt
         command = self.car.clip(values)
         self._speed = float(command[0])
@@ -242,7 +241,7 @@ class CarNavEnv(PhasedEnv):
         if self._plan is None:
             self._plan = TopDown(self.apartment.boxes(), PICTURE, PICTURE)
         path, goal = np.array(self._path), np.array(self.task.goal)
-        plan = draw_run(self._plan, path, self.car, self._planar, goal, REACHED)
+        plan = draw_run(self._plan, path, self.car, self._planar, goal, GOAL_RADIUS)
         if not self._images:
             return plan
         self.sense()
@@ -254,7 +253,7 @@ class CarNavEnv(PhasedEnv):
 
     def _action_space(self) -> gym.spaces.Box:
         speed, steering = self.car.limits
-        high = np.array([speed if self.control == "speed" else MAX_ACCELERATION, steering], np.float32)
+        high = np.array([speed if self.control == "speed" else self.car.max_acceleration, steering], np.float32)
         return gym.spaces.Box(-high, high)
 
     def _goal(self) -> np.ndarray:
@@ -295,20 +294,21 @@ class CarNavEnv(PhasedEnv):
         return bool(shapely.intersects_xy(self.sampler.space.floor, *self._planar[:2]))
 
     def _cost_to_go(self, otherwise: float) -> float:
-        """``d(x, y) + ALIGNING |heading error|``, m, d along free space; ``otherwise`` where d is not known."""
+        """``d(x, y) + alignment |heading error|``, m, d along free space; ``otherwise`` where d is not known."""
         assert self.task is not None and self._goal_distance is not None
         distance = self._goal_distance(self._planar[:2])
-        return distance + ALIGNING * self.task.turn(self._planar) if np.isfinite(distance) else otherwise
+        return distance + CARNAV_REWARD.alignment * self.task.turn(self._planar) if np.isfinite(distance) else otherwise
 
     def _reward(self, success: bool) -> float:
-        prize = SUCCESS_REWARD if success else 0.0
+        prize = CARNAV_REWARD.success if success else 0.0
         if self._goal_distance is None:
             return prize
         # Pressed against an obstacle the axle may be off the grid of free positions: it gains nothing until it is back.
         now = self._cost_to_go(self._potential)
         gained = self._potential - now if np.isfinite(self._potential) else 0.0
         self._potential = now
-        return gained - STEP_COST - COLLISION_COST * bool(self.collided_with) + prize
+        weights = CARNAV_REWARD
+        return gained - weights.step_cost - weights.collision_cost * bool(self.collided_with) + prize
 
 
 def _make_body(physics: str, apartment: Apartment, car: Car) -> CarBody:

@@ -14,11 +14,12 @@ from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.coverage import Coverage
 from vssm_gym.envs.tasks.navigation import BORDER_MARGIN
+from vssm_gym.envs.tasks.rewards import DenseReward
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-STEP_COST, COVERAGE_REWARD = 0.005, 10.0  # of a step, and of the whole coverage, in the dense reward
+EXPLORE_REWARD = DenseReward(step_cost=0.005, gain=10.0)  # gain: of the whole coverage
 
 
 class ExploreEnv(PhasedEnv):
@@ -86,7 +87,7 @@ class ExploreEnv(PhasedEnv):
         collision = False if stop else self.simulation.drive(command)
         gained = self.coverage.see(self.planar)
         finished = self.coverage.fraction >= self.finish
-        reward = COVERAGE_REWARD * gained - STEP_COST if self.reward == "dense" else float(finished)
+        reward = EXPLORE_REWARD.gain * gained - EXPLORE_REWARD.step_cost if self.reward == "dense" else float(finished)
         info = self._info(command, collision)
         if stop or finished:
             info["success"] = finished

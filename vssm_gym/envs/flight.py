@@ -22,7 +22,7 @@ from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, imu, rgbd_noise
 from vssm_gym.envs.sensors.base import Sensor
 from vssm_gym.envs.sensors.flight import FlightPoseSensor, FlyingBody, ImuSensor
-from vssm_gym.envs.sensors.imu import GRAVITY, ImuSensorNoise
+from vssm_gym.envs.sensors.imu import ImuSensorNoise
 from vssm_gym.envs.sensors.rgbd import RGBDSensor
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
@@ -40,6 +40,7 @@ from vssm_gym.envs.tasks.reference_flights import (
 )
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.gravity import GRAVITY
 from vssm_gym.geometry.transforms import matrix_to_planar
 
 DRAWN_SPEEDS = (1.0, 4.0)  # m/s, between which a speed is drawn where none is given
@@ -48,7 +49,7 @@ LONGEST_FLIGHT = 600.0  # s, most of a reference, and so of an episode
 STRAYED = 2.0  # m from the reference, at which the flight is given up
 EARNING_DISTANCE = 1.0  # m from the reference, beyond which a step earns nothing
 CRASH_COST = 5.0  # cost of a collision, in the dense reward
-HOVERING = np.concatenate([-GRAVITY, np.zeros(3)])  # the command that hovers
+HOVERING = np.concatenate([-np.array(GRAVITY), np.zeros(3)])  # the command that hovers
 
 
 class FlightEnv(PhasedEnv):

@@ -18,10 +18,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.presets import Presets
-from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.envs.tasks.reference_flights import ReferenceFlight, attitude
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4
+from vssm_gym.geometry.gravity import GRAVITY
 from vssm_gym.geometry.transforms import R_BODY_CAM
 
 

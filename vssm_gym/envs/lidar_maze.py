@@ -29,12 +29,13 @@ from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.maze_objectives import Approach, MazeCoverage
 from vssm_gym.envs.tasks.mazes import ROBOT, load_maze
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
+from vssm_gym.envs.tasks.rewards import DenseReward
 from vssm_gym.envs.validation import choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
 LONGEST_RANGE = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
-STEP_COST, SUCCESS_REWARD = 0.001, 1.0  # of the dense reward, whose unit is a metre gained
+MAZE_REWARD = DenseReward(step_cost=0.001, success=1.0)
 MAZE_PICTURE = 480  # pixels, height and width of a rendered picture
 _RAY = (236, 140, 40)
 
@@ -145,9 +146,9 @@ class LidarMazeEnv(PhasedEnv):
         gained = self.objective.gained(self.planar[:2])
         reached = self.objective.reached(self.planar[:2])
         terminated = stop if self.end_on == "stop" else reached
-        reward = SUCCESS_REWARD if terminated and reached else 0.0
+        reward = MAZE_REWARD.success if terminated and reached else 0.0
         if self.reward == "dense":
-            reward += gained - STEP_COST
+            reward += gained - MAZE_REWARD.step_cost
         info = self._info(command, collision)
         if terminated:
             info["success"] = reached

@@ -16,11 +16,12 @@ from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
+from vssm_gym.envs.tasks.rewards import DenseReward
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
-STEP_COST, SUCCESS_REWARD = 0.01, 2.5  # of the dense reward, whose unit is a metre gained
+POINTNAV_REWARD = DenseReward(step_cost=0.01, success=2.5)
 
 
 class PointNavEnv(PhasedEnv):
@@ -154,11 +155,11 @@ class PointNavEnv(PhasedEnv):
         return task
 
     def _reward(self, success: bool) -> float:
-        prize = SUCCESS_REWARD if success else 0.0
+        prize = POINTNAV_REWARD.success if success else 0.0
         if self._goal_distance is None:
             return prize
         now = self._goal_distance(self.planar[:2])
         # Squeezed between obstacles a robot may be off the grid of free positions: it gains nothing until it is back.
         gained = self._to_goal - now if np.isfinite(now) and np.isfinite(self._to_goal) else 0.0
         self._to_goal = now if np.isfinite(now) else self._to_goal
-        return gained - STEP_COST + prize
+        return gained - POINTNAV_REWARD.step_cost + prize

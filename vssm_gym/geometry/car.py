@@ -13,6 +13,9 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4
 from vssm_gym.geometry.transforms import R_BODY_CAM
 
+# m and rad from a target within which it counts as reached: CarNav's success, and the goal of value iteration.
+GOAL_RADIUS, GOAL_HEADING_TOLERANCE = 0.10, math.radians(15.0)
+
 
 @dataclass(frozen=True)
 class Car:
@@ -32,6 +35,7 @@ class Car:
     camera_height: float = 0.17  # m above the floor
     max_speed: float = 0.6  # m/s, forwards and backwards
     max_steering: float = math.radians(30.0)  # rad
+    max_acceleration: float = 2.0  # m/s^2, that may be commanded; the motors have more
     dt: float = 0.1  # s
 
     def __post_init__(self) -> None:

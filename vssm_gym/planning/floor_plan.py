@@ -19,7 +19,8 @@ from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
-PAD = 5.0  # m of unknown space kept around what is known: as far as an explorer's camera sees (`frontier.REACH`)
+CAMERA_REACH = 5.0  # m, up to which depth cameras measure well
+PAD = CAMERA_REACH  # m of unknown space kept around what is known: as far as an explorer's camera sees
 
 
 @dataclass(frozen=True)

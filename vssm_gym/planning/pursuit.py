@@ -13,7 +13,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 # m; a bend so near counts as passed, because a shorter step adds more noise than progress. The end of the path is
 # driven to at any distance.
-REACHED = 0.02
+BEND_PASSED = 0.02
 
 
 def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarray:
@@ -34,7 +34,7 @@ def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarra
     max_turn, max_offset, max_step = (float(v) for v in limits)
     x, y, heading = (float(v) for v in planar)
     ahead = [(float(px), float(py)) for px, py in np.asarray(path)[1:]]
-    while len(ahead) > 1 and math.hypot(ahead[0][0] - x, ahead[0][1] - y) < REACHED:
+    while len(ahead) > 1 and math.hypot(ahead[0][0] - x, ahead[0][1] - y) < BEND_PASSED:
         ahead = ahead[1:]
     px, py = ahead[0] if ahead else (x, y)
     distance = math.hypot(px - x, py - y)

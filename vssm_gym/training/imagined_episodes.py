@@ -17,7 +17,7 @@ from vssm_gym.agents.policy.agent import stop_radius
 from vssm_gym.agents.policy.features import features, size_of
 from vssm_gym.agents.policy.policy_file import Policy
 from vssm_gym.agents.shared.localization import Localization
-from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.pointnav import POINTNAV_REWARD
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.tasks.navigation import Task
 from vssm_gym.envs.world_model.config import Imagination
@@ -101,7 +101,7 @@ def imagine(
         running &= ~(terminated | truncated)
         at = now
     away = np.asarray(env.world.pool.geodesic, np.float64)[:n]  # m to the goal itself; beyond is padding
-    left = away - (gained + STEP_COST * steps - SUCCESS_REWARD * success)
+    left = away - (gained + POINTNAV_REWARD.step_cost * steps - POINTNAV_REWARD.success * success)
     geodesic = np.array([task.geodesic for task in tasks])
     remaining = np.where(success, 0.0, np.maximum(0.0, left - radius))
     return [
@@ -125,4 +125,4 @@ def real_return(row: Row) -> float:
 
 
 def _return(progress: float, steps: int, success: bool) -> float:
-    return float(max(0.0, progress) - STEP_COST * steps + SUCCESS_REWARD * success)
+    return float(max(0.0, progress) - POINTNAV_REWARD.step_cost * steps + POINTNAV_REWARD.success * success)

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.flight_hall import hall
 from vssm_gym.envs.scenes.free_space import FreeSpace
-from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.envs.tasks.reference_flights import (
     CLEARANCE,
     CURVES,
@@ -20,6 +19,7 @@ from vssm_gym.envs.tasks.reference_flights import (
     place,
 )
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.gravity import GRAVITY
 
 PLACE = Placement((1.0, -2.0), 4.0, 0.7)
 names = st.sampled_from(sorted(CURVES))

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from tests.helpers.imagined_room import half_seen, make, make_vec, random_actions, task
-from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.pointnav import POINTNAV_REWARD
 from vssm_gym.envs.scan_wrapper import ScanObservation
 from vssm_gym.envs.world_model import batch_slices
 from vssm_gym.envs.wrappers import DepthOnly, RelativeGoal
@@ -85,7 +85,7 @@ def test_an_episode_by_hand():
         total += reward
     assert info["success"]
     assert total == pytest.approx(
-        1.6 - 10 * STEP_COST + SUCCESS_REWARD, abs=0.05
+        1.6 - 10 * POINTNAV_REWARD.step_cost + POINTNAV_REWARD.success, abs=0.05
     )  # a grid's paths are up to 3 % longer
 
 
@@ -94,7 +94,7 @@ def test_a_stop_is_evaluated_where_the_robot_stands():
     env.reset(seed=0)
     observation, reward, terminated, _, info = env.step(np.array([0.1, 0.0, 0.16, 1.0], np.float32))
     assert terminated and not info["success"]
-    assert reward == pytest.approx(-STEP_COST, abs=1e-4)
+    assert reward == pytest.approx(-POINTNAV_REWARD.step_cost, abs=1e-4)
     np.testing.assert_allclose(observation["pose"], [1.0, 1.2, 0.0], atol=1e-5)  # nothing else is carried out
     with pytest.raises(gym.error.ResetNeeded):
         env.step(STRAIGHT)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.envs.physics import obstacles
-from vssm_gym.envs.robots.car_body import DYNAMICS, ackermann
+from vssm_gym.envs.robots.car_body import BODY, DYNAMICS, TYRES, ackermann
 from vssm_gym.envs.robots.car_noise import TICK
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.errors import InputError
@@ -21,7 +21,7 @@ from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
 STEERING_TORQUE = 4.0  # N m, largest of the steering servo
-TYRES, BODY, FLOOR, BOXES = 1, 2, 4, 8  # collision bits: tyres with the floor, the chassis with obstacles
+FLOOR, BOXES = 4, 8  # collision bits of what tyres and chassis meet
 STEERING_GAIN = 0.5  # fraction of the steering's error that its servo corrects in a substep
 _HUB_MASS = 0.01  # kg, of the part that turns with the steering, without the wheel
 _SETTLE = 20  # substeps at rest after which the tyres carry the car

@@ -14,14 +14,13 @@ from jaxtyping import Float
 
 from vssm_gym.envs.physics.boxes import bearings, boxes_of_geoms, fixed_box
 from vssm_gym.envs.physics.floor_world import obstacles
-from vssm_gym.envs.robots.car_body import DYNAMICS, ackermann
+from vssm_gym.envs.robots.car_body import BODY, DYNAMICS, TYRES, ackermann
 from vssm_gym.envs.robots.car_noise import TICK
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
 MOTOR_LAG = 0.005  # s, time constant of the motor where neither torque nor tyres limit it
-TYRES, BODY = 1, 2  # collision bits: tyres with the floor, the chassis with obstacles
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 

@@ -14,6 +14,7 @@ from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
 PHYSICS = ("mujoco", "bullet")
+TYRES, BODY = 1, 2  # collision bits of both simulators: tyres with the floor, the chassis with obstacles
 
 
 @dataclass(frozen=True)

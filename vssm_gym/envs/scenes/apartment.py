@@ -16,6 +16,7 @@ from vssm_gym.errors import InputError
 
 MAX_EXTENT = 250.0  # m, largest apartment
 MOST_ROOMS, MOST_WALLS, MOST_HOLES, MOST_PIECES = 1000, 20_000, 5000, 20_000  # most of one apartment
+LEAST_FLOOR = 1.0  # m^2 of floor that an imported scene has
 
 
 class Apartment(StrictModel):

@@ -22,8 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.presets import Presets
 from vssm_gym.errors import InputError
-
-GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2, world
+from vssm_gym.geometry.gravity import GRAVITY
 
 
 @dataclass(frozen=True)

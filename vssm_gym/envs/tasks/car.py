@@ -22,13 +22,11 @@ from vssm_gym.envs.tasks.goal_progress import GoalDistance
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.geometry.transforms import wrap_angle
 
 Targets = Literal["poses", "points"]
 TARGETS: tuple[Targets, ...] = get_args(Targets)
-REACHED = 0.10  # m from the target
-ALIGNED = math.radians(15.0)  # from the target's heading
 TARGET_APART = 0.5  # m from start to target, more than
 GOAL_MARGIN = 0.05  # m around the footprint at start and target
 CAR_START_SLACK = 0.01  # m that a start may overlap obstacles: contacts give, and chains begin where they left it
@@ -44,9 +42,9 @@ class CarTask(StrictModel):
     goal: tuple[float, float] | tuple[float, float, float]
 
     def reached(self, planar: PlanarPose) -> bool:
-        """Return True if a pose is within REACHED of the goal, and ALIGNED where the goal has a heading."""
-        near = math.hypot(planar[0] - self.goal[0], planar[1] - self.goal[1]) <= REACHED
-        return near and self.turn(planar) <= ALIGNED
+        """Return True if a pose is within GOAL_RADIUS of the goal, and of its heading where it has one."""
+        near = math.hypot(planar[0] - self.goal[0], planar[1] - self.goal[1]) <= GOAL_RADIUS
+        return near and self.turn(planar) <= GOAL_HEADING_TOLERANCE
 
     def turn(self, planar: PlanarPose) -> float:
         """Return the angle between a pose's heading and the goal's, rad; 0 for a point."""
@@ -132,7 +130,7 @@ class CarTaskSampler:
                 obstacles = ", ".join(self.space.obstacles_at(np.array(pose))[:3])
                 why = f"it would collide with {obstacles}" if obstacles else "that is off the floor"
                 raise InputError(source, field, f"a pose where the car fits; at {_written(pose)} {why}")
-        within = self.space.parts_within(np.array(task.goal), REACHED, ALIGNED)
+        within = self.space.parts_within(np.array(task.goal), GOAL_RADIUS, GOAL_HEADING_TOLERANCE)
         if self.space.part(np.array(task.start)) not in within:
             expected = f"a target that the car can reach from {_written(task.start)}; found {_written(task.goal)}"
             raise InputError(source, "goal", expected)
@@ -146,7 +144,7 @@ class CarTaskSampler:
                 if self.space.part(pose) != part:
                     continue
                 # A target must be reachable by its own tolerances, which are tighter than those of `part`.
-                if away_from is None or part in self.space.parts_within(pose, REACHED, ALIGNED):
+                if away_from is None or part in self.space.parts_within(pose, GOAL_RADIUS, GOAL_HEADING_TOLERANCE):
                     return pose
         expected = f"room for a car to drive {TARGET_APART} m; no target found that it can reach"
         raise InputError(self.apartment.name, "rooms", expected)

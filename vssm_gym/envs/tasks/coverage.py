@@ -4,8 +4,9 @@
 
 The plan is cut into cells of ``COVERAGE_CELL``. A cell is seen when a ray at the camera's height, of its horizontal
 field of view and no longer than ``SEEING_RANGE``, crosses it before it hits anything. The denominator is the reachable,
-observable area: it excludes what is walled off, behind furniture, or beyond the plan, so that 1 can be attained and 90
-% means 90 % of what there is to see. It is computed once for an apartment, from all positions of a grid in free space.
+observable area: it excludes what is walled off, behind furniture, or beyond the plan, so that 1 can be attained and
+90 % means 90 % of what there is to see. It is computed once for an apartment, from all positions of a grid in free
+space.
 """
 
 import math

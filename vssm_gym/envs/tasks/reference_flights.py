@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment
-from vssm_gym.envs.sensors.imu import GRAVITY
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.gravity import GRAVITY
 
 Yaw = Literal["forward", "constant"]
 

@@ -15,11 +15,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from vssm_gym.envs.world_model.config import SOURCE
 from vssm_gym.errors import InputError
-from vssm_gym.maps.columns import OBSERVED_SHARE, level_distance, observed_columns
+from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
-NODE_SPACING = 0.025  # m
-Z_MIN = 0.08  # m: above the floor's noise
+NODE_SPACING = 0.025  # m, between the nodes of the grid of clearances
 PATH_PIECES = 4  # of one step's path: each shorter than the footprint's radius, so that no wall is jumped
 PUSHES = 2  # out of an obstacle, after each piece: in a corner the first push may end in the other wall
 
@@ -39,11 +38,11 @@ class CollisionMap(eqx.Module):
 
         Raises :class:`InputError` for a map that shows no free floor.
         """
-        columns = [observed_columns(m, Z_MIN, height, NODE_SPACING) for m in maps]
+        columns = [observed_columns(m, BODY_HEIGHTS[0], height, NODE_SPACING) for m in maps]
         known = columns[0][1] >= OBSERVED_SHARE  # precisions are the belief's in every sample
         free = np.argwhere(known & (columns[0][0] <= 0.0))
         if len(free) == 0:
-            raise InputError(SOURCE, "map", f"free floor observed between {Z_MIN} and {height} m; found none")
+            raise InputError(SOURCE, "map", f"free floor observed between {BODY_HEIGHTS[0]} and {height} m; found none")
         low, high = np.maximum(free.min(axis=0) - 1, 0), free.max(axis=0) + 2
         window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
         clearance = []

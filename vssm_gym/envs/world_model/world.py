@@ -9,12 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from vssm_gym.envs.carnav import COLLISION_COST
-from vssm_gym.envs.carnav import STEP_COST as CAR_STEP_COST
-from vssm_gym.envs.carnav import SUCCESS_REWARD as CAR_SUCCESS_REWARD
-from vssm_gym.envs.pointnav import STEP_COST, SUCCESS_REWARD
+from vssm_gym.envs.carnav import CARNAV_REWARD
+from vssm_gym.envs.pointnav import POINTNAV_REWARD
 from vssm_gym.envs.robots import HolonomicRobot
-from vssm_gym.envs.tasks.car import GOAL_MARGIN, REACHED
+from vssm_gym.envs.tasks.car import GOAL_MARGIN
 from vssm_gym.envs.tasks.car import TARGET_APART as CAR_APART
 from vssm_gym.envs.tasks.navigation import GOAL_APART, SHORTEST, SUCCESS
 from vssm_gym.envs.world_model.collision_map import CollisionMap
@@ -24,7 +22,7 @@ from vssm_gym.envs.world_model.motion import disc_radius
 from vssm_gym.envs.world_model.tasks import TaskLimits, TaskPool, draw_tasks
 from vssm_gym.envs.world_model.view import ImaginedCamera
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission_uncertainty import sample_map
 
@@ -71,10 +69,10 @@ def robot_of(config: Imagination) -> Robot:
 
 def _rules(config: Imagination, robot: Robot) -> Rules:
     dense, unknown_cost = config.reward == "dense", UNKNOWN_COST if config.unknown == "penalised" else 0.0
+    radius, stops, weights = SUCCESS * robot.body_length, config.end_on == "stop", POINTNAV_REWARD
     if isinstance(robot, Car):
-        return Rules(REACHED, dense, False, CAR_STEP_COST, COLLISION_COST, CAR_SUCCESS_REWARD, unknown_cost)
-    radius, stops = SUCCESS * robot.body_length, config.end_on == "stop"
-    return Rules(radius, dense, stops, STEP_COST, 0.0, SUCCESS_REWARD, unknown_cost)
+        radius, stops, weights = GOAL_RADIUS, False, CARNAV_REWARD
+    return Rules(radius, dense, stops, weights.step_cost, weights.collision_cost, weights.success, unknown_cost)
 
 
 def build_world(source: Any, config: Imagination, robot: Robot, max_steps: int) -> ImaginedWorld:
@@ -124,7 +122,7 @@ def _task_limits(robot: Robot) -> TaskLimits:
         # car is free at every heading.
         inside = min(robot.rear_overhang, 0.5 * robot.width)
         reach = robot.center_forward + 0.5 * robot.length * (1.0 - 1.0 / 3.0) + disc_radius(robot)
-        return TaskLimits(inside, reach + GOAL_MARGIN, CAR_APART, REACHED, 0.0)
+        return TaskLimits(inside, reach + GOAL_MARGIN, CAR_APART, GOAL_RADIUS, 0.0)
     return TaskLimits(robot.radius, robot.radius, GOAL_APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
 
 

@@ -13,11 +13,10 @@ import jax.numpy as jnp
 import jaxlie
 from jaxtyping import Array, Float
 
+from vssm_gym.geometry.gravity import GRAVITY
 from vssm_gym.model.transition.base import QUOTED_STEP, Transition
 from vssm_gym.model.transition.manifold import RIGID, RigidState
 from vssm_gym.model.transition.rigid import nearest_rotation
-
-GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, world
 
 
 class ImuNoise(eqx.Module):

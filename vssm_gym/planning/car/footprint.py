@@ -13,7 +13,7 @@ import numpy as np
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
-from vssm_gym.maps.columns import OBSERVED_SHARE, observed_columns
+from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
 
@@ -21,7 +21,7 @@ Unknown = Literal["optimistic", "mean", "averse"]
 
 OVERLAP = 1e-9  # m; a smaller overlap is rounding, and contact is no collision
 AVERSE_DEVIATIONS = 2.0  # of a surface's standard deviation: occupied from P(occupied) = 2.3 % on
-Z_MIN, Z_MAX = 0.08, 0.2  # m: above the floor's noise, up to just above the car's roof
+CAR_HEIGHTS = (BODY_HEIGHTS[0], 0.2)  # m: above the floor's noise, up to just above the car's roof
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def arena_from_map(
     voxel_map: VoxelMap,
     unknown: Unknown = "mean",
     resolution: float = 0.035,
-    z_min: float = Z_MIN,
-    z_max: float = Z_MAX,
+    z_min: float = CAR_HEIGHTS[0],
+    z_max: float = CAR_HEIGHTS[1],
     bounds: np.ndarray | None = None,
 ) -> Arena:
     """Return the arena of a belief: cells in which a body of height ``z_min..z_max`` (m) would meet something.

@@ -13,10 +13,9 @@ import numpy as np
 from numba import njit
 from scipy import ndimage
 
-from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.floor_plan import CAMERA_REACH, FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
-REACH = 5.0  # m, up to which depth cameras measure well
 # m: a cell of 7 cm and its neighbours, so that half a door is not dismissed with its other half
 DISMISSED_FRONTIER = 0.12
 RAYS = 240  # of a full turn: two cells of 7 cm apart at the end of the reach
@@ -144,7 +143,9 @@ def visible_unknown(cells: np.ndarray, x: float, y: float, reach: float, hazard:
     return seen
 
 
-def seen_unknown(plan: FloorPlan, xy: np.ndarray, hazard: float | np.ndarray = 0.0, reach: float = REACH) -> np.ndarray:
+def seen_unknown(
+    plan: FloorPlan, xy: np.ndarray, hazard: float | np.ndarray = 0.0, reach: float = CAMERA_REACH
+) -> np.ndarray:
     """Evaluate :func:`visible_unknown` at places ``(n, 2)`` (m): ``(n, cells)``, of the cells that any of them sees.
 
     ``hazard`` is per metre, the same everywhere or ``(nx, ny)``, and ``reach`` in metres; a row's sum times the area of

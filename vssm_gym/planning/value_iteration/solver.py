@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, collides, heading_grid, rectangle_collisions
 from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import sweeps
@@ -22,7 +22,6 @@ from vssm_gym.planning.value_iteration.motions import Motions
 from vssm_gym.planning.value_iteration.reachability import flood
 
 WARM_SWEEPS = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
-GOAL_RADIUS, GOAL_HEADING_TOLERANCE = 0.1, np.radians(15.0)  # m and rad from the target: CarNav's success criterion
 
 
 class ValueStatus(Outcome):

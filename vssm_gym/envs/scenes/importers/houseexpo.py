@@ -16,7 +16,7 @@ import shapely
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from shapely import Polygon
 
-from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.apartment import LEAST_FLOOR, Apartment
 from vssm_gym.envs.scenes.apartment_parts import (
     CEILING_HEIGHT,
     DOOR_HEIGHT,
@@ -34,7 +34,6 @@ from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 
 LARGEST_PLAN = 100.0  # m, extent of a plan
-LEAST_FLOOR = 1.0  # m^2 of floor
 LEAST_OVERLAP = 0.25  # least overlap (intersection over union) of a room with a category's box
 PICTURE_WALL = 1.4  # m, shortest wall that carries a picture
 PLAN_CORNERS = 1000  # of an outline; the plans of the data set have a few hundred at most

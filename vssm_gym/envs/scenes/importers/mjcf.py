@@ -16,7 +16,7 @@ import shapely
 from shapely import Polygon
 
 from vssm_gym.envs.physics import StaticGeom, static_geoms
-from vssm_gym.envs.scenes.apartment import Apartment
+from vssm_gym.envs.scenes.apartment import LEAST_FLOOR, Apartment
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE, Box, Furniture, Material, Room, Wall
 from vssm_gym.envs.scenes.faults import misplaced, with_notes
 from vssm_gym.envs.scenes.importers.mjcf_xml import StillModel
@@ -28,7 +28,6 @@ from vssm_gym.errors import InputError
 MOST_BOXES = 20_000  # most of a scene
 LEVEL = 0.02  # m; the floor's candidates within this of the lowest are one level
 FLAT = 4.0  # a box is flat whose sides are this many times its height
-LEAST_FLOOR = 1.0  # m^2 of floor
 ENDLESS_MARGIN = 1.0  # m of an endless floor around the outermost geom
 HEADROOM = 2.6  # m, least height of the ceiling
 ENCLOSING_HEIGHTS = (0.02, 1.0)  # m above the floor: geoms here enclose rooms
