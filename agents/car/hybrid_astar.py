@@ -6,6 +6,7 @@ the true pose. Described in ``docs/agents/car.md``.
 
 import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,21 +19,36 @@ from vssm_gym.planning.car.hybrid_astar import CarPlan, plan
 from vssm_gym.planning.car.pursuit import CarPath
 from vssm_gym.planning.result import PlanStatus
 
-EXPANSIONS = 300_000  # of a search: a count, not a time, so that runs repeat exactly on any machine
-MARGINS = (0.02, 0.0)  # m around the footprint, tried in turn: with room for an error of the map, then without
-ASTRAY, TURNED = 0.08, 0.4  # m from the plan and rad off its heading from which on the car plans again
-# Offsets from the target (m, m, rad) that stay inside its region; in a map rounded to cells the car may fit at one
-# only.
-OFFSETS = np.array([[0.0, 0.0, 0.0], *itertools.product((-0.04, 0.0, 0.04), (-0.04, 0.0, 0.04), (-0.1, 0.0, 0.1))])
+
+@dataclass(frozen=True)
+class HybridPursuitConfig:
+    """Configure when and where to the car plans; how it searches and follows are the planners' own configurations.
+
+    Args:
+        expansions: of a search: a count, not a time, so that runs repeat exactly on any machine.
+        margins: m around the footprint, tried in turn: with room for an error of the map, then without.
+        astray: distance from the plan at which the car plans again, m.
+        turned: angle off the plan's heading at which the car plans again, rad.
+        offset: m and rad along x, y and heading, by which poses around the target differ from it. They lie inside its
+            region; in a map rounded to cells the car may fit at one only.
+    """
+
+    expansions: int = 300_000
+    margins: tuple[float, ...] = (0.02, 0.0)
+    astray: float = 0.08
+    turned: float = 0.4
+    offset: tuple[float, float, float] = (0.04, 0.04, 0.1)
 
 
 class HybridPursuit:
     """Plan a drive, follow it, and plan again where that fails."""
 
-    def __init__(self, arena: Arena, car: Car) -> None:
+    def __init__(self, arena: Arena, car: Car, config: HybridPursuitConfig) -> None:
         grid = arena.occupied, arena.origin, arena.resolution
-        self._car, self._progress = car, 0.0
-        self._levels = [FootprintLevels.from_occupied(*grid, car, margin=margin) for margin in MARGINS]
+        self._car, self._config, self._progress = car, config, 0.0
+        around = itertools.product(*((-step, 0.0, step) for step in config.offset))
+        self._offsets = np.array([[0.0, 0.0, 0.0], *around])
+        self._levels = [FootprintLevels.from_occupied(*grid, car, margin=margin) for margin in config.margins]
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
         """Plan; return the planner's reason where it finds no drive."""
@@ -43,7 +59,8 @@ class HybridPursuit:
     def step(self, planar: np.ndarray) -> CarCommand:
         """Follow the drive, after a new plan where the car left the old one or ended elsewhere."""
         following = self._drive.follow(planar, self._progress, self._car)
-        astray = following.deviation > ASTRAY or abs(following.heading_error) > TURNED
+        turned = abs(following.heading_error) > self._config.turned
+        astray = following.deviation > self._config.astray or turned
         if following.done or astray:
             result = self._plan(planar)
             if not result.found:
@@ -54,9 +71,10 @@ class HybridPursuit:
 
     def _plan(self, planar: np.ndarray) -> CarPlan:
         """Return the first drive found: to the target with a margin, without one, then to poses around it."""
-        for goal in self._goal + OFFSETS[:, : len(self._goal)]:
+        expansions = self._config.expansions
+        for goal in self._goal + self._offsets[:, : len(self._goal)]:
             for levels in self._levels:
-                result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=EXPANSIONS)
+                result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=expansions)
                 if result.found:
                     self._drive, self._progress = CarPath(result.poses, result.gears), 0.0
                     return result
@@ -74,6 +92,7 @@ class HybridAStarAgent:
     needs_pose = True
     needs_map = True
 
-    def __init__(self) -> None:
-        driver = Driver(TruePose(), HybridPursuit)
+    def __init__(self, config: HybridPursuitConfig | None = None) -> None:
+        chosen = config or HybridPursuitConfig()
+        driver = Driver(TruePose(), lambda arena, car: HybridPursuit(arena, car, chosen))
         self.reset, self.act = driver.reset, driver.act

@@ -29,8 +29,6 @@ from vssm_gym.planning.exploration.minimum_latency_tour import MOST_PLACES, best
 from vssm_gym.planning.floor_plan import CAMERA_REACH
 
 Gains: TypeAlias = Callable[[np.ndarray, np.ndarray], Gain]  # of (poses, paths through them)
-SAME_PLACE = 0.2  # m; a place so near to one that was visited counts as visited: it sees the same
-AROUND = 4  # views of a full turn, a quarter turn apart
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,8 @@ class MiExplorerConfig:
     mode: Literal["coverage", "rate", "difference"] = "coverage"
     price: float = 5000.0  # nats per metre of path, of the mode "difference"
     spacing: float = 0.5  # m between candidates
+    same_place: float = 0.2  # m; a place so near to one that was visited counts as visited: it sees the same
+    turn_views: int = 4  # views of a full turn at a candidate, evenly apart
     hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
     least_share: float = 0.1  # fraction of the greatest gain, below which a place is left for later
     least_area: float = 0.05  # m^2 of unknown space that a candidate sees
@@ -103,7 +103,7 @@ class MutualInformation:
         if (
             situation.arrived
             and self._goal is not None
-            and math.hypot(*(self._goal - situation.planar[:2])) < SAME_PLACE
+            and math.hypot(*(self._goal - situation.planar[:2])) < self._config.same_place
         ):
             self._visited.append(self._goal)
             self._goal = None
@@ -150,12 +150,13 @@ class MutualInformation:
         if len(chosen) == 0:
             return None
         xy, away = found.xy[chosen], found.distance[chosen]
-        turns = np.arange(AROUND) * 2.0 * math.pi / AROUND
-        planar = np.column_stack([np.repeat(xy, AROUND, axis=0), np.tile(turns, len(xy))])
+        views = c.turn_views
+        turns = np.arange(views) * 2.0 * math.pi / views
+        planar = np.column_stack([np.repeat(xy, views, axis=0), np.tile(turns, len(xy))])
         # One trajectory through all of them gives what a place adds to those before it.
         looked = gain(planar, np.arange(len(planar))[None])
-        held = looked.pose.reshape(-1, AROUND).mean(axis=1)
-        worth = np.diff(looked.along[0, AROUND - 1 :: AROUND], prepend=0.0) - c.least_gain
+        held = looked.pose.reshape(-1, views).mean(axis=1)
+        worth = np.diff(looked.along[0, views - 1 :: views], prepend=0.0) - c.least_gain
         worth += c.pose_weight * (held - held.max())  # less where the views have little information about the pose
         kept = np.flatnonzero(worth > max(0.0, c.least_share * float(worth.max(initial=0.0))))
         if len(kept) == 0:
@@ -181,7 +182,7 @@ class MutualInformation:
 
     def _is_visited(self, xy: np.ndarray) -> bool:
         """Return True where this place was a reached goal: the gain that is still expected there cannot be observed."""
-        return any(math.hypot(*(place - xy)) < SAME_PLACE for place in self._visited)
+        return any(math.hypot(*(place - xy)) < self._config.same_place for place in self._visited)
 
 
 def _strip(camera: Camera, share: float) -> Camera:

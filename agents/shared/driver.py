@@ -18,7 +18,6 @@ from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car.footprint import Arena, Unknown, arena_from_map
 
-PLAN_RESOLUTION = 0.035  # m, cells of the floor plan, as `arena_from_map` has them by default
 SURFACE_ERROR = 0.01  # m around the footprint that controllers keep free, because learned surfaces have an error
 
 
@@ -74,7 +73,7 @@ class Driver:
             missing = "map" if context.map is None else "car"
             raise InputError("AgentContext", missing, "a learned map and a car: this agent plans a car's path in a map")
         if context.map is not self._map:
-            arena = arena_from_map(context.map, self._unknown, PLAN_RESOLUTION)
+            arena = arena_from_map(context.map, self._unknown)
             self._controller, self._map = self._make(arena, context.car), context.map
         self._car = context.car
         self._command = np.zeros(2)

@@ -19,7 +19,6 @@ import shapely
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.agents.car.vi_mpc import PROBLEM
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import PLAN_RESOLUTION
 from vssm_gym.envs.physics import obstacles
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.scene import load_scene
@@ -32,7 +31,7 @@ from vssm_gym.eval.bench.speed import CompileCounter
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
-from vssm_gym.planning.car.footprint import Arena
+from vssm_gym.planning.car.footprint import ARENA_CELL, Arena
 from vssm_gym.planning.car.footprint_levels import FootprintLevels
 from vssm_gym.planning.car.hybrid_astar import plan
 from vssm_gym.planning.mpc import safety
@@ -44,7 +43,6 @@ from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, solve
 from vssm_gym.progress import OnProgress
 
 SCENE = "arena"
-CELL = PLAN_RESOLUTION  # m, as in the agents' floor plans
 ARENA_MARGIN = (0.2, 0.14)  # m beyond the floor along x, y: the car's arenas, 5.2 x 4.2 m, make 160 x 128 cells
 SEALED, THICK = 1.0, 0.05  # m: edge of the corner that is sealed off, and thickness of its fences
 GOALS = 5  # of value iteration
@@ -115,12 +113,12 @@ def sealed_off(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Ar
 def rasterised(solid: shapely.Geometry, low: np.ndarray, high: np.ndarray) -> Arena:
     """Rasterise ``solid``: cells that it overlaps are occupied."""
     shapely.prepare(solid)
-    nx, ny = np.round((high - low + 2.0 * np.array(ARENA_MARGIN)) / CELL).astype(int)
-    origin = low - ARENA_MARGIN + 0.5 * CELL
-    x, y = np.meshgrid(origin[0] + CELL * np.arange(nx), origin[1] + CELL * np.arange(ny), indexing="ij")
-    half = 0.5 * CELL
+    nx, ny = np.round((high - low + 2.0 * np.array(ARENA_MARGIN)) / ARENA_CELL).astype(int)
+    origin = low - ARENA_MARGIN + 0.5 * ARENA_CELL
+    x, y = np.meshgrid(origin[0] + ARENA_CELL * np.arange(nx), origin[1] + ARENA_CELL * np.arange(ny), indexing="ij")
+    half = 0.5 * ARENA_CELL
     cells = shapely.box(x - half, y - half, x + half, y + half)
-    return Arena.from_occupied(shapely.intersects(solid, cells), origin, CELL)
+    return Arena.from_occupied(shapely.intersects(solid, cells), origin, ARENA_CELL)
 
 
 def value_rows(arena: Arena, sealed: np.ndarray, tasks: Sequence[CarTask], car: Car) -> list[Row]:
@@ -239,7 +237,9 @@ def _next(waiting: Iterator[CarTask], critic: Critic, planar: np.ndarray) -> tup
         if value is not None:
             return task, value
     raise InputError(
-        task.scene, "rooms", f"room for the car; none of {CONTROLLED_TARGETS} targets can be reached at {CELL} m a cell"
+        task.scene,
+        "rooms",
+        f"room for the car; none of {CONTROLLED_TARGETS} targets can be reached at {ARENA_CELL} m a cell",
     )
 
 

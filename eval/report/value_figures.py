@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import PLAN_RESOLUTION
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.car_figures import CAR, draw_target
 from vssm_gym.geometry.transforms import wrap_angle
@@ -29,7 +28,7 @@ class ValuePainter:
     """Draw targets in one scene's map; the floor plan and its collision tests are made once."""
 
     def __init__(self, voxel_map: VoxelMap) -> None:
-        self._arena = arena_from_map(voxel_map, "mean", PLAN_RESOLUTION)
+        self._arena = arena_from_map(voxel_map, "mean")
         self._critic = Critic(self._arena, CAR)
 
     def paint(self, row: Row) -> tuple[bytes, str]:

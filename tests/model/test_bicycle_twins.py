@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vssm_gym.agents.car.greedy import GreedyDescent
+from vssm_gym.agents.car.greedy import GreedyConfig, GreedyDescent
 from vssm_gym.geometry import arc
 from vssm_gym.geometry.car import Car
 from vssm_gym.model.transition import Bicycle
@@ -120,7 +120,7 @@ def reeds_shepp_curves() -> tuple[np.ndarray, np.ndarray]:
 
 def greedy_arcs() -> tuple[np.ndarray, np.ndarray]:
     arena = Arena.from_occupied(np.zeros((20, 20), bool), np.zeros(2), 0.05)
-    descent, pose = GreedyDescent(arena, CAR), np.array([0.5, 0.4, 2.9])
+    descent, pose = GreedyDescent(arena, CAR, GreedyConfig()), np.array([0.5, 0.4, 2.9])
     found = descent._along(pose)
     controls = np.stack([np.sign(descent._length), descent._steering], axis=-1)[:, None].repeat(found.shape[1], axis=1)
     shares = np.arange(1, found.shape[1] + 1) / found.shape[1]

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.car_worlds import CAR, DEAD_END, SEALED, collides, levels, move, occupied, solid
 from vssm_gym.errors import InputError
-from vssm_gym.planning.car.dwa import ACCELERATION, STEERING_RATE, DwaState, DwaStatus, DynamicWindow
+from vssm_gym.planning.car.dwa import DwaConfig, DwaState, DwaStatus, DynamicWindow
 from vssm_gym.planning.car.footprint_levels import COLLIDING
 
 ROOM = occupied(4.0, 3.0)
@@ -48,7 +48,7 @@ def test_it_arrives_without_collision(grid, start, goal):
 @pytest.mark.parametrize(("grid", "start", "goal"), CASES)
 def test_commands_are_in_the_window(grid, start, goal):
     _, states = run(grid, start, goal)
-    reach = np.array([ACCELERATION, STEERING_RATE]) * CAR.dt
+    reach = np.array([DwaConfig().acceleration, DwaConfig().steering_rate]) * CAR.dt
     for before, after in itertools.pairwise(states):
         assert np.all(np.abs(after.control) <= CAR.limits + 1e-12)
         if after.status is DwaStatus.DRIVING:

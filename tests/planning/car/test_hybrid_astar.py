@@ -11,13 +11,13 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import reeds_shepp
 from vssm_gym.planning.car.footprint_levels import COLLIDING, FREE, FootprintLevels
-from vssm_gym.planning.car.hybrid_astar import DEFAULT_COSTS, FULL_LOCK, CarPlan, arcs, plan
+from vssm_gym.planning.car.hybrid_astar import CarPlan, HybridAStarConfig, arcs, plan
 from vssm_gym.planning.car.hybrid_search import Costs
 from vssm_gym.planning.result import PlanResult, PlanStatus
 
-RADIUS = CAR.wheelbase / math.tan(FULL_LOCK * CAR.max_steering)
+RADIUS = HybridAStarConfig().radius(CAR)
 OPEN = levels(occupied(8.0, 8.0))
-LENGTH_ALONE = Costs(0.0, 0.0, 0.0, 0.0)
+LENGTH_ALONE = HybridAStarConfig(Costs(0.0, 0.0, 0.0, 0.0))
 
 
 def check_drivable(result: CarPlan, grid: np.ndarray, start: np.ndarray, goal: np.ndarray) -> None:
@@ -48,7 +48,7 @@ def check_drivable(result: CarPlan, grid: np.ndarray, start: np.ndarray, goal: n
 def test_without_obstacles_a_plan_is_the_reeds_shepp_path(seed):
     rng = np.random.default_rng(seed)
     start, goal = (np.array([*rng.uniform(2.5, 5.5, 2), rng.uniform(-3.1, 3.1)]) for _ in range(2))
-    result = plan(start, goal, OPEN, CAR, costs=LENGTH_ALONE)
+    result = plan(start, goal, OPEN, CAR, config=LENGTH_ALONE)
     check_drivable(result, occupied(8.0, 8.0), start, goal)
     assert result.cost == pytest.approx(float(reeds_shepp.length(start, goal, RADIUS)), rel=3e-5)
 
@@ -143,7 +143,7 @@ def test_a_finer_search_is_hardly_better(seed):
     rows = rng.uniform([0.2, 0.2, -3.1], [2.8, 2.8, 3.1], (200, 3))
     start, goal = rows[table.at(rows) == FREE][:2]
     coarse = plan(start, goal, table, CAR)
-    fine = plan(start, goal, table, CAR, cell=0.05, headings=144, steerings=9)
+    fine = plan(start, goal, table, CAR, config=HybridAStarConfig(cell=0.05, headings=144, steerings=9))
     check_drivable(coarse, grid, start, goal)
     assert drive_cost(table, coarse) <= 1.2 * drive_cost(table, fine) + 0.1
 
@@ -152,8 +152,9 @@ def drive_cost(table: FootprintLevels, result: CarPlan) -> float:
     """Compute the module's objective from poses and gears alone, without the steering."""
     hops = np.hypot(*np.diff(result.path, axis=0).T)
     near = table.at(result.poses[1:]) != FREE
-    weight = 1.0 + DEFAULT_COSTS.reverse * (result.gears[1:] < 0) + DEFAULT_COSTS.tight * near
-    return float((hops * weight).sum()) + DEFAULT_COSTS.cusp * result.cusps
+    costs = Costs()
+    weight = 1.0 + costs.reverse * (result.gears[1:] < 0) + costs.tight * near
+    return float((hops * weight).sum()) + costs.cusp * result.cusps
 
 
 def test_arcs_equal_the_cars_motion():
@@ -168,11 +169,17 @@ def test_arcs_equal_the_cars_motion():
 
 @pytest.mark.parametrize(
     ("options", "field"),
-    [({"start": np.zeros(2)}, "start"), ({"goal": np.array([np.nan, 0.0])}, "goal"), ({"steerings": 4}, "steerings")],
+    [({"start": np.zeros(2)}, "start"), ({"goal": np.array([np.nan, 0.0])}, "goal")],
 )
 def test_bad_input_is_named(options, field):
     with pytest.raises(InputError, match=field):
         plan(obstacles=OPEN, car=CAR, **({"start": np.array([3.0, 3.0, 0.0]), "goal": np.array([4.0, 4.0])} | options))
+
+
+def test_an_even_number_of_steerings_is_refused():
+    """None of them would be straight."""
+    with pytest.raises(InputError, match="steerings"):
+        HybridAStarConfig(steerings=4)
 
 
 def test_a_drive_has_the_fields_of_a_plan():

@@ -19,6 +19,7 @@ from vssm_gym.planning.mpc.problem import MpcConfig, MpcProblem
 from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
 
 PROBLEM = MpcProblem(config=MpcConfig(horizon=8, comfort=0.3))
+CONFIG = ipopt.IpoptConfig()
 BICYCLE = Bicycle(wheelbase=PROBLEM.car.wheelbase)
 START, LAST = np.array([0.3, -0.2, 2.6]), np.array([0.2, -0.1])
 
@@ -70,8 +71,8 @@ def test_the_gradient_of_the_lagrangian_is_that_of_finite_differences(seed: int)
 def test_ipopts_derivatives_are_exact() -> None:
     """Gradient, Jacobian and Hessian of the NLP equal finite differences in float64, away from solutions."""
     value, clearance = bumpy()
-    values, clearances = ValueTable(value, ipopt.REACH), ClearanceTable(clearance, 1.0)
-    solver = ipopt.build(PROBLEM, values, clearances)
+    values, clearances = ValueTable(value, CONFIG.reach), ClearanceTable(clearance, 1.0)
+    solver = ipopt.build(PROBLEM, values, clearances, CONFIG)
     controls = drawn(0)
     _, states, _ = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
     table, value_origin = values.window(states[-1, :2])
@@ -97,8 +98,8 @@ def test_ipopts_derivatives_are_exact() -> None:
 def test_ipopts_splines_are_the_tables_where_those_are_linear() -> None:
     value = worlds.value_of(lambda x, y, h: 20.0 + 3.0 * x - 2.0 * y)
     clearance = worlds.clearance_of(lambda x, y: 1.0 + 0.2 * x + 0.1 * y)
-    values, clearances = ValueTable(value, ipopt.REACH), ClearanceTable(clearance, 1.0)
-    solver, controls = ipopt.build(PROBLEM, values, clearances), drawn(1)
+    values, clearances = ValueTable(value, CONFIG.reach), ClearanceTable(clearance, 1.0)
+    solver, controls = ipopt.build(PROBLEM, values, clearances, CONFIG), drawn(1)
     oracle = worlds.Oracle(PROBLEM, value, clearance)
     cost, states, clear = oracle(START, LAST, controls)
     table, value_origin = values.window(states[-1, :2])

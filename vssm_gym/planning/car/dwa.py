@@ -4,7 +4,7 @@
                                 + speed |v| / max_speed - cusp [gear changes]
     subject to                  |v| <= sqrt(2 braking free),   |v| <= sqrt(2 braking d(0))
 
-A steering held for :data:`REACH` metres drives an arc, of which ``free`` metres are free (exact rectangles) and
+A steering held for ``reach`` metres drives an arc, of which ``free`` metres are free (exact rectangles) and
 ``tight`` is the share that keeps less than the margin of comfort (Fox, Burgard and Thrun, "The dynamic window approach
 to collision avoidance", IEEE RAM 4, 1997). ``h = d + across |sin(heading - downhill)|`` is the distance to the goal
 around obstacles for a point, and how far the car stands across the path there; either end may lead.
@@ -28,19 +28,52 @@ from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, FootprintLe
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.result import Outcome
 
-REACH = 1.2  # m, length of an arc
-ACROSS = 0.3  # m, cost of standing square to the path
-ACCELERATION = 1.5  # m/s^2, of the window
-STEERING_RATE = 6.0  # rad/s, of the window
-BRAKING = 0.6  # m/s^2
-SPEEDS, STEERINGS = 11, 15  # samples across the window
-PROGRESS, CLEAR, SPEED, CUSP = 1.0, 0.15, 0.1, 0.25  # weights
-STUCK = 0.02  # m of progress below which an arc counts as blocked
-RECOVERY_SPEED, RECOVERY_STEPS = 0.25, 10  # m/s; steps for which the car backs up the first time
-LONGEST = 4  # times as far it backs up at most
-ESCAPE_LENGTH = 0.1  # m that may be driven to come free from a collision
-NEARER = 0.1  # m by which the car must come nearer than ever before
-_PART = 0.02  # m of an arc between two tests
+_PART = 0.02  # m of an arc between two tests for collision: less than a cell of the table
+
+
+@dataclass(frozen=True)
+class DwaConfig:
+    """Configure the window, the weights of the objective, and the recovery.
+
+    Args:
+        reach: length of an arc, m.
+        across: cost of standing square to the path, m.
+        acceleration: of the window, m/s^2.
+        steering_rate: of the window, rad/s.
+        braking: deceleration by which the car can stop in free space, m/s^2.
+        speeds: samples across the window.
+        steerings: samples across the window.
+        progress: weight of coming nearer to the goal.
+        clear: weight of the free length, less the share that is tight.
+        speed: weight of the speed, as a share of the car's greatest.
+        cusp: cost of changing gear.
+        tolerance: distance to the goal at which the car stops, m.
+        stuck: progress below which an arc counts as blocked, m.
+        nearer: distance by which the car must come nearer to the goal than ever before, m.
+        recovery_speed: of backing up, m/s.
+        recovery_steps: steps for which the car backs up the first time.
+        recovery_growth: times as far as that it backs up at most.
+        escape_length: distance that may be driven to come free from a collision, m.
+    """
+
+    reach: float = 1.2
+    across: float = 0.3
+    acceleration: float = 1.5
+    steering_rate: float = 6.0
+    braking: float = 0.6
+    speeds: int = 11
+    steerings: int = 15
+    progress: float = 1.0
+    clear: float = 0.15
+    speed: float = 0.1
+    cusp: float = 0.25
+    tolerance: float = 0.05
+    stuck: float = 0.02
+    nearer: float = 0.1
+    recovery_speed: float = 0.25
+    recovery_steps: int = 10
+    recovery_growth: int = 4
+    escape_length: float = 0.1
 
 
 class DwaStatus(Outcome):
@@ -77,12 +110,11 @@ class DwaState:
 class DynamicWindow:
     """Control the car to one goal ``(2,)`` among fixed obstacles."""
 
-    def __init__(self, obstacles: FootprintLevels, car: Car, goal: np.ndarray, tolerance: float = 0.05) -> None:
-        """``tolerance`` (m): so near to the goal the car stops."""
+    def __init__(self, obstacles: FootprintLevels, car: Car, goal: np.ndarray, config: DwaConfig | None = None) -> None:
         self.goal = np.asarray(goal, dtype=np.float64)
         if self.goal.shape != (2,) or not np.isfinite(self.goal).all():
             raise InputError("DynamicWindow", "goal", f"two finite coordinates; found {goal!r:.80}")
-        self.obstacles, self.car, self.tolerance = obstacles, car, tolerance
+        self.obstacles, self.car, self.config = obstacles, car, config or DwaConfig()
         gx, gy = (float(v) for v in (self.goal - obstacles.origin) / obstacles.resolution)
         passable = np.asarray((obstacles.levels < COLLIDING).any(axis=2))
         distance = goal_distance(passable, gx, gy) * np.float32(obstacles.resolution)
@@ -100,37 +132,38 @@ class DynamicWindow:
 
     def step(self, state: DwaState, planar: np.ndarray) -> DwaState:
         """Return the next command of a car at the pose ``planar`` ``(3,)``, in the ``control`` of the new state."""
-        car, planar = self.car, np.asarray(planar, dtype=np.float64)
+        car, c, planar = self.car, self.config, np.asarray(planar, dtype=np.float64)
         away = math.hypot(*(self.goal - planar[:2]))
-        if away <= self.tolerance:
+        if away <= c.tolerance:
             return replace(state, control=np.zeros(2), status=DwaStatus.ARRIVED, recovering=0)
         cell = np.floor((planar[:2] - self.obstacles.origin) / self.obstacles.resolution + 0.5).astype(int)
         cell = np.clip(cell, 0, np.array(self.cut_off.shape) - 1)
         if self.cut_off[cell[0], cell[1]]:
             return replace(state, control=np.zeros(2), status=DwaStatus.NO_PATH, recovering=0)
-        here = float(_height(self.obstacles.lookup, self.distance, self.downhill, *planar)[0])
-        if here < state.nearest - NEARER:
+        here = float(_height(self.obstacles.lookup, self.distance, self.downhill, c.across, *planar)[0])
+        if here < state.nearest - c.nearer:
             state = replace(state, nearest=here, attempts=0)
         v0, s0 = (float(v) for v in car.clip(state.control))
-        steerings = _window(s0, STEERING_RATE * car.dt, car.max_steering, STEERINGS)
+        steerings = _window(s0, c.steering_rate * car.dt, car.max_steering, c.steerings)
         if state.recovering > 0:
             return self._back_up(state, planar, steerings)
-        speeds = _window(v0, ACCELERATION * car.dt, car.max_speed, SPEEDS)
+        speeds = _window(v0, c.acceleration * car.dt, car.max_speed, c.speeds)
         best, control = -math.inf, None
         for gear in (1.0, -1.0):
             driven = speeds[speeds * gear > 1e-6]
             if len(driven) == 0:
                 continue
             progress, tight, free = self._arcs(planar, steerings, gear)
-            value = PROGRESS * progress / REACH + CLEAR * (free / REACH - tight) - (CUSP if gear != state.gear else 0.0)
-            score = value[:, None] + SPEED * np.abs(driven) / car.max_speed
-            stop = np.sqrt(2.0 * BRAKING * np.minimum(free, max(away, self.tolerance)))
-            score[(np.abs(driven) > stop[:, None]) | (progress < STUCK)[:, None]] = -np.inf
+            value = c.progress * progress / c.reach + c.clear * (free / c.reach - tight)
+            value = value - (c.cusp if gear != state.gear else 0.0)
+            score = value[:, None] + c.speed * np.abs(driven) / car.max_speed
+            stop = np.sqrt(2.0 * c.braking * np.minimum(free, max(away, c.tolerance)))
+            score[(np.abs(driven) > stop[:, None]) | (progress < c.stuck)[:, None]] = -np.inf
             row, column = np.unravel_index(int(np.argmax(score)), score.shape)
             if score[row, column] > best:
                 best, control = float(score[row, column]), np.array([driven[column], steerings[row]])
         if control is None:
-            steps = RECOVERY_STEPS * (1 + state.attempts % LONGEST)
+            steps = c.recovery_steps * (1 + state.attempts % c.recovery_growth)
             stuck = replace(state, recovering=steps, gear=-state.gear, attempts=state.attempts + 1)
             return self._back_up(stuck, planar, steerings)
         gear = 1.0 if control[0] > 0.0 else -1.0
@@ -138,14 +171,15 @@ class DynamicWindow:
 
     def _back_up(self, state: DwaState, planar: np.ndarray, steerings: np.ndarray) -> DwaState:
         """Drive a free arc against the gear in which the car got stuck; where there is none, in the other one."""
-        left = RECOVERY_SPEED * self.car.dt * max(1, state.recovering)
+        c = self.config
+        left = c.recovery_speed * self.car.dt * max(1, state.recovering)
         side = 1.0 if state.attempts % 2 else -1.0
         for gear in (state.gear, -state.gear):
-            _, _, free = self._arcs(planar, steerings, gear, ESCAPE_LENGTH)
+            _, _, free = self._arcs(planar, steerings, gear, c.escape_length)
             # Of arcs that are free far enough the one most to one side, each time the other: it turns the car.
             row = int(np.argmax(np.minimum(free, left) + 0.02 * side * steerings))
-            if free[row] > RECOVERY_SPEED * self.car.dt + _PART:
-                control = np.array([gear * RECOVERY_SPEED, steerings[row]])
+            if free[row] > c.recovery_speed * self.car.dt + _PART:
+                control = np.array([gear * c.recovery_speed, steerings[row]])
                 recovering = state.recovering - 1
                 return replace(state, control=control, status=DwaStatus.RECOVERING, recovering=recovering, gear=gear)
         return replace(state, control=np.zeros(2), status=DwaStatus.BLOCKED, recovering=0)
@@ -155,10 +189,9 @@ class DynamicWindow:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate the arc of each steering: progress (m), tight share and free length (m), all ``(n,)``."""
         curvatures = turn_of(1.0, steerings, self.car.wheelbase)
-        count = math.ceil(REACH / _PART)
-        return _follow_arcs(
-            self.obstacles.lookup, self.distance, self.downhill, planar, curvatures, gear, count, escape
-        )
+        count = math.ceil(self.config.reach / _PART)
+        fields = self.obstacles.lookup, self.distance, self.downhill, self.config.across
+        return _follow_arcs(*fields, planar, curvatures, gear, count, escape)
 
 
 def _window(middle: float, reach: float, limit: float, count: int) -> np.ndarray:
@@ -169,7 +202,7 @@ def _window(middle: float, reach: float, limit: float, count: int) -> np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def _height(lookup, distance, downhill, x, y, heading):
+def _height(lookup, distance, downhill, across, x, y, heading):
     """Return the bilinear distance to the goal (m) and ``h``; infinite beyond the grid."""
     u, w = (x - lookup.x) / lookup.resolution, (y - lookup.y) / lookup.resolution
     if not (0.0 <= u < distance.shape[0] - 1 and 0.0 <= w < distance.shape[1] - 1):
@@ -179,15 +212,15 @@ def _height(lookup, distance, downhill, x, y, heading):
     low = (1.0 - b) * distance[i, j] + b * distance[i, j + 1]
     high = (1.0 - b) * distance[i + 1, j] + b * distance[i + 1, j + 1]
     d = (1.0 - a) * low + a * high
-    return d, d + ACROSS * abs(math.sin(heading - downhill[int(u + 0.5), int(w + 0.5)]))
+    return d, d + across * abs(math.sin(heading - downhill[int(u + 0.5), int(w + 0.5)]))
 
 
 @njit(cache=True, nogil=True)
-def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, escape):
+def _follow_arcs(lookup, distance, downhill, across, planar, curvatures, gear, count, escape):
     """Follow arcs as `_arcs` asks; an arc ends where the rectangle collides. Progress is at its best place."""
     n = curvatures.shape[0]
     progress, tight, free = np.zeros(n), np.zeros(n), np.zeros(n)
-    _, start = _height(lookup, distance, downhill, planar[0], planar[1], planar[2])
+    _, start = _height(lookup, distance, downhill, across, planar[0], planar[1], planar[2])
     touching = level_at(lookup, planar[0], planar[1], planar[2]) == COLLIDING
     for k in range(n):
         x, y, heading = planar[0], planar[1], planar[2]
@@ -201,7 +234,7 @@ def _follow_arcs(lookup, distance, downhill, planar, curvatures, gear, count, es
             leaving = leaving and level == COLLIDING
             free[k] += _PART
             narrow += level == TIGHT
-            least = min(least, _height(lookup, distance, downhill, x, y, heading)[1])
+            least = min(least, _height(lookup, distance, downhill, across, x, y, heading)[1])
         if leaving:  # it never came free
             free[k] = 0.0
             continue

@@ -21,6 +21,7 @@ Unknown = Literal["optimistic", "mean", "averse"]
 
 OVERLAP = 1e-9  # m; a smaller overlap is rounding, and contact is no collision
 AVERSE_DEVIATIONS = 2.0  # of a surface's standard deviation: occupied from P(occupied) = 2.3 % on
+ARENA_CELL = 0.035  # m, of a car's floor plan
 CAR_HEIGHTS = (BODY_HEIGHTS[0], 0.2)  # m: above the floor's noise, up to just above the car's roof
 
 
@@ -55,7 +56,7 @@ class Arena:
 def arena_from_map(
     voxel_map: VoxelMap,
     unknown: Unknown = "mean",
-    resolution: float = 0.035,
+    resolution: float = ARENA_CELL,
     z_min: float = CAR_HEIGHTS[0],
     z_max: float = CAR_HEIGHTS[1],
     bounds: np.ndarray | None = None,

@@ -11,7 +11,7 @@ plan wherever that is cheaper.
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,11 +26,39 @@ from vssm_gym.planning.car.shortcuts import shortcut
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 from vssm_gym.planning.result import PlanStatus
 
-DEFAULT_COSTS = Costs(reverse=0.2, cusp=0.3, steer=0.05, tight=1.0)
-FULL_LOCK = 0.9  # fraction of the steering that plans use; the rest corrects errors while following them
-ESCAPE_LENGTH = 0.25  # m that a start in collision may drive to come free
-ARRIVALS = 24  # headings tried at a goal that is only a point
 _NODES_AT_ONCE = 200  # nodes between two readings of the clock
+
+
+@dataclass(frozen=True)
+class HybridAStarConfig:
+    """Configure the costs and the resolution of the search.
+
+    Args:
+        costs: weights relative to the length.
+        cell: of the search, m; arcs are one and a half as long. Halved where the search finds no path.
+        headings: of the search; doubled there.
+        steerings: of the arcs, from full lock to full lock, odd.
+        full_lock: share of the steering that plans use; the rest corrects errors while following them.
+        escape_length: distance that a start in collision may drive to come free, m.
+        arrivals: headings tried at a goal that is only a point.
+    """
+
+    costs: Costs = field(default_factory=Costs)
+    cell: float = 0.1
+    headings: int = 72
+    steerings: int = 5
+    full_lock: float = 0.9
+    escape_length: float = 0.25
+    arrivals: int = 24
+
+    def __post_init__(self) -> None:
+        if self.steerings < 3 or self.steerings % 2 == 0:
+            expected = f"an odd number from 3 on; found {self.steerings!r:.80}"
+            raise InputError("HybridAStarConfig", "steerings", expected)
+
+    def radius(self, car: Car) -> float:
+        """Return the turning radius of the tightest arcs, m."""
+        return car.wheelbase / math.tan(self.full_lock * car.max_steering)
 
 
 @dataclass(frozen=True)
@@ -78,11 +106,7 @@ def plan(
     obstacles: FootprintLevels,
     car: Car,
     *,
-    costs: Costs = DEFAULT_COSTS,
-    cell: float = 0.1,
-    headings: int = 72,
-    steerings: int = 5,
-    weight: float = 1.0,
+    config: HybridAStarConfig | None = None,
     time_limit: float = 5.0,
     max_expansions: int = 1_000_000,
 ) -> CarPlan:
@@ -93,11 +117,7 @@ def plan(
         goal: a pose ``(3,)``, or a point ``(2,)``.
         obstacles: levels of the footprint's poses.
         car: its measures.
-        costs: weights relative to the length.
-        cell: of the search, m; arcs are one and a half as long. Halved where the search finds no path.
-        headings: of the search; doubled there.
-        steerings: of the arcs, from full lock to full lock, odd.
-        weight: of the heuristic; above 1 the search is faster, and the plan costs up to that factor more.
+        config: costs and resolution of the search.
         time_limit: s of searching, after which the best plan so far is returned: it then depends on the machine.
         max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
 
@@ -106,7 +126,8 @@ def plan(
     """
     began = time.perf_counter()
     start, goal = _pose(start, (3,), "start"), _pose(goal, (2, 3), "goal")
-    radius = car.wheelbase / math.tan(FULL_LOCK * car.max_steering)
+    config = config or HybridAStarConfig()
+    costs, radius = config.costs, config.radius(car)
 
     def result(status: PlanStatus, poses: np.ndarray, gears: np.ndarray, closed: int) -> CarPlan:
         poses[:, 2] = wrap_angle(poses[:, 2])
@@ -117,7 +138,7 @@ def plan(
         return CarPlan(status, poses, gears, length, time.perf_counter() - began, closed)
 
     nothing = np.empty((0, 3)), np.empty(0, np.int8)
-    arrivals = _arrivals(obstacles, goal)
+    arrivals = _arrivals(obstacles, goal, config.arrivals)
     if len(arrivals) == 0:
         return result(PlanStatus.GOAL_BLOCKED, *nothing, 0)
     lookup = obstacles.lookup
@@ -129,19 +150,20 @@ def plan(
     closed, searching = 0, began
     # Coarsely first; where that finds no path, arcs half as long may still shuttle the car out of a tight place.
     for scale in (1.0, 0.5):
-        moves = arcs(1.5 * scale * cell, radius, steerings, obstacles.resolution)
-        tree = _tree(obstacles, scale * cell, round(headings / scale))
-        if not hybrid_search.open_start(tree, lookup, target, radius, start, ESCAPE_LENGTH if touching else 0.0):
+        moves = arcs(1.5 * scale * config.cell, radius, config.steerings, obstacles.resolution)
+        tree = _tree(obstacles, scale * config.cell, round(config.headings / scale))
+        escape = config.escape_length if touching else 0.0
+        if not hybrid_search.open_start(tree, lookup, target, radius, start, escape):
             return result(PlanStatus.START_BLOCKED if touching else PlanStatus.NO_PATH, *nothing, 0)
         # No node at first: a process that has to compile the search does so before the clock of the limit starts.
-        state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, 0)
+        state = hybrid_search.search(tree, lookup, target, moves, radius, costs, 0)
         if scale == 1.0:
             searching = time.perf_counter()
         while state == hybrid_search.UNFINISHED and closed + tree.counts[1] < max_expansions:
             if time.perf_counter() - searching > time_limit:
                 break
             budget = int(min(_NODES_AT_ONCE, max_expansions - closed - tree.counts[1]))
-            state = hybrid_search.search(tree, lookup, target, moves, radius, costs, weight, budget)
+            state = hybrid_search.search(tree, lookup, target, moves, radius, costs, budget)
         closed += int(tree.counts[1])
         if state != hybrid_search.EXHAUSTED:
             break
@@ -157,8 +179,6 @@ def plan(
 
 def arcs(step: float, radius: float, steerings: int, part: float) -> Moves:
     """Return arcs of ``step`` m in both gears at even curvatures up to ``1 / radius``, in parts of ``part`` m."""
-    if steerings < 3 or steerings % 2 == 0:
-        raise InputError("hybrid_astar", "steerings", f"an odd number from 3 on; found {steerings!r:.80}")
     share = np.tile(np.linspace(-1.0, 1.0, steerings), 2)
     gear = np.repeat([1.0, -1.0], steerings)
     count = max(1, math.ceil(step / part - 1e-9))
@@ -173,9 +193,9 @@ def _pose(value: np.ndarray, sizes: tuple[int, ...], field: str) -> np.ndarray:
     return pose
 
 
-def _arrivals(obstacles: FootprintLevels, goal: np.ndarray) -> np.ndarray:
+def _arrivals(obstacles: FootprintLevels, goal: np.ndarray, headings: int) -> np.ndarray:
     """Return the goal poses ``(g, 3)`` without collision."""
-    heading = goal[2:] if len(goal) == 3 else 2.0 * np.pi * np.arange(ARRIVALS) / ARRIVALS
+    heading = goal[2:] if len(goal) == 3 else 2.0 * np.pi * np.arange(headings) / headings
     poses = np.stack([np.full_like(heading, goal[0]), np.full_like(heading, goal[1]), heading], axis=-1)
     return poses[obstacles.at(poses) < COLLIDING]
 

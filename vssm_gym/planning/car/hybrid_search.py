@@ -16,18 +16,19 @@ from vssm_gym.planning.car.footprint_levels import COLLIDING, TIGHT, Lookup, lev
 from vssm_gym.planning.car.reeds_shepp import SOLUTIONS, relative, shortest, words
 from vssm_gym.planning.grid_search.heap import pop, sift_up
 
-UNFINISHED, REACHED_GOAL, EXHAUSTED = 0, 1, 2  # results of `search`: its budget is used up, the goal is reached, nothing is left
+# Results of `search`: its budget is used up, the goal is reached, nothing is left.
+UNFINISHED, REACHED_GOAL, EXHAUSTED = 0, 1, 2
 SHOT_SPACING = 0.25  # m of remaining distance per which one more node is expanded between two shots
-COLLISION_COST = 10.0  # a metre, extra, while a start in collision leaves it
 
 
 class Costs(NamedTuple):
     """Hold the weights of a drive's costs besides its length."""
 
-    reverse: float  # a metre, extra
-    cusp: float  # m, of stopping to change gear
-    steer: float  # m, of turning the wheels from straight to full lock
-    tight: float  # a metre, extra, where the margin of comfort is not kept
+    reverse: float = 0.2  # a metre, extra
+    cusp: float = 0.3  # m, of stopping to change gear
+    steer: float = 0.05  # m, of turning the wheels from straight to full lock
+    tight: float = 1.0  # a metre, extra, where the margin of comfort is not kept
+    collision: float = 10.0  # a metre, extra, while a start in collision leaves it
 
 
 class Moves(NamedTuple):
@@ -205,7 +206,7 @@ def open_start(tree: Tree, lookup: Lookup, goal: Goal, radius: float, start: np.
 
 
 @njit(cache=True, nogil=True)
-def _expand(tree, lookup, goal, moves, radius, costs, weight, node):
+def _expand(tree, lookup, goal, moves, radius, costs, node):
     """Open the ends of every free arc from ``node`` that are reached more cheaply than before."""
     pose, before = tree.pose[node], tree.move[node]
     for m in range(moves.gear.shape[0]):
@@ -226,7 +227,7 @@ def _expand(tree, lookup, goal, moves, radius, costs, weight, node):
                 escape -= part
                 if escape <= 0.0:
                     break
-                cost += COLLISION_COST * part
+                cost += costs.collision * part
             else:
                 escape = 0.0  # out: from here on collisions end the arc
                 cost += costs.tight * part if level == TIGHT else 0.0
@@ -238,13 +239,11 @@ def _expand(tree, lookup, goal, moves, radius, costs, weight, node):
             continue
         tree.parent[other], tree.move[other], tree.escape[other] = node, m, escape
         tree.pose[other, 0], tree.pose[other, 1], tree.pose[other, 2] = x, y, heading
-        _lower(tree, other, cost, cost + weight * tree.ahead[other])
+        _lower(tree, other, cost, cost + tree.ahead[other])
 
 
 @njit(cache=True, nogil=True)
-def search(
-    tree: Tree, lookup: Lookup, goal: Goal, moves: Moves, radius: float, costs: Costs, weight: float, budget: int
-) -> int:
+def search(tree: Tree, lookup: Lookup, goal: Goal, moves: Moves, radius: float, costs: Costs, budget: int) -> int:
     """Close up to ``budget`` nodes; call again to continue. Curves are shot the more often the nearer the goal is:
     from one of ``n + 1`` nodes between ``n`` and ``n + 1`` times :data:`SHOT_SPACING` from it.
     """
@@ -265,5 +264,5 @@ def search(
             tree.counts[3] = 0
             if tree.escape[node] == 0.0:
                 _shoot(tree, lookup, goal, moves, radius, costs, node)
-        _expand(tree, lookup, goal, moves, radius, costs, weight, node)
+        _expand(tree, lookup, goal, moves, radius, costs, node)
     return UNFINISHED

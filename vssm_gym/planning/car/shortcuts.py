@@ -13,7 +13,7 @@ from numba import njit
 
 from vssm_gym.planning.car import reeds_shepp
 from vssm_gym.planning.car.footprint_levels import TIGHT, Lookup, level_at
-from vssm_gym.planning.car.hybrid_search import COLLISION_COST, Costs, cheapest_curve
+from vssm_gym.planning.car.hybrid_search import Costs, cheapest_curve
 
 PICKS = 40  # poses of the drive between which curves are tried
 
@@ -52,7 +52,7 @@ def _piece_cost(lookup, poses, gears, first, last, costs):
     for k in range(first + 1, last + 1):
         step = math.hypot(poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1])
         level = level_at(lookup, poses[k, 0], poses[k, 1], poses[k, 2])
-        near = costs.tight if level == TIGHT else (COLLISION_COST if level > TIGHT else 0.0)
+        near = costs.tight if level == TIGHT else (costs.collision if level > TIGHT else 0.0)
         total += step * (1.0 + near + (costs.reverse if gears[k] < 0.0 else 0.0))
         if k > first + 1 and gears[k] != gears[k - 1]:
             total += costs.cusp

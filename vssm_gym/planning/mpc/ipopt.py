@@ -13,7 +13,7 @@ resulting plan is evaluated by the same tables as those of the other solvers.
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -24,7 +24,7 @@ from jaxtyping import Array
 from vssm_gym.errors import InputError
 from vssm_gym.model.transition import Bicycle
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.mpc.candidates import FIXED, propose
+from vssm_gym.planning.mpc.candidates import ProposalConfig, propose
 from vssm_gym.planning.mpc.fields import FieldCache, Fields
 from vssm_gym.planning.mpc.lagrangian import RefineConfig, refine
 from vssm_gym.planning.mpc.objective import required_clearance, rollout, within_rates
@@ -35,12 +35,7 @@ from vssm_gym.planning.mpc.symbols import bicycle_step, spline
 from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
 from vssm_gym.planning.value_iteration import CostToGo
 
-CANDIDATES = 4 * FIXED  # to find a start among
-STARTS = 3  # the last plan and the best of the candidates, of which IPOPT gets one
-MEND = RefineConfig(outer=2, inner=10)  # of the starts: noise has moved the car
-ROUNDING = 0.1  # of min(s, J), share of s
-REACH = 0.6  # m from where the start ends to where the plan may end: half the window of the cost-to-go
-SHARE = 0.5  # of the deadline for IPOPT: the start takes time too, and its clock is read between iterations
+# Of IPOPT itself: tolerances of a plan that is driven for one step, a warm start from the last multipliers, no output.
 OPTIONS = {
     "tol": 1e-3,
     "constr_viol_tol": 1e-5,
@@ -56,14 +51,37 @@ OPTIONS = {
 }
 
 
+@dataclass(frozen=True)
+class IpoptConfig:
+    """Configure where IPOPT starts, and the problem that it is given.
+
+    Args:
+        candidates: to find a start among.
+        starts: the last plan and the best of the candidates, of which IPOPT gets one.
+        mend: refinement of the starts: noise has moved the car.
+        rounding: of ``min(s, J)``, share of ``s``.
+        reach: distance from where the start ends to where the plan may end, m: half the window of the cost-to-go.
+        share: of the deadline for IPOPT: the start takes time too, and its clock is read between iterations.
+        proposals: of the candidates.
+    """
+
+    candidates: int = 88
+    starts: int = 3
+    mend: RefineConfig = field(default_factory=lambda: RefineConfig(outer=2, inner=10))
+    rounding: float = 0.1
+    reach: float = 0.6
+    share: float = 0.5
+    proposals: ProposalConfig = field(default_factory=ProposalConfig)
+
+
 class Ipopt:
     """Solve with exact Hessians from one start, the last plan or a better one.
 
     ``SOLVED``: IPOPT converged; ``ACCEPTABLE``: it stopped early on a plan that keeps the margin, or its start does.
     """
 
-    def __init__(self, problem: MpcProblem | None = None) -> None:
-        self.problem = problem or MpcProblem()
+    def __init__(self, problem: MpcProblem | None = None, config: IpoptConfig | None = None) -> None:
+        self.problem, self.config = problem or MpcProblem(), config or IpoptConfig()
         _bicycle(self.problem)  # an error now rather than at the first step
         self._fields = FieldCache(self.problem.car)
         self._tables: tuple[Fields, ValueTable, ClearanceTable] | None = None
@@ -84,7 +102,7 @@ class Ipopt:
         fields = self._fields.of(value, clearance)
         if self._tables is None or self._tables[0] is not fields:
             reach = horizon * problem.car.dt * problem.car.max_speed + problem.car.length
-            self._tables = fields, ValueTable(fields.value, REACH), ClearanceTable(clearance, reach)
+            self._tables = fields, ValueTable(fields.value, self.config.reach), ClearanceTable(clearance, reach)
         values, clearances = self._tables[1:]
         step = 0 if warm is None else warm.step + 1
         plan = np.zeros((horizon, 2)) if warm is None else warm.controls
@@ -124,15 +142,15 @@ class Ipopt:
 
     def _start(self, fields: Fields, state: Array, last: Array, plan: Array, step: Array) -> tuple[Array, ...]:
         """Return IPOPT's start: controls, poses ``z_1 .. z_T``, True for the last plan, and the least clearance."""
-        problem = self.problem
+        problem, config = self.problem, self.config
         key = jax.random.fold_in(jax.random.key(problem.config.seed), step)
-        candidates = propose(problem, key, last, plan, CANDIDATES)
-        best, _ = ranked(problem, fields, state, last, candidates, STARTS - 1)
+        candidates = propose(problem, config.proposals, key, last, plan, config.candidates)
+        best, _ = ranked(problem, fields, state, last, candidates, config.starts - 1)
         starts = jnp.concatenate([candidates[:1], best])
         least = required_clearance(problem, fields, state)
-        mended = refine(problem, MEND, fields, state, last, least, starts)
-        selection = select(problem, fields, state, last, jnp.concatenate([mended, starts]), STARTS)
-        is_warm = selection.chosen % STARTS == 0
+        mended = refine(problem, config.mend, fields, state, last, least, starts)
+        selection = select(problem, fields, state, last, jnp.concatenate([mended, starts]), config.starts)
+        is_warm = selection.chosen % config.starts == 0
         return selection.controls, rollout(problem, state, selection.controls), is_warm, least
 
     def _select(self, fields: Fields, state: Array, last: Array, plans: Array) -> Selection:
@@ -142,13 +160,13 @@ class Ipopt:
         """Return the solver for tables of these sizes; build and compile what is seen for the first time."""
         key = (fields.shapes, values.resolution, clearances.resolution)
         if key not in self._solvers:
-            self._solvers[key] = build(self.problem, values, clearances)
+            self._solvers[key] = build(self.problem, values, clearances, self.config)
             plan = self._begin(fields, *inputs, np.int32(0))[0]
             jax.block_until_ready(self._end(fields, *inputs[:2], jnp.stack([plan, plan])))
         return self._solvers[key]
 
 
-def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -> Any:
+def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable, ipopt: IpoptConfig) -> Any:
     """Build the NLP as a CasADi function of ``x`` (z_1, u_0, z_2, u_1, ...) and ``p`` of :meth:`Ipopt.plan`."""
     import casadi as ca
 
@@ -189,7 +207,7 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
             turns + 1.0,
         ],
     )
-    width = ROUNDING * step_cost
+    width = ipopt.rounding * step_cost
     stage = step_cost - width * ca.log1p(ca.exp((step_cost - value) / width))
     limits = ca.DM(car.limits)
     extra = (
@@ -201,7 +219,7 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable) -
     cost = ca.sum2(weights * (stage + step_cost * extra)) + discount**horizon * value[-1]
     options: dict[str, Any] = dict(OPTIONS)
     if math.isfinite(config.deadline):
-        options["max_wall_time"] = SHARE * config.deadline
+        options["max_wall_time"] = ipopt.share * config.deadline
     program: Any = {"x": ca.vec(x), "p": p, "f": cost, "g": ca.vec(ca.vertcat(gaps, change, clearance))}
     settings: Any = {"ipopt": options, "print_time": False, "calc_lam_p": False, "error_on_fail": False}
     return ca.nlpsol("car", "ipopt", program, settings)

@@ -11,7 +11,7 @@ sample. The first round also samples manoeuvres that the last plan does not sugg
 it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.mpc.candidates import FIXED, NOISE, perturbed, propose
+from vssm_gym.planning.mpc.candidates import ProposalConfig, perturbed, propose
 from vssm_gym.planning.mpc.compiled import CompiledSearch
 from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.objective import evaluate
@@ -38,10 +38,11 @@ class MppiConfig:
     rounds: int = 4
     temperature: float = 0.1  # lambda, step costs
     shrink: float = 0.5  # of the noise from one round to the next
+    proposals: ProposalConfig = field(default_factory=ProposalConfig)
 
     def __post_init__(self) -> None:
-        if not self.samples >= 2 * FIXED:
-            raise InputError("MppiConfig", "samples", f"at least {2 * FIXED}; found {self.samples!r}")
+        if not self.samples >= 2 * self.proposals.fixed:
+            raise InputError("MppiConfig", "samples", f"at least {2 * self.proposals.fixed}; found {self.samples!r}")
         if not self.rounds >= 1:
             raise InputError("MppiConfig", "rounds", f"at least 1; found {self.rounds!r}")
         if not self.temperature > 0.0:
@@ -74,13 +75,13 @@ class Mppi:
     def _search(self, fields: Fields, state: Array, last: Array, plan: Array, key: Array) -> tuple[Selection, Array]:
         problem, config = self.problem, self.config
         keys = jax.random.split(key, config.rounds)
-        samples = propose(problem, keys[0], last, plan, config.samples)
+        samples = propose(problem, config.proposals, keys[0], last, plan, config.samples)
         mean, best = self._average(fields, state, last, samples)
 
         def later(carry, scan):
             mean, best = carry
             key, scale = scan
-            near = perturbed(problem, key, last, mean, config.samples - 2, scale * jnp.asarray(NOISE))
+            near = perturbed(problem, config.proposals, key, last, mean, config.samples - 2, scale)
             return self._average(fields, state, last, jnp.concatenate([mean[None], best[None], near])), None
 
         scales = jnp.asarray(config.shrink ** np.arange(1, config.rounds))

@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from vssm_gym.errors import InputError
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.mpc.candidates import FIXED, propose
+from vssm_gym.planning.mpc.candidates import ProposalConfig, propose
 from vssm_gym.planning.mpc.compiled import CompiledSearch
 from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.lagrangian import RefineConfig, refine
@@ -29,10 +29,12 @@ class RandomSearchConfig:
     candidates: int = 512  # K
     refined: int = 8  # M
     refine: RefineConfig = field(default_factory=RefineConfig)
+    proposals: ProposalConfig = field(default_factory=ProposalConfig)
 
     def __post_init__(self) -> None:
-        if not self.candidates >= 2 * FIXED:
-            raise InputError("RandomSearchConfig", "candidates", f"at least {2 * FIXED}; found {self.candidates!r}")
+        least = 2 * self.proposals.fixed
+        if not self.candidates >= least:
+            raise InputError("RandomSearchConfig", "candidates", f"at least {least}; found {self.candidates!r}")
         if not 1 <= self.refined <= self.candidates:
             raise InputError("RandomSearchConfig", "refined", f"from 1 to {self.candidates}; found {self.refined!r}")
 
@@ -59,7 +61,7 @@ class RandomSearch:
         return self._compiled.plan(state, value, clearance, warm, control)
 
     def _search(self, fields: Fields, state: Array, last: Array, plan: Array, key: Array) -> tuple[Selection, Array]:
-        candidates = propose(self.problem, key, last, plan, self.config.candidates)
+        candidates = propose(self.problem, self.config.proposals, key, last, plan, self.config.candidates)
         best, _ = ranked(self.problem, fields, state, last, candidates, self.config.refined)
         # After a step with noise the last plan may miss the margin by a millimetre: it is repaired, never dropped.
         best = best.at[-1].set(candidates[0])
