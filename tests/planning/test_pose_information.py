@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import Room, camera_pose
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.planning.exploration.information.pose import MEASUREMENT_STD, pose_gain
+from vssm_gym.planning.exploration.information import InformationConfig
+from vssm_gym.planning.exploration.information.pose import pose_gain
 
+STD = InformationConfig().measurement_std
 CAMERA = Camera.from_hfov(40, 30, np.radians(75))
 WALL = Room(((-50.0, -50.0, -50.0), (2.0, 50.0, 50.0)))  # x = 2, all around it nothing near
 CORNER = Room(((-50.0, -50.0, -50.0), (2.0, 1.0, 50.0)))
@@ -17,7 +19,7 @@ CORNER = Room(((-50.0, -50.0, -50.0), (2.0, 1.0, 50.0)))
 def gain(room: Room, T: np.ndarray, std: tuple[float, float, float]) -> float:
     """Return the gain of one image whose every pixel shows a known surface."""
     depth = np.asarray(room.image(T, CAMERA).depth, np.float64)[None]
-    return float(pose_gain(depth, np.ones(depth.shape, bool), T[None], CAMERA, np.array(std))[0])
+    return float(pose_gain(depth, np.ones(depth.shape, bool), T[None], CAMERA, np.array(std), STD)[0])
 
 
 def test_a_known_pose_learns_nothing() -> None:
@@ -26,7 +28,7 @@ def test_a_known_pose_learns_nothing() -> None:
 
 def test_a_wall_determines_the_distance_to_it_and_not_the_position_along_it() -> None:
     T, pixels = camera_pose((0.0, 0.0, 0.4), 0.0), (CAMERA.width - 1) * (CAMERA.height - 1)
-    towards = 0.5 * np.log(1.0 + pixels * (0.1 / MEASUREMENT_STD) ** 2)
+    towards = 0.5 * np.log(1.0 + pixels * (0.1 / STD) ** 2)
     assert gain(WALL, T, (0.1, 0.0, 0.0)) == pytest.approx(towards, rel=1e-4)
     assert gain(WALL, T, (0.0, 0.1, 0.0)) == pytest.approx(0.0, abs=1e-3)
 
@@ -36,7 +38,7 @@ def test_the_information_about_a_turn_grows_with_the_lever_arm() -> None:
     T = camera_pose((0.0, 0.0, 0.4), 0.0)
     u = np.arange(CAMERA.width - 1)
     y = -(u - CAMERA.cx) / CAMERA.fx * 2.0
-    fisher = (CAMERA.height - 1) * np.sum(y**2) / MEASUREMENT_STD**2
+    fisher = (CAMERA.height - 1) * np.sum(y**2) / STD**2
     assert gain(WALL, T, (0.0, 0.0, 0.05)) == pytest.approx(0.5 * np.log(1.0 + 0.05**2 * fisher), rel=1e-3)
 
 
@@ -51,7 +53,7 @@ def test_the_information_does_not_depend_on_the_number_of_pixels() -> None:
     T, fine = camera_pose((0.5, 0.0, 0.4), 0.6), Camera.from_hfov(120, 90, np.radians(75))
     depth = np.asarray(CORNER.image(T, fine).depth, np.float64)[None]
     std = np.array([0.05, 0.05, 0.1])
-    many = pose_gain(depth, np.ones(depth.shape, bool), T[None], fine, std)[0]
+    many = pose_gain(depth, np.ones(depth.shape, bool), T[None], fine, std, STD)[0]
     assert many == pytest.approx(gain(CORNER, T, tuple(std)), rel=0.03)
 
 
@@ -60,10 +62,10 @@ def test_unknown_surfaces_have_no_information() -> None:
     depth = np.asarray(CORNER.image(T, CAMERA).depth, np.float64)[None]
     std = np.array([0.05, 0.05, 0.1])
     half = np.zeros(depth.shape, bool)
-    assert pose_gain(depth, half, T[None], CAMERA, std)[0] == 0.0
+    assert pose_gain(depth, half, T[None], CAMERA, std, STD)[0] == 0.0
     half[..., :20] = True
-    whole = pose_gain(depth, np.ones(depth.shape, bool), T[None], CAMERA, std)[0]
-    assert 0.0 < pose_gain(depth, half, T[None], CAMERA, std)[0] < whole
+    whole = pose_gain(depth, np.ones(depth.shape, bool), T[None], CAMERA, std, STD)[0]
+    assert 0.0 < pose_gain(depth, half, T[None], CAMERA, std, STD)[0] < whole
 
 
 @given(turn=st.floats(-3.0, 3.0), xy=st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
@@ -73,5 +75,5 @@ def test_the_gain_is_invariant_to_the_world_frame(turn: float, xy: tuple[float, 
     moved = camera_pose((*xy, 0.0), turn) @ np.linalg.inv(camera_pose((0.0, 0.0, 0.0), 0.0)) @ T
     depth = np.asarray(CORNER.image(T, CAMERA).depth, np.float64)[None]
     seen, std = np.ones(depth.shape, bool), np.array([0.05, 0.05, 0.1])
-    here, there = (pose_gain(depth, seen, pose[None], CAMERA, std) for pose in (T, moved))
+    here, there = (pose_gain(depth, seen, pose[None], CAMERA, std, STD) for pose in (T, moved))
     np.testing.assert_allclose(there, here, rtol=1e-6)

@@ -25,7 +25,7 @@ from vssm_gym.planning.mpc.compiled import CompiledSearch
 from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.objective import evaluate
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult
-from vssm_gym.planning.mpc.ranking import SHORTFALL_COST, shortfall
+from vssm_gym.planning.mpc.ranking import shortfall
 from vssm_gym.planning.mpc.selection import Selection, select
 from vssm_gym.planning.value_iteration import CostToGo
 
@@ -96,6 +96,7 @@ class Mppi:
         plans = evaluate(self.problem, fields, state, last, samples)
         short = shortfall(self.problem, fields, state, plans)
         free = short <= self.problem.config.tolerance
-        cost = jnp.where(jnp.any(free), jnp.where(free, plans.cost, jnp.inf), plans.cost + SHORTFALL_COST * short)
+        penalised = plans.cost + self.problem.config.shortfall * short
+        cost = jnp.where(jnp.any(free), jnp.where(free, plans.cost, jnp.inf), penalised)
         weights = jax.nn.softmax(-cost / self.config.temperature)
         return jnp.einsum("k,ktc->tc", weights, samples), samples[jnp.argmin(cost)]

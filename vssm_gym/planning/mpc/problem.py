@@ -40,6 +40,10 @@ class MpcConfig:
         smoothness: cost of changing speed or steering by its whole limit from one step to the next.
         proximity: cost of a step with one disc at clearance zero, falling to zero at ``comfort`` by a parabola.
         tolerance: violation of the clearance constraint that still counts as none, m.
+        shortfall: cost of a metre of violation where candidates are ranked. A refinement can repair it, while a detour
+            costs seconds for certain.
+        cheaper: by how much a start must be cheaper than the solver's answer to replace it: below it two plans are the
+            same drive.
         deadline: seconds after which a plan is not used any more; infinite: none.
         seed: of everything random.
     """
@@ -54,6 +58,8 @@ class MpcConfig:
     smoothness: float = 0.05
     proximity: float = 0.5
     tolerance: float = 1e-3
+    shortfall: float = 1e3
+    cheaper: float = 0.02
     deadline: float = 0.1
     seed: int = 0
 
@@ -73,7 +79,7 @@ class MpcConfig:
         for name in ("speed_rate", "steering_rate", "tolerance", "deadline"):
             if not getattr(self, name) > 0.0:
                 raise InputError("MpcConfig", name, f"a positive number; found {getattr(self, name)!r}")
-        for name in ("margin", "effort", "smoothness", "proximity"):
+        for name in ("margin", "effort", "smoothness", "proximity", "shortfall", "cheaper"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError("MpcConfig", name, f"a finite number, at least 0; found {getattr(self, name)!r}")
         if not (math.isfinite(self.comfort) and self.comfort > self.margin):

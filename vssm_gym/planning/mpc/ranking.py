@@ -8,8 +8,6 @@ from vssm_gym.planning.mpc.fields import Fields
 from vssm_gym.planning.mpc.objective import Plans, evaluate, required_clearance
 from vssm_gym.planning.mpc.problem import MpcProblem
 
-SHORTFALL_COST = 1e3  # step costs a metre of violation: what a refinement can repair, a detour of seconds cannot
-
 
 def shortfall(problem: MpcProblem, fields: Fields, state: Float[Array, "3"], plans: Plans) -> Array:
     """Return ``max_ti max(0, m - d_ti + r)`` of each plan, m."""
@@ -26,5 +24,6 @@ def ranked(
 ) -> tuple[Float[Array, "count time 2"], Float[Array, "count"]]:
     """Return the ``count`` best by cost and shortfall, the best first, and what they were ranked by, step costs."""
     plans = evaluate(problem, fields, state, last, controls)
-    score, chosen = jax.lax.top_k(-(plans.cost + SHORTFALL_COST * shortfall(problem, fields, state, plans)), count)
+    short = shortfall(problem, fields, state, plans)
+    score, chosen = jax.lax.top_k(-(plans.cost + problem.config.shortfall * short), count)
     return controls[chosen], -score

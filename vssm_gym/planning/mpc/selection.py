@@ -14,8 +14,6 @@ from vssm_gym.planning.mpc.objective import evaluate, footprint_clearance, with_
 from vssm_gym.planning.mpc.problem import MpcProblem, MpcResult, MpcStatus
 from vssm_gym.planning.mpc.ranking import shortfall
 
-CHEAPER = 0.02  # step costs: below it two plans are the same drive
-
 
 class Selection(NamedTuple):
     """Hold the chosen plan, on the device."""
@@ -39,12 +37,12 @@ def select(
 ) -> Selection:
     """Select the best of ``controls``, all of them within limits and rates.
 
-    The first ``own`` are the solver's, the others what it started from: those must be cheaper by :data:`CHEAPER`.
+    The first ``own`` are the solver's, the others what it started from: those must be cheaper by ``MpcConfig.cheaper``.
     """
     plans = evaluate(problem, fields, state, last, controls)
     violation = shortfall(problem, fields, state, plans)
     feasible = violation <= problem.config.tolerance
-    handicap = jnp.where(jnp.arange(controls.shape[0]) < own, 0.0, CHEAPER)
+    handicap = jnp.where(jnp.arange(controls.shape[0]) < own, 0.0, problem.config.cheaper)
     cheapest = jnp.argmin(jnp.where(feasible, plans.cost + handicap, jnp.inf))
     index = jnp.where(jnp.any(feasible), cheapest, jnp.argmin(violation))
     return Selection(

@@ -21,8 +21,6 @@ from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
 from vssm_gym.planning.value_iteration.motions import Motions
 from vssm_gym.planning.value_iteration.reachability import flood
 
-WARM_SWEEPS = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
-
 
 class ValueStatus(Outcome):
     """Name the outcome of value iteration; the value is the message that reports print."""
@@ -43,6 +41,7 @@ class ValueConfig:
     gamma: float = 0.99  # discount of one motion
     tolerance: float = 1e-3  # Bellman residual, in motions
     max_sweeps: int = 2000
+    warm_sweeps: int = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
     margin: float = 0.0  # m by which the footprint grows on all sides
 
     def __post_init__(self) -> None:
@@ -199,7 +198,7 @@ def solve(
     done = 0
     if warm is not None:
         first = np.where(reached, layout.flat(np.moveaxis(never - _values_of(warm, grid), -1, 0)), 0.0)
-        arrival, residual, count = run(first.astype(np.float32), min(WARM_SWEEPS, config.max_sweeps))
+        arrival, residual, count = run(first.astype(np.float32), min(config.warm_sweeps, config.max_sweeps))
         done = int(count)
     if warm is None or float(residual) >= config.tolerance:
         arrival, residual, count = run(zero, config.max_sweeps)

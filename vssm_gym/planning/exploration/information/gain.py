@@ -42,6 +42,7 @@ class InformationConfig:
     ground: float = -np.inf  # world z of the plane that the robot stands on, m, where imagined rays end
     samples: int = 0  # of the map, in each of which all images are imagined; 0: the mean
     mean_free_path: float = 1.5  # m that a ray goes through unknown space of a sample, on average
+    measurement_std: float = 0.1  # m, of a depth, for the pose: large, because errors of neighbours are correlated
     seed: int = 0  # of the samples: the same in every call, so that candidates are compared in the same maps
 
     def __post_init__(self) -> None:
@@ -150,7 +151,7 @@ def gain_of_paths(
         imagined = imagine(drawn, views, small, config.max_depth)
         depths = end_rays(imagined, views, small, m, hazard, config.ground)
         surface = (depths == imagined) & (depths < config.max_depth)
-        pose += pose_gain(depths, surface, views, small, std) / len(maps)
+        pose += pose_gain(depths, surface, views, small, std, config.measurement_std) / len(maps)
         seen = observed(depths, views, small, grid, config.update, config.every)
         along += gains(m, seen, paths, config.update.std**-2, config.every, config.known) / len(maps)
     return Gain(along[:, -1].copy(), along, pose)

@@ -10,13 +10,17 @@ import numpy as np
 
 from vssm_gym.geometry.camera import Camera
 
-MEASUREMENT_STD = 0.1  # m, of one of an image's MEASUREMENTS: large, because the errors of neighbours are correlated
 MEASUREMENTS = 1200  # independent ones per image, however many pixels it has; `InformationConfig.pixels` by default
 DEPTH_EDGE = 0.15  # fraction of the depth; neighbours further apart lie on different surfaces
 
 
 def pose_gain(
-    depth: np.ndarray, surface: np.ndarray, T_world_cam: np.ndarray, camera: Camera, std: np.ndarray
+    depth: np.ndarray,
+    surface: np.ndarray,
+    T_world_cam: np.ndarray,
+    camera: Camera,
+    std: np.ndarray,
+    measurement_std: float,
 ) -> np.ndarray:
     """Return the expected nats about the pose from each image.
 
@@ -26,6 +30,7 @@ def pose_gain(
         T_world_cam: ``(views, 4, 4)`` camera poses; the camera stands on the robot's axis.
         camera: of the images.
         std: ``(3,)`` of x, y (m) and heading (rad) before the image; zeros: the pose is known, and the gain zero.
+        measurement_std: m, of one of an image's MEASUREMENTS.
 
     Returns:
         ``(views,)`` float64.
@@ -45,6 +50,6 @@ def pose_gain(
     n = np.where(whole[..., None], n / np.maximum(length, 1e-12)[..., None], 0.0)
     turn = n[..., 1] * here[..., 0] - n[..., 0] * here[..., 1]
     J = np.stack([n[..., 0], n[..., 1], turn], axis=-1).reshape(len(depth), -1, 3)
-    F = np.einsum("vni,vnj->vij", J, J) * (MEASUREMENTS / (camera.width * camera.height)) / MEASUREMENT_STD**2
+    F = np.einsum("vni,vnj->vij", J, J) * (MEASUREMENTS / (camera.width * camera.height)) / measurement_std**2
     scaled = np.eye(3) + std[:, None] * F * std
     return 0.5 * np.linalg.slogdet(scaled)[1]
