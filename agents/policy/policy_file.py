@@ -30,7 +30,7 @@ from vssm_gym.files.numbers import as_float32
 
 POLICY_FORMAT, POLICY_VERSION = "vssm_gym.Policy", 1
 PREFIX = "policy:"  # of agents' names that are a policy's file
-HASH_DIGITS = 8
+HASH_DIGITS = 8  # hexadecimal, of a policy's content
 POLICY_BYTES = 256 << 20  # of a file, and of its arrays; the policies trained here have 0.3 MB
 MOST_LAYERS = 32  # hidden ones
 LONGEST_NAME = 200  # characters

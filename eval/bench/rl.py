@@ -23,7 +23,7 @@ from vssm_gym.eval.bench.imagined_replay import replay
 from vssm_gym.progress import OnProgress
 
 SCANS = (1, 16, 64, 256, 1024)  # robots of the imagined rows
-IMAGES = (16, 64, 256)
+IMAGES = (16, 64, 256)  # robots of the imagined rows with images
 MAIN = 256  # robots of the rows with an aim
 SCAN_AIM, IMAGE_AIM, RATIO_AIM = 150_000.0, 5_000.0, 50.0  # the project's own aims: steps/s, steps/s, their ratio
 DRAWN_BATCHES = 50  # batches of actions drawn beforehand, because drawing them is not part of a step

@@ -14,12 +14,12 @@ import numpy as np
 from vssm_gym.eval.sweep import worker
 from vssm_gym.progress import OnProgress
 
-TRIAL_STEPS = 100
+TRIAL_STEPS = 100  # of the robot in a trial
 PUBLISHED_TURN, PUBLISHED_STEP = math.radians(3.0), 0.05  # rad; fraction of the body length (TNP-SM, section 5)
 GOOD_RMSE = 0.1  # m, half a body length
 # Filters of riders whose names differ
 FILTER_OF = {"astar": "tracker", "no_map": "frames"}
-DRIFT_METRES = 100.0
+DRIFT_METRES = 100.0  # path length over which drift is measured
 COMPARED = 6  # drives on which the slow trackers ride along
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-FORMAT: Literal[2] = 2
+FORMAT: Literal[2] = 2  # of a row; 1 has other names for some fields
 KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics", "task", "seed", "agent")
 """The fields that identify an episode; each combination appears once in a sweep."""
 RENAMED_FIELDS = {"touched": "collided", "touches": "collision_events"}

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from vssm_gym.eval.metrics.aggregate import Interval, paired_values, task_key
 from vssm_gym.eval.metrics.metric import Row, check_name
 
-TAIL = 0.025
+TAIL = 0.025  # probability beyond either end of an interval of 95 %
 
 
 def clopper_pearson(k: float, n: int) -> tuple[float, float]:

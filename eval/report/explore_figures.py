@@ -22,7 +22,7 @@ KNOWN_MARGIN = 0.3  # m of unknown space that a plan keeps around known space
 MEAN_POINTS = 61  # points of a mean curve
 CURVES = {"entropy": ("entropy of the map, Mnat", 1e-6), "coverage": ("coverage, %", 100.0)}
 CURVES |= {"completeness": ("surface complete, %", 100.0)}
-SCENE_COLUMNS = 4
+SCENE_COLUMNS = 4  # panels in a row of the figure of scenes
 PATH_COLOURS = "viridis"
 MARKS = {"50": "v", "90": "D", "95": "s", "99": "*"}  # where a run had reached a level of coverage, %
 

@@ -21,7 +21,7 @@ from vssm_gym.viz import pictures
 IMAGE_SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded size are run
 VOXELS = (0.04, 0.07, 0.10)  # m
 EXTENTS = (7.0, 14.0, 28.0)  # m
-ROUNDS = 2
+ROUNDS = 2  # runs of every configuration, in turn, so that a busy spell meets all of them
 STAGES = ("track", "map", "reference", "recover", "rest")  # in the order of the bars; rest: time in no stage
 COLOURS = {"track": "#4477aa", "map": "#66aa77", "reference": "#ddaa33", "recover": "#bb5566", "rest": "#c4c9cf"}
 

@@ -27,7 +27,7 @@ from vssm_gym.viz import pictures
 
 GAIN_COLOURS = TIME_COLOURS = "viridis"
 DRIVEN_COLOUR, PATH_COLOUR, ROBOT_COLOUR = "#1f5fa8", "#d95f02", "#1f5fa8"
-FREE_COLOUR = np.ones(3)
+FREE_COLOUR = np.ones(3)  # white
 ROBOT_SIZE = 0.28  # m from the robot's centre to its drawn tip, more than its radius for visibility
 HALO = (Stroke(linewidth=3.6, foreground="white"), Normal())
 LEAST_GAIN = 1.0  # 10^3 nats, where the colours of gain begin

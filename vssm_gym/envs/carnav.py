@@ -38,6 +38,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 
+# In metres gained, as those of PointNav.
 CARNAV_REWARD = DenseReward(step_cost=0.005, success=2.5, collision_cost=0.05, alignment=0.1)
 
 

@@ -35,9 +35,9 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
 LONGEST_RANGE = 1.5  # m, upper bound of a reading: no wall of the unit square is farther than sqrt(2)
-MAZE_REWARD = DenseReward(step_cost=0.001, success=1.0)
+MAZE_REWARD = DenseReward(step_cost=0.001, success=1.0)  # in metres gained, or in tiles visited
 MAZE_PICTURE = 480  # pixels, height and width of a rendered picture
-_RAY = (236, 140, 40)
+_RAY = (236, 140, 40)  # RGB of the scan's points
 
 
 class LidarMazeEnv(PhasedEnv):

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
 from vssm_gym.envs.rendering.raycast import RaycastCamera
-from vssm_gym.envs.rendering.topdown import ROBOT_COLOUR, TopDown
+from vssm_gym.envs.rendering.topdown import PLAN_ROBOT, TopDown
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.free_space import FreeSpace
@@ -132,6 +132,6 @@ def _with_cameras(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "hei
         edges = math.atan2(T[1, 2], T[0, 2]) + np.array([-0.5, 0.5]) * HFOV
         tips = T[:2, 3] + np.stack([np.cos(edges), np.sin(edges)], axis=-1)
         left, eye, right = (tuple(p) for p in plan.pixels(np.stack([tips[0], T[:2, 3], tips[1]])))
-        pen.line([left, eye, right], fill=ROBOT_COLOUR, width=2)
-        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=ROBOT_COLOUR)
+        pen.line([left, eye, right], fill=PLAN_ROBOT, width=2)
+        pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=PLAN_ROBOT)
     return np.asarray(image)

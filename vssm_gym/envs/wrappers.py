@@ -16,7 +16,7 @@ from vssm_gym.geometry.axes import PlanarPose
 
 POLICY_MAX_DEPTH = 5.0  # m: across most rooms; a policy needs no distinction beyond
 MAX_GOAL_DISTANCE = 2.0 * MAX_COORDINATE * np.sqrt(2.0)  # m
-_EXACT = ExecutionNoise(0.0, 0.0)
+_EXACT = ExecutionNoise(0.0, 0.0)  # no execution noise
 
 Observation = dict[str, np.ndarray]
 

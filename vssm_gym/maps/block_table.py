@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Int
 
 BLOCK = 8  # cells along one edge of a block
 CELLS = BLOCK**3  # cells of a block
-PRIOR_SLOT = 0
+PRIOR_SLOT = 0  # of blocks that nobody observed: they share one, which holds the prior
 
 Blocks = tuple[int, ...]  # blocks along x, y, z
 Coordinates = Sequence[Array]  # x, y, z, one array each: operations over an axis of three do not vectorise

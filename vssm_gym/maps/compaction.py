@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-ROW = 128
+ROW = 128  # flags whose running count is one product of matrices
 FLAG_GROUP = 64  # flags that are tested together
 FLAGS_A_TURN = 1024  # flags per loop iteration
 

@@ -18,7 +18,7 @@ from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT, Blocks, BlockTab
 
 MAX_RINGS = 12  # rings of empty blocks that are counted; a ray reads the index again after 12 blocks
 
-_EDGE = np.arange(BLOCK + 1)
+_EDGE = np.arange(BLOCK + 1)  # the cells along an edge of a block, and the next
 # The 9^3 cells that a block's cubes use
 _WINDOW = np.stack(np.meshgrid(_EDGE, _EDGE, _EDGE, indexing="ij"), -1).reshape(-1, 3)
 

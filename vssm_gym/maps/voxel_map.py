@@ -25,7 +25,7 @@ PRIOR_OCCUPANCY_MEAN = -0.001  # m: unknown space is just free, so an empty map 
 # Std of one real observation. The update's own std, 1, counts observations: the real variance of a cell is
 # OBSERVATION_STD^2 / (precision std^2), see docs/slam.md.
 OBSERVATION_STD = 0.03  # m, of occupancy
-OBSERVATION_COLOUR_STD = 0.1
+OBSERVATION_COLOUR_STD = 0.1  # of each channel in [0, 1]
 TRUNCATION = 2.0  # voxels: half the width of the band around a surface that an image updates (PRISM)
 OBSERVED_PRECISION = 0.1  # a cell with more than this was observed at least once, at any std up to 3
 

@@ -18,7 +18,7 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
 # Grey levels of map_saver and the thresholds that go with them: map_server reads a level v as the probability
 # (255 - v) / 255, and 205 is 0.19608, just above 0.196. With nav2's usual 0.25 unknown space would be free.
 GREY = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
-OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
+OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196  # probabilities of occupancy
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from vssm_gym.geometry.transforms import inverse
 from vssm_gym.viz import pictures
 
 AXES = ("x", "y", "z", "about x", "about y", "about z")
-NOMINAL_LEVELS = (0.5, 0.9, 0.95, 0.99)
+NOMINAL_LEVELS = (0.5, 0.9, 0.95, 0.99)  # probabilities of the regions whose coverage is measured
 
 
 def pose_residuals(T_est: Float[np.ndarray, "n 4 4"], T_true: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:

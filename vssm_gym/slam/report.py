@@ -28,7 +28,7 @@ ERRORS = (
 )
 STATISTICS = ("rmse", "mean", "median", "max")
 LISTED = 200  # lost frames
-NOTICES = 20
+NOTICES = 20  # listed; the rest is counted
 
 
 def page(

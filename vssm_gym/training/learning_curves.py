@@ -33,7 +33,7 @@ from vssm_gym.viz import pictures
 SUCCESS_LEVELS = (0.5, 0.9)  # success rates whose times the table shows
 CURVE_POINTS = 121  # points of a curve
 KINDS = (".svg", ".png")
-CURVES_DPI = 150
+CURVES_DPI = 150  # of the PNG
 MEASURES: dict[str, str] = {"success": "success rate", "returns": "return of an episode"}
 AXES: dict[str, str] = {"minutes": "minutes of training", "steps": "steps of all robots"}
 

@@ -16,7 +16,7 @@ from vssm_gym.viz.mesh import Mesh
 
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125  # component types
 _ARRAY, _ELEMENTS = 34962, 34963  # buffer targets
-_HALF = 0.5**0.5
+_HALF = 0.5**0.5  # cosine and sine of 45 degrees
 Z_UP = [-_HALF, 0.0, 0.0, _HALF]  # quaternion (x, y, z, w): -90 degrees about x, (x, y, z) -> (x, z, -y)
 
 

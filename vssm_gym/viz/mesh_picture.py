@@ -16,11 +16,10 @@ from vssm_gym.viz.mesh import Mesh
 
 MESH_CUT = 1.6  # m: above door handles and most furniture
 ELEVATION = math.radians(52.0)  # of the viewer above the horizon
-VIEW_TURN = math.radians(
-    -20.0
-)  # of the view from straight along the shorter side, so that two sides of objects are seen
+# Of the view from straight along the shorter side, so that two sides of objects are seen.
+VIEW_TURN = math.radians(-20.0)
 LIGHT = (-0.35, -0.5, 0.8)  # towards it in the viewer's level frame: right, ahead, up
-MESH_AMBIENT = 0.75
+MESH_AMBIENT = 0.75  # share of the light that comes from everywhere
 PAPER = 238  # pale grey, so that unobserved space is not taken for a white wall
 SMOOTH = 2  # supersampling factor
 _MARGIN = 0.02  # of the longer side, around what is drawn

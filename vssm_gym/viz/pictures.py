@@ -22,9 +22,9 @@ from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 
 CUT_HEIGHT = 1.2  # m: above tables, below door lintels and wall cupboards
 CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # of objects at the cut: walls, tall furniture
-UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])
+UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])  # of space that was not observed
 TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#c2185b", "#e09f1f"
-DASHES = (0, (3, 1.5))
+DASHES = (0, (3, 1.5))  # offset, then lengths of dash and gap in line widths
 
 
 @dataclass(frozen=True)

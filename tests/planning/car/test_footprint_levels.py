@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from tests.helpers.car_worlds import CAR, PARKING, RESOLUTION, collides, levels, solid
 from vssm_gym.errors import InputError
-from vssm_gym.planning.car.footprint_levels import COLLIDING, FREE, TIGHT
+from vssm_gym.planning.car.footprint_levels import CLEAR, COLLIDING, TIGHT
 from vssm_gym.planning.grid_search.goal_distance import goal_distance
 
 
@@ -22,7 +22,7 @@ def test_no_pose_below_the_colliding_level_collides():
     assert not colliding[level < COLLIDING].any()
     needless = ~collides(shape.buffer(RESOLUTION + CAR.length * math.pi / 36), poses) & (level == COLLIDING)
     assert not needless.any()
-    assert {FREE, TIGHT, COLLIDING} == set(np.unique(level))
+    assert {CLEAR, TIGHT, COLLIDING} == set(np.unique(level))
 
 
 def test_every_pose_beyond_the_grid_collides():

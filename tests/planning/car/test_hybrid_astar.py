@@ -10,7 +10,7 @@ from tests.helpers.car_worlds import CAR, DEAD_END, PARKED, PARKING, SEALED, col
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car import reeds_shepp
-from vssm_gym.planning.car.footprint_levels import COLLIDING, FREE, FootprintLevels
+from vssm_gym.planning.car.footprint_levels import CLEAR, COLLIDING, FootprintLevels
 from vssm_gym.planning.car.hybrid_astar import CarPlan, HybridAStarConfig, arcs, plan
 from vssm_gym.planning.car.hybrid_search import Costs
 from vssm_gym.planning.result import PlanResult, PlanStatus
@@ -141,7 +141,7 @@ def test_a_finer_search_is_hardly_better(seed):
     grid = occupied(3.0, 3.0, *[(x, y, x + 0.3, y + 0.3) for x, y in rng.uniform(0.4, 2.3, (4, 2))])
     table = levels(grid)
     rows = rng.uniform([0.2, 0.2, -3.1], [2.8, 2.8, 3.1], (200, 3))
-    start, goal = rows[table.at(rows) == FREE][:2]
+    start, goal = rows[table.at(rows) == CLEAR][:2]
     coarse = plan(start, goal, table, CAR)
     fine = plan(start, goal, table, CAR, config=HybridAStarConfig(cell=0.05, headings=144, steerings=9))
     check_drivable(coarse, grid, start, goal)
@@ -151,7 +151,7 @@ def test_a_finer_search_is_hardly_better(seed):
 def drive_cost(table: FootprintLevels, result: CarPlan) -> float:
     """Compute the module's objective from poses and gears alone, without the steering."""
     hops = np.hypot(*np.diff(result.path, axis=0).T)
-    near = table.at(result.poses[1:]) != FREE
+    near = table.at(result.poses[1:]) != CLEAR
     costs = Costs()
     weight = 1.0 + costs.reverse * (result.gears[1:] < 0) + costs.tight * near
     return float((hops * weight).sum()) + costs.cusp * result.cusps

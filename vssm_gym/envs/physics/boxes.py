@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 
 from vssm_gym.envs.scenes.solids import SolidBox
 
-LOOKS, ROBOT, CONTACTS = 0, 2, 3  # MuJoCo's geom groups: real boxes, the robot's body, the invisible prisms
+# MuJoCo's geom groups: real boxes, the robot's body, the invisible prisms.
+LOOKS_GROUP, ROBOT_GROUP, CONTACTS_GROUP = 0, 2, 3
 
 
 def empty_spec(name: str) -> mujoco.MjSpec:
@@ -79,7 +80,7 @@ def cast_rays(
     n = len(norm)
     geom, distance = np.full(n, -1, dtype=np.int32), np.zeros(n)
     groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
-    groups[LOOKS] = 1
+    groups[LOOKS_GROUP] = 1
     mujoco.mj_multiRay(
         model,
         data,

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.envs.physics.boxes import LOOKS, ROBOT, boxes_of_geoms, cast_rays, empty_spec, fixed_box
+from vssm_gym.envs.physics.boxes import LOOKS_GROUP, ROBOT_GROUP, boxes_of_geoms, cast_rays, empty_spec, fixed_box
 from vssm_gym.envs.scenes.apartment import Apartment
 
 
@@ -17,7 +17,7 @@ def build_flight_spec(apartment: Apartment, radius: float) -> mujoco.MjSpec:
     """
     spec = empty_spec(apartment.name)
     for i, box in enumerate(apartment.boxes()):
-        geom = fixed_box(spec, f"box {i}", box, group=LOOKS, rgba=[*box.material.color, 1.0])
+        geom = fixed_box(spec, f"box {i}", box, group=LOOKS_GROUP, rgba=[*box.material.color, 1.0])
         geom.contype, geom.conaffinity = 1, 1
     body = spec.worldbody.add_body(name="robot")
     for axis, name in zip(np.eye(3), "xyz", strict=True):
@@ -31,7 +31,7 @@ def build_flight_spec(apartment: Apartment, radius: float) -> mujoco.MjSpec:
         priority=1,
         condim=1,  # as the robot's disc
         solref=[1e-4, 1.0],
-        group=ROBOT,
+        group=ROBOT_GROUP,
         mass=1.0,
         rgba=[0.9, 0.5, 0.1, 1.0],
     )

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.envs.physics.boxes import (
-    CONTACTS,
-    LOOKS,
-    ROBOT,
+    CONTACTS_GROUP,
+    LOOKS_GROUP,
+    ROBOT_GROUP,
     bearings,
     boxes_of_geoms,
     cast_rays,
@@ -57,9 +57,9 @@ def build_floor_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
     spec = empty_spec(apartment.name)
     mid = 0.5 * robot.height
     for i, box in enumerate(boxes):
-        fixed_box(spec, f"box {i}", box, group=LOOKS, rgba=[*box.material.color, 1.0])
+        fixed_box(spec, f"box {i}", box, group=LOOKS_GROUP, rgba=[*box.material.color, 1.0])
     for i in obstacles(boxes, robot.height):
-        prism = fixed_box(spec, f"prism {i}", boxes[i], group=CONTACTS, rgba=[1.0, 0.0, 0.0, 0.2])
+        prism = fixed_box(spec, f"prism {i}", boxes[i], group=CONTACTS_GROUP, rgba=[1.0, 0.0, 0.0, 0.2])
         prism.pos[2], prism.size[2] = mid, mid + 1.0
         prism.contype, prism.conaffinity = 1, 1
 
@@ -75,7 +75,7 @@ def build_floor_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
         pos=[0.0, 0.0, mid],
         contype=0,
         conaffinity=0,
-        group=ROBOT,
+        group=ROBOT_GROUP,
         rgba=[0.9, 0.5, 0.1, 1.0],
     )
     body.add_geom(
@@ -88,7 +88,7 @@ def build_floor_spec(apartment: Apartment, robot: Robot) -> mujoco.MjSpec:
         priority=1,  # the disc's contact parameters alone count, not a mixture with the prisms'
         condim=1,  # frictionless: the robot slides along obstacles
         solref=[1e-4, 1.0],  # as stiff as the substep allows: MuJoCo raises the time constant to two substeps
-        group=CONTACTS,
+        group=CONTACTS_GROUP,
         mass=1.0,
         rgba=[1.0, 0.0, 0.0, 0.2],
     )

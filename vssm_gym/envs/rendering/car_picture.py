@@ -5,7 +5,7 @@ import math
 import numpy as np
 from PIL import Image, ImageDraw
 
-from vssm_gym.envs.rendering.topdown import GOAL_COLOUR, PATH_COLOUR, ROBOT_COLOUR, ZOOM, TopDown
+from vssm_gym.envs.rendering.topdown import PLAN_GOAL, PLAN_PATH, PLAN_ROBOT, ZOOM, TopDown
 from vssm_gym.geometry.axes import PlanarPose
 from vssm_gym.geometry.car import Car
 
@@ -39,14 +39,14 @@ def draw_run(
 
     angle = np.linspace(0.0, 2.0 * math.pi, 33)
     circle = goal[:2] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    pen.line(at(circle), fill=GOAL_COLOUR, width=2 * ZOOM)
+    pen.line(at(circle), fill=PLAN_GOAL, width=2 * ZOOM)
     if len(goal) == 3:
         corners = car.corners(goal)
-        pen.line(at(np.concatenate([corners, corners[:1]])), fill=GOAL_COLOUR, width=2 * ZOOM)
-        pen.line(at(_nose(car, goal)), fill=GOAL_COLOUR, width=2 * ZOOM)
+        pen.line(at(np.concatenate([corners, corners[:1]])), fill=PLAN_GOAL, width=2 * ZOOM)
+        pen.line(at(_nose(car, goal)), fill=PLAN_GOAL, width=2 * ZOOM)
     if len(path) > 1:
-        pen.line(at(path), fill=PATH_COLOUR, width=2 * ZOOM, joint="curve")
-    pen.polygon(at(car.corners(planar)), fill=ROBOT_COLOUR)
+        pen.line(at(path), fill=PLAN_PATH, width=2 * ZOOM, joint="curve")
+    pen.polygon(at(car.corners(planar)), fill=PLAN_ROBOT)
     pen.line(at(_nose(car, planar)), fill=_NOSE, width=2 * ZOOM)
     return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 

@@ -15,7 +15,7 @@ PICTURE = 360  # pixels, height of a rendered picture and width of its plan
 FLATTEST = 2  # width over height of a camera's picture at most
 ZOOM = 2  # pictures are drawn this many times larger, then reduced, for smooth edges
 _INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}  # RGB
-PATH_COLOUR, ROBOT_COLOUR, GOAL_COLOUR = (214, 60, 48), (24, 92, 196), (28, 150, 72)  # RGB
+PLAN_PATH, PLAN_ROBOT, PLAN_GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)  # RGB
 
 
 class TopDown:
@@ -73,14 +73,14 @@ class TopDown:
         pen = ImageDraw.Draw(image)
         if goal is not None:
             goal_at, radius = self.pixels(goal) * ZOOM, goal_radius * self._scale * ZOOM
-            pen.ellipse(_circle(goal_at, radius), outline=GOAL_COLOUR, width=2 * ZOOM)
-            pen.ellipse(_circle(goal_at, 2.0 * ZOOM), fill=GOAL_COLOUR)
+            pen.ellipse(_circle(goal_at, radius), outline=PLAN_GOAL, width=2 * ZOOM)
+            pen.ellipse(_circle(goal_at, 2.0 * ZOOM), fill=PLAN_GOAL)
         if len(path) > 1:
-            pen.line([tuple(p) for p in self.pixels(path) * ZOOM], fill=PATH_COLOUR, width=2 * ZOOM, joint="curve")
+            pen.line([tuple(p) for p in self.pixels(path) * ZOOM], fill=PLAN_PATH, width=2 * ZOOM, joint="curve")
         at, radius = self.pixels(robot[:2]) * ZOOM, max(robot_radius * self._scale, 4.0) * ZOOM
-        pen.ellipse(_circle(at, radius), fill=ROBOT_COLOUR)
+        pen.ellipse(_circle(at, radius), fill=PLAN_ROBOT)
         ahead = at + 2.2 * radius * np.array([math.cos(robot[2]), -math.sin(robot[2])])
-        pen.line([tuple(at), tuple(ahead)], fill=ROBOT_COLOUR, width=2 * ZOOM)
+        pen.line([tuple(at), tuple(ahead)], fill=PLAN_ROBOT, width=2 * ZOOM)
         return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
 

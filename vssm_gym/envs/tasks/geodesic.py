@@ -25,7 +25,7 @@ STRAIGHTEN = (0.01, 0.02, 0.04, 0.07, 0.1)  # m, tried in this order
 _SIDE = 1e-9  # m^2; tolerance of the tangent test, which only removes edges: one too many never makes a path shorter
 _NUDGE = 1e-6  # rad; end points of free arcs of the goal's circle move this far inside free space
 _SEGMENTS_AT_ONCE = 64  # candidate last segments tested for visibility at a time
-_NO_PATH = (np.inf, np.zeros((0, 2)))
+_NO_PATH = (np.inf, np.zeros((0, 2)))  # length (m) and positions
 
 
 class Geodesics:

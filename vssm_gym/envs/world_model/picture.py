@@ -5,8 +5,8 @@ import numpy as np
 from vssm_gym.envs.rendering.topdown import PICTURE
 from vssm_gym.envs.world_model.collision_map import CollisionMap
 
-MAP_FREE, MAP_BLOCKED, MAP_UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)
-MAP_PATH, MAP_ROBOT, MAP_GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)
+MAP_FREE, MAP_BLOCKED, MAP_UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)  # RGB
+MAP_PATH, MAP_ROBOT, MAP_GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)  # RGB
 DRAWN_POSITIONS = 1000  # positions of a path that are drawn
 
 

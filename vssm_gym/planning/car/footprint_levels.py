@@ -18,7 +18,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import cells_under, dilate, heading_grid, rectangle_collisions
 
-FREE, TIGHT, COLLIDING = 0, 1, 2
+CLEAR, TIGHT, COLLIDING = 0, 1, 2  # levels, see the module
 
 
 class Lookup(NamedTuple):
@@ -67,7 +67,7 @@ class FootprintLevels:
         poses = [corners + np.array([0.0, 0.0, heading]) for heading in grid]
         touching = np.stack(dilate(occupied, [cells_under(p, resolution, car, margin + bulge) for p in poses]), axis=-1)
         tight = rectangle_collisions(occupied, resolution, car, grid, comfort)
-        levels = np.where(touching, COLLIDING, np.where(tight, TIGHT, FREE)).astype(np.uint8)
+        levels = np.where(touching, COLLIDING, np.where(tight, TIGHT, CLEAR)).astype(np.uint8)
         return cls(np.ascontiguousarray(levels), np.asarray(origin, dtype=np.float64), float(resolution))
 
     @property

@@ -21,9 +21,9 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.arc import poses_after
 from vssm_gym.geometry.transforms import wrap_angle
 
-LEFT, STRAIGHT, RIGHT = 1, 0, -1
+LEFT, STRAIGHT, RIGHT = 1, 0, -1  # steering of a segment, share of the full lock
 SOLUTIONS = 40  # solutions a pair of poses can have: 8 CSC, 4 CCC, 8 CCCC, 8 CCSC, 8 CSCC, 4 CCSCC
-_QUARTER = 0.5 * math.pi
+_QUARTER = 0.5 * math.pi  # rad, a quarter turn
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,8 @@ class MpcConfig:
         smoothness: cost of changing speed or steering by its whole limit from one step to the next.
         proximity: cost of a step with one disc at clearance zero, falling to zero at ``comfort`` by a parabola.
         tolerance: violation of the clearance constraint that still counts as none, m.
-        shortfall: cost of a metre of violation where candidates are ranked. A refinement can repair it, while a detour
-            costs seconds for certain.
+        shortfall: cost of a metre of violation where candidates are ranked: large, yet finite, because the refinement
+            repairs small violations.
         cheaper: by how much a start must be cheaper than the solver's answer to replace it: below it two plans are the
             same drive.
         deadline: seconds after which a plan is not used any more; infinite: none.

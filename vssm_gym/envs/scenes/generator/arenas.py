@@ -17,6 +17,7 @@ Rectangle = tuple[float, float, float, float]  # x, y, width along x, breadth al
 
 ARENA_CORNERS = ((0.0, 0.0), (5.2, 0.0), (5.2, 4.2), (0.0, 4.2))  # m, of the walls' centre lines
 ENTRANCE = (2.6, 0.0)  # m, middle of the door
+# RGB in [0, 1]
 RED, AMBER, GREEN, BLUE, CREAM = (
     (0.9, 0.4, 0.34),
     (1.0, 0.8, 0.36),

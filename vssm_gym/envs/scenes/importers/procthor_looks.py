@@ -63,6 +63,7 @@ _COLORS: tuple[tuple[str, RGB], ...] = (
     ("brick", (0.68, 0.40, 0.32)),
     ("light", (0.85, 0.72, 0.54)),
 )
+# RGB in [0, 1] of wood whose colour the asset does not name.
 _WOODS: tuple[RGB, ...] = ((0.72, 0.52, 0.34), (0.80, 0.63, 0.43), (0.60, 0.42, 0.28), (0.68, 0.54, 0.40))
 
 
@@ -145,6 +146,7 @@ _OBJECTS: dict[str, tuple[str, ...]] = {
 }
 _OWN_COLORS = (*_PAINTINGS, "screen", "books", "leaves", "oven", "plaid")
 _WOODEN = ("wood", "planks", "drawers", "cabinet", "wicker")
+# RGB in [0, 1] of things whose colour the asset does not name.
 _DYES: tuple[RGB, ...] = (
     (0.80, 0.78, 0.72),
     (0.45, 0.55, 0.72),

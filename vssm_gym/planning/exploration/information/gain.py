@@ -62,7 +62,7 @@ class InformationConfig:
 
 
 DEFAULT = InformationConfig()
-KNOWN_POSE = np.zeros(3)
+KNOWN_POSE = np.zeros(3)  # std of x, y (m) and heading (rad)
 
 
 class Gain(NamedTuple):

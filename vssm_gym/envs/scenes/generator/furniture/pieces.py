@@ -16,10 +16,10 @@ from vssm_gym.envs.scenes.free_space import STEP_HEIGHT
 Color = tuple[float, float, float]
 T = TypeVar("T")
 
-WHITE: Color = (1.0, 1.0, 1.0)
-BLACK = Material(color=(0.15, 0.15, 0.16))
+WHITE: Color = (1.0, 1.0, 1.0)  # RGB in [0, 1], as all colours of pieces
+BLACK = Material(color=(0.15, 0.15, 0.16))  # of screens, hobs and feet
 STEEL = Material(color=(0.80, 0.82, 0.85), texture="metal", scale=0.8)
-CERAMIC = Material(color=(0.97, 0.97, 0.99))
+CERAMIC = Material(color=(0.97, 0.97, 0.99))  # of sinks and baths
 LOW_BLOCK = 0.5  # m: a block that begins below it and ends above STEP_HEIGHT stops a ground robot
 
 
@@ -148,7 +148,9 @@ def tinted(rng: np.random.Generator, color: Color, spread: float = 0.06) -> Colo
     return (round(r, 2), round(g, 2), round(b, 2))
 
 
+# RGB in [0, 1] of which each piece draws one.
 WOODS: tuple[Color, ...] = ((0.78, 0.60, 0.40), (0.55, 0.38, 0.25), (0.88, 0.72, 0.52), (0.40, 0.27, 0.19))
+# The same of covers.
 FABRICS: tuple[Color, ...] = (
     (0.42, 0.52, 0.62),
     (0.55, 0.62, 0.42),
