@@ -3,7 +3,7 @@
 import re
 
 LONGEST_VALUE = 200  # characters of a quoted name or value
-LONGEST_MESSAGE = 2000
+LONGEST_MESSAGE = 2000  # characters of each of the three parts of a message
 
 
 class InputError(ValueError):

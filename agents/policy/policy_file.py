@@ -34,7 +34,7 @@ HASH_DIGITS = 8  # hexadecimal, of a policy's content
 POLICY_BYTES = 256 << 20  # of a file, and of its arrays; the policies trained here have 0.3 MB
 MOST_LAYERS = 32  # hidden ones
 LONGEST_NAME = 200  # characters
-LARGEST = 1e6  # m, rad: a bound of commands and distances, far beyond any robot's
+LARGEST_LIMIT = 1e6  # m, rad: a bound of commands and distances, far beyond any robot's
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 SQUASHES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
@@ -149,7 +149,8 @@ def _parsed(path: str | Path) -> tuple[Policy, str]:
         header = stored.read_json("header", path)
         found = (header.pop("format", None), header.pop("version", None)) if isinstance(header, dict) else (None, None)
         if found != (POLICY_FORMAT, POLICY_VERSION):
-            raise InputError(path, "version", f"{POLICY_FORMAT} version {POLICY_VERSION}; found {found[0]!s:.80} {found[1]!s:.80}")
+            expected = f"{POLICY_FORMAT} version {POLICY_VERSION}; found {found[0]!s:.80} {found[1]!s:.80}"
+            raise InputError(path, "version", expected)
         spec = _spec(path, header)
         layers = _layers(path, spec, stored)
     return Policy(spec, layers), hashlib.sha256(data).hexdigest()
@@ -214,4 +215,4 @@ def _whole(value: Any, most: int) -> bool:
 
 
 def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_LIMIT

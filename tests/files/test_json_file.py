@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
 from vssm_gym.files import json_file
-from vssm_gym.files.json_file import DEPTH, LARGEST, parse_json, read_json, read_json_line
+from vssm_gym.files.json_file import JSON_DEPTH, LARGEST_WHOLE, parse_json, read_json, read_json_line
 
 texts = st.text(st.characters(codec="utf-8"))  # a lone surrogate has no UTF-8
 plain = st.recursive(
     st.none()
     | st.booleans()
-    | st.integers(1 - LARGEST, LARGEST - 1)
+    | st.integers(1 - LARGEST_WHOLE, LARGEST_WHOLE - 1)
     | st.floats(allow_nan=False, allow_infinity=False)
     | texts,
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
@@ -31,17 +31,17 @@ def test_plain_data_is_read_as_the_library_reads_it(data: Any) -> None:
 
 
 @pytest.mark.parametrize("brackets", ["[]", '{"a":}'])
-@pytest.mark.parametrize("depth", [DEPTH, DEPTH + 1, 3000, 200_000])
+@pytest.mark.parametrize("depth", [JSON_DEPTH, JSON_DEPTH + 1, 3000, 200_000])
 def test_nesting_is_bounded(brackets: str, depth: int) -> None:
     text = (brackets[:-1] * depth + "1" * (len(brackets) > 2) + brackets[-1] * depth).encode()
-    if depth <= DEPTH:
+    if depth <= JSON_DEPTH:
         assert parse_json(text, "file")
     else:
         with pytest.raises(InputError, match="nested"):
             parse_json(text, "file")
 
 
-@pytest.mark.parametrize("text", ["NaN", "[-Infinity]", "1e400", "9" * 19, "-" + "9" * 5000, f"{LARGEST}"])
+@pytest.mark.parametrize("text", ["NaN", "[-Infinity]", "1e400", "9" * 19, "-" + "9" * 5000, f"{LARGEST_WHOLE}"])
 def test_numbers_that_no_array_holds_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="numbers"):
         parse_json(text.encode(), "file")

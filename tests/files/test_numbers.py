@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
-from vssm_gym.files.numbers import LARGEST, as_float32, floats, read_table, whole
+from vssm_gym.files.numbers import LARGEST_NUMBER, as_float32, floats, read_table, whole
 
 
-@given(st.lists(st.floats(-LARGEST, LARGEST) | st.integers(-1000, 1000), min_size=6, max_size=6))
+@given(st.lists(st.floats(-LARGEST_NUMBER, LARGEST_NUMBER) | st.integers(-1000, 1000), min_size=6, max_size=6))
 def test_lists_of_numbers_become_arrays(values: list[float]) -> None:
     nested = [values[:3], values[3:]]
     for given_as in (values, nested, np.array(nested)):

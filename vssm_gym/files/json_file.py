@@ -14,8 +14,8 @@ from vssm_gym.files.bounded import open_file, read_bytes
 JSON_BYTES = 16 << 20  # as Python objects up to 30 times as much; the largest ProcTHOR house has 0.1 MB
 LINES_BYTES = 512 << 20  # unpacked, up to the line that is asked for; all 10,000 ProcTHOR houses of a split have 0.4 GB
 LINES = 1_000_000  # of a JSONL file, up to the line that is asked for
-DEPTH = 100  # nested lists and objects; the formats read here nest 12 deep at most
-LARGEST = 2**63  # a larger whole number fits no array
+JSON_DEPTH = 100  # nested lists and objects; the formats read here nest 12 deep at most
+LARGEST_WHOLE = 2**63  # a larger whole number fits no array
 
 
 def read_json(path: str | Path, limit: int = JSON_BYTES, expected: str = "a readable JSON file") -> Any:
@@ -56,7 +56,7 @@ def parse_json_lines(content: bytes, source: object, what: str) -> Iterator[tupl
 
 
 def parse_json(content: bytes, source: object, field: str = "content") -> Any:
-    """Return plain data of JSON text in UTF-8: finite numbers, nested at most ``DEPTH`` deep.
+    """Return plain data of JSON text in UTF-8: finite numbers, nested at most ``JSON_DEPTH`` deep.
 
     Raises:
         InputError: naming ``source`` and ``field``, or the line of a syntax error.
@@ -72,11 +72,11 @@ def parse_json(content: bytes, source: object, field: str = "content") -> Any:
         return value
 
     def whole(digits: str) -> int:
-        if len(digits.lstrip("-")) > len(str(LARGEST)) or abs(int(digits)) >= LARGEST:
+        if len(digits.lstrip("-")) > len(str(LARGEST_WHOLE)) or abs(int(digits)) >= LARGEST_WHOLE:
             raise InputError(source, field, f"whole numbers below 2^63; found {digits:.40}")
         return int(digits)
 
-    deep = InputError(source, field, f"JSON nested at most {DEPTH} deep")
+    deep = InputError(source, field, f"JSON nested at most {JSON_DEPTH} deep")
     try:
         data = json.loads(content.decode("utf-8"), parse_constant=refuse, parse_float=finite, parse_int=whole)
     except UnicodeDecodeError as error:
@@ -86,7 +86,7 @@ def parse_json(content: bytes, source: object, field: str = "content") -> Any:
     except RecursionError as error:
         raise deep from error
     level = [data]
-    for _ in range(DEPTH):  # one level of nesting after the other
+    for _ in range(JSON_DEPTH):  # one level of nesting after the other
         level = [inner for outer in level for inner in _children(outer)]
     if any(isinstance(inner, dict | list) for inner in level):
         raise deep

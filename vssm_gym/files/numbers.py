@@ -9,12 +9,18 @@ import numpy as np
 from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_bytes
 
-LARGEST = 1e12  # no length, angle, time, focal length or coefficient is larger; its square still fits float32
+LARGEST_NUMBER = 1e12  # no length, angle, time, focal length or coefficient is larger; its square still fits float32
 TABLE_BYTES = 500_000_000  # of a table of numbers as text: an hour of IMU readings at 1 kHz
 
 
 def floats(
-    value: Any, shape: tuple[int, ...], source: object, field: str, *, largest: float = LARGEST, positive: bool = False
+    value: Any,
+    shape: tuple[int, ...],
+    source: object,
+    field: str,
+    *,
+    largest: float = LARGEST_NUMBER,
+    positive: bool = False,
 ) -> np.ndarray:
     """Return nested lists of numbers as float64 of ``shape``.
 
@@ -84,8 +90,8 @@ def read_table(path: Path, expected: str, *, columns: int | None = None, limit: 
         raise InputError(path, "lines", f"{expected}: numbers only ({error})") from error
     if columns is not None and table.size and table.shape[1] != columns:
         raise InputError(path, "lines", f"{expected}: {columns} numbers; found {table.shape[1]}")
-    if not (np.abs(table) <= LARGEST).all():
-        row = int(np.argwhere(~(np.abs(table) <= LARGEST))[0, 0])
+    if not (np.abs(table) <= LARGEST_NUMBER).all():
+        row = int(np.argwhere(~(np.abs(table) <= LARGEST_NUMBER))[0, 0])
         raise InputError(path, "lines", f"{expected}: finite numbers; row {row} of the table has another")
     return table.reshape(-1, columns) if columns is not None else table
 

@@ -10,7 +10,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_text
 
 YAML_BYTES = 256 << 10  # of a configuration; the parser reads 100 kB a second
-DEPTH = 20  # nested lists and mappings; configurations nest 4 deep
+YAML_DEPTH = 20  # nested lists and mappings; configurations nest 4 deep
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
@@ -62,8 +62,8 @@ def _check_structure(path: Path, text: str) -> None:
         if isinstance(event, yaml.AliasEvent):
             raise InputError(path, "file", "YAML without aliases (*name): write the value again")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEPTH:
-            raise InputError(path, "file", f"YAML nested at most {DEPTH} deep")
+        if depth > YAML_DEPTH:
+            raise InputError(path, "file", f"YAML nested at most {YAML_DEPTH} deep")
 
 
 def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:

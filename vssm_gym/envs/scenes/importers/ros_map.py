@@ -28,7 +28,7 @@ from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_bytes
 
-YAML_BYTES = 1 << 16  # largest file
+MAP_YAML_BYTES = 1 << 16  # largest file
 LEAST_PIECE = 0.5  # m^2; smaller pieces of floor are noise of the scanner
 MAP_ROOMS, MAP_WALLS = 300, 20_000  # most of a map
 WALL_BAND = 3  # cells that a wall may reach beyond the floor's border
@@ -91,7 +91,7 @@ def import_ros_map(path: Path) -> Apartment:
 
 
 def _settings(path: Path) -> MapFile:
-    content = read_bytes(path, YAML_BYTES)
+    content = read_bytes(path, MAP_YAML_BYTES)
     try:
         data = yaml.load(content.decode("utf-8"), _PlainLoader)  # a BaseLoader: it builds nothing but strings
     except (yaml.YAMLError, ValueError, RecursionError) as error:
