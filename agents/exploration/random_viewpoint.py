@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vssm_gym.agents.exploration.mi_explorer import SAME_PLACE
+from vssm_gym.agents.exploration.mi_explorer import MiExplorerConfig
 from vssm_gym.agents.shared.explorer import Explorer
 from vssm_gym.agents.shared.strategy import Choice, Situation, around
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -22,9 +22,10 @@ from vssm_gym.planning.exploration.candidates import candidates
 class RandomViewpointConfig:
     """Configure ``random_viewpoint``; the candidates are those of ``mi_explorer``."""
 
-    spacing: float = 0.5  # m between candidates
-    hazard: tuple[float, float] = (0.25, 3.0)  # 1/m, of surfaces in unknown space: in the building's outline, beyond
-    least_area: float = 0.05  # m^2 of unknown space in sight
+    spacing: float = MiExplorerConfig.spacing  # m between candidates
+    hazard: tuple[float, float] = MiExplorerConfig.hazard  # 1/m, of surfaces in unknown space
+    least_area: float = MiExplorerConfig.least_area  # m^2 of unknown space in sight
+    same_place: float = MiExplorerConfig.same_place  # m; a place so near to one that was visited counts as visited
 
 
 class RandomViewpoint:
@@ -42,7 +43,7 @@ class RandomViewpoint:
     def choose(self, situation: Situation) -> Choice | None:
         """Return the goal of before until it is reached, then another; None where there is none."""
         if situation.arrived and self._goal is not None:
-            if math.hypot(*(self._goal - situation.planar[:2])) < SAME_PLACE:
+            if math.hypot(*(self._goal - situation.planar[:2])) < self._config.same_place:
                 self._visited.append(self._goal)
             self._goal = None
         c = self._config
@@ -53,7 +54,7 @@ class RandomViewpoint:
         visited = np.reshape(self._visited, (-1, 2))
         gap = np.linalg.norm(found.xy[:, None] - visited[None], axis=-1)
         # Gain that is still expected at a visited place cannot be observed from it.
-        xy = found.xy[gap.min(axis=1, initial=np.inf) >= SAME_PLACE]
+        xy = found.xy[gap.min(axis=1, initial=np.inf) >= c.same_place]
         if not len(xy):
             return None
         if self._goal is None or not situation.roadmap.reaches(self._goal):

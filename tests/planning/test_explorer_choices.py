@@ -14,7 +14,7 @@ from vssm_gym.agents.exploration import mi_explorer
 from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.exploration.frontier_gain_scan import FrontierGainScan, FrontierGainScanConfig
 from vssm_gym.agents.exploration.frontier_nearest import NearestFrontier
-from vssm_gym.agents.exploration.mi_explorer import SAME_PLACE, MiExplorerConfig, MutualInformation
+from vssm_gym.agents.exploration.mi_explorer import MiExplorerConfig, MutualInformation
 from vssm_gym.agents.exploration.random_viewpoint import RandomViewpoint, RandomViewpointConfig
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.agents.shared.explorer import ExplorationConfig
@@ -100,7 +100,7 @@ def test_random_viewpoints_are_not_visited_twice():
         at = (float(choice.goal[0]), float(choice.goal[1]))
         choice = strategy.choose(believed(CORRIDOR, at, arrived=True))
     assert len(goals) > 5
-    assert min(math.dist(a, b) for a, b in itertools.combinations(goals, 2)) >= SAME_PLACE
+    assert min(math.dist(a, b) for a, b in itertools.combinations(goals, 2)) >= MiExplorerConfig.same_place
 
 
 def test_an_unreached_random_viewpoint_can_be_drawn_again():
