@@ -9,7 +9,7 @@ import numpy as np
 from vssm_gym.agents.shared.driver import SURFACE_ERROR, CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
-from vssm_gym.planning.car.dwa import DwaState, DwaStatus, DynamicWindow
+from vssm_gym.planning.car.dwa import DwaConfig, DwaState, DwaStatus, DynamicWindow
 from vssm_gym.planning.car.footprint import Arena
 from vssm_gym.planning.car.footprint_levels import FootprintLevels
 
@@ -17,8 +17,8 @@ from vssm_gym.planning.car.footprint_levels import FootprintLevels
 class Window:
     """Control the car by a dynamic window, one goal after another."""
 
-    def __init__(self, arena: Arena, car: Car) -> None:
-        self._car = car
+    def __init__(self, arena: Arena, car: Car, config: DwaConfig) -> None:
+        self._car, self._config = car, config
         grid = arena.occupied, arena.origin, arena.resolution
         self._levels = FootprintLevels.from_occupied(*grid, car, margin=SURFACE_ERROR)
         self._window: DynamicWindow
@@ -26,7 +26,7 @@ class Window:
 
     def begin(self, planar: np.ndarray, goal: np.ndarray, control: np.ndarray) -> str | None:
         """Compute distances to the target's position; return the reason where no path leads there."""
-        self._window = DynamicWindow(self._levels, self._car, goal[:2])
+        self._window = DynamicWindow(self._levels, self._car, goal[:2], self._config)
         self._state = self._window.init()
         first = self._window.step(self._state, planar)
         return first.status.message if first.status is DwaStatus.NO_PATH else None
@@ -46,6 +46,7 @@ class DwaAgent:
     needs_pose = True
     needs_map = True
 
-    def __init__(self) -> None:
-        driver = Driver(TruePose(), Window)
+    def __init__(self, config: DwaConfig | None = None) -> None:
+        chosen = config or DwaConfig()
+        driver = Driver(TruePose(), lambda arena, car: Window(arena, car, chosen))
         self.reset, self.act = driver.reset, driver.act

@@ -6,7 +6,7 @@ the true pose. Described in ``docs/agents/car.md``.
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,14 +15,14 @@ from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena
 from vssm_gym.planning.car.footprint_levels import FootprintLevels
-from vssm_gym.planning.car.hybrid_astar import CarPlan, plan
-from vssm_gym.planning.car.pursuit import CarPath
+from vssm_gym.planning.car.hybrid_astar import CarPlan, HybridAStarConfig, plan
+from vssm_gym.planning.car.pursuit import CarPath, PursuitConfig
 from vssm_gym.planning.result import PlanStatus
 
 
 @dataclass(frozen=True)
 class HybridPursuitConfig:
-    """Configure when and where to the car plans; how it searches and follows are the planners' own configurations.
+    """Configure when and where to the car plans, how it searches, and how it follows.
 
     Args:
         expansions: of a search: a count, not a time, so that runs repeat exactly on any machine.
@@ -31,6 +31,8 @@ class HybridPursuitConfig:
         turned: angle off the plan's heading at which the car plans again, rad.
         offset: m and rad along x, y and heading, by which poses around the target differ from it. They lie inside its
             region; in a map rounded to cells the car may fit at one only.
+        search: costs and resolution of hybrid A*.
+        pursuit: how the drive is followed.
     """
 
     expansions: int = 300_000
@@ -38,6 +40,8 @@ class HybridPursuitConfig:
     astray: float = 0.08
     turned: float = 0.4
     offset: tuple[float, float, float] = (0.04, 0.04, 0.1)
+    search: HybridAStarConfig = field(default_factory=HybridAStarConfig)
+    pursuit: PursuitConfig = field(default_factory=PursuitConfig)
 
 
 class HybridPursuit:
@@ -71,12 +75,14 @@ class HybridPursuit:
 
     def _plan(self, planar: np.ndarray) -> CarPlan:
         """Return the first drive found: to the target with a margin, without one, then to poses around it."""
-        expansions = self._config.expansions
+        c = self._config
         for goal in self._goal + self._offsets[:, : len(self._goal)]:
             for levels in self._levels:
-                result = plan(planar, goal, levels, self._car, time_limit=math.inf, max_expansions=expansions)
+                result = plan(
+                    planar, goal, levels, self._car, config=c.search, time_limit=math.inf, max_expansions=c.expansions
+                )
                 if result.found:
-                    self._drive, self._progress = CarPath(result.poses, result.gears), 0.0
+                    self._drive, self._progress = CarPath(result.poses, result.gears, c.pursuit), 0.0
                     return result
             if result.status is not PlanStatus.GOAL_BLOCKED:
                 return result

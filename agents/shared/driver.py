@@ -16,7 +16,7 @@ from vssm_gym.agents.shared.localization import Localizer
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.car.footprint import Arena, Unknown, arena_from_map
+from vssm_gym.planning.car.footprint import Arena, arena_from_map
 
 SURFACE_ERROR = 0.01  # m around the footprint that controllers keep free, because learned surfaces have an error
 
@@ -57,13 +57,10 @@ class Driver:
     Args:
         localizer: estimates the pose.
         make: returns a controller for a floor plan and a car.
-        unknown: treatment of the map's unseen space: see :func:`arena_from_map`.
     """
 
-    def __init__(
-        self, localizer: Localizer, make: Callable[[Arena, Car], CarController], unknown: Unknown = "mean"
-    ) -> None:
-        self._localizer, self._make, self._unknown = localizer, make, unknown
+    def __init__(self, localizer: Localizer, make: Callable[[Arena, Car], CarController]) -> None:
+        self._localizer, self._make = localizer, make
         self._map: VoxelMap | None = None
         self._controller: CarController  # for that map, kept over episodes
 
@@ -73,7 +70,7 @@ class Driver:
             missing = "map" if context.map is None else "car"
             raise InputError("AgentContext", missing, "a learned map and a car: this agent plans a car's path in a map")
         if context.map is not self._map:
-            arena = arena_from_map(context.map, self._unknown)
+            arena = arena_from_map(context.map)
             self._controller, self._map = self._make(arena, context.car), context.map
         self._car = context.car
         self._command = np.zeros(2)

@@ -24,6 +24,7 @@ from vssm_gym.viz import pictures
 
 OBSERVED_COLOUR = "#0072b2"
 SLICE_MARGIN = 0.4  # m around the content of a slice
+SHOWN_FRAMES = 5  # frames whose images are shown beside the map's, spread over the run
 SLICE_PIXELS = 420  # of a slice along its longer edge, at most
 STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9"}
 ELLIPSES = 25  # drawn along a path
@@ -199,7 +200,7 @@ def _belief(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(known, mean, np.nan), np.where(known, precision**-0.5, np.nan)
 
 
-def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, float]]]:
+def views(run: SlamRun) -> tuple[bytes, list[tuple[int, float, float]]]:
     """Draw frames spread over the run beside the final map rendered at their estimated poses, as WebP.
 
     Returns:
@@ -207,7 +208,7 @@ def views(run: SlamRun, count: int = 5) -> tuple[bytes, list[tuple[int, float, f
         depth, and the share of the observed depths that the map has a known surface for.
     """
     held = [frame for frame in run.frames if not frame.lost]
-    chosen = [held[i] for i in sorted({round(x) for x in np.linspace(0, len(held) - 1, count)})]
+    chosen = [held[i] for i in sorted({round(x) for x in np.linspace(0, len(held) - 1, SHOWN_FRAMES)})]
     columns = ("observed", "rendered", "observed depth", "rendered depth", "depth difference")
     camera = run.reader.camera
     height = 1.9 * camera.height / camera.width + 0.1

@@ -29,14 +29,14 @@ class Triangles:
     triangles: Int[np.ndarray, "m 3"]  # rows of the above
 
 
-def box_triangles(boxes: Sequence[SolidBox], cell: float = FACE_CELL) -> Triangles:
-    """Return all faces of ``boxes``, cut into cells of at most ``cell`` metres (longer on faces beyond 32 cells)."""
+def box_triangles(boxes: Sequence[SolidBox]) -> Triangles:
+    """Return all faces of ``boxes``, cut into cells of at most ``FACE_CELL`` (longer on faces beyond 32 cells)."""
     vertices, normals, texture, triangles = [], [], [], []
     count = 0
     for box in boxes:
         for axis in range(3):
             for sign in (-1.0, 1.0):
-                p, n, uv, rows = _face(box, axis, sign, cell)
+                p, n, uv, rows = _face(box, axis, sign)
                 vertices.append(p)
                 normals.append(np.broadcast_to(n, p.shape))
                 texture.append(uv)
@@ -45,10 +45,10 @@ def box_triangles(boxes: Sequence[SolidBox], cell: float = FACE_CELL) -> Triangl
     return Triangles(*(np.concatenate(parts) for parts in (vertices, normals, texture, triangles)))
 
 
-def _face(box: SolidBox, axis: int, sign: float, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _face(box: SolidBox, axis: int, sign: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return vertices, normal, texture coordinates and triangles of the box's face on side ``sign`` of ``axis``."""
     across, along = (axis + 1) % 3, (axis + 2) % 3
-    n_across, n_along = (min(_MOST, max(1, math.ceil(box.size[a] / cell))) for a in (across, along))
+    n_across, n_along = (min(_MOST, max(1, math.ceil(box.size[a] / FACE_CELL))) for a in (across, along))
     a, b = np.meshgrid(np.linspace(-0.5, 0.5, n_across + 1), np.linspace(-0.5, 0.5, n_along + 1), indexing="ij")
     p = np.empty((a.size, 3))
     p[:, axis] = 0.5 * sign * box.size[axis]

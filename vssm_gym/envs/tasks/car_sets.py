@@ -36,11 +36,9 @@ class CarTaskSet(StrictModel):
         return content_hash(self, without="hash")
 
 
-def make_car_tasks(
-    apartment: Apartment, n: int, targets: Targets = "poses", split: Split = "test", car: Car | None = None
-) -> CarTaskSet:
+def make_car_tasks(apartment: Apartment, n: int, targets: Targets = "poses", split: Split = "test") -> CarTaskSet:
     """Make a chain of ``n`` targets; raise :class:`InputError` for an arena without room for a car."""
-    sampler = CarTaskSampler.of(apartment, car or Car())
+    sampler = CarTaskSampler.of(apartment, Car())
     key = hashlib.sha256(f"{apartment.name}|car|{targets}|{split}".encode()).digest()
     entropy = [int.from_bytes(key[i : i + 4], "little") for i in range(0, 16, 4)]
     tasks: list[CarTask] = []

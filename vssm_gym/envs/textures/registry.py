@@ -54,9 +54,9 @@ def _granite(rng: np.random.Generator) -> np.ndarray:
     return rgb(np.where(noise(rng, slope=0.5, low=5, high=40) > 1.4, 0.95, value))
 
 
-def _grain(rng: np.random.Generator, across: float = 9.0) -> np.ndarray:
+def _grain(rng: np.random.Generator) -> np.ndarray:
     """Draw wood grain along x, zero mean: streaks, and rings that bend around slow knots."""
-    streaks = noise(rng, slope=0.9, low=1, high=50, stretch=(1.0, across))
+    streaks = noise(rng, slope=0.9, low=1, high=50, stretch=(1.0, 9.0))
     rings = np.sin(2 * np.pi * 2.2 * noise(rng, slope=1.9, high=16, stretch=(1.0, 5.0)))
     return 0.75 * streaks + 0.45 * rings
 

@@ -14,6 +14,7 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import EmissionScales
 
+FITTED_VIEWS = 20  # whose residuals give the scales, spread over all views
 SMALLEST_SCALE = 1e-3  # m and colour: lower bound for maps that predict some pixels exactly
 
 
@@ -101,9 +102,9 @@ def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float
     )
 
 
-def fit_scales(m: VoxelMap, views: Views, max_depth: float = MAX_DEPTH, count: int = 20) -> EmissionScales:
-    """Estimate the scales of greatest likelihood given the map, ``s = mean |r|``, from up to ``count`` of the views."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
+def fit_scales(m: VoxelMap, views: Views, max_depth: float = MAX_DEPTH) -> EmissionScales:
+    """Estimate the scales of greatest likelihood given the map, ``s = mean |r|``, from some of the views."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, FITTED_VIEWS).round().astype(int))
     depth, colour, _ = _all_residuals(m, views[chosen], max_depth)
     if len(depth) == 0:
         return EmissionScales()

@@ -180,10 +180,6 @@ class Style:
         """Return the wood of this room with a texture such as cabinet or drawers."""
         return Material(color=self.dark if dark else self.wood, texture=texture, scale=scale)
 
-    def cloth(self, rng: np.random.Generator, texture: str = "fabric", scale: float = 0.6) -> Material:
-        """Draw upholstery near this room's colour."""
-        return Material(color=tinted(rng, self.fabric), texture=texture, scale=scale)
-
 
 def cushion(rng: np.random.Generator, scale: float = 0.4) -> Material:
     """Draw a patterned cover in any colour."""
