@@ -18,13 +18,13 @@ TUM_CAMERAS = {
     ("fr2", "freiburg2"): ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     ("fr3", "freiburg3"): ((535.4, 539.2, 320.1, 247.6), (0.0, 0.0, 0.0, 0.0, 0.0)),
 }
-FILE_BYTES = 1 << 20
+INTRINSICS_BYTES = 1 << 20  # of a calibration file
 LARGEST_SIDE = 1 << 14  # pixels
 LARGEST_FOCAL = 1e6  # pixels, of focal lengths and the principal point
 LARGEST_COEFFICIENT = 1e3  # of the lens; those of real lenses are below 100
 SCALES = (1.0, 1e6)  # units a metre: floats in metres have 1, micrometres a million
-FARTHEST = 100.0  # m, of the camera on its body
-ROUNDING = 1e-3  # of a rotation written with four digits
+FARTHEST_CAMERA = 100.0  # m, of the camera on its body
+ROTATION_ROUNDING = 1e-3  # of a rotation written with four digits
 _PINHOLE = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])  # entries of K that may differ from 0
 MIDDLE = (0.3, 0.7)  # where a principal point lies, as a share of width and height
 
@@ -87,7 +87,7 @@ def _check_middle(camera: Camera, source: object, field: str) -> None:
 
 
 def _from_json(path: Path) -> CameraCalibration:
-    stored = read_json(path, FILE_BYTES, "a camera's calibration")
+    stored = read_json(path, INTRINSICS_BYTES, "a camera's calibration")
     fields = "width, height, K (3x3)[, distortion (5), depth_scale, T_body_cam (4x4)]"
     if not isinstance(stored, dict) or not {"width", "height", "K"} <= stored.keys():
         raise InputError(path, "content", fields)
@@ -101,7 +101,7 @@ def _from_json(path: Path) -> CameraCalibration:
         raise InputError(path, "depth_scale", f"units a metre, from {SCALES[0]:g} to {SCALES[1]:g}; found {scale:g}")
     T_body_cam = stored.get("T_body_cam")
     if T_body_cam is not None:
-        T_body_cam = _rigid(floats(T_body_cam, (4, 4), path, "T_body_cam", largest=FARTHEST), path)
+        T_body_cam = _rigid(floats(T_body_cam, (4, 4), path, "T_body_cam", largest=FARTHEST_CAMERA), path)
     return CameraCalibration(Camera.from_matrix(K, width, height), distortion, scale, T_body_cam)
 
 
@@ -109,6 +109,6 @@ def _rigid(T: np.ndarray, path: Path) -> np.ndarray:
     """Return ``T`` (4, 4); raise InputError where it is no rotation and translation."""
     R = T[:3, :3]
     off = max(np.abs(R @ R.T - np.eye(3)).max(), np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max())
-    if off > ROUNDING or np.linalg.det(R) < 0.0:
+    if off > ROTATION_ROUNDING or np.linalg.det(R) < 0.0:
         raise InputError(path, "T_body_cam", "a rotation and a translation: no scale, no mirror, last row 0 0 0 1")
     return T

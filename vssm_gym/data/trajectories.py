@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import read_text
-from vssm_gym.files.numbers import LARGEST
+from vssm_gym.files.numbers import LARGEST_NUMBER
 
-TEXT_BYTES = 64 << 20  # of an index or a trajectory: 800,000 poses
+TRAJECTORY_BYTES = 64 << 20  # of an index or a trajectory: 800,000 poses
 LATEST = 1e19  # the largest stamp; those of EuRoC are nanoseconds since 1970, 1e18 of them
 
 
@@ -21,7 +21,7 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
     Raises:
         InputError: the file is not text.
     """
-    for number, line in enumerate(read_text(path, TEXT_BYTES, "text").splitlines(), start=1):
+    for number, line in enumerate(read_text(path, TRAJECTORY_BYTES, "text").splitlines(), start=1):
         text = line.strip()
         if text and not text.startswith("#"):
             yield number, text
@@ -43,8 +43,8 @@ def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
             row = [float(word) for word in (text.split(",") if euroc else text.replace(",", " ").split())]
         except ValueError:
             raise InputError(path, f"line {number}", "numbers only") from None
-        if len(row) < 8 or not abs(row[0]) <= LATEST or not all(abs(value) <= LARGEST for value in row[1:8]):
-            expected = f"8 finite numbers: time, position, quaternion; none beyond {LARGEST:g}"
+        if len(row) < 8 or not abs(row[0]) <= LATEST or not all(abs(value) <= LARGEST_NUMBER for value in row[1:8]):
+            expected = f"8 finite numbers: time, position, quaternion; none beyond {LARGEST_NUMBER:g}"
             raise InputError(path, f"line {number}", expected)
         rows.append(row[:8])
     if not rows:

@@ -12,7 +12,7 @@ from PIL import Image
 from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_bytes
 
-FILE_BYTES = 128 << 20  # largest file
+IMAGE_BYTES = 128 << 20  # largest file
 IMAGE_SIDE, IMAGE_PIXELS = 16384, 1 << 25  # largest side and number of pixels
 _HEADER = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,6})" + rb"\s")
 
@@ -23,7 +23,7 @@ def read_grey(path: Path) -> tuple[Float[np.ndarray, "rows columns"], Float[np.n
     Values of 16 bits are scaled to 255, those of a PGM with a small maximum are not: a raw map may count to 100. Raises
     InputError for other formats, sizes beyond the bounds and truncated files.
     """
-    content = read_bytes(path, FILE_BYTES)
+    content = read_bytes(path, IMAGE_BYTES)
     if content[:2] in (b"P2", b"P5"):
         grey = _pgm(content, path)
         return grey, np.ones_like(grey)
