@@ -69,9 +69,10 @@ def robot_of(config: Imagination) -> Robot:
 
 def _rules(config: Imagination, robot: Robot) -> Rules:
     dense, unknown_cost = config.reward == "dense", UNKNOWN_COST if config.unknown == "penalised" else 0.0
-    radius, stops, weights = SUCCESS * robot.body_length, config.end_on == "stop", POINTNAV_REWARD
     if isinstance(robot, Car):
         radius, stops, weights = GOAL_RADIUS, False, CARNAV_REWARD
+    else:
+        radius, stops, weights = SUCCESS * robot.body_length, config.end_on == "stop", POINTNAV_REWARD
     return Rules(radius, dense, stops, weights.step_cost, weights.collision_cost, weights.success, unknown_cost)
 
 
