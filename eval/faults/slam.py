@@ -34,7 +34,7 @@ FRAMES_BEFORE, FRAMES_DURING, FRAMES_AFTER = 28, 12, 24  # frames without fault,
 PLACES_EACH = 2  # of a recording at most, all in its second half: thresholds were chosen on first halves
 FLAG_DELAY = 3  # frames within which a fault of the image must be flagged
 ALLOWED_STDS, POSE_TOLERANCE = 3.0, (0.05, 0.05)  # m, rad beyond so many standard deviations
-FAULT_SIZE = (160, 120)
+FAULT_SIZE = (160, 120)  # pixels of the images
 WALK_CAMERA = CameraConfig(*FAULT_SIZE, hfov=1.1)  # about a Kinect's
 
 
