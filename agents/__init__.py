@@ -1,1 +1,1 @@
-"""Agents: one agent, one file; `base` is the protocol they share."""
+"""Define the agents: one agent, one file; `base` is the protocol that they share."""

@@ -1,1 +1,1 @@
-"""Parts that agents share: localisation, mapping, and the drivers that turn plans into commands."""
+"""Share parts among agents: localisation, mapping, and the drivers that turn plans into commands."""

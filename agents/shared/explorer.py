@@ -115,7 +115,7 @@ class Explorer:
         """Turn in place where the last image was not accepted; return command, activity, and True to stop."""
         self._choice = self._path = None
         if self._lost > self._config.max_lost:
-            return np.array(STOP_COMMAND), f"lost: {estimate.status}, in two whole turns", True
+            return np.array(STOP_COMMAND), f"lost: {estimate.status}, after two full turns", True
         return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
 
     def _plan(self, estimate: Localization) -> str | None:

@@ -126,7 +126,7 @@ class Navigator:
             return "arrived", True, still
         failure = self._follow(estimate)
         if distance <= task.rim + self._config.landing and task.path is not None:
-            return "arrived, as near as a path leads", True, still
+            return "arrived as near as a path leads", True, still
         if failure is None:
             return ("stuck: leaving" if stuck else "driving"), False, None
         task.failures += 1

@@ -1,1 +1,1 @@
-"""Built-in apartments and frozen tasks."""
+"""Hold the built-in apartments and frozen tasks."""

@@ -104,7 +104,7 @@ class Ratio:
 
     @property
     def text(self) -> str:
-        """Mean and interval as text."""
+        """Format mean and interval as text."""
         return self.interval.text(2)
 
 

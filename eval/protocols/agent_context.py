@@ -26,12 +26,12 @@ class RobotBody(Protocol):
 
     @property
     def limits(self) -> np.ndarray:
-        """Largest components of a command."""
+        """Return the largest components of a command."""
         ...
 
     @property
     def dt(self) -> float:
-        """Duration of a step, s."""
+        """Return the duration of a step, s."""
         ...
 
 

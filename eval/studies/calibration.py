@@ -4,7 +4,7 @@
     e_i = log(T_est_i^-1 A T_true_i) ~ N(0, s Sigma_i)?;   v_i ~ N(v_true(i-1, i), S_i)?
 
 The scalar s on all covariances of poses is fitted to the *other* sequences (leave-one-out). Velocities are evaluated
-with the covariances as stated. Frames that the filter calls lost have no estimate; they are left out, but counted.
+with the covariances as stated. Lost frames have no estimate; they are left out, but counted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -87,7 +87,7 @@ def run(
     scale = fit_scale(raw)
     return Study(
         name="calibration",
-        question="Does the filter know how wrong it is?",
+        question="Are the covariances of the filter calibrated?",
         answer=_answer(rows, scale),
         header=("sequence", *LABELS),
         lines=[[name, *(show(row) for show in LABELS.values())] for name, row in rows.items()],
@@ -107,7 +107,7 @@ def run(
             "Bias: mean signed distance of the calibration curve from the diagonal, -0.5 to 0.5, positive where the "
             "filter is pessimistic. Velocity: proportion of components inside their own 95 % band as stated, and "
             "in brackets the RMS of error over std, 1 where calibrated.",
-            "Frames that the filter calls lost are left out; the table says how many.",
+            "Lost frames are left out; the table states their number.",
             *notices,
         ),
     )

@@ -87,7 +87,7 @@ def run(
                 rows.append({"flight": flight, "speed": speed, "seed": seed} | measured(done, true))
     return Study(
         name="flight",
-        question="Does the filter hold in flight?",
+        question="Does the filter track flights?",
         answer=_answer(rows),
         header=("flight", "nose", "peak", "length", *LABELS.values(), "published"),
         lines=[_line(row) for row in rows],
@@ -110,7 +110,7 @@ def run(
             "ATE is the RMSE of positions after SE(3) alignment, lost frames included; 'first pose' is the RMSE after "
             "alignment of the first pose alone; 'end' is that error at the last frame, over a closed path.",
             "Milliseconds are those of a whole step once its image is read, without the calls that compile.",
-            "Published: PRISM on Blackbird's real flights at these speeds, in another scene: a scale, not a contest.",
+            "Published: PRISM on Blackbird's real flights at these speeds, in another scene: for orientation only.",
         ),
     )
 
@@ -169,7 +169,7 @@ def _answer(rows: list[dict[str, Any]]) -> str:
     within = sum(row["ate_m"] <= ATE_GOAL for row in aligned)
     lost, frames = sum(row["lost"] for row in rows), sum(row["frames"] for row in rows)
     if not aligned:
-        return "No flight was followed."
+        return "No flight was tracked."
     worst = max(aligned, key=lambda row: row["ate_m"])
     return (
         f"{within} of {len(rows)} flights within {100 * ATE_GOAL:.0f} cm ATE, {lost} of {frames} frames lost. "

@@ -74,7 +74,7 @@ def run(
     ]
     return Study(
         name="resolution",
-        question="How fine must the map be, and the image that is tracked?",
+        question="Which resolutions do the map and the tracked image need?",
         answer=_answer(arms),
         header=("map", "tracked at", *LABELS.values()),
         lines=[
@@ -160,7 +160,7 @@ def _answer(arms: list[dict[str, Any]]) -> str:
     """Name the most accurate setting among those that lost least, and the fastest within a tenth of its error."""
     followed = [arm for arm in arms if arm["ate_m"] is not None and arm["step_ms"] is not None]
     if not followed:
-        return "No setting followed the camera."
+        return "No setting tracked the camera."
     best = min(followed, key=lambda arm: (arm["lost"], arm["ate_m"]))
     near = [arm for arm in followed if arm["lost"] <= best["lost"] and arm["ate_m"] <= 1.1 * best["ate_m"]]
     fast = min(near, key=lambda arm: arm["step_ms"])

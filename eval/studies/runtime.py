@@ -107,7 +107,7 @@ def _timed(frames: list[TrackedFrame], sequence: Sequence) -> dict[str, Any]:
     """Return ``ms``, median and p95 of the step, each stage and reading, and ``mean_ms``, which adds up to a step."""
     warm = [frame for frame in frames if frame.warm]
     if not warm:
-        raise InputError(sequence.root, "frames", "more of them: every step compiles")
+        raise InputError(sequence.root, "frames", "more frames: the steps of all of these compile")
     steps = [frame.stages | {"rest": frame.step_s - sum(frame.stages.values())} for frame in warm]
     seconds = {"step": [frame.step_s for frame in warm], "read": [frame.read_s for frame in warm]}
     seconds |= {name: ran for name in STAGES if (ran := [step[name] for step in steps if name in step])}

@@ -136,7 +136,7 @@ def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None
             before = json.loads(path.read_text(encoding="utf-8"))
             found, part = before["config_hash"], before.get("shard")
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(path, "file", "the JSON that the sweep wrote, which says what its episodes are") from error
+            raise InputError(path, "file", "the JSON that the sweep wrote, which defines its episodes") from error
         if found != manifest["config_hash"]:
             expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
             raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
@@ -235,11 +235,11 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_p
                     keep(future)
             raise
         except BrokenProcessPool as error:
-            expected = "worker processes that live to the end; one was killed, perhaps for want of memory"
+            expected = "worker processes that live to the end; one was killed, possibly for lack of memory"
             kept = f"{len(log.rows)} of {total} episodes are kept (--resume)"
             raise InputError("sweep", "workers", f"{expected}; {kept}") from error
         except Exception as error:
-            error.add_note(f"while running {current.episode}; what ended before is kept (--resume)")
+            error.add_note(f"while running {current.episode}; finished episodes are kept (--resume)")
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -51,7 +51,7 @@ class CroppedPlan:
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 2"]:
-        """Lowest and highest corner, ``(2, 2)``, m."""
+        """Return the lowest and the highest corner, ``(2, 2)``, m."""
         low = self.origin - 0.5 * self.resolution
         return np.stack([low, low + self.resolution * np.array(self.cells.shape)])
 

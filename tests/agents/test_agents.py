@@ -82,7 +82,7 @@ def observe(planar: np.ndarray, goal: np.ndarray, learned: VoxelMap | None) -> d
 
 @dataclasses.dataclass
 class Run:
-    """A finished drive."""
+    """Hold a finished drive."""
 
     decisions: list[Decision]
     poses: np.ndarray  # (steps + 1, 3), the truth

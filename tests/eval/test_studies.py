@@ -209,7 +209,7 @@ def test_the_resolution_answer_prefers_settings_without_lost_frames() -> None:
     assert answer.startswith("Most accurate: cells of 7 cm")
     assert "its error: cells of 10 cm tracked at 160 pixels (ATE 2.10 cm, 6.0 ms a step, 0 of 50 lost)" in answer
     assert "nothing faster" in study_resolution._answer([best, of(0.1, one_run(0.05, ms=5.0))])
-    assert study_resolution._answer([of(0.04, one_run(None))]) == "No setting followed the camera."
+    assert study_resolution._answer([of(0.04, one_run(None))]) == "No setting tracked the camera."
     assert study_resolution._picture([lossy, best, fast, of(0.12, one_run(None))]).startswith(b"<?xml")
 
 

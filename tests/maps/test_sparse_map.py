@@ -59,8 +59,7 @@ def assert_same_belief(a: VoxelMap, b: VoxelMap) -> None:
 
 
 def assert_sound(m: VoxelMap) -> None:
-    """Slots are distinct and counted, the prior's row and free rows are at the prior, and the index is that of the
-    means."""
+    """Assert that slots are distinct and counted, free rows are at the prior, and the index is that of the means."""
     slot, free, used = np.asarray(m.table.slot), np.asarray(m.table.free), int(m.table.used)
     taken = slot[slot != PRIOR_SLOT]
     assert sorted(free) == list(range(len(free)))

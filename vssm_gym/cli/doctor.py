@@ -15,7 +15,7 @@ from vssm_gym.envs.rendering.gl_backends import BACKENDS, TIMEOUT, probe_code, t
 
 @dataclass(frozen=True)
 class Probe:
-    """A program that runs in a process of its own, so that a crash of a driver ends nothing else."""
+    """Define a program that runs in a process of its own, so that the crash of a driver ends nothing else."""
 
     name: str
     code: str  # prints what it found
@@ -25,7 +25,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one probe: a line of the table."""
+    """Hold the result of one probe: a line of the table."""
 
     name: str
     ok: bool

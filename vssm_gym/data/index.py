@@ -161,7 +161,7 @@ def _associated(root: Path, colour: list[Row], depth: list[Row], notices: list[s
 
 
 def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
-    """Return whether the images named first have one 16-bit channel and those named second are in colour."""
+    """Return True if the images named first have one 16-bit channel and those named second are in colour."""
     for _, words in rows:
         try:
             first, second = (image_mode(inside(root, words[i], root, "images")) for i in (1, 3))

@@ -1,4 +1,4 @@
-"""Judge the numbers of users' files in one place: real, finite, of the stated shape, small enough for float32."""
+"""Check the numbers of users' files in one place: real, finite, of the stated shape, small enough for float32."""
 
 import io
 from pathlib import Path

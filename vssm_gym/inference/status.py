@@ -18,7 +18,7 @@ class Status(IntEnum):
 
     @property
     def accepted(self) -> bool:
-        """Return whether the image was accepted, so that the belief includes it."""
+        """Return True if the image was accepted, so that the belief includes it."""
         return self in (Status.OK, Status.RECOVERED)
 
     def __str__(self) -> str:

@@ -65,7 +65,7 @@ def build_map(
 
 
 class Frames(Protocol):
-    """Images by number, such as a list of pairs or a :class:`~vssm_gym.data.sequences.FrameReader`."""
+    """Provide images by number, such as a list of pairs or a :class:`~vssm_gym.data.sequences.FrameReader`."""
 
     def __len__(self) -> int:
         """Return the number of images."""

@@ -211,7 +211,7 @@ class TrackedFrame:
 
     @property
     def lost(self) -> bool:
-        """Return whether the frame was not accepted, so that the map does not contain it."""
+        """Return True if the frame was not accepted, so that the map does not contain it."""
         return not self.status.accepted
 
 
@@ -358,7 +358,7 @@ class _Tracker:
         self.options, self.camera, self.sequence = options, camera, sequence
         self.filter = options.filter(camera)
         if options.imu and (sequence.T_body_cam is None or not len(sequence.imu)):
-            expected = "imu.txt, and T_body_cam in camera.json: the IMU was asked for"
+            expected = "imu.txt, and T_body_cam in camera.json, for the option imu"
             raise InputError(sequence.root, "imu", expected)
         self._imu: ImuControl | None = None
         self.state: Any = None

@@ -57,7 +57,7 @@ class EnvironmentSettings(BaseModel):
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """Keywords of the environment's constructor that are not fields of this class."""
+        """Return the keywords of the environment's constructor that are not fields of this class."""
         return dict(self.model_extra or {})
 
     @model_validator(mode="after")

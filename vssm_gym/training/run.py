@@ -49,12 +49,12 @@ class Run:
 
     @property
     def policy_file(self) -> Path:
-        """The file of :meth:`write_policy`."""
+        """Return the file of :meth:`write_policy`."""
         return self.out / POLICY
 
     @property
     def seconds(self) -> float:
-        """Seconds trained so far, those of earlier sessions included."""
+        """Return the seconds trained so far, those of earlier sessions included."""
         return time.monotonic() - self._began
 
     def begin(self) -> None:
@@ -74,7 +74,7 @@ class Run:
         return min(1.0, max(self.steps / self.config.steps, self.seconds / (60.0 * minutes) if minutes else 0.0))
 
     def over(self) -> bool:
-        """Return whether to end now: interrupted, or out of time."""
+        """Return True to end now: interrupted, or out of time."""
         minutes = self.config.minutes
         return self.interrupted() or (minutes is not None and self.seconds >= 60.0 * minutes)
 

@@ -75,7 +75,7 @@ def _observed(m: VoxelMap, p_world: jax.Array) -> jax.Array:
 
 @jax.jit
 def _belief(m: VoxelMap, p_world: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Colour, and precision of occupancy."""
+    """Return colour, and precision of occupancy."""
     return m.colour_at(p_world), m.precision(p_world)[:, 0]
 
 

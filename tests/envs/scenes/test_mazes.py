@@ -26,7 +26,7 @@ RADIUS = SUCCESS * ROBOT.body_length
 
 
 def changed(**fields) -> Apartment:
-    """The rooms maze with other fields."""
+    """Return the rooms maze with other fields."""
     return load_maze("rooms-v1").apartment.model_copy(update={"name": "mine", **fields})
 
 

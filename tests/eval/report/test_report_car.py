@@ -94,7 +94,7 @@ def sweep_folder(tmp_path):
 
 
 def cells(html):
-    """The lines of a table as lists of cells."""
+    """Return the lines of a table as lists of cells."""
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", line) for line in re.findall(r"<tr>(.*?)</tr>", html)]
 
 

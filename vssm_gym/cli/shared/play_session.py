@@ -23,7 +23,7 @@ BOLD, PLAIN = "\x1b[1m", "\x1b[0m"
 
 @dataclass(frozen=True)
 class KeyBindings:
-    """The action of each key: ``proportions[key]`` of each bound, from -1 (low) to 1 (high); ``help`` is shown."""
+    """Map keys to actions: ``proportions[key]`` of each bound, from -1 (low) to 1 (high); ``help`` is shown."""
 
     proportions: dict[str, tuple[float, ...]]
     help: str
@@ -68,7 +68,7 @@ PLAYABLE: dict[str, KeyBindings] = {
 
 
 class Session:
-    """Episodes driven by keys; ``left`` is True after the key that quits.
+    """Run episodes driven by keys; ``left`` is True after the key that quits.
 
     Args:
         env: a robot on the floor of an apartment, or in a maze and with pictures (``render_mode="rgb_array"``).

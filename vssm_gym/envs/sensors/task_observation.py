@@ -9,7 +9,7 @@ import numpy as np
 
 
 class TaskObservation:
-    """Hand on one quantity of the task, without noise, as if it were the reading of a sensor.
+    """Observe one quantity of the task, without noise, as if it were the reading of a sensor.
 
     Args:
         key: its key in the observation.

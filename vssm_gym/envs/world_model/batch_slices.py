@@ -35,7 +35,7 @@ class BatchSlices:
 
     @property
     def state(self) -> BatchState:
-        """The state of all robots."""
+        """Return the state of all robots."""
         return _joined(self._states)
 
     def seed(self, keys: np.ndarray, mask: np.ndarray) -> None:
@@ -94,7 +94,7 @@ class BatchSlices:
 
     @property
     def programs(self) -> Programs:
-        """The compiled programs that step and restart the robots."""
+        """Return the compiled programs that step and restart the robots."""
         return programs(one_core=len(self._states) > 1)
 
     def _everywhere(self, one: Callable[..., None], *parts: list[np.ndarray]) -> None:

@@ -83,7 +83,7 @@ class CollisionMap(eqx.Module):
         return left + a * (right - left), (right - left) / self.resolution, slope_y / self.resolution
 
     def known_at(self, x: Array, y: Array) -> Bool[Array, "*batch"]:
-        """Return whether the column nearest to each world point was observed."""
+        """Return True where the column nearest to each world point was observed."""
         nx, ny = self.shape
         i = jnp.clip(((x - self.origin[0]) / self.resolution + 0.5).astype(jnp.int32), 0, nx - 1)
         j = jnp.clip(((y - self.origin[1]) / self.resolution + 0.5).astype(jnp.int32), 0, ny - 1)

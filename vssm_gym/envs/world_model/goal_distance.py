@@ -66,7 +66,7 @@ class Lattice:
         return np.asarray(mean_clearance(self._collision_map, x, y))
 
     def known(self, xy: np.ndarray) -> np.ndarray:
-        """Return whether the columns at world points ``(..., 2)`` were observed."""
+        """Return True where the columns at world points ``(..., 2)`` were observed."""
         return np.asarray(self._collision_map.known_at(jnp.asarray(xy[..., 0]), jnp.asarray(xy[..., 1])))
 
     def nearest(self, xy: np.ndarray) -> np.ndarray:

@@ -63,7 +63,7 @@ class RayField(eqx.Module):
 
     @property
     def pieces(self) -> tuple[int, ...]:
-        """Pieces along each axis."""
+        """Return the number of pieces along each axis."""
         return tuple((n - 1) * self.fine for n in self.shape)
 
 

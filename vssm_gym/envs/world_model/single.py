@@ -24,7 +24,7 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
 
     @property
     def planar(self) -> np.ndarray:
-        """The true pose of the imagined robot: x, y (m), heading (rad); not for agents."""
+        """Return the true pose of the imagined robot: x, y (m), heading (rad); not for agents."""
         return self.vector.planar[0]
 
     def reset(

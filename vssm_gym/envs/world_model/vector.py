@@ -127,12 +127,12 @@ class WorldModelVectorEnv(VectorEnv):
 
     @property
     def planar(self) -> np.ndarray:
-        """True poses of the imagined robots, ``(num_envs, 3)`` x, y (m), heading (rad); not for agents."""
+        """Return the true poses of the imagined robots, ``(num_envs, 3)`` x, y (m), heading (rad); not for agents."""
         return np.array(self._batch.state.planar)
 
     @property
     def goals(self) -> np.ndarray:
-        """Goals of the present episodes, ``(num_envs, 2)``, m."""
+        """Return the goals of the present episodes, ``(num_envs, 2)``, m."""
         return np.asarray(self.world.goal_distances.goals)[np.asarray(self.world.pool.goal)[self._batch.state.task]]
 
     def render(self) -> tuple[np.ndarray, ...] | None:

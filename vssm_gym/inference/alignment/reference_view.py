@@ -74,6 +74,6 @@ def from_map(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_
 def has_left(
     reference: ReferenceView, T_world_cam: Float[Array, "4 4"], distance: float | Array, angle: float | Array
 ) -> Bool[Array, ""]:
-    """Return whether a camera is at least ``distance`` (m) or ``angle`` (rad) away from its reference view."""
+    """Return True if a camera is at least ``distance`` (m) or ``angle`` (rad) away from its reference view."""
     xi = se3_log(inverse(reference.T_world_cam) @ T_world_cam)
     return (jnp.linalg.norm(xi[:3]) >= distance) | (jnp.linalg.norm(xi[3:]) >= angle)

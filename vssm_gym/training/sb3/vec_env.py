@@ -50,7 +50,7 @@ class SB3VecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Step; return observations (of new episodes where one ended), rewards, which ended, and one info each."""
+        """Execute the step; return observations (of new episodes where one ended), rewards, ends, and one info each."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         ended = np.asarray(terminated | truncated, dtype=bool)
         rows = _rows(infos, self.num_envs)
