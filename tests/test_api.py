@@ -10,15 +10,18 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 import vssm_gym as vg
+from vssm_gym.data.sequences import SequenceWriter
+from vssm_gym.data.trajectories import read_trajectory
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PAGE = (CHECKOUT / "docs" / "library.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-TITLES = ["map", "prism", "futures", "agent"]
+TITLES = ["map", "prism", "own camera", "own recording", "futures", "agent"]
 OPENERS = ("Whether", "What", "How", "Of", "Where")  # no sentence that documents something starts so
 
 
@@ -86,7 +89,7 @@ def test_a_public_function_documents_and_annotates_every_argument(name):
     function = getattr(vg, name)
     doc, signature = inspect.getdoc(function) or "", inspect.signature(function)
     assert signature.return_annotation is not inspect.Signature.empty
-    assert "Returns:" in doc
+    assert ("Returns:" in doc) == (signature.return_annotation is not None)
     if signature.parameters:
         described = set(re.findall(r"^    (\w+): \S", doc.partition("Args:\n")[2], re.MULTILINE))
         for parameter in signature.parameters.values():
@@ -114,12 +117,23 @@ def test_the_methods_of_a_public_class_are_documented_and_annotated(name):
         assert signature.return_annotation is not inspect.Signature.empty, f"{name}.{key}"
 
 
+def documented_above(cls: type, key: str) -> bool:
+    """Return whether a base class documents a method's arguments: a transition's methods are those of the contract."""
+    return any("Args:" in (inspect.getdoc(vars(base).get(key)) or "") for base in cls.__mro__[1:])
+
+
 @pytest.mark.parametrize("name", classes())
-def test_the_constructors_of_a_public_class_document_every_argument(name):
-    for key, member in vars(getattr(vg, name)).items():
-        if isinstance(member, classmethod) and not key.startswith("_"):
-            described = set(re.findall(r"^    (\w+): \S", inspect.getdoc(member.__func__) or "", re.MULTILINE))
-            assert set(inspect.signature(getattr(getattr(vg, name), key)).parameters) <= described, f"{name}.{key}"
+def test_the_methods_of_a_public_class_document_every_argument(name):
+    cls = getattr(vg, name)
+    for key, member in vars(cls).items():
+        function = member.__func__ if isinstance(member, classmethod | staticmethod) else member
+        if key.startswith("_") or not inspect.isfunction(function) or documented_above(cls, key):
+            continue
+        doc, signature = inspect.getdoc(function) or "", inspect.signature(function)
+        described = set(re.findall(r"^    (\w+): \S", doc.partition("Args:\n")[2], re.MULTILINE))
+        assert set(signature.parameters) - {"self", "cls"} <= described, f"{name}.{key}"
+        if described and signature.return_annotation is not None:
+            assert "Returns:" in doc, f"{name}.{key}"
 
 
 # the page
@@ -156,6 +170,50 @@ def test_the_page_runs_prism():
     names = run("prism")
     assert names["how"].status.message == "ok"
     assert names["off"] < 0.03
+
+
+@pytest.mark.slow
+def test_the_page_takes_a_stream_and_a_recording_to_a_trajectory_and_a_map(tmp_path, monkeypatch):
+    """Both programs see the same images: once from the generator, once from a folder."""
+    monkeypatch.chdir(tmp_path)
+    names = run("own camera")
+    assert all(how.accepted for how in names["statuses"])
+    truth = turning_robot(len(names["times"]))
+    assert off(truth, np.array(names["T_world_cam"])) < 0.03
+    times, T_world_cam = read_trajectory("trajectory.txt")
+    np.testing.assert_allclose(times, names["times"])
+    np.testing.assert_allclose(T_world_cam, names["T_world_cam"], atol=1e-5)
+    saved = vg.Posterior.load("map.npz")
+    np.testing.assert_allclose(saved.belief.mean.T_world_body, T_world_cam[-1], atol=1e-5)
+    view = vg.render(vg.VoxelMap.load("map.npz"), np.eye(4, dtype=np.float32), names["camera"])
+    first = next(iter(names["stream"]()))[2]
+    assert np.median(np.abs(np.asarray(view.depth) - first)[first > 0]) < 0.05  # what the map shows is what was seen
+
+    writer = SequenceWriter("walk", names["camera"], np.eye(4), controls=False)
+    for (time, rgb, depth), T in zip(names["stream"](), truth, strict=True):
+        writer.append(time, rgb, depth, T)
+    writer.close()
+    recorded = run("own recording")
+    assert not recorded["run"].lost.any()
+    assert off(truth, recorded["run"].poses) < 0.03
+    assert len(read_trajectory("trajectory.txt")[0]) == len(truth)
+    assert vg.Posterior.load("map.npz").map is not None
+
+
+def turning_robot(steps: int) -> np.ndarray:
+    """Return the true poses of the page's stream, in the first camera's frame."""
+    world = gym.make("vssm_gym/PointNav-v0", scene="oak", noise="none", camera={"width": 80, "height": 60})
+    _, info = world.reset(seed=10)
+    T_world_cam = [info["T_world_cam"]]
+    for _ in range(steps - 1):
+        *_, info = world.step(np.array([0.03, 0.0, 0.02, 0.0], np.float32))
+        T_world_cam.append(info["T_world_cam"])
+    return np.linalg.inv(T_world_cam[0]) @ np.array(T_world_cam)
+
+
+def off(truth: np.ndarray, estimate: np.ndarray) -> float:
+    """Return the largest distance between two paths, m."""
+    return float(np.linalg.norm(truth[:, :3, 3] - estimate[:, :3, 3], axis=1).max())
 
 
 def test_the_page_draws_futures():
@@ -206,8 +264,6 @@ def test_every_frame_needs_a_pose():
 
 @pytest.mark.parametrize("env", ["PointNav-v0", "ImageNav-v0", "Explore-v0", "LidarMaze-v0", "CarNav-v0"])
 def test_a_context_holds_the_start_pose_and_no_scene(env):
-    import gymnasium as gym
-
     world = gym.make(f"vssm_gym/{env}", scene={"LidarMaze-v0": "rooms-v1", "CarNav-v0": "arena"}.get(env, "oak"))
     observation, info = world.reset(seed=0)
     context = vg.agent_context(world, info)

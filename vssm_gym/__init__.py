@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.agents.base import Decision as Decision
     from vssm_gym.agents.registry import make_agent as make_agent
     from vssm_gym.data.sequences import load_sequence as load_sequence
+    from vssm_gym.data.trajectories import write_trajectory as write_trajectory
     from vssm_gym.envs.scenes.scene import load_scene as load_scene
     from vssm_gym.errors import InputError as InputError
     from vssm_gym.eval.protocols.agent_context import agent_context as agent_context
@@ -107,6 +108,7 @@ PUBLIC: dict[str, str] = {
     "build_map": "vssm_gym.slam.map_building",
     "run_slam": "vssm_gym.slam.run",
     "SlamOptions": "vssm_gym.slam.run",
+    "write_trajectory": "vssm_gym.data.trajectories",
     # planning
     "ClearanceMap": "vssm_gym.planning.clearance",
     "plan": "vssm_gym.planning.planners",

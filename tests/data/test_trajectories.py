@@ -131,7 +131,10 @@ def test_a_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     path, T = tmp_path / "t.txt", poses(np.random.default_rng(0), 2)
     write_trajectory(path, np.array([0.0, 1.0]), T)
     before = path.read_text()
-    with pytest.raises(ValueError, match=r"shorter|longer"):
+    no_rotation = T * np.array([1.0, 0.0])[:, None, None]
+    with pytest.raises(ValueError, match="determinant"):
+        write_trajectory(path, np.array([0.0, 1.0]), no_rotation)
+    with pytest.raises(InputError, match=r"T_world_cam: expected \(3, 4, 4\) poses"):
         write_trajectory(path, np.array([0.0, 1.0, 2.0]), T)
     assert path.read_text() == before
 

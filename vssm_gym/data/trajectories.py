@@ -76,7 +76,18 @@ def tum_line(time: float, T_world_cam: np.ndarray) -> str:
 
 
 def write_trajectory(path: str | Path, times: np.ndarray, T_world_cam: np.ndarray) -> None:
-    """Write a TUM trajectory atomically."""
+    """Write a trajectory as lines ``time tx ty tz qx qy qz qw`` (TUM format); the file is complete or absent.
+
+    Args:
+        path: the file; one that exists is replaced.
+        times: ``(n,)`` stamps, s.
+        T_world_cam: ``(n, 4, 4)`` pose of the camera at each of them, m.
+
+    Raises:
+        InputError: not one pose for each time.
+    """
+    if np.shape(T_world_cam) != (len(times), 4, 4):
+        raise InputError(path, "T_world_cam", f"({len(times)}, 4, 4) poses; found {np.shape(T_world_cam)}")
     with atomic_write(path) as temporary, temporary.open("w") as file:
         file.write("# timestamp tx ty tz qx qy qz qw\n")
         file.writelines(tum_line(t, T) for t, T in zip(times, T_world_cam, strict=True))

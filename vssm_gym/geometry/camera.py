@@ -10,14 +10,26 @@ MAX_DEPTH = 8.0  # m, default range of depth readings and of the renderer (PRISM
 
 
 class Camera(eqx.Module):
-    """Represent pinhole intrinsics: a pytree of static size whose intrinsics can be differentiated or learned."""
+    """Represent pinhole intrinsics: a pytree of static size whose intrinsics can be differentiated or learned.
 
-    width: int = eqx.field(static=True)  # pixels
-    height: int = eqx.field(static=True)  # pixels
-    fx: ArrayLike  # pixels
-    fy: ArrayLike  # pixels
-    cx: ArrayLike  # pixels, column of the principal point (0 = centre of the first column)
-    cy: ArrayLike  # pixels, row of the principal point
+    The camera's frame has x to the right, y down and z forward. A point ``p_cam`` (m) is seen at column
+    ``u = fx x / z + cx`` and row ``v = fy y / z + cy``, pixel centres at integers; its depth is ``z``.
+
+    Attributes:
+        width: of the image, pixels.
+        height: of the image, pixels.
+        fx: focal length along columns, pixels.
+        fy: focal length along rows, pixels.
+        cx: column of the principal point, pixels; 0 is the centre of the first column.
+        cy: row of the principal point, pixels.
+    """
+
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    fx: ArrayLike
+    fy: ArrayLike
+    cx: ArrayLike
+    cy: ArrayLike
 
     @classmethod
     def from_hfov(cls, width: int, height: int, hfov: float) -> "Camera":
@@ -27,6 +39,9 @@ class Camera(eqx.Module):
             width: of the image, pixels.
             height: of the image, pixels.
             hfov: horizontal field of view from edge to edge, rad.
+
+        Returns:
+            The camera; ``fx = fy = width / (2 tan(hfov / 2))``.
         """
         f = 0.5 * width / np.tan(0.5 * hfov)
         return cls(width, height, float(f), float(f), 0.5 * (width - 1), 0.5 * (height - 1))
@@ -39,6 +54,9 @@ class Camera(eqx.Module):
             K: ``(3, 3)`` intrinsic matrix, pixels; pixel centres lie at integers.
             width: of the image, pixels.
             height: of the image, pixels.
+
+        Returns:
+            The camera; a skew in ``K`` is not represented.
         """
         K = np.asarray(K, dtype=float)
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
@@ -51,7 +69,12 @@ class Camera(eqx.Module):
     def resized(self, width: int, height: int) -> "Camera":
         """Return the camera of the same view at another size.
 
-        Pixel *edges* keep their place, so that centres move by half a pixel.
+        Args:
+            width: of the resized image, pixels.
+            height: of the resized image, pixels.
+
+        Returns:
+            The camera; pixel *edges* keep their place, so that centres move by half a pixel.
         """
         sx, sy = width / self.width, height / self.height
         return Camera(
@@ -64,20 +87,29 @@ class Camera(eqx.Module):
         )
 
     def rays(self) -> Float[Array, "height width 3"]:
-        """Return ``K^-1 [i, j, 1]^T`` of every pixel: camera-frame directions with unit z, which depth scales."""
+        """Return ``K^-1 [u, v, 1]^T`` of every pixel: directions in the camera's frame with unit z."""
         u, v = jnp.meshgrid(jnp.arange(self.width), jnp.arange(self.height))
         return jnp.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, jnp.ones(u.shape)], axis=-1)
 
     def backproject(self, depth: Float[Array, "height width"]) -> Float[Array, "height width 3"]:
-        """``p_cam = d K^-1 [i, j, 1]^T``: metres, camera frame; the origin where there is no depth reading (0)."""
+        """``p_cam = d K^-1 [u, v, 1]^T``.
+
+        Args:
+            depth: z-depth, m; 0 where there is no reading.
+
+        Returns:
+            The points in the camera's frame, m; the origin where there is no reading.
+        """
         return self.rays() * depth[..., None]
 
     def project(self, p_cam: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-        """Return pixel ``(u, v)`` and z-depth of camera-frame points (eq. M7).
+        """Project points into the image (eq. M7).
 
-        Pixels of points at or behind the camera are far outside.
+        Args:
+            p_cam: points in the camera's frame, m.
 
-        Pixels of points at or behind the camera are far outside.
+        Returns:
+            Column and row ``(u, v)``, pixels, and z-depth, m. Pixels of points at or behind the camera are far outside.
         """
         z = p_cam[..., 2]
         safe = jnp.where(z > 1e-6, z, 1.0)

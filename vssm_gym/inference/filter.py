@@ -26,7 +26,12 @@ def untimed(stage: str, outcome: Any) -> Any:
 
 
 class Rig(eqx.Module):
-    """Hold a camera and its pose on the body that the transition moves."""
+    """Hold a camera and its pose on the body that the transition moves.
+
+    Attributes:
+        camera: intrinsics and image size.
+        T_body_cam: pose of the camera in the body frame, m.
+    """
 
     camera: Camera
     T_body_cam: Float[Array, "4 4"]
@@ -38,6 +43,9 @@ class Rig(eqx.Module):
         Args:
             camera: intrinsics and image size.
             T_body_cam: ``(4, 4)`` pose of the camera in the body frame, m; None: the camera is the body.
+
+        Returns:
+            The rig, its pose in float32.
         """
         T = jnp.eye(4) if T_body_cam is None else jnp.asarray(T_body_cam, jnp.float32)
         return cls(camera, T)

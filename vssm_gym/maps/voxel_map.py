@@ -51,9 +51,10 @@ def trilinear(corners: list[Array], x: Array, y: Array, z: Array) -> Array:
 
 
 class VoxelMap(eqx.Module):
-    """Represent a Gaussian belief over a grid, stored in blocks of 8^3 cells.
+    """Represent a Gaussian belief ``q(M)`` over occupancy and colour on a grid in the world, in blocks of 8^3 cells.
 
-    Consumers use the queries, not the arrays.
+    Use the queries (:meth:`field`, :meth:`precision`, :meth:`observed_at`), not the arrays: points in the world go in,
+    m. Occupancy is the negative signed distance to the nearest surface, m: positive inside objects.
 
     A *dense* map has a row for every block. A *block-sparse* map has as many rows as it was given slots; a table lists
     which blocks have one, and all others are at the prior (:mod:`vssm_gym.maps.block_table`). Queries do not differ.
@@ -84,6 +85,9 @@ class VoxelMap(eqx.Module):
             voxel_size: edge of a cell, m.
             shape: cells along x, y, z at least; rounded up to whole blocks.
             slots: None for a dense map; else the map is block-sparse, and at most ``slots - 1`` blocks can be observed.
+
+        Returns:
+            A map in which nothing was observed.
         """
         blocks = (-(-shape[0] // BLOCK), -(-shape[1] // BLOCK), -(-shape[2] // BLOCK))
         n = blocks[0] * blocks[1] * blocks[2] if slots is None else slots
@@ -109,6 +113,9 @@ class VoxelMap(eqx.Module):
             centre: of the cube in the world, m.
             extent: edge of the cube, m.
             voxel_size: edge of a cell, m.
+
+        Returns:
+            A map in which nothing was observed.
         """
         return cls.prior(*_cube(centre, extent, voxel_size))
 
@@ -127,6 +134,9 @@ class VoxelMap(eqx.Module):
             extent: edge of the cube, m.
             voxel_size: edge of a cell, m.
             slots: blocks that have storage, 12.8 kB each; the memory does not depend on the volume.
+
+        Returns:
+            A map in which nothing was observed.
         """
         return cls.prior(*_cube(centre, extent, voxel_size), slots=slots)
 
@@ -142,11 +152,26 @@ class VoxelMap(eqx.Module):
         return np.stack([low, low + (np.array(self.shape) - 1) * float(self.voxel_size)])
 
     def to_grid(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        """Return continuous cell coordinates of world points; integers are cell centres."""
+        """Convert points to cell coordinates.
+
+        Args:
+            p_world: points, m.
+
+        Returns:
+            Continuous coordinates in cells along x, y, z; integers are cell centres.
+        """
         return (p_world - self.origin) / self.voxel_size
 
     def corners(self, p_world: Array) -> tuple[list[Array], list[Array], Array]:
-        """Return the flat positions of the eight cells around points, the fractions, and which points lie inside."""
+        """Find the eight cells around points, for trilinear interpolation.
+
+        Args:
+            p_world: points ``(..., 3)``, m.
+
+        Returns:
+            Flat positions of the cells ``(...)``, one array a corner; fractions in [0, 1), one array an axis; and which
+            points lie in the grid, ``(...)`` bool.
+        """
         # One array a coordinate: operations over an axis of three do not vectorise over points.
         g = [(p_world[..., a] - self.origin[a]) / self.voxel_size for a in range(3)]
         low, inside = [], jnp.ones(p_world.shape[:-1], bool)
@@ -164,11 +189,25 @@ class VoxelMap(eqx.Module):
         return jnp.where(inside, trilinear(corners, *fraction), outside)
 
     def occupancy_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """Return mean occupancy (negative signed distance, m) at world points; the prior mean outside the grid."""
+        """Interpolate the mean occupancy trilinearly.
+
+        Args:
+            p_world: points, m.
+
+        Returns:
+            Negative signed distance, m; the prior mean outside the grid.
+        """
         return self._interpolate(p_world, self.occupancy, PRIOR_OCCUPANCY_MEAN)
 
     def colour_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        """Return mean RGB at world points; the prior mean outside the grid."""
+        """Interpolate the mean colour trilinearly.
+
+        Args:
+            p_world: points, m.
+
+        Returns:
+            RGB in [0, 1]; the prior mean, black, outside the grid.
+        """
         offsets, fraction, inside = self.corners(p_world)
         flat, plane = self.colour.reshape(-1), CELLS * jnp.arange(3)
         # A row holds three planes of cells: from row CELLS + cell to (3 row + channel) CELLS + cell.
@@ -177,21 +216,40 @@ class VoxelMap(eqx.Module):
         return jnp.where(inside[..., None], trilinear(corners, *(f[..., None] for f in fraction)), 0.0)
 
     def field(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
-        """``f_M: R^3 -> R^4`` at the mean: occupancy (m) and RGB by trilinear interpolation; the prior mean outside."""
+        """``f_M: R^3 -> R^4`` at the mean, by trilinear interpolation.
+
+        Args:
+            p_world: points, m.
+
+        Returns:
+            Occupancy (m) and RGB in [0, 1]; the prior mean outside the grid.
+        """
         return jnp.concatenate([self.occupancy_at(p_world)[..., None], self.colour_at(p_world)], axis=-1)
 
     def precision(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
-        """Interpolate the precision of occupancy and of each colour channel; the prior's outside the grid (eq. M5)."""
+        """Interpolate the precisions trilinearly (eq. M5).
+
+        Args:
+            p_world: points, m.
+
+        Returns:
+            Precision of occupancy (1/m^2) and of each colour channel; the prior's outside the grid.
+        """
         occupancy = self._interpolate(p_world, self.occupancy_precision, PRIOR_OCCUPANCY_STD**-2)
         colour = self._interpolate(p_world, self.colour_precision, PRIOR_COLOUR_STD**-2)
         return jnp.stack([occupancy, colour, colour, colour], axis=-1)
 
     def observed_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """Return the interpolation weight at each point of cells whose occupancy and colour were observed, [0, 1].
+        """Return the interpolation weight of observed cells around each point.
 
         Behind the truncation band that an image updates, the field falls back to the prior, "just free". That zero
-        crossing is
-        no surface: it lies close to unobserved cells, which this weight reveals.
+        crossing is no surface: it lies close to unobserved cells, which this weight reveals.
+
+        Args:
+            p_world: points, m.
+
+        Returns:
+            In [0, 1]: 1 where occupancy and colour of all eight cells around were observed, 0 outside the grid.
         """
         offsets, fraction, inside = self.corners(p_world)
         occupancy, colour = self.occupancy_precision.reshape(-1), self.colour_precision.reshape(-1)
@@ -203,16 +261,29 @@ class VoxelMap(eqx.Module):
         return jnp.where(inside, trilinear(seen, *fraction), 0.0)
 
     def with_occupancy(self, occupancy: Float[Array, "rows cells"]) -> "VoxelMap":
-        """Return the same map with other occupancy means and an updated empty-space index."""
+        """Return the same map with other occupancy means and an updated empty-space index.
+
+        Args:
+            occupancy: means, m, in block storage.
+
+        Returns:
+            The map; it shares all other arrays with this one.
+        """
         if self.table is not None:  # the row of all blocks without storage stays at the prior
             occupancy = occupancy.at[PRIOR_SLOT].set(PRIOR_OCCUPANCY_MEAN)
         empty = _build_empty(occupancy, self.blocks, self.table)
         return eqx.tree_at(lambda m: (m.occupancy, m.empty), self, (occupancy, empty))
 
     def dense(self, array: Array, low: Box = (0, 0, 0), high: Box | None = None) -> Array:
-        """Lay out a ``(rows, ..., cells)`` array as ``(nx, ny, nz, ...)``, for pictures, meshes and tests.
+        """Lay out an array of cells on the grid, for pictures, meshes and tests.
 
-        Only blocks from ``low`` to before ``high`` along x, y, z are laid out; all by default.
+        Args:
+            array: ``(rows, ..., cells)`` in block storage, such as :attr:`occupancy`.
+            low: first block along x, y, z.
+            high: block after the last; None: all blocks.
+
+        Returns:
+            ``(nx, ny, nz, ...)`` cells along x, y, z.
         """
         spans = [np.arange(a, b) for a, b in zip(low, self.blocks if high is None else high, strict=True)]
         bx, by, bz = (len(span) for span in spans)
@@ -222,15 +293,26 @@ class VoxelMap(eqx.Module):
         return a.reshape(bx * BLOCK, by * BLOCK, bz * BLOCK, *array.shape[1:-1])
 
     def blocked(self, dense: Array) -> Array:
-        """Convert ``(nx, ny, nz[, channels])`` to block storage: the inverse of :meth:`dense` for a dense map."""
+        """Convert cells on the grid to block storage: the inverse of :meth:`dense` for a dense map.
+
+        Args:
+            dense: ``(nx, ny, nz)`` or ``(nx, ny, nz, channels)`` cells along x, y, z.
+
+        Returns:
+            ``(rows, [channels,] cells)``.
+        """
         bx, by, bz = self.blocks
         a = dense.reshape(bx, BLOCK, by, BLOCK, bz, BLOCK, -1).transpose(0, 2, 4, 6, 1, 3, 5)
         return a.reshape((bx * by * bz, *dense.shape[3:], CELLS))
 
     def save(self, path: str | Path, **metadata: Any) -> None:
-        """Write an ``.npz`` (no pickle) with a version and ``metadata``, atomically.
+        """Write an ``.npz`` without pickle; the file is complete or absent.
 
         Only stored blocks of a block-sparse map are written.
+
+        Args:
+            path: the file; one that exists is replaced.
+            metadata: what else its header holds, as JSON.
         """
         arrays = {name: np.asarray(getattr(self, name)) for name in map_file.BELIEF}
         place = {"origin": np.asarray(self.origin), "voxel_size": np.asarray(self.voxel_size)}
@@ -249,6 +331,9 @@ class VoxelMap(eqx.Module):
 
         Args:
             path: the ``.npz`` file.
+
+        Returns:
+            The map, dense or block-sparse as it was.
 
         Raises:
             InputError: the file is missing, truncated, of another format or version, or its arrays do not fit.

@@ -48,20 +48,40 @@ class Entropy(NamedTuple):
 
 
 class Posterior(eqx.Module):
-    """Combine a belief over the state with one over the map; the map is None where a filter keeps none."""
+    """``q(z) q(M)``: a belief over the state beside one over the map, not correlated.
+
+    Attributes:
+        belief: over the state, in the map's frame; mostly a :class:`GaussianBelief` with ``mean`` and ``covariance``.
+        map: over the map; None where a filter keeps none.
+        measurement_noise: standard deviations of one observation that the map's precisions count.
+    """
 
     belief: Belief
     map: VoxelMap | None
-    measurement_noise: MeasurementNoise = MEASUREMENT_NOISE  # of one observation counted in the map
+    measurement_noise: MeasurementNoise = MEASUREMENT_NOISE
 
     def sample(self, key: PRNGKeyArray) -> Draw:
-        """Draw one state and one map; :meth:`Belief.sample` draws many states."""
+        """Draw ``z, M ~ q(z) q(M)``; :meth:`GaussianBelief.sample` draws many states.
+
+        Args:
+            key: random key.
+
+        Returns:
+            ``state``, one state; ``map``, a map whose measured cells are drawn, or None.
+        """
         by_state, by_map = jax.random.split(key)
         state = jax.tree.map(lambda a: a[0], self.belief.sample(by_state, 1))
         return Draw(state, None if self.map is None else sample_map(by_map, self.map, self.measurement_noise))
 
     def log_prob(self, draw: Draw) -> LogPosterior:
-        """``log q(z) + log q(M)``, term by term; the map's over the cells that :meth:`sample` varies."""
+        """``log q(z) + log q(M)``, term by term.
+
+        Args:
+            draw: a state and a map on the grid of this one.
+
+        Returns:
+            The log density of the state, and that of the map over the cells that :meth:`sample` varies.
+        """
         cells = jnp.float32(0.0)
         if self.map is not None and draw.map is not None:
             m, M = self.map, draw.map
@@ -71,11 +91,18 @@ class Posterior(eqx.Module):
         return LogPosterior(self.belief.log_prob(draw.state), cells)
 
     def entropy(self) -> Entropy:
-        """Return the entropies of the state (of its errors ``xi``) and of the map's occupancy."""
+        """Return the entropies of the state (of its errors ``xi``) and of the map's occupancy, nats.
+
+        The map's is relative to the prior: 0 for an empty map and negative for others.
+        """
         return Entropy(float(self.belief.entropy()), 0.0 if self.map is None else map_entropy(self.map))
 
     def save(self, path: str | Path, **metadata: Any) -> None:
-        """Write an ``.npz`` without pickle, atomically; with a map it is a map file.
+        """Write an ``.npz`` without pickle, complete or absent; with a map, :meth:`VoxelMap.load` reads it too.
+
+        Args:
+            path: the file; one that exists is replaced.
+            metadata: what else its header holds, as JSON.
 
         Raises:
             InputError: a belief that is no Gaussian on a known manifold.
@@ -100,6 +127,9 @@ class Posterior(eqx.Module):
 
         Args:
             path: the ``.npz`` file.
+
+        Returns:
+            The posterior, in float32.
 
         Raises:
             InputError: the file is missing, damaged or of another version, or a map file without a belief.

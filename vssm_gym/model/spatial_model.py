@@ -27,18 +27,36 @@ State = Any  # a pytree: what the transition calls its state
 
 
 class SpatialModel(eqx.Module):
-    """Combine transition, map and camera. The map is a belief: the prior ``p(M)``, or the filter's ``q(M)``."""
+    """Combine transition, map and camera: the generative model.
+
+    Attributes:
+        transition: how the body moves.
+        m: the belief over the map: the prior ``p(M)``, or a filter's ``q(M)``.
+        camera: of the images.
+        T_body_cam: pose of the camera in the body frame, m.
+        scales: of the emission, depth (m) and colour.
+        measurement_noise: standard deviations of one observation that the precisions of ``m`` count.
+        max_depth: z-depth up to which surfaces are rendered, m.
+    """
 
     transition: Transition
     m: VoxelMap
     camera: Camera
     T_body_cam: Float[Array, "4 4"]
     scales: EmissionScales = EmissionScales()
-    measurement_noise: MeasurementNoise = MeasurementNoise()  # of one observation counted in ``m``
-    max_depth: Float[Array, ""] | float = MAX_DEPTH  # m
+    measurement_noise: MeasurementNoise = MeasurementNoise()
+    max_depth: Float[Array, ""] | float = MAX_DEPTH
 
     def image(self, m: VoxelMap, state: State) -> RGBD:
-        """Render ``mu_rgbd(z, M)``, the image from a single state in a map."""
+        """Render ``mu_rgbd(z, M)``, the image from a single state in a map.
+
+        Args:
+            m: the map, such as a sample of the belief.
+            state: of the transition's manifold; one state.
+
+        Returns:
+            The image at the camera's size.
+        """
         T_world_cam = self.transition.manifold.pose(state) @ self.T_body_cam
         return emission.render(m, T_world_cam, self.camera, self.max_depth)
 
@@ -125,17 +143,19 @@ def rollout(
     """Sample ancestrally: ``M ~ q(M)``, ``z ~ q(z)``, then ``z' ~ p(z' | z, u)`` and its image, control by control.
 
     Args:
-        key: Random key.
-        model: Transition, map belief and camera.
+        key: random key.
+        model: transition, map belief and camera.
         belief: ``q(z_t)``, now.
-        controls: Future controls, one row a step.
-        dt: Length of a step, s.
-        samples: How many futures; their states are drawn together.
-        images: Render no images, in the map's mean, or each future in its own sample of the map (which needs a new
-            empty-space index a sample). Images are rendered one after the other.
+        controls: one row a step, in the units of the transition.
+        dt: length of a step, s.
+        samples: number of futures; their states are drawn together.
+        images: ``none``; ``mean map``: rendered in the map's mean; ``sampled maps``: each future in its own sample of
+            the map (which needs a new empty-space index a sample). Images are rendered one after the other.
 
     Returns:
-        The futures. Images are the emission's means; :mod:`vssm_gym.model.predictive` adds its noise.
+        The futures: ``states`` with axes ``(samples, time, ...)``, and ``images`` with axes ``(samples, time, height,
+        width[, 3])``, None for ``none``. Images are the emission's means; :mod:`vssm_gym.model.predictive` adds its
+        noise.
     """
     by_start, by_step, by_map = jax.random.split(key, 3)
     states = model.transition.sample_paths(by_step, belief.sample(by_start, samples), controls, dt)

@@ -48,6 +48,9 @@ class ClearanceMap:
             occupancy: ``(nx, ny)`` negative signed distance, m, positive inside obstacles.
             origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
             resolution: m between cell centres.
+
+        Returns:
+            Clearances on the same grid, m.
         """
         clearance = level_distance(occupancy, resolution)
         return cls(np.ascontiguousarray(clearance), np.asarray(origin, dtype=np.float64), float(resolution))
@@ -70,6 +73,9 @@ class ClearanceMap:
             z_min: lowest height of the body, m; above the noise of the floor.
             z_max: highest height of the body, m.
             resolution: m between cell centres.
+
+        Returns:
+            Clearances in the map's x and y, m.
         """
         low = voxel_map.bounds[0]
         top, share = observed_columns(voxel_map, z_min, z_max, resolution)
@@ -82,21 +88,50 @@ class ClearanceMap:
         return cls.from_occupancy(occupancy[window], low[:2] + start * resolution, resolution)
 
     def at(self, xy: np.ndarray) -> np.ndarray:
-        """Return the clearance (m) at world points ``(..., 2)``; :data:`OUTSIDE` beyond the grid."""
+        """Interpolate the clearance bilinearly.
+
+        Args:
+            xy: world points ``(..., 2)``, m.
+
+        Returns:
+            ``(...)`` clearances, m; :data:`OUTSIDE` beyond the grid.
+        """
         g = np.atleast_2d(self.to_grid(xy)).reshape(-1, 2)
         values = np.array([bilinear(self.clearance, x, y) for x, y in g])
         return values.reshape(np.shape(xy)[:-1])
 
     def to_grid(self, xy: np.ndarray) -> np.ndarray:
-        """Return the continuous cell coordinates ``(..., 2)`` of world points; integers are cell centres."""
+        """Convert world points to cell coordinates.
+
+        Args:
+            xy: world points ``(..., 2)``, m.
+
+        Returns:
+            ``(..., 2)`` continuous coordinates in cells; integers are cell centres.
+        """
         return (np.asarray(xy, dtype=np.float64) - self.origin) / self.resolution
 
     def to_world(self, cells: np.ndarray) -> np.ndarray:
-        """Return the world points ``(..., 2)`` of continuous cell coordinates."""
+        """Convert cell coordinates to world points.
+
+        Args:
+            cells: continuous coordinates ``(..., 2)``, in cells.
+
+        Returns:
+            ``(..., 2)`` world points, m.
+        """
         return np.asarray(cells, dtype=np.float64) * self.resolution + self.origin
 
     def with_obstacle(self, centre: np.ndarray, radius: float) -> "ClearanceMap":
-        """Return ``min(c(xy), |xy - centre| - radius)``: the same plan with one more disc, such as one that was hit."""
+        """``min(c(xy), |xy - centre| - radius)``: the same plan with one more disc, such as an obstacle that was hit.
+
+        Args:
+            centre: ``(2,)`` of the disc in the world, m.
+            radius: of the disc, m.
+
+        Returns:
+            A map on the same grid.
+        """
         x, y = (self.origin[a] + self.resolution * np.arange(self.clearance.shape[a]) for a in (0, 1))
         disc = np.hypot(x[:, None] - centre[0], y[None, :] - centre[1]) - radius
         return ClearanceMap(

@@ -50,10 +50,7 @@ class DepthKind:
 
     align: AlignConfig
     truncation: float = TRUNCATION  # voxels behind a surface that an image updates
-    reference_limits: tuple[float, float] = (
-        0.15,
-        0.15,
-    )  # m, rad: distance from a reference view at which a new one is made
+    reference_limits: tuple[float, float] = (0.15, 0.15)  # m, rad: from a reference view, where a new one is made
 
 
 _HAND_HELD = TrackingConfig()
@@ -89,9 +86,7 @@ class SlamOptions:
     imu: bool = False  # whether the sequence's IMU replaces constant velocity in the prior
     method: str = "prism"  # one of METHODS: map and track, or track in ``map``
     map: Path | None = None  # of the tracker: the file of a learned map
-    start: tuple[float, ...] | None = (
-        None  # of the tracker: about where the first camera is in the map, x y z and qx qy qz qw
-    )
+    start: tuple[float, ...] | None = None  # of the tracker: about the first camera's pose, x y z qx qy qz qw
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST_IMAGE, self.size, LARGEST_IMAGE, strict=True)):
@@ -160,7 +155,14 @@ class SlamOptions:
         return TrackingConfig(align=DEPTHS[self.depth].align, solver=self.solver)
 
     def filter(self, camera: Camera) -> Prism | MapTracker:
-        """Return the filter of the method for images of a hand-held camera."""
+        """Return the filter of the method for images of a hand-held camera.
+
+        Args:
+            camera: of the images, at :attr:`size`.
+
+        Returns:
+            PRISM, or the tracker in :attr:`map`.
+        """
         if self.method == "tracker":
             return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth, self.render_width)
         kind = DEPTHS[self.depth]

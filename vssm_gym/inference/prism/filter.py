@@ -61,14 +61,29 @@ class PrismState(eqx.Module):
 
 @dataclass(frozen=True)
 class Prism:
-    """Filter state and map (:class:`~vssm_gym.inference.filter.Filter`) with any transition."""
+    """Filter state and map (:class:`~vssm_gym.inference.filter.Filter`) with any transition.
+
+    Attributes:
+        rig: the camera and its pose on the body.
+        transition: how the body moves.
+        config: effort and gates.
+    """
 
     rig: Rig
     transition: Transition = HAND
     config: PrismConfig = HAND_HELD
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray, clock: Clock = untimed) -> PrismState:
-        """Return the belief after the first image, taken where the prior's belief has the body; its map is consumed.
+        """Return the state after the first image, taken where the prior's belief has the body.
+
+        Args:
+            prior: belief over the body in the world, and the map to write into, which is consumed.
+            image: the first one, at the camera's size.
+            key: random key, of solvers and pose samples that draw.
+            clock: called with name and outcome of each stage, returns the outcome; for timing.
+
+        Returns:
+            The state for :meth:`step`.
 
         Raises:
             InputError: an image without a reading (see :func:`readable`), or a prior without a map.
@@ -103,14 +118,18 @@ class Prism:
         many places that read its image and compute it again there (it ignores optimization barriers on the CPU).
 
         Args:
-            state: After the last image.
-            control: Of the transition; zeros for a hand's constant velocity.
-            image: The new one, at the camera's size.
-            dt: Seconds since the last one.
-            clock: Called with name and outcome of each stage, returns the outcome; for timing.
+            state: after the last image.
+            control: of the transition since then; zeros for a hand's constant velocity.
+            image: the new one, at the camera's size.
+            dt: seconds since the last one.
+            clock: called with name and outcome of each stage, returns the outcome; for timing.
+
+        Returns:
+            The new state, and a report: ``status``, ``belief`` in the world (the prediction where the image was not
+            accepted) and ``fit_quality``.
 
         Raises:
-            InputError: ``dt`` is not above 0.
+            InputError: ``dt`` is not above 0, or a control of another length than the transition's.
         """
         config, control = self.config, checked(self.transition, control)
         small, view = self._shrunk(image)
@@ -156,7 +175,15 @@ class Prism:
         return PrismState(m, past, reference, kept, drifted, False, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
-        """Return ``q_t(z_t) q_t(M)``, the state in the map's frame: without that frame's drift in the world."""
+        """Return ``q_t(z_t) q_t(M)``.
+
+        Args:
+            state: after an image.
+
+        Returns:
+            The belief over the body in the map's frame, without that frame's drift in the world, and the map; they
+            share the state's arrays.
+        """
         return Posterior(state.past.belief, state.map, state.measurement_noise)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:

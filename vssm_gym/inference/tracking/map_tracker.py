@@ -59,17 +59,34 @@ class TrackerState(eqx.Module):
 
 @dataclass(frozen=True)
 class MapTracker:
-    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` in a fixed map, the reference rendered at every step."""
+    """``argmax_z log p(x_t | z, M) + log p(z | z_t-1, u_t-1)`` in a fixed map, the reference rendered at every step.
+
+    Attributes:
+        rig: the camera and its pose on the body.
+        transition: how the body moves.
+        config: effort and gates; the default is that of a robot whose commands are known.
+        recovery: of a lost camera; None: retry at the predicted pose only.
+        max_depth: z-depth up to which the map is rendered, m.
+        track_width: pixels to about which images are shrunk; None: not.
+    """
 
     rig: Rig
     transition: Transition
     config: TrackingConfig = ROBOT_TRACKING
-    recovery: RecoveryConfig | None = None  # None: retry at the predicted pose only
-    max_depth: float = MAX_DEPTH  # m, of the rendering
-    track_width: int | None = None  # pixels: images are shrunk to about this; None: not
+    recovery: RecoveryConfig | None = None
+    max_depth: float = MAX_DEPTH
+    track_width: int | None = None
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> TrackerState:
-        """Return the prior's belief with its first image; the prior's map is shared, not consumed.
+        """Return the state after the first image, taken about where the prior's belief has the body.
+
+        Args:
+            prior: belief over the body in the map's frame, and the map, which is shared and not consumed.
+            image: the first one, at the camera's size.
+            key: random key, of a solver that draws.
+
+        Returns:
+            The state for :meth:`step`; with recovery, the first image is aligned to the map.
 
         Raises:
             InputError: a prior without a map.
@@ -93,7 +110,22 @@ class MapTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to one rendered from the map at the predicted pose (eq. I30); see :class:`Filter`."""
+        """Align the image to one rendered from the map at the predicted pose (eq. I30).
+
+        Args:
+            state: after the last image.
+            control: of the transition since then; zeros for a hand's constant velocity.
+            image: the new one, at the camera's size.
+            dt: seconds since the last one.
+            clock: called with name and outcome of each stage, returns the outcome; for timing.
+
+        Returns:
+            The new state, and a report: ``status``, ``belief`` in the world (the prediction where the image was not
+            accepted) and ``fit_quality``.
+
+        Raises:
+            InputError: ``dt`` is not above 0, or a control of another length than the transition's.
+        """
         # The rendering is a separate compiled call: with the alignment in one call, the compiler would fuse the
         # renderer into each of the many places that read its image and compute it again there.
         assert state.map is not None
@@ -118,7 +150,14 @@ class MapTracker:
         )
 
     def posterior(self, state: TrackerState) -> Posterior:
-        """Return ``q(z_t)`` with the fixed map."""
+        """Return ``q(z_t)`` with the fixed map.
+
+        Args:
+            state: after an image.
+
+        Returns:
+            The belief over the body in the map's frame, and the map as it was given.
+        """
         return Posterior(state.past.belief, state.map, state.measurement_noise)
 
 

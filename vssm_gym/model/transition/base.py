@@ -31,14 +31,41 @@ class Transition(eqx.Module):
 
     @abc.abstractmethod
     def mean(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
-        """Return the state after a step without noise."""
+        """Return the state after a step without noise.
+
+        Args:
+            state: before it, of the manifold; leading batch axes.
+            control: of the step, in the units of the transition.
+            dt: length of the step, s.
+
+        Returns:
+            The state, with the batch axes of ``state`` and ``control``.
+        """
 
     @abc.abstractmethod
     def noise_covariance(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
-        """Return the covariance of the errors ``xi`` about :meth:`mean` after a step from a known state."""
+        """Return the covariance of the errors ``xi`` about :meth:`mean` after a step from a known state.
+
+        Args:
+            state: before the step; one state.
+            control: of the step.
+            dt: length of the step, s.
+
+        Returns:
+            In the coordinates of the manifold (m, rad; the pose's in the body frame); positive definite in the pose.
+        """
 
     def jacobian(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
-        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: the propagation of errors over a step."""
+        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: the propagation of errors over a step.
+
+        Args:
+            state: before the step; one state.
+            control: of the step.
+            dt: length of the step, s.
+
+        Returns:
+            F, from errors before the step to errors after it.
+        """
         manifold, after = self.manifold, self.mean(state, control, dt)
         carried = lambda xi: manifold.error(after, self.mean(manifold.perturb(state, xi), control, dt))
         return jax.jacfwd(carried)(jnp.zeros(len(manifold.turns)))
@@ -53,10 +80,13 @@ class Transition(eqx.Module):
         """``int p(z' | z, u) q(z) dz`` to first order: ``N(mean(z), F P F^T + S Q S)`` (eqs. M19 and I3).
 
         Args:
-            belief: Over the state now.
-            control: Of the step.
-            dt: Its length, s.
-            noise_scale: Diagonal of S, by which the standard deviations of the noise are multiplied; 0 leaves it out.
+            belief: over the state now.
+            control: of the step.
+            dt: its length, s.
+            noise_scale: diagonal of S, by which the standard deviations of the noise are multiplied; 0 leaves it out.
+
+        Returns:
+            The belief over the state after the step.
         """
         F = self.jacobian(belief.mean, control, dt)
         scale = jnp.broadcast_to(jnp.asarray(noise_scale, F.dtype), F.shape[:1])
@@ -65,7 +95,17 @@ class Transition(eqx.Module):
         return GaussianBelief(self.mean(belief.mean, control, dt), 0.5 * (covariance + covariance.T), self.manifold)
 
     def sample(self, key: PRNGKeyArray, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
-        """Draw ``z' ~ p(z' | z, u)``: one independent draw for each state of the batch."""
+        """Draw ``z' ~ p(z' | z, u)``.
+
+        Args:
+            key: random key.
+            state: before the step; leading batch axes.
+            control: of the step, one for each state.
+            dt: length of the step, s.
+
+        Returns:
+            One independent draw for each state of the batch.
+        """
         covariance = self._every_covariance(state, control, dt)
         root = jnp.linalg.cholesky(covariance)
         xi = jnp.einsum("...ij,...j->...i", root, jax.random.normal(key, covariance.shape[:-1]))
@@ -74,7 +114,17 @@ class Transition(eqx.Module):
     def log_prob(
         self, following: Any, state: Any, control: Float[Array, "*batch m"], dt: float | Array
     ) -> Float[Array, "*batch"]:
-        """``log p(z' | z, u)`` of the Gaussian about :meth:`mean`."""
+        """``log p(z' | z, u)`` of the Gaussian about :meth:`mean`.
+
+        Args:
+            following: ``z'``, the state after the step; leading batch axes.
+            state: ``z``, before it.
+            control: ``u``.
+            dt: length of the step, s.
+
+        Returns:
+            Log densities with respect to the volume of the state space (m, rad), one for each state of the batch.
+        """
         xi = self.manifold.error(self.mean(state, control, dt), following)
         return normal_log_prob(xi, self._every_covariance(state, control, dt)) - self.manifold.log_volume(xi)
 
@@ -109,9 +159,15 @@ class Transition(eqx.Module):
         return GaussianBelief(self.manifold.resting(T_world_body), jnp.diag(variances), self.manifold)
 
     def mean_path(self, state: Any, controls: Float[Array, "*batch time m"], dt: float | Array) -> Any:
-        """Return the states after each of several controls without noise, axes ``(*batch, time, ...)``.
+        """Return the states after each of several controls without noise.
 
-        Every sequence of controls starts at the one ``state``.
+        Args:
+            state: at which every sequence starts; one state.
+            controls: one sequence, or a batch of them.
+            dt: length of a step, s.
+
+        Returns:
+            The states, with axes ``(*batch, time, ...)``.
         """
         path = lambda controls: _path(lambda z, u: self.mean(z, u, dt), state, controls)
         for _ in range(controls.ndim - 2):
@@ -119,7 +175,17 @@ class Transition(eqx.Module):
         return path(controls)
 
     def sample_paths(self, key: PRNGKeyArray, states: Any, controls: Float[Array, "time m"], dt: float | Array) -> Any:
-        """Draw ``z_1..z_T ~ prod_t p(z_t | z_t-1, u_t)`` from each state of a batch: axes ``(batch, time, ...)``."""
+        """Draw ``z_1..z_T ~ prod_t p(z_t | z_t-1, u_t)`` from each state of a batch.
+
+        Args:
+            key: random key.
+            states: ``(batch, ...)``, at which the paths start.
+            controls: one sequence for all.
+            dt: length of a step, s.
+
+        Returns:
+            The states after each control, with axes ``(batch, time, ...)``.
+        """
         batch = jax.tree.leaves(states)[0].shape[0]
         repeated = jnp.broadcast_to(controls[:, None], (len(controls), batch, *controls.shape[1:]))
         step = lambda z, now: self.sample(now[0], z, now[1], dt)

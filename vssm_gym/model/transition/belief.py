@@ -30,20 +30,44 @@ class Belief(Protocol):
 
 
 class GaussianBelief(eqx.Module):
-    """``z = perturb(mean, xi)``, ``xi ~ N(0, covariance)``: a Gaussian in the tangent at the mean (eq. M15)."""
+    """``z = perturb(mean, xi)``, ``xi ~ N(0, covariance)``: a Gaussian in the tangent at the mean (eq. M15).
 
-    mean: Any  # a state of the manifold
-    covariance: Float[Array, "n n"]  # of xi: m, rad (pose, body frame), then the rest
+    The errors ``xi`` are forward, left (m) and turn (rad) of a robot on the floor; of a body in space translation (m),
+    rotation (rad), both in the body frame, linear velocity (m/s) and angular velocity (rad/s), both in the world frame.
+
+    Attributes:
+        mean: a state of the manifold: ``(3,)`` x, y (m), heading (rad), or a pose ``(4, 4)`` with velocity ``(6,)``.
+        covariance: of ``xi``.
+        manifold: the space of the states.
+    """
+
+    mean: Any
+    covariance: Float[Array, "n n"]
     manifold: Manifold = eqx.field(static=True)
 
     def sample(self, key: PRNGKeyArray, samples: int) -> Any:
-        """Draw ``z ~ q(z)``; the covariance may be singular (a known start)."""
+        """Draw ``z ~ q(z)``; the covariance may be singular (a known start).
+
+        Args:
+            key: random key.
+            samples: number of draws.
+
+        Returns:
+            States of the manifold with leading axis ``samples``.
+        """
         variances, axes = jnp.linalg.eigh(self.covariance)
         root = axes * jnp.sqrt(jnp.maximum(variances, 0.0))
         return self.manifold.perturb(self.mean, jax.random.normal(key, (samples, root.shape[0])) @ root.T)
 
     def log_prob(self, state: Any) -> Float[Array, "*batch"]:
-        """``log N(xi; 0, covariance) - log |det Jr(xi)|``; NaN where the covariance is not positive definite."""
+        """``log N(xi; 0, covariance) - log |det Jr(xi)|``, ``xi`` the error of the state about the mean.
+
+        Args:
+            state: of the manifold; leading batch axes.
+
+        Returns:
+            Log densities; NaN where the covariance is not positive definite.
+        """
         xi = self.manifold.error(self.mean, state)
         return normal_log_prob(xi, self.covariance) - self.manifold.log_volume(xi)
 

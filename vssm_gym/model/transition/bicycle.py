@@ -18,22 +18,45 @@ from vssm_gym.model.transition.manifold import PLANAR
 
 
 class BicycleNoise(eqx.Module):
-    """Hold standard deviations of a step of 0.1 s; the variance of the displacement is proportional to ``dt``."""
+    """Hold standard deviations of a step of 0.1 s; the variance of the displacement is proportional to ``dt``.
 
-    speed: Float[Array, ""] | float = 0.05  # relative to the commanded speed
-    steering: Float[Array, ""] | float = 0.02  # rad
-    slip_forward: Float[Array, ""] | float = 0.002  # m
-    slip_left: Float[Array, ""] | float = 0.002  # m
-    slip_turn: Float[Array, ""] | float = 0.002  # rad
+    Attributes:
+        speed: proportion of the commanded speed.
+        steering: of the steering angle, rad.
+        slip_forward: along the body, m.
+        slip_left: across it, m.
+        slip_turn: of the heading, rad.
+    """
+
+    speed: Float[Array, ""] | float = 0.05
+    steering: Float[Array, ""] | float = 0.02
+    slip_forward: Float[Array, ""] | float = 0.002
+    slip_left: Float[Array, ""] | float = 0.002
+    slip_turn: Float[Array, ""] | float = 0.002
 
     def control_stds(self, control: Float[Array, "*batch 2"], dt: float | Array) -> Float[Array, "*batch 2"]:
-        """Return stds of the executed speed (m/s) and steering (rad): errors average out over a longer step."""
+        """Return standard deviations of the executed control: errors average out over a longer step.
+
+        Args:
+            control: speed (m/s) and steering (rad).
+            dt: length of the step, s.
+
+        Returns:
+            Of speed (m/s) and steering (rad).
+        """
         shrink = jnp.sqrt(QUOTED_STEP / dt)
         speed = self.speed * jnp.abs(control[..., 0]) * shrink
         return jnp.stack([speed, jnp.full_like(speed, self.steering) * shrink], axis=-1)
 
     def slip_variances(self, dt: float | Array) -> Float[Array, "3"]:
-        """Return variances of slip (forward, left, turn) after ``dt`` seconds (eq. M20)."""
+        """Return the variances of slip after a step (eq. M20).
+
+        Args:
+            dt: length of the step, s.
+
+        Returns:
+            Forward, left (m^2) and turn (rad^2).
+        """
         return jnp.stack([jnp.asarray(s) for s in (self.slip_forward, self.slip_left, self.slip_turn)]) ** 2 * (
             dt / QUOTED_STEP
         )
@@ -53,10 +76,18 @@ def arc(control: Float[Array, "*batch 2"], dt: float | Array, wheelbase: float |
 
 
 class Bicycle(Transition):
-    """Model the car; controls (..., 2) = (speed, steering), m/s and rad."""
+    """Model a car that drives along an arc (kinematic bicycle).
+
+    States are ``(x, y, heading)`` of the middle of the rear axle in the world, m and rad. Controls are ``(speed,
+    steering)``: m/s, negative backwards; rad, positive to the left.
+
+    Attributes:
+        noise: of the execution, and slip.
+        wheelbase: between the axles, m; the default is that of the QCar.
+    """
 
     noise: BicycleNoise = BicycleNoise()
-    wheelbase: Float[Array, ""] | float = 0.26  # m, of the QCar
+    wheelbase: Float[Array, ""] | float = 0.26
 
     manifold = PLANAR
     controls = 2

@@ -20,28 +20,47 @@ from vssm_gym.model.transition.manifold import PLANAR
 
 
 class DifferentialNoise(eqx.Module):
-    """Hold the noise of each wheel's travel in a step, as the robot believes it."""
+    """Hold standard deviations of each wheel's travel in a step, as the robot believes them.
 
-    slip: Float[Array, ""] | float  # share of the travel, standard deviation
-    play: Float[Array, ""] | float  # m, standard deviation of a step however short
+    Attributes:
+        slip: proportion of the travel.
+        play: of a step however short, m.
+    """
+
+    slip: Float[Array, ""] | float
+    play: Float[Array, ""] | float
 
     def stds(self, travel: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """Return standard deviations of both wheels, m; zero for a wheel at rest."""
+        """Return the standard deviations of both wheels.
+
+        Args:
+            travel: of the left and the right wheel, m.
+
+        Returns:
+            Of the same wheels, m; zero for a wheel at rest.
+        """
         driven = travel != 0.0
         safe = jnp.where(driven, travel, 1.0)  # the root has no derivative at zero
         return jnp.where(driven, jnp.sqrt((self.slip * safe) ** 2 + self.play**2), 0.0)
 
 
 class DifferentialDrive(Transition):
-    """Model a robot on two wheels; controls (..., 2) = (left, right), m, which do not depend on ``dt``.
+    """Model a robot on two wheels.
 
-    Two errors a step move three coordinates, so that wheel noise alone has no density. ``skid``, which covers what the
-    motion model misses (contacts), makes the covariance regular.
+    States are ``(x, y, heading)`` of the point between the wheels in the world, m and rad. Controls are ``(left,
+    right)``: the travel of each wheel in a step, m, negative backwards; they do not depend on ``dt``. Two errors a step
+    move three coordinates, so that wheel noise alone has no density. ``skid``, which covers what the motion model
+    misses (contacts), makes the covariance regular.
+
+    Attributes:
+        noise: of the wheels.
+        track: between the wheels, m.
+        skid: standard deviations a step: forward (m), left (m), turn (rad).
     """
 
     noise: DifferentialNoise
-    track: Float[Array, ""] | float = 0.16  # m between the wheels
-    skid: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
+    track: Float[Array, ""] | float = 0.16
+    skid: tuple[float, float, float] = (0.004, 0.004, 0.002)
 
     manifold = PLANAR
     controls = 2
@@ -80,7 +99,16 @@ class DifferentialDrive(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], normal: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after the executed command, given one standard normal a wheel (eq. M25)."""
+        """Return the pose after the executed command (eq. M25).
+
+        Args:
+            state: ``(x, y, heading)`` before the step.
+            control: travel of the left and the right wheel, m.
+            normal: a standard normal for each wheel.
+
+        Returns:
+            ``(x, y, heading)`` after it.
+        """
         rolled = jnp.sign(control) * jnp.maximum(0.0, jnp.abs(control) + self.noise.stds(control) * normal)
         return self.mean(state, rolled, 0.0)
 

@@ -20,21 +20,39 @@ from vssm_gym.model.transition.rigid import nearest_rotation
 
 
 class ImuNoise(eqx.Module):
-    """Hold standard deviations of a step of 0.1 s (VSSM-LM); variances are proportional to ``dt``."""
+    """Hold standard deviations of a step of 0.1 s (VSSM-LM); variances are proportional to ``dt``.
 
-    location: Float[Array, ""] | float = 0.01  # m
-    orientation: Float[Array, ""] | float = 0.001  # rad
-    velocity: Float[Array, ""] | float = 0.001  # m/s
-    rate: Float[Array, ""] | float = 0.001  # rad/s, of the angular velocity read from the gyroscope
+    Attributes:
+        location: of the position, m.
+        orientation: of the orientation, rad.
+        velocity: of the linear velocity, m/s.
+        rate: of the angular velocity that the gyroscope reads, rad/s.
+    """
+
+    location: Float[Array, ""] | float = 0.01
+    orientation: Float[Array, ""] | float = 0.001
+    velocity: Float[Array, ""] | float = 0.001
+    rate: Float[Array, ""] | float = 0.001
 
     def variances(self, dt: float | Array) -> Float[Array, "12"]:
-        """Return variances of ``(dt, dr, dv, dw)`` after ``dt`` seconds (eq. M20)."""
+        """Return the variances that a step adds (eq. M20).
+
+        Args:
+            dt: length of the step, s.
+
+        Returns:
+            Of translation (m^2), rotation (rad^2), linear and angular velocity, three each.
+        """
         stds = [jnp.full(3, std) for std in (self.location, self.orientation, self.velocity, self.rate)]
         return jnp.concatenate(stds) ** 2 * (dt / QUOTED_STEP)
 
 
 class Imu(Transition):
-    """Model the IMU-driven body; controls (..., 6) = (a, w_b): specific force (m/s^2) and rate (rad/s), body frame."""
+    """Model a body in space that is driven by the readings of an IMU, biases removed.
+
+    States are those of :class:`Rigid`: ``T_world_body`` and velocities in the world, z up. Controls are ``(a, w_b)``:
+    specific force (m/s^2) and angular rate (rad/s), body frame.
+    """
 
     noise: ImuNoise = ImuNoise()
 

@@ -18,21 +18,32 @@ from vssm_gym.model.transition.manifold import PLANAR
 
 
 class MotionNoise(eqx.Module):
-    """Hold standard deviations of a control step's execution, as the robot believes them."""
+    """Hold standard deviations of a control step's execution, as the robot believes them.
 
-    turn: Float[Array, "*batch"] | float  # sigma_a, rad
-    step: Float[Array, "*batch"] | float  # sigma_s, m
+    Attributes:
+        turn: of the direction of travel, and of the heading where the robot turns, rad.
+        step: of the distance travelled, m.
+    """
+
+    turn: Float[Array, "*batch"] | float  # sigma_a
+    step: Float[Array, "*batch"] | float  # sigma_s
 
 
 class Planar(Transition):
-    """Model the planar robot; controls (..., 3) = (turn, o, s), which do not depend on ``dt``.
+    """Model a holonomic robot on a floor, which turns and then drives in any direction.
 
-    Two errors a step move three coordinates, so that execution noise alone has no density. ``slip``, which covers what
-    the motion model misses (contacts), makes the covariance regular.
+    States are ``(x, y, heading)`` of the body in the world, m and rad. Controls are ``(turn, o, s)`` of a step: change
+    of heading (rad), direction of travel relative to the heading before (rad), distance (m); they do not depend on
+    ``dt``. Two errors a step move three coordinates, so that execution noise alone has no density. ``slip``, which
+    covers what the motion model misses (contacts), makes the covariance regular.
+
+    Attributes:
+        noise: of the execution.
+        slip: standard deviations a step: forward (m), left (m), turn (rad).
     """
 
     noise: MotionNoise
-    slip: tuple[float, float, float] = (0.004, 0.004, 0.002)  # stds a step: forward (m), left (m), turn (rad)
+    slip: tuple[float, float, float] = (0.004, 0.004, 0.002)
 
     manifold = PLANAR
     controls = 3
@@ -85,9 +96,17 @@ class Planar(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], normal: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after the executed command, given two standard normals a step for (e_a, e_s; eq. M23).
+        """Return the pose after the executed command (eq. M23).
 
         Noise acts only where the robot tries to move, and never reverses a motion.
+
+        Args:
+            state: ``(x, y, heading)`` before the step.
+            control: ``(turn, o, s)``.
+            normal: standard normals for the direction and for the distance.
+
+        Returns:
+            ``(x, y, heading)`` after it.
         """
         turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
         e_a, e_s = normal[..., 0] * self.noise.turn, normal[..., 1] * self.noise.step

@@ -21,15 +21,29 @@ from vssm_gym.model.transition.manifold import RIGID, RigidState
 
 
 class RigidNoise(eqx.Module):
-    """Hold PRISM's standard deviations of a step of 0.1 s; variances are proportional to ``dt``."""
+    """Hold standard deviations of a step of 0.1 s, PRISM's by default; variances are proportional to ``dt``.
 
-    vel_translation: Float[Array, ""] | float = 0.03  # m/s
-    pose_translation: Float[Array, ""] | float = 0.05  # m
-    vel_rotation: Float[Array, ""] | float = 0.03  # rad/s
-    pose_rotation: Float[Array, ""] | float = 0.02  # rad
+    Attributes:
+        vel_translation: of the linear velocity, m/s.
+        pose_translation: of the position, m.
+        vel_rotation: of the angular velocity, rad/s.
+        pose_rotation: of the orientation, rad.
+    """
+
+    vel_translation: Float[Array, ""] | float = 0.03
+    pose_translation: Float[Array, ""] | float = 0.05
+    vel_rotation: Float[Array, ""] | float = 0.03
+    pose_rotation: Float[Array, ""] | float = 0.02
 
     def variances(self, dt: float | Array) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
-        """Return pose variances (m^2, rad^2; body frame) and velocity variances (world frame) after ``dt`` seconds."""
+        """Return the variances that a step adds.
+
+        Args:
+            dt: length of the step, s.
+
+        Returns:
+            Of the pose (m^2, rad^2; body frame) and of the velocity ((m/s)^2, (rad/s)^2; world frame).
+        """
         pose = _pair(self.pose_translation, self.pose_rotation)
         velocity = _pair(self.vel_translation, self.vel_rotation)
         return pose**2 * (dt / QUOTED_STEP), velocity**2 * (dt / QUOTED_STEP)
@@ -69,10 +83,18 @@ def right_jacobian(phi: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 class Rigid(Transition):
-    """Model the rigid body; controls (..., 6): linear (m/s^2) and angular (rad/s^2) acceleration in the world frame."""
+    """Model a rigid body in space; a control of zero is constant velocity, the model of a hand-held camera.
+
+    States hold ``T_world_body`` ``(4, 4)`` and ``velocity`` ``(6,)``: linear (m/s) and angular (rad/s), world frame.
+    Controls are linear (m/s^2) and angular (rad/s^2) acceleration, world frame.
+
+    Attributes:
+        noise: of velocity and pose.
+        velocity_first: whether the new velocity moves the pose (PRISM), or the old one (VSSM-LM).
+    """
 
     noise: RigidNoise = RigidNoise()
-    velocity_first: bool = eqx.field(static=True, default=True)  # the new velocity moves the pose (PRISM) or the old
+    velocity_first: bool = eqx.field(static=True, default=True)
 
     manifold = RIGID
     controls = 6
