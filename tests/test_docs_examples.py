@@ -205,7 +205,8 @@ def watched(base: type[vg.Transition], manifold: Manifold) -> tuple[type[vg.Tran
 
         def __getattribute__(self, name: str) -> Any:
             value = getattr(manifold, name)
-            return value if name.startswith("_") else members.recorded(members.manifold, name, value)
+            caller = sys._getframe(1).f_globals["__name__"]  # the checker of annotations reads every member
+            return members.recorded(members.manifold, name, value) if caller.startswith("vssm_gym.") else value
 
     class Copy(base):  # type: ignore[misc, valid-type]
         """Move as the base does."""
@@ -234,11 +235,11 @@ def taken(name: str, commanded: bool) -> tuple[set[str], set[str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("commanded", [True, False], ids=["commanded", "other"])
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize(
+    ("name", "commanded"),
+    [(name, True) for name in FILTERS if name != "adam"] + [("prism", False), ("tracker", False)],  # adam: a tracker
+)
 def test_the_page_says_what_a_filter_takes_from_its_transition(name, commanded):
-    if not commanded and not FILTERS[name].any_state:
-        pytest.skip("takes a state that is a pose")
     table = list(rows(section(MODEL, "What a filter takes from its transition")))[1:]
     mine = [cells for cells in table if f"`{name}`" in cells[0]]
     if len(mine) > 1:
