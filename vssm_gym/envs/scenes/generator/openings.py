@@ -124,10 +124,10 @@ def place_windows(
                 if w >= 0.5 and all(math.dist(at, door.at) > 0.5 * (w + door.width) + 0.15 for door in doors):
                     windows.append(WindowPlan(at, round(w, 2), height, sill))
                     most -= 1
-    return tuple(windows) if windows else (_any_window(rng, rooms, doors),)
+    return tuple(windows) if windows else (_any_window(rng, rooms),)
 
 
-def _any_window(rng: np.random.Generator, rooms: tuple[RoomPlan, ...], doors: tuple[DoorPlan, ...]) -> WindowPlan:
+def _any_window(rng: np.random.Generator, rooms: tuple[RoomPlan, ...]) -> WindowPlan:
     stretches = _shared(rooms[0], None, rooms)
     start, end = pick(rng, stretches)
     return WindowPlan((0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])), 0.6, 0.6, 1.5)
