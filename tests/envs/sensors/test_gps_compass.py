@@ -129,7 +129,7 @@ def test_every_environment_measures_from_the_start_of_its_episode(name: str) -> 
 
 
 def test_a_chained_episode_measures_from_where_it_begins() -> None:
-    env = gym.make("vssm_gym/CarNav-v0", scene=yard(), images=False, chain=True, sensors=["gps_compass"])
+    env = gym.make("vssm_gym/CarNav-v0", scene=yard(4.0, 4.0), images=False, chain=True, sensors=["gps_compass"])
     env.reset(seed=0)
     for _ in range(10):
         observation = env.step(np.array([0.5, 0.0], np.float32))[0]
