@@ -77,14 +77,14 @@ def test_in_unknown_space_rays_have_the_configured_length(seed: int, unknown: fl
 def test_the_length_through_unknown_cells_is_limited(sparse: bool, seed: int, unknown: float) -> None:
     """The limit agrees with the same integral in steps of a fiftieth, on average to within a cell's diagonal."""
     m, T = speckled(seed, sparse), poses(seed)
-    precision = np.asarray(m.dense(m.occupancy_precision)).reshape(m.shape)
+    precision, origin = np.asarray(m.dense(m.occupancy_precision)).reshape(m.shape), np.asarray(m.origin)
     ended = end_rays(FAR, T, CAMERA, m, 1.0 / unknown, -np.inf)
     off = []
     for pose, image in zip(T, ended, strict=True):
         for ray, end in zip(ray_directions(pose, CAMERA), image.reshape(-1).astype(float), strict=True):
             length = float(np.linalg.norm(ray))
             s = (np.arange(round(end * length / (0.02 * VOXEL))) + 0.5) * 0.02 * VOXEL
-            cell = np.rint((pose[:3, 3] + s[:, None] / length * ray - m.origin) / VOXEL).astype(int)
+            cell = np.rint((pose[:3, 3] + s[:, None] / length * ray - origin) / VOXEL).astype(int)
             inside = np.all((cell >= 0) & (cell < m.shape), axis=1)
             held = np.where(inside[:, None], cell, 0)
             hidden = ~inside | (precision[tuple(held.T)] < 0.1)
