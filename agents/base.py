@@ -66,7 +66,8 @@ class Decision:
         status: one readable line on the agent's state; reports print it where a run fails.
         latency: seconds by stage: "tracking", "planning", "control".
         plan: ``(n, 2)`` waypoints still to be driven, world frame, metres; None without a plan.
-        gives_up: True where the task cannot be done, for the reason in ``status``; used by robots without a stop.
+        gives_up: True where the agent ends the task without success, for the reason in ``status``. A stop that gives up
+            claims no arrival; a robot without a stop ends its task by this alone.
     """
 
     action: np.ndarray

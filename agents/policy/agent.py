@@ -4,7 +4,8 @@
 
 The agent stops where ``astar`` would: within the success radius, less a margin for the estimate's uncertainty. Training
 ends episodes on arrival instead. The goal is therefore shown farther by that margin, so that the radius at which the
-policy learned to arrive is where the agent stops. Described in ``docs/agents/policies.md``.
+policy learned to arrive is where the agent stops. Without an estimate that may be believed it does as ``astar`` does.
+Described in ``docs/agents/policies.md``.
 """
 
 import math
@@ -17,6 +18,7 @@ from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import features, relative, size_of
 from vssm_gym.agents.shared.localization import FilteredPose, Localization
 from vssm_gym.agents.shared.navigator import NavigationConfig
+from vssm_gym.agents.shared.trust import Conduct, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, scan_of
 
@@ -63,14 +65,26 @@ class PolicyAgent:
         estimate, tracked = self._estimate, time.perf_counter()
         rim = stop_radius(self._context.success_radius, estimate)
         goal = relative(estimate.planar, observation["goal"], self._context.success_radius - rim)
-        stop = goal[0] <= self._context.success_radius
+        near = goal[0] <= self._context.success_radius
         self._look(observation, goal, estimate)
-        command = np.zeros(3) if stop else self.policy(self._seen.reshape(-1))
+        conduct = CONFIG.lost.conduct(estimate.lost, estimate.status)
+        turn = np.array([self._context.limits[0], 0.0, 0.0])
+        if conduct is Conduct.GIVE_UP:
+            activity, stop, command = gave_up(estimate.lost), True, np.zeros(3)
+        elif conduct is Conduct.WAIT:
+            activity, stop, command = "waiting: lost", False, np.zeros(3)
+        elif conduct is Conduct.SEARCH or (near and estimate.lost):
+            activity, stop, command = "looking around: lost", False, turn
+        elif near:
+            activity, stop, command = "arrived", True, np.zeros(3)
+        else:
+            activity, stop, command = "driving", False, self.policy(self._seen.reshape(-1))
         self._command = sent = np.asarray(command, np.float32)
         latency = {"tracking": tracked - began, "control": time.perf_counter() - tracked}
-        status = f"{'arrived' if stop else 'driving'}; localization: {estimate.status}"
+        status = f"{activity}; localization: {estimate.status}"
         action = np.array([*sent, float(stop)], np.float32)
-        return Decision(action, estimate.planar.copy(), status, latency)
+        gives_up = conduct is Conduct.GIVE_UP
+        return Decision(action, estimate.planar.copy(), status, latency, gives_up=gives_up)
 
     def _look(self, observation: Observation, goal: np.ndarray, estimate: Localization) -> None:
         spec = self.policy.spec

@@ -1,7 +1,9 @@
 """Drive a car to its target: localise, plan on the learned map, command.
 
 The car's agents share this driver and differ in their localizer and their :class:`CarController`. The map is static, so
-its floor plan is made once per map. A target that no path leads to is refused before the car moves.
+its floor plan is made once per map. A target that no path leads to is refused before the car moves. Without an estimate
+that may be believed, the car drives on by its commands for a while, then brakes, and gives up in the end
+(:class:`~vssm_gym.agents.shared.trust.LostConfig`).
 """
 
 import time
@@ -13,11 +15,13 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.shared.localization import Localizer
+from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car.footprint import Arena, arena_from_map
 
+LOST_RULE = LostConfig()  # what to do without an estimate that may be believed
 SURFACE_ERROR = 0.01  # m around the footprint that controllers keep free, because learned surfaces have an error
 
 
@@ -91,8 +95,14 @@ class Driver:
         if not np.array_equal(observation["goal"], self._goal):
             self._begin(observation["goal"])
         planned = time.perf_counter()
+        lost, gives_up = self._estimate.lost, self._refused is not None
+        conduct = LOST_RULE.conduct(lost, self._estimate.status)
         if self._refused is not None:
             step = CarCommand(np.zeros(2), self._refused)
+        elif conduct is Conduct.GIVE_UP:
+            step, gives_up = CarCommand(np.zeros(2), gave_up(lost)), True
+        elif conduct in (Conduct.SEARCH, Conduct.WAIT):  # a car cannot look around without driving
+            step = CarCommand(np.zeros(2), "waiting: lost")
         else:
             step = self._controller.step(self._estimate.planar)
         self._command = self._car.clip(step.control)
@@ -101,7 +111,7 @@ class Driver:
         status = f"{step.status}; localization: {self._estimate.status}"
         action = self._command.astype(np.float32)
         pose = self._estimate.planar.copy()
-        return Decision(action, pose, status, latency, step.plan, gives_up=self._refused is not None)
+        return Decision(action, pose, status, latency, step.plan, gives_up)
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)

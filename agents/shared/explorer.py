@@ -3,7 +3,8 @@
 Explorers share this driver. They differ in their :class:`~vssm_gym.agents.shared.strategy.ExplorationStrategy` and in
 their mapper, which observes the pose or estimates it. The map is the agent's own. Every episode begins with a full
 turn. The explorer chooses again every ``replan_steps``, when a choice is completed or its target has been seen, and
-when an unforeseen obstacle blocks the path. A robot that lost track turns in place until an image fits its map again.
+when an unforeseen obstacle blocks the path. A robot whose estimate is not believed turns in place until images fit its
+map again, and gives up in the end (:class:`~vssm_gym.agents.shared.trust.LostConfig`).
 :mod:`vssm_gym.agents.shared.following` follows the paths and handles steps that cannot be taken.
 """
 
@@ -19,6 +20,7 @@ from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
 from vssm_gym.agents.shared.strategy import Choice, ExplorationStrategy, Situation, around
+from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
@@ -39,11 +41,12 @@ class ExplorationConfig:
     replan_steps: int = 5
     known_share: float = 0.8  # fraction of a target's frontier cells that are known, from which on it is obsolete
     max_failures: int = 25  # steps in a row without a path or a step to take, after which the robot is boxed in
-    max_lost: int = 64  # steps in a row without an accepted image: two full turns
     arrival: float = 0.1  # distance at which a goal is reached: the execution error of a step is as large
     aligned: float = 0.12  # rad, at which a heading is reached: the same for a turn
     retreat_steps: int = 8  # steps beyond ``replan_steps`` that a retreat may take, half a turn included
     following: FollowingConfig = field(default_factory=FollowingConfig)
+    # An explorer that drives where it has seen nothing yet cannot do without its pose: it never coasts.
+    lost: LostConfig = field(default_factory=lambda: LostConfig(coast=0))
 
 
 class Explorer:
@@ -85,7 +88,7 @@ class Explorer:
         self._sent: np.ndarray | None = None  # the last command; the first observation is in the map already
         self._path: PlannedPath | None = None  # to the choice's goal; None at it
         self._arrived, self._failed = True, ""
-        self._age = self._failures = self._lost = 0
+        self._age = self._failures = 0
         self._blocked_steps = BlockedSteps(self._config.following)
         self._dismissed: list[np.ndarray] = []
 
@@ -96,8 +99,8 @@ class Explorer:
             self._own.take(self._sent, observation)
         estimate = self._own.estimate
         mapped = time.perf_counter()
-        self._lost = self._lost + 1 if not estimate.status.accepted else 0
-        if self._lost:
+        gives_up = self._config.lost.conduct(estimate.lost, estimate.status) is Conduct.GIVE_UP
+        if estimate.lost:
             command, activity, stop = self._search(estimate)
             planned = mapped
         else:
@@ -109,14 +112,18 @@ class Explorer:
         latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
         action = np.array([*command, float(stop)], np.float32)
         path = None if self._path is None else self._path.path
-        return Decision(action, estimate.planar.copy(), activity, latency, path)
+        return Decision(action, estimate.planar.copy(), activity, latency, path, gives_up)
 
     def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
-        """Turn in place where the last image was not accepted; return command, activity, and True to stop."""
+        """Look for an image that fits; return command, activity, and True to stop."""
         self._choice = self._path = None
-        if self._lost > self._config.max_lost:
-            return np.array(STOP_COMMAND), f"lost: {estimate.status}, after two full turns", True
-        return np.array([self._context.limits[0], 0.0, 0.0]), estimate.status.message, False
+        conduct = self._config.lost.conduct(estimate.lost, estimate.status)
+        if conduct is Conduct.GIVE_UP:
+            return np.array(STOP_COMMAND), f"{gave_up(estimate.lost)}; localization: {estimate.status}", True
+        if conduct is Conduct.WAIT:
+            return np.array(STOP_COMMAND), f"waiting: lost; localization: {estimate.status}", False
+        command = np.array([self._context.limits[0], 0.0, 0.0])
+        return command, f"looking around: lost; localization: {estimate.status}", False
 
     def _plan(self, estimate: Localization) -> str | None:
         """Keep the choice or choose again; return the reason where nothing is left to do."""

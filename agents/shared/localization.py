@@ -2,7 +2,7 @@
 
 The pose is the true one (oracles only), or the belief of any filter over the pose: integrated commands, alignment to
 the learned map, alignment to the previous camera image (the tracker of TNP-SM and the baselines that it is compared
-with).
+with). What a filter estimates is judged by :mod:`vssm_gym.agents.shared.trust`.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.agents.shared.trust import Judged, JudgedFilter
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.filter import KNOWN_START_STD, Rig
@@ -30,12 +31,14 @@ class Localization:
     Attributes:
         planar: ``(3,)`` mean x, y (m), heading (rad), float64, map frame.
         std: ``(3,)`` standard deviations of x, y (m) and heading (rad).
-        status: of the filter's last step.
+        status: of the filter's last step, as judged.
+        lost: steps in a row without an estimate that may be believed; 0 where this one may.
     """
 
     planar: np.ndarray
     std: np.ndarray
     status: Status
+    lost: int = 0
 
 
 class Localizer(Protocol):
@@ -90,11 +93,16 @@ class FilteredPose:
         image = self._image(observation)
         begin = lambda: self._filter.init(prior, image, jax.random.key(0))
         self._filter.step(begin(), jnp.zeros(len(context.limits)), image, self._dt)
-        self._state = begin()
+        self._state, self._judged = begin(), None
+        if not self._entry.blind:
+            chained = not (self._entry.needs_map or self._entry.maps)
+            self._judged = JudgedFilter(self._filter, self._state, self._dt, observation, chained)
         return localization(start, Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """Run one step of the filter."""
+        """Run one step of the filter, and judge it; without images there is nothing to judge."""
+        if self._judged is not None:
+            return localized(self._judged.step(command, observation))
         control = jnp.asarray(command, jnp.float32)
         self._state, info = self._filter.step(self._state, control, self._image(observation), self._dt)
         return localization(info.belief, info.status)
@@ -109,10 +117,15 @@ def rig_of(context: AgentContext) -> Rig:
     return Rig.of(Camera.from_matrix(context.K, *context.camera), context.T_body_cam)
 
 
-def localization(belief: GaussianBelief, status: Status) -> Localization:
+def localization(belief: GaussianBelief, status: Status, lost: int = 0) -> Localization:
     """Return a planar belief as agents use it."""
     mean, covariance = jax.device_get(_in_world(belief))
-    return Localization(mean.astype(np.float64), np.sqrt(np.diag(covariance.astype(np.float64))), status)
+    return Localization(mean.astype(np.float64), np.sqrt(np.diag(covariance.astype(np.float64))), status, lost)
+
+
+def localized(judged: Judged) -> Localization:
+    """Return a judged estimate as agents use it."""
+    return localization(judged.belief, judged.status, judged.lost)
 
 
 _in_world = jax.jit(lambda belief: (belief.mean, world_covariance(belief)))

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
-from vssm_gym.agents.shared.localization import Localization, TruePose, localization, rig_of
+from vssm_gym.agents.shared.localization import Localization, TruePose, localization, localized, rig_of
+from vssm_gym.agents.shared.trust import JudgedFilter
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.inference.filter import KNOWN_START_STD
@@ -23,7 +24,7 @@ from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
-from vssm_gym.model.transition import GaussianBelief, planar_belief
+from vssm_gym.model.transition import planar_belief
 
 
 class Mapper(Protocol):
@@ -71,7 +72,8 @@ class MapAtObservedPose:
 class MapAndPose:
     """``q(M, z_t | x_<=t, u_<t)`` by PRISM with the robot's transition; only the start pose is known.
 
-    An image that is not accepted does not enter the map; the status reports this until one is accepted again.
+    An image that is not accepted does not enter the map; the status reports this until one is accepted again. Estimates
+    are judged by :mod:`vssm_gym.agents.shared.trust`.
     """
 
     def reset(self, prior: VoxelMap, context: AgentContext, observation: Observation) -> Localization:
@@ -82,24 +84,19 @@ class MapAndPose:
         rig = rig_of(context)
         image = RGBD.from_camera(observation["rgb"], observation["depth"])
         start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), KNOWN_START_STD**2 * jnp.eye(3))
-        self._filter, self._dt = FILTERS["prism"].make(rig, context.transition), context.dt
-        self._state = self._filter.init(Posterior(start, prior), image, jax.random.key(0))
+        prism = FILTERS["prism"].make(rig, context.transition)
+        state = prism.init(Posterior(start, prior), image, jax.random.key(0))
         # An image without depth fits nothing, so the map stays as it is.
         dark = RGBD.from_camera(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))
-        lost = replace(self._state, lost=True)
-        self._filter.step(lost, jnp.zeros(len(context.limits)), dark, self._dt)
+        prism.step(replace(state, lost=True), jnp.zeros(len(context.limits)), dark, context.dt)
+        self._judged = JudgedFilter(prism, state, context.dt, observation)
         return localization(start, Status.OK)
 
     @property
     def map(self) -> VoxelMap:
         """Return ``q_t(M)``."""
-        return self._state.map
+        return self._judged.state.map
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
-        """Run one step of the filter; the pose is relative to the map, whose own frame may have drifted."""
-        image = RGBD.from_camera(observation["rgb"], observation["depth"])
-        control = jnp.asarray(command, jnp.float32)
-        self._state, info = self._filter.step(self._state, control, image, self._dt)
-        belief = self._filter.posterior(self._state).belief
-        assert isinstance(belief, GaussianBelief)
-        return localization(belief, info.status)
+        """Run one step of the filter, and judge it; the pose is relative to the map, whose frame may have drifted."""
+        return localized(self._judged.step(command, observation))

@@ -3,7 +3,8 @@
 The planning agents share this navigator and differ only in their localizer, as published (TNP-SM). The planner is any
 of :mod:`vssm_gym.planning.planners`, A* by default. The map is static: its clearance is computed once per map, and the
 planner runs once per goal. After that each step shortens what is left of the plan from the newest estimate, and the
-planner runs again only where that fails.
+planner runs again only where that fails. A robot whose estimate is not believed never arrives: it drives on by its
+commands for a while, then looks around, and in the end gives up (:class:`~vssm_gym.agents.shared.trust.LostConfig`).
 """
 
 import math
@@ -15,6 +16,7 @@ import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
 from vssm_gym.agents.shared.localization import Localization, Localizer
+from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -47,6 +49,7 @@ class NavigationConfig:
     stuck_share: float = 0.35  # fraction of it that the estimate must have moved; less means that the robot is stuck
     obstacle_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
     max_failures: int = 12  # steps without any plan after which the robot stops with a reason
+    lost: LostConfig = field(default_factory=LostConfig)  # what to do without an estimate that may be believed
 
 
 @dataclass
@@ -109,7 +112,8 @@ class Navigator:
         latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
         action = np.array([*command, float(stop)], np.float32)
         status = f"{activity}; localization: {estimate.status}"
-        return Decision(action, estimate.planar.copy(), status, latency, self._task.path)
+        gives_up = activity.startswith("gave up")
+        return Decision(action, estimate.planar.copy(), status, latency, self._task.path, gives_up)
 
     def _begin(self, goal: np.ndarray) -> None:
         """Begin a task, with no plan and without the obstacles that were assumed before."""
@@ -122,18 +126,27 @@ class Navigator:
         if stuck:
             self._assume_obstacle(estimate)
         distance = math.hypot(*(estimate.planar[:2] - task.goal))
-        if distance <= self._stop_radius(estimate):
-            return "arrived", True, still
+        near = distance <= self._stop_radius(estimate)
+        turn, lost = np.array([self._context.limits[0], 0.0, 0.0]), "looking around: lost"
+        match self._config.lost.conduct(estimate.lost, estimate.status):
+            case Conduct.GIVE_UP:
+                return gave_up(estimate.lost), True, still
+            case Conduct.WAIT:
+                return "waiting: lost", False, still
+            case Conduct.SEARCH:
+                return lost, False, turn
+        if near:
+            return (lost, False, turn) if estimate.lost else ("arrived", True, still)
         failure = self._follow(estimate)
         if distance <= task.rim + self._config.landing and task.path is not None:
-            return "arrived as near as a path leads", True, still
+            return (lost, False, turn) if estimate.lost else ("arrived as near as a path leads", True, still)
         if failure is None:
             return ("stuck: leaving" if stuck else "driving"), False, None
         task.failures += 1
         if task.failures > self._config.max_failures:
             return f"gave up: {failure.status.message}", True, still
         # Standing still changes nothing: turning may correct the estimate from which no path starts.
-        return f"looking around: {failure.status.message}", False, np.array([self._context.limits[0], 0.0, 0.0])
+        return f"looking around: {failure.status.message}", False, turn
 
     def _stop_radius(self, estimate: Localization) -> float:
         """Return the distance to the goal (m) at which a stop is safe for the uncertainty of the estimate."""

@@ -68,7 +68,7 @@ class OwnMap:
     def take(self, command: np.ndarray, observation: Observation) -> None:
         """Update the map with what was seen after ``command`` ``(turn, o, s)``; ``estimate`` is the new pose."""
         self.estimate = self._mapper.update(command, observation)
-        if self.estimate.status.accepted:
+        if not self.estimate.lost:
             self._mark(observation)
 
     def _mark(self, observation: Observation) -> None:

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 STUCK_STEPS = 15  # the last steps that are examined
 STUCK_CONTACTS = 0.5  # proportion of them in collision
+GAVE_UP_LOST = "gave up: lost"  # how the status of an agent begins that ended its task without an estimate
 CONTACT_MEMORY = 10  # steps before the track was lost in which a contact may explain it
 
 
@@ -23,6 +24,7 @@ def failure_reason(
     """Return the first of these reasons that holds for a failed episode; failures are counted by the kind.
 
     - ``lost track``: at the end the estimate is more than a body length from the truth;
+    - ``lost``: the agent gave up because it did not believe its estimate, though it was good;
     - ``planner``: the agent gave up, or was still looking around, because its planner found no path or not in time;
     - ``collision``: stuck, within one body length and mostly in contact over the last steps;
     - ``stopped outside``: the agent stopped, knowing where it was, and the goal was not there;
@@ -40,6 +42,8 @@ def failure_reason(
     if lost := lost_track(statuses, positions, estimates, contacts, body_length):
         return lost
     last = statuses[-1]
+    if last.startswith(GAVE_UP_LOST):
+        return f"lost: {last}"
     if last.startswith(("gave up", "looking around")):
         return f"planner: {last}"
     away = float(np.linalg.norm(positions[-1] - goal))

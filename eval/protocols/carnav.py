@@ -14,7 +14,7 @@ from vssm_gym.envs.tasks import car_sets
 from vssm_gym.envs.tasks.car import CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
-from vssm_gym.eval.metrics.failure import failure_reason
+from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols.agent_context import context_of
 from vssm_gym.eval.protocols.episode import estimates_of, latency_of, thinned, trace_of
@@ -117,7 +117,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         contacts=contact,
         body_length=context.body_length,
     )
-    if decisions[-1].gives_up:
+    if decisions[-1].gives_up and not decisions[-1].status.startswith(GAVE_UP_LOST):
         failure = f"planner: {decisions[-1].status}"
     return {
         **metrics,

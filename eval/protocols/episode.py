@@ -99,7 +99,7 @@ def run_episode(
 
     path, goal, contact = np.array(positions), np.array(task.goal), np.array(contacts)
     estimates = estimates_of(decisions, stopped)
-    success = bool(info.get("success", False))
+    success = bool(info.get("success", False)) and not decisions[-1].gives_up  # to give up is no claim to have arrived
     metrics = episode_metrics(
         success=success,
         geodesic=task.geodesic,

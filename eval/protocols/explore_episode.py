@@ -16,7 +16,7 @@ from vssm_gym.agents.base import Agent, Decision
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, Recorder
-from vssm_gym.eval.metrics.failure import lost_track, stuck_at
+from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, lost_track, stuck_at
 from vssm_gym.eval.metrics.navigation import location_errors, path_length
 from vssm_gym.eval.metrics.surfaces import Surface, completeness, mesh_quality, observable_surface
 from vssm_gym.eval.protocols.agent_context import context_in
@@ -134,7 +134,9 @@ def _failure(
     if lost := lost_track(statuses, path, estimates, contacts, body_length):
         return f"{lost}, {reached}"
     kind, _, detail = statuses[-1].partition(": ")
-    if stopped and kind in ("lost", "boxed in"):
+    if stopped and statuses[-1].startswith(GAVE_UP_LOST):
+        return f"lost: {statuses[-1]}, {reached}"
+    if stopped and kind == "boxed in":
         return f"{kind}: {detail}, {reached}"
     if stopped:
         return f"stopped early: {reached}, {statuses[-1]}"

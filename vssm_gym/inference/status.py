@@ -4,12 +4,18 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """Enumerate the outcomes of a step; reports print :attr:`message`."""
+    """Enumerate the outcomes of a step; reports print :attr:`message`.
+
+    Filters report the first four; the others are what agents conclude from several steps.
+    """
 
     OK = 0
     RECOVERED = 1
     LOST = 2
     NO_READING = 3
+    REPEATED = 4
+    FROZEN = 5
+    UNCONFIRMED = 6
 
     @property
     def message(self) -> str:
@@ -18,7 +24,7 @@ class Status(IntEnum):
 
     @property
     def accepted(self) -> bool:
-        """Return True if the image was accepted, so that the belief includes it."""
+        """Return True if the image was accepted, so that the belief includes it and may be used."""
         return self in (Status.OK, Status.RECOVERED)
 
     def __str__(self) -> str:
@@ -30,4 +36,7 @@ _MESSAGES = {
     Status.RECOVERED: "relocalised: the image fits the map at a pose other than the expected one",
     Status.LOST: "lost track: the image does not fit the reference view",
     Status.NO_READING: "no depth: too few pixels have a depth reading to align the image",
+    Status.REPEATED: "repeated image: the camera is frozen, or an obstacle holds the robot",
+    Status.FROZEN: "frozen images: they repeat although the robot was commanded to turn",
+    Status.UNCONFIRMED: "not confirmed: the image fits, but too few have since the robot was lost",
 }

@@ -192,7 +192,8 @@ class FrameTracker:
             _track_from_frame(state.past, self.transition, control, h, image, self.rig, state.key, self.config),
         )
         accepted = bool(tracked.accepted)
-        status = Status.OK if accepted else Status.LOST if readable(image, self.config) else Status.NO_READING
+        both = readable(image, self.config) and bool(jnp.any(image.hit)) and bool(jnp.any(state.past.image.hit))
+        status = Status.OK if accepted else Status.LOST if both else Status.NO_READING
         belief = carried if accepted else _predicted(self.transition, state.past.belief, control, h)
         T_world_cam = tracked.T_world_cam if accepted else camera_pose(belief, self.rig)
         past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)

@@ -1,0 +1,166 @@
+"""Judge whether a pose estimate may be believed, and rule what a robot without one does.
+
+Every agent that estimates its pose reads the same judgement (:class:`JudgedFilter`) and follows the same rule
+(:class:`LostConfig`). The judgement uses what the robot has: its images, its commands, and what its filter reports.
+
+    score >= min_score,   photometric <= clip(max_unexplained contrast / sigma, 1, max_photometric)
+
+holds for an image that fits: its geometry does, and the mean photometric residual, in standard deviations ``sigma`` of
+the alignment, leaves little of the image's own contrast unexplained. At a wrong place, where geometry may fit by
+chance, colours do not.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.agents.shared.frozen_images import FrozenConfig, FrozenImages, Liveness
+from vssm_gym.inference.alignment.residuals import AlignConfig, AlignInfo, score
+from vssm_gym.inference.filter import Filter, FilterInfo
+from vssm_gym.inference.status import Status
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.transition import GaussianBelief
+
+Observation = Mapping[str, np.ndarray]
+
+
+class Conduct(Enum):
+    """Enumerate what a robot does with its pose estimate."""
+
+    FOLLOW = "follow"  # it is believed
+    COAST = "coast"  # drive on by the commands alone
+    SEARCH = "search"  # turn in place, until an image fits
+    WAIT = "wait"  # stand, because every motion adds an error that no image corrects
+    GIVE_UP = "give up"
+
+
+@dataclass(frozen=True)
+class LostConfig:
+    """Configure the rule for a robot whose estimate is not believed; in steps in a row."""
+
+    coast: int = 10  # driven on by the commands alone
+    give_up: int = 64  # two full turns of the holonomic robot
+
+    def conduct(self, lost: int, status: Status) -> Conduct:
+        """Return what to do after ``lost`` steps in a row without a believed estimate, the last with this status."""
+        if lost > self.give_up:
+            return Conduct.GIVE_UP
+        if status is Status.FROZEN:
+            return Conduct.WAIT
+        if lost > self.coast or status is Status.REPEATED:  # a turn shows whether the camera is frozen
+            return Conduct.SEARCH
+        return Conduct.COAST if lost else Conduct.FOLLOW
+
+
+def gave_up(lost: int) -> str:
+    """Return the activity of an agent that ends its task because it was lost for so many steps."""
+    return f"gave up: lost for {lost} steps"
+
+
+@dataclass(frozen=True)
+class TrustConfig:
+    """Configure which estimates are believed."""
+
+    frozen: FrozenConfig = field(default_factory=FrozenConfig)
+    min_reading: float = 0.05  # share of the pixels with depth: fewer fit anywhere
+    min_score: float = 0.65  # of the alignment: 0.68 and more at the right place
+    max_unexplained: float = 0.7  # of the contrast: 0.1 to 0.7 at the right place, 0.8 to 2 at most wrong ones
+    max_photometric: float = 4.0
+    confirm: int = 3  # images in a row that fit, after which a robot that was lost believes its estimate again
+
+
+TRUST = TrustConfig()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Hold an estimate and its judgement.
+
+    Attributes:
+        belief: over the planar pose, in the map's frame.
+        status: of the last step.
+        lost: steps in a row without an estimate that may be believed; 0 where it may.
+    """
+
+    belief: GaussianBelief
+    status: Status
+    lost: int
+
+
+class JudgedFilter:
+    """Run a filter on a robot's images, and judge each of its estimates.
+
+    While images are frozen the filter gets none, and its belief follows the commands. A filter that compares an image
+    with the one before cannot tell where the robot is once two of them do not fit: it is never believed again.
+
+    Args:
+        filter: of the pose; its controls are the robot's commands.
+        state: of the filter after the first image.
+        dt: length of a step, s.
+        observation: with the first image.
+        chained: True for a filter that compares images with each other alone.
+        config: which estimates are believed.
+    """
+
+    def __init__(
+        self,
+        filter: Filter,
+        state: Any,
+        dt: float,
+        observation: Observation,
+        chained: bool = False,
+        config: TrustConfig = TRUST,
+    ) -> None:
+        self._filter, self._dt, self._config, self._chained = filter, dt, config, chained
+        self.state = state
+        self._images = FrozenImages(filter.transition, dt, config.frozen)
+        self._images.reset(observation)
+        self._dark = RGBD.from_camera(*(np.zeros_like(observation[name]) for name in ("rgb", "depth")))
+        self._denied: list[np.ndarray] = []  # commands since the image last changed: it shows no motion
+        self._lost = self._fits = 0
+        self._broken = False  # the chain of images
+
+    def step(self, command: np.ndarray, observation: Observation) -> Judged:
+        """Return the estimate after ``command``, which ``observation`` followed."""
+        liveness = self._images.update(command, observation)
+        self._denied = [*self._denied, command] if self._images.repeats else []
+        if liveness is Liveness.LIVE:
+            info = self._advance(command, RGBD.from_camera(observation["rgb"], observation["depth"]))
+            status = self._status(info, observation)
+        else:
+            status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
+        if liveness is Liveness.FROZEN:
+            for denied in self._denied:
+                self._advance(denied, self._dark)
+            self._denied = []
+        self._fits = self._fits + 1 if status.accepted else 0
+        confirmed = self._lost == 0 or self._fits >= self._config.confirm
+        believed = status.accepted and confirmed and not self._broken
+        self._lost = 0 if believed else self._lost + 1
+        belief = self._filter.posterior(self.state).belief
+        assert isinstance(belief, GaussianBelief)
+        return Judged(belief, Status.UNCONFIRMED if status.accepted and not believed else status, self._lost)
+
+    def _advance(self, command: np.ndarray, image: RGBD) -> FilterInfo:
+        self.state, info = self._filter.step(self.state, jnp.asarray(command, jnp.float32), image, self._dt)
+        return info
+
+    def _status(self, info: FilterInfo, observation: Observation) -> Status:
+        """Judge an image that is not frozen, and its alignment."""
+        if float(np.mean(observation["depth"] > 0.0)) < self._config.min_reading:
+            return Status.NO_READING
+        self._broken |= self._chained and info.status is Status.LOST
+        if info.status.accepted and info.fit_quality is not None and not self._fits_well(info.fit_quality, observation):
+            return Status.LOST
+        return info.status
+
+    def _fits_well(self, quality: AlignInfo, observation: Observation) -> bool:
+        """Return True where geometry fits, and little of the image's contrast is left unexplained."""
+        grey = np.asarray(observation["rgb"], np.float32).mean(axis=-1) / 255.0
+        contrast = float(np.abs(grey - grey.mean()).mean()) / AlignConfig.rgb_sigma
+        limit = np.clip(self._config.max_unexplained * contrast, 1.0, self._config.max_photometric)
+        return float(score(quality)) >= self._config.min_score and float(quality.photometric) <= limit

@@ -1,0 +1,128 @@
+"""Test which estimates are believed, with a filter that does as the test says, and the rule for a robot without one."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vssm_gym.agents.shared.trust import Conduct, JudgedFilter, LostConfig, TrustConfig, gave_up
+from vssm_gym.inference.alignment.residuals import AlignInfo
+from vssm_gym.inference.filter import FilterInfo
+from vssm_gym.inference.status import Status
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
+
+OK, LOST, NO_READING, REPEATED, FROZEN, UNCONFIRMED = (
+    Status.OK,
+    Status.LOST,
+    Status.NO_READING,
+    Status.REPEATED,
+    Status.FROZEN,
+    Status.UNCONFIRMED,
+)
+DRIVE, TURN, STAND = np.array([0.0, 0.0, 0.16]), np.array([0.2, 0.0, 0.0]), np.zeros(3)
+CONFIRM = TrustConfig().confirm
+
+
+class Scripted:
+    """Report the statuses of a list, and keep the commands; a dark image moves the belief by the command alone."""
+
+    transition = Planar(MotionNoise(0.05, 0.02))
+
+    def __init__(self, *statuses: Status, photometric: float = 0.5, inlier_share: float = 0.9) -> None:
+        self.statuses, self.photometric, self.inlier_share = list(statuses), photometric, inlier_share
+        self.steps: list[tuple[tuple[float, ...], bool]] = []  # command, and whether there was an image
+
+    def init(self, prior, image, key):
+        return np.zeros(3)
+
+    def step(self, state, control, image, dt, clock=None):
+        seen = bool(np.any(np.asarray(image.depth) > 0.0))
+        self.steps.append((tuple(np.asarray(control, np.float64).round(3).tolist()), seen))
+        status = LOST if not seen or not self.statuses else self.statuses.pop(0)
+        moved = state if seen else np.asarray(self.transition.mean(jnp.asarray(state), control, dt))
+        share, photometric = jnp.float32(self.inlier_share), jnp.float32(self.photometric)
+        quality = AlignInfo(share, jnp.ones(()), photometric, jnp.eye(3), jnp.zeros((), int))
+        return moved, FilterInfo(status, self.belief(moved), quality)
+
+    def posterior(self, state):
+        return Posterior(self.belief(state), None)
+
+    def belief(self, state):
+        return planar_belief(jnp.asarray(state, jnp.float32), 1e-4 * jnp.eye(3))
+
+
+def image(seed: int, depth: float = 1.0) -> dict[str, np.ndarray]:
+    """Return an image of grey noise in front of a wall."""
+    rng = np.random.default_rng(seed)
+    return {"rgb": rng.integers(0, 256, (12, 16, 3), np.uint8), "depth": np.full((12, 16), depth, np.float32)}
+
+
+def judged(filter: Scripted, chained: bool = False) -> JudgedFilter:
+    return JudgedFilter(filter, filter.init(None, None, None), 0.2, image(0), chained)
+
+
+def test_a_lost_robot_believes_again_after_several_images_that_fit():
+    """One that fits by chance in between starts the count anew; the steps in a row are counted."""
+    track = judged(Scripted(OK, LOST, OK, LOST, *[OK] * (CONFIRM + 1)))
+    outcomes = [track.step(DRIVE, image(k)) for k in range(1, CONFIRM + 6)]
+    assert [one.status for one in outcomes] == [OK, LOST, UNCONFIRMED, LOST, *[UNCONFIRMED] * (CONFIRM - 1), OK, OK]
+    assert [one.lost for one in outcomes] == [0, *range(1, CONFIRM + 3), 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("photometric", "inlier_share", "status"), [(0.5, 0.9, OK), (1.5, 0.7, OK), (3.9, 0.9, LOST), (0.5, 0.6, LOST)]
+)
+def test_an_image_that_the_map_does_not_explain_does_not_fit(photometric, inlier_share, status):
+    """Noise has a contrast of 3.3 standard deviations of the alignment, of which 70 % may stay unexplained."""
+    filter = Scripted(OK, photometric=photometric, inlier_share=inlier_share)
+    assert judged(filter).step(DRIVE, image(1)).status is status
+
+
+def test_a_chain_of_images_that_broke_is_not_believed_again():
+    track = judged(Scripted(LOST, *[OK] * 9), chained=True)
+    assert [track.step(DRIVE, image(k)).lost for k in range(1, 9)] == list(range(1, 9))
+
+
+def test_a_dark_image_is_no_reading():
+    assert judged(Scripted(OK)).step(DRIVE, image(1, depth=0.0)).status is NO_READING
+
+
+def test_frozen_images_are_replaced_by_the_commands_that_they_deny():
+    """Once a turn has shown that the camera is frozen, the belief is where all commands since then have led."""
+    filter = Scripted(*[OK] * 9)
+    track = judged(filter)
+    commands = [DRIVE, DRIVE, DRIVE, DRIVE, TURN, STAND]
+    outcomes = [track.step(command, image(0)) for command in commands]
+    assert [one.status for one in outcomes] == [OK, OK, OK, REPEATED, FROZEN, FROZEN]
+    assert [seen for _, seen in filter.steps] == [True] * 3 + [False] * 6
+    assert [command for command, seen in filter.steps if not seen] == [tuple(c.tolist()) for c in commands]
+    np.testing.assert_allclose(outcomes[-1].belief.mean, [0.64, 0.0, 0.2], atol=1e-5)
+    assert outcomes[-1].lost == 3
+    assert track.step(STAND, image(1)).status is UNCONFIRMED
+    assert filter.steps[-1] == ((0.0, 0.0, 0.0), True)
+
+
+def test_a_robot_that_was_held_was_where_its_images_said():
+    """It turns, the image changes: the commands that moved nothing are not made up for."""
+    filter = Scripted(*[OK] * 9)
+    track = judged(filter)
+    outcomes = [track.step(DRIVE, image(0)) for _ in range(6)]
+    assert [one.status for one in outcomes] == [OK, OK, OK, REPEATED, REPEATED, REPEATED]
+    after = [track.step(TURN, image(k)) for k in range(1, CONFIRM + 1)]
+    assert after[-1].status is OK
+    np.testing.assert_allclose(after[-1].belief.mean, np.zeros(3))
+    assert all(seen for _, seen in filter.steps)
+
+
+def test_the_rule_of_a_lost_robot():
+    rule = LostConfig(coast=2, give_up=5)
+    assert [rule.conduct(lost, LOST) for lost in range(7)] == [
+        Conduct.FOLLOW,
+        *[Conduct.COAST] * 2,
+        *[Conduct.SEARCH] * 3,
+        Conduct.GIVE_UP,
+    ]
+    assert rule.conduct(1, REPEATED) is Conduct.SEARCH  # a turn tells a frozen camera from a robot that is held
+    assert rule.conduct(1, FROZEN) is Conduct.WAIT
+    assert rule.conduct(6, FROZEN) is Conduct.GIVE_UP
+    assert gave_up(6).startswith("gave up: lost")
