@@ -31,7 +31,7 @@ def law(poses: np.ndarray, controls: np.ndarray, seconds: np.ndarray | float) ->
     with jax.enable_x64(True):
         bicycle = Bicycle(wheelbase=CAR.wheelbase)
         arguments = np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (poses, np.zeros(poses.shape))))
-        mean = lambda z, u, dt: bicycle.mean(z, u, dt)
+        mean = jax.jit(lambda z, u, dt: bicycle.mean(z, u, dt))
         return np.asarray(mean(jnp.asarray(arguments[0]), jnp.asarray(controls), jnp.asarray(seconds)), np.float64)
 
 

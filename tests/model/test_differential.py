@@ -147,14 +147,15 @@ def test_samples_follow_the_density(command: tuple[float, float]) -> None:
     drive = DifferentialDrive(DifferentialNoise(0.05, 0.001), ROBOT.track)
     states, u = jnp.tile(jnp.asarray(START, jnp.float32), (20_000, 1)), jnp.asarray(command, jnp.float32)
     controls = jnp.tile(u, (20_000, 1))
-    samples = drive.sample(jax.random.PRNGKey(0), states, controls, ROBOT.dt)
-    log_p = np.asarray(drive.log_prob(samples, states, controls, ROBOT.dt), float)
-    Q = np.asarray(drive.noise_covariance(states[0], u, ROBOT.dt), float)
+    log_prob = jax.jit(lambda after, before, u: drive.log_prob(after, before, u, ROBOT.dt))
+    samples = jax.jit(lambda before, u: drive.sample(jax.random.PRNGKey(0), before, u, ROBOT.dt))(states, controls)
+    log_p = np.asarray(log_prob(samples, states, controls), float)
+    Q = np.asarray(jax.jit(lambda before, u: drive.noise_covariance(before, u, ROBOT.dt))(states[0], u), float)
     entropy = 0.5 * np.log(np.linalg.det(2.0 * np.pi * np.e * Q))
     assert log_p.mean() == pytest.approx(-entropy, abs=0.05)
     assert log_p.std() == pytest.approx(math.sqrt(1.5), rel=0.05)  # of half a chi-square of three degrees
     mean = drive.mean(states[0], u, ROBOT.dt)
-    assert drive.log_prob(mean, states[0], u, ROBOT.dt) >= log_p.max() - 1e-3
+    assert log_prob(mean, states[0], u) >= log_p.max() - 1e-3
 
 
 @pytest.mark.parametrize("control", [(0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (-0.1, 0.12)])
@@ -163,12 +164,13 @@ def test_the_transition_is_smooth_at_rest_too(control: tuple[float, float]) -> N
     with jax.enable_x64(True):
         drive, u = DifferentialDrive(DifferentialNoise(0.05, 0.001), ROBOT.track), jnp.array(control)
         state = jnp.asarray(START)
-        J = np.asarray(jax.jacfwd(drive.mean, argnums=1)(state, u, ROBOT.dt))
+        mean = jax.jit(lambda u: drive.mean(state, u, ROBOT.dt))
+        J = np.asarray(jax.jit(jax.jacfwd(mean))(u))
         h = 1e-6
-        pairs = [(drive.mean(state, u + d, 0.2), drive.mean(state, u - d, 0.2)) for d in h * np.eye(2)]
+        pairs = [(mean(u + d), mean(u - d)) for d in h * np.eye(2)]
         numeric = np.stack([(np.asarray(up) - np.asarray(down)) / (2.0 * h) for up, down in pairs], axis=1)
         np.testing.assert_allclose(J, numeric, atol=1e-7)
-        gradient = jax.grad(lambda u: drive.log_prob(drive.mean(state, u, 0.2), state, u, 0.2))(u)
+        gradient = jax.jit(jax.grad(lambda u: drive.log_prob(mean(u), state, u, ROBOT.dt)))(u)
         assert np.isfinite(np.asarray(gradient)).all()
 
 
