@@ -5,10 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from tests.helpers.box_rooms import two_rooms
 from tests.helpers.imagined_room import room, task
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.envs.pointnav import POINTNAV_REWARD
+from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.envs.tasks.navigation import load
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.training.evaluation import METRICS, evaluate_policy, files_of
@@ -44,12 +46,13 @@ def test_an_imagined_failure_by_hand(tmp_path, ahead):
 
 @pytest.mark.slow
 def test_the_gap_is_imagined_minus_simulated(tmp_path):
-    """The sweep in ``oak`` gives rows; means and gap are those of the rows, task by task."""
-    file, out = tmp_path / "straight.npz", tmp_path / "out"
+    """The sweep in two rooms gives rows; means and gap are those of the rows, task by task."""
+    file, out, scene = tmp_path / "straight.npz", tmp_path / "out", str(tmp_path / "rooms.json")
     policy_file.save(file, straight())
-    found = evaluate_policy(file, out, scene="oak", tasks=4)
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    found = evaluate_policy(file, out, scene=scene, tasks=4)
     real = [{**row, "return": real_return(row)} for row in read_rows(out / "episodes.jsonl")]
-    tasks, map_file = files_of(out, "oak")
+    tasks, map_file = files_of(out, scene)
     imagined = imagine(straight(), map_file, load(tasks).tasks[:4], "low", 0)
     stored = json.loads((out / "evaluation.json").read_text())
     assert found.imagined is not None and found.gap is not None and found.notice == ""
