@@ -30,6 +30,7 @@ from hypothesis import HealthCheck, Phase, settings
 from jaxtyping import install_import_hook
 
 FORGET_ABOVE = 4e9  # bytes of a test process
+QUICK_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 
 # Annotated shapes and dtypes of these modules are checked at every call. Simulation and planning are left
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
@@ -51,6 +52,20 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("vssm_gym")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let XLA compile quickly rather than well, except under ``-m slow``.
+
+    Without a cache most of the time of the fast tests is the compiler's. With these settings it takes a quarter of that
+    (a renderer: 1.8 s instead of 7.3 s) for code half as fast. The slow tests compile as users do. XLA reads the
+    environment when it compiles for the first time; processes that tests start inherit it.
+    """
+    if config.option.markexpr != "slow":
+        if QUICK_EMITTERS not in os.environ.get("XLA_FLAGS", ""):
+            os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK_EMITTERS}".strip()
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+        jax.config.update("jax_disable_most_optimizations", True)
 
 
 @pytest.fixture(scope="session")
