@@ -15,7 +15,7 @@ RECORDINGS ?=
 CANDIDATES := python3.11 python3.12 python3.13 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow additions faults lint format install clean
+.PHONY: help demo test test-slow additions faults chaos lint format install clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
@@ -23,6 +23,7 @@ help:
 	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims"
 	@echo "make additions  take out a sensor, a metric, a planner, a robot in turn: the rest must pass"
 	@echo "make faults     faulty images for SLAM; RECORDINGS=DIR adds TUM folders to the simulated walks"
+	@echo "make chaos      kill commands at random moments, fill their disks, start them twice (about half an hour)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
 	@echo "make clean      remove .venv, caches and build products"
@@ -49,7 +50,7 @@ $(STAMP): constraints.txt pyproject.toml
 	@touch $@
 
 demo: $(STAMP)
-	$(BIN)/vssm-gym demo --out $(OUT)
+	$(BIN)/vssm-gym demo --out $(OUT) --resume
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile  # a file's fixtures and compilations: once
@@ -62,6 +63,9 @@ additions: $(STAMP)
 
 faults: $(STAMP)
 	$(BIN)/vssm-gym faults slam $(RECORDINGS)
+
+chaos: $(STAMP)
+	$(BIN)/python -m tests.chaos
 
 lint: $(STAMP)
 	$(BIN)/ruff check

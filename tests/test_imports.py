@@ -72,7 +72,11 @@ FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout
 # Inside a layer: a row imports from the rows before it, never from its own row or a later one. What is not listed
 # belongs to "", the files at the folder's top.
 FOLDERS = {
-    "files": [["atomic", "bounded"], ["json_file", "numbers"], ["npz_file", "yaml_file", "output_folders"]],
+    "files": [
+        ["atomic", "bounded"],
+        ["json_file", "line_file", "numbers"],
+        ["npz_file", "yaml_file", "output_folders"],
+    ],
     "inference": [["alignment", "mapping", "linear_gaussian", "status"], ["filter"], ["tracking"], ["prism"], [""]],
     "planning": [
         ["clearance", "result"],

@@ -1,4 +1,4 @@
-"""Define one error type for invalid user input, which names the source, the field and the expected value."""
+"""Define the two errors that the command line prints as one line: invalid input, and output that cannot be written."""
 
 import re
 
@@ -20,6 +20,21 @@ class InputError(ValueError):
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
         """Pickle by the three arguments, not by the message made of them, for errors of worker processes."""
         return type(self), (self.source, self.field, self.expected)
+
+
+class OutputError(OSError):
+    """Report a file or folder that could not be written, and the ``reason``: a full disk, a quota, no permission.
+
+    The command line prints its message alone, without a traceback.
+    """
+
+    def __init__(self, path: object, reason: str) -> None:
+        self.path, self.reason = _printable(str(path)), reason
+        super().__init__(f"{self.path}: could not be written: {reason}")
+
+    def __reduce__(self) -> tuple[type["OutputError"], tuple[str, str]]:
+        """Pickle by the two arguments, not by the message made of them, for errors of worker processes."""
+        return type(self), (self.path, self.reason)
 
 
 def _printable(text: str) -> str:

@@ -6,9 +6,7 @@ only that line; anything else that cannot be read is an error, never silently sk
 :mod:`vssm_gym.eval.episodes.row` when it is written and when it is read.
 """
 
-import fcntl
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -21,6 +19,7 @@ from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
 from vssm_gym.eval.episodes.row import KEY, checked, written
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
+from vssm_gym.files.line_file import LineFile
 
 FILE = "episodes.jsonl"
 LOG_BYTES = 256 << 20  # 200,000 episodes
@@ -85,36 +84,21 @@ def line_of(row: dict[str, Any]) -> bytes:
 
 
 class EpisodeLog:
-    """Write a log. ``rows`` are its episodes, those of earlier processes included.
-
-    An exclusive lock keeps a second sweep from writing the same episodes again; the system releases it with the
-    process, however the process ends.
-    """
+    """Write a log, in a folder that this process owns. ``rows`` are its episodes, earlier processes' included."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("ab")
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._file.close()
-            raise InputError(path, "file", "no other sweep writing it at the same time") from error
-        whole = _whole_lines(path.read_bytes())
-        try:
-            self.rows = _parse(path, whole)
-        except InputError:
-            self._file.close()
-            raise
-        self._file.truncate(len(whole))
+        whole = _whole_lines(read_bytes(path, LOG_BYTES)) if path.exists() else b""
+        self.rows = _parse(path, whole)
+        self._file = LineFile(path, keep=len(whole))
 
     def append(self, row: dict[str, Any]) -> None:
         """Add one finished episode; it survives a power cut once this returns.
 
-        Raises ValueError for a row that does not fit the schema; nothing is written then.
+        Raises ValueError for a row that does not fit the schema, and OutputError where it cannot be written; the log is
+        as before then.
         """
         row = written(row)
-        self._file.write(line_of(row))
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        self._file.append(line_of(row), sync=True)
         self.rows.append(row)
 
     def __enter__(self) -> Self:

@@ -41,7 +41,7 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
     """
     target = folder / "report.html" if out is None else out
     if out is not None:
-        check_file(out)
+        check_file(out, (".html",))
     manifest = read_manifest(folder / MANIFEST)
     view: View = view_of(_environment(manifest, folder))
     rows = [measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]

@@ -1,19 +1,23 @@
 """Write the outcome of a study: its figures as JSON, one picture, and one self-contained HTML page."""
 
+import contextlib
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import Owner, check_new_file, owned_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz import pictures
 from vssm_gym.viz.html import STYLE, html_table
+
+SUFFIXES = ("json", "svg", "html")
 
 
 @dataclass(frozen=True)
@@ -36,22 +40,35 @@ def labelled(on_progress: OnProgress | None, label: str) -> OnProgress | None:
     return None if on_progress is None else lambda _, done, total: on_progress(label, done, total)
 
 
+@contextlib.contextmanager
+def study_folder(name: str, out: Path) -> Iterator[None]:
+    """Own the folder ``out`` while a study runs and is written; it may hold the outcomes of other studies.
+
+    Raises:
+        InputError: it holds an outcome of this study, or anything else; another run writes to it.
+    """
+    with owned_folder(out, Owner("study", "study.json", {"version": package_version()}, identity=())):
+        for suffix in SUFFIXES:
+            check_new_file(out / f"{name}.{suffix}")
+        yield
+
+
 def write_study(study: Study, out: Path) -> Path:
     """Write ``NAME.json``, ``NAME.svg`` and ``NAME.html`` under ``out``, each whole or not at all; return the page.
 
     Args:
         study: its outcome.
-        out: folder; an older outcome of the same study is replaced, nothing else.
+        out: folder, of :func:`study_folder`.
     """
     out.mkdir(parents=True, exist_ok=True)
     machine = {"cores": os.cpu_count(), "processor": platform.machine()}
     stored = {"version": package_version(), "machine": machine, "setting": study.setting, "figures": study.figures}
-    files = {
-        "json": (json.dumps(stored, indent=1, allow_nan=False) + "\n").encode(),
-        "svg": study.picture,
-        "html": page(study, stored).encode(),
-    }
-    for suffix, content in files.items():
+    contents = (
+        (json.dumps(stored, indent=1, allow_nan=False) + "\n").encode(),
+        study.picture,
+        page(study, stored).encode(),
+    )
+    for suffix, content in zip(SUFFIXES, contents, strict=True):
         with atomic_write(out / f"{study.name}.{suffix}") as temporary:
             temporary.write_bytes(content)
     return out / f"{study.name}.html"

@@ -1,7 +1,6 @@
 """Merge the folders of all shards of a sweep into the folder of the whole sweep: ``merge SHARD ... --out DIR``."""
 
 import json
-import os
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,8 @@ from typing import Any
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, episode_key, line_of, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
-from vssm_gym.files.output_folders import check_folder
+from vssm_gym.files.atomic import TEMPORARY
+from vssm_gym.files.output_folders import check_new_folder, whole_folder
 
 TASKS, MAPS = "tasks", "maps"
 FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, besides its log and manifest
@@ -44,24 +44,15 @@ def merge_sweeps(folders: Sequence[Path], out: Path) -> Merged:
         InputError: a folder that holds no shard, or a shard of another sweep, given twice, or unfinished; missing
             shards; different tasks of one scene; a folder that cannot be written.
     """
-    check_folder(out)
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(out, "folder", "a new or empty folder")
+    check_new_folder(out)
     shards = _ordered(folders)
     rows = list(_rows(shards))
-    temporary = out.absolute().parent / f".{out.name}.{os.getpid()}.tmp"
-    try:
+    with whole_folder(out) as unfinished:
         for folder in FOLDERS:
-            _copy([shard / folder for shard, _ in shards], temporary / folder)
-        temporary.mkdir(parents=True, exist_ok=True)
-        (temporary / FILE).write_bytes(b"".join(map(line_of, rows)))
+            _copy([shard / folder for shard, _ in shards], unfinished / folder)
+        (unfinished / FILE).write_bytes(b"".join(map(line_of, rows)))
         whole = {name: value for name, value in shards[0][1].items() if name != "shard"} | {"episodes": len(rows)}
-        (temporary / MANIFEST).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
-        if out.is_dir():
-            out.rmdir()
-        temporary.rename(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        (unfinished / MANIFEST).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
     return Merged(out / FILE, tuple(_notices(shards)))
 
 
@@ -111,7 +102,7 @@ def _copy(sources: Sequence[Path], target: Path) -> None:
     """Copy the contents of the folders; the first file of a name is kept, and tasks of one name have to be the same."""
     for source in filter(Path.is_dir, sources):
         target.mkdir(parents=True, exist_ok=True)
-        for path in sorted(source.iterdir()):
+        for path in sorted(path for path in source.iterdir() if not TEMPORARY.fullmatch(path.name)):
             copy = target / path.name
             if not copy.exists():
                 shutil.copytree(path, copy) if path.is_dir() else shutil.copy2(path, copy)

@@ -26,8 +26,7 @@ from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.shards import Shard
-from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.output_folders import check_at_least, check_folder
+from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, owned_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map, map_hash
 from vssm_gym.version import package_version
@@ -51,7 +50,7 @@ def run_sweep(
     Args:
         config: checked by :func:`vssm_gym.eval.sweep.config.load_config`.
         out: new or empty folder, or with ``resume`` that of a sweep of the same configuration and seed.
-        resume: continue; with nothing there yet, begin.
+        resume: continue; with no episode there yet, begin.
         workers: processes.
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
@@ -61,18 +60,20 @@ def run_sweep(
         The file ``out/episodes.jsonl``.
 
     Raises:
-        InputError: the folder holds another sweep, or one is running in it; a scene that cannot be used; a worker died.
+        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died.
+        OutputError: a full disk or the like; the episodes before are kept.
     """
-    check_arguments(out, workers, seed)
+    check_at_least("sweep", "workers", workers, 1)
+    check_at_least("sweep", "seed", seed, 0)
+    check_folder(out)
     apartments = {scene: protocol_of(config.env[0]).load(scene) for scene in config.scenes}
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     episodes = list(expand(config))
     if shard is not None:
         episodes = shard.part(episodes)
     manifest = _manifest(config, apartments, seed, len(episodes), shard)
-    out.mkdir(parents=True, exist_ok=True)
-    with EpisodeLog(out / FILE) as log:
-        _claim(out, manifest, len(log.rows), resume)
+    owner = Owner("sweep", MANIFEST, manifest, identity=("config_hash", "shard"), resumed=(FILE,))
+    with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
         done = {episode_key(row) for row in log.rows}
         todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
         for scene in dict.fromkeys(episode.condition.scene for episode in todo):
@@ -81,20 +82,6 @@ def run_sweep(
             worker.release_memory()
             _run(jobs, log, workers, len(episodes), on_progress)
     return out / FILE
-
-
-def check_arguments(out: Path, workers: int, seed: int) -> None:
-    """Raise :class:`InputError` for arguments that no sweep can run with; nothing is written.
-
-    ``out`` may be new, empty, or a sweep's: that has a manifest, or no more than the log that is opened just before it.
-    """
-    check_at_least("sweep", "workers", workers, 1)
-    check_at_least("sweep", "seed", seed, 0)
-    check_folder(out)
-    if out.is_dir() and not (out / MANIFEST).is_file():
-        first = (FILE, f".{MANIFEST}.")  # the log, and a manifest that was being written
-        if not all(path.name.startswith(first) for path in out.iterdir()):
-            raise InputError(out, "folder", f"a new or empty folder, or that of a sweep, which has a {MANIFEST}")
 
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
@@ -124,27 +111,6 @@ def _manifest(
         "episodes": episodes,
         **({"shard": asdict(shard)} if shard else {}),
     }
-
-
-def _claim(out: Path, manifest: dict[str, Any], rows: int, resume: bool) -> None:
-    """Make ``out`` this sweep's folder; raise :class:`InputError` where it cannot be."""
-    path = out / MANIFEST
-    if rows and not resume:
-        raise InputError(out, "folder", f"a folder without episodes; it holds {rows} (--resume continues them)")
-    if rows:
-        try:
-            before = json.loads(path.read_text(encoding="utf-8"))
-            found, part = before["config_hash"], before.get("shard")
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(path, "file", "the JSON that the sweep wrote, which defines its episodes") from error
-        if found != manifest["config_hash"]:
-            expected = f"{manifest['config_hash']}, as of this configuration, its scenes and --seed; found {found}"
-            raise InputError(path, "config_hash", f"{expected}: another sweep belongs into another folder")
-        if part != manifest.get("shard"):
-            raise InputError(path, "shard", f"{manifest.get('shard')}; found {part}: another shard, another folder")
-        return
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
 
 
 def _jobs(

@@ -14,13 +14,14 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.eval.video import pictures
 from vssm_gym.eval.video.recording import EVERY, Recording
 from vssm_gym.eval.video.writer import VIDEO_RATE, Page, Window, write_frames
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 
 _CHARACTERS = 92  # of a status: a line holds no more
 
 
 def write_video(path: Path, recording: Recording, title: str, on_progress: OnProgress | None = None) -> None:
-    """Write the run as MP4 (H.264), several times as fast as it was driven.
+    """Write the run as MP4 (H.264), several times as fast as it was driven; the file appears whole or not at all.
 
     Args:
         path: of the file, which ends in ``.mp4``.
@@ -29,7 +30,8 @@ def write_video(path: Path, recording: Recording, title: str, on_progress: OnPro
         on_progress: called with ("video", done, total).
     """
     sheet, n = Sheet(recording, title), len(recording.moments)
-    write_frames(path, (sheet.draw(i) for i in range(n)), n, on_progress)
+    with atomic_write(path) as temporary:
+        write_frames(temporary, (sheet.draw(i) for i in range(n)), n, on_progress)
 
 
 class Sheet:

@@ -8,8 +8,8 @@ from typing import Any
 from PIL import Image
 
 from vssm_gym.agents.registry import make_agent
-from vssm_gym.envs.scenes.scene import load_scene
-from vssm_gym.eval.episodes.identity import scene_name
+from vssm_gym.envs.scenes.scene import Apartment, load_scene
+from vssm_gym.eval.episodes.identity import Episode, scene_name
 from vssm_gym.eval.protocols import explore as explore_protocol
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.protocols.explore_episode import map_of
@@ -19,27 +19,46 @@ from vssm_gym.eval.video import pictures
 from vssm_gym.eval.video.explorer import write_video
 from vssm_gym.eval.video.recording import Recording
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import Owner, owned_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
 
 PICTURE_DPI = 110  # of the pictures
+MANIFEST, VIDEO = "explore.json", "run.mp4"
 
 
 def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
-    """Run the one episode of ``config`` and write the folder ``out``, which appears whole or not at all.
+    """Run the one episode of ``config`` and write the folder ``out``: map and pictures first, the video last.
+
+    A run that is interrupted in its video leaves what it has written; the same run may use the folder again.
 
     Args:
         config: of Explore, with one scene, one agent, one value of each condition, one task and one seed.
-        out: new or empty folder; see ``vssm-gym explore --help`` for what is in it.
+        out: new or empty folder, or that of an unfinished run of ``config``; see ``vssm-gym explore --help``.
         on_progress: called with ("exploring" | "video", done, total).
 
     Returns:
         The row of a sweep of ``config``.
+
+    Raises:
+        InputError: the folder of another run, or of one that has ended.
+        OutputError: a full disk or the like.
     """
     (episode,) = expand(config)
-    apartment, agent = load_scene(episode.condition.scene), make_agent(episode.agent)
+    apartment, version = load_scene(episode.condition.scene), package_version()
+    hashed = config_hash(config, {episode.condition.scene: apartment.content_hash()}, 0)
+    content = {"config": config.model_dump(mode="json"), "config_hash": hashed, "version": version}
+    with owned_folder(out, Owner("exploration", MANIFEST, content, finished=VIDEO)):
+        return _explore(episode, apartment, out, hashed, on_progress)
+
+
+def _explore(
+    episode: Episode, apartment: Apartment, out: Path, hashed: str, on_progress: OnProgress | None
+) -> dict[str, Any]:
+    """Do the work of :func:`explore` in a folder that it owns."""
+    agent = make_agent(episode.agent)
     recording = Recording(agent)
     limit = episode.explore.steps if episode.explore else 0
 
@@ -55,21 +74,21 @@ def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = Non
     if on_progress:
         on_progress("exploring", limit, limit)
     content, version = apartment.content_hash(), package_version()
-    hashed = config_hash(config, {episode.condition.scene: content}, 0)
     signature = {"version": version, "config_hash": hashed, "map_hash": None}
     row = episode.identity(content) | signature | result
     explored = map_of(agent)
     assert explored is not None  # every explorer of the registry keeps one
-    with atomic_write(out) as unfinished:
-        unfinished.mkdir()
-        text = json.dumps(row, allow_nan=False, indent=1) + "\n"
-        (unfinished / "run.json").write_text(text, encoding="utf-8")
-        explored.save(unfinished / "map.npz", agent=row["agent"], scene_hash=content, package_version=version)
-        choice = recording.choice()
-        if choice is not None:
-            pictures.candidates(choice, recording).savefig(unfinished / "candidates.png", dpi=PICTURE_DPI)
-        pictures.run(recording, explored, row).savefig(unfinished / "run.png", dpi=PICTURE_DPI)
-        Image.fromarray(mesh_picture(surface_mesh(explored))).save(unfinished / "mesh.png")
-        title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
-        write_video(unfinished / "run.mp4", recording, title, on_progress)
+    explored.save(out / "map.npz", agent=row["agent"], scene_hash=content, package_version=version)
+    with atomic_write(out / "run.json") as temporary:
+        temporary.write_text(json.dumps(row, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    choice = recording.choice()
+    if choice is not None:
+        with atomic_write(out / "candidates.png") as temporary:
+            pictures.candidates(choice, recording).savefig(temporary, format="png", dpi=PICTURE_DPI)
+    with atomic_write(out / "run.png") as temporary:
+        pictures.run(recording, explored, row).savefig(temporary, format="png", dpi=PICTURE_DPI)
+    with atomic_write(out / "mesh.png") as temporary:
+        Image.fromarray(mesh_picture(surface_mesh(explored))).save(temporary, format="PNG")
+    title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
+    write_video(out / VIDEO, recording, title, on_progress)
     return row

@@ -2,12 +2,12 @@
 
 import contextlib
 import importlib
-import warnings
-from collections.abc import Iterable
+import itertools
+import subprocess
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-import imageio.v2 as imageio
 import numpy as np
 from jaxtyping import UInt8
 from matplotlib.artist import Artist
@@ -19,6 +19,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.progress import OnProgress
 
 VIDEO_RATE = 15  # frames a second
+VIDEO_CRF = 20  # H.264's constant rate factor: 0 is lossless, 51 the worst
 VIDEO_SIZE, VIDEO_DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
 HOLD = 2.0  # s that the last frame is shown
 HOW = "imageio-ffmpeg, which writes videos: pip install 'vssm-gym[viz]'"
@@ -41,24 +42,49 @@ def write_frames(
     """Write frames as MP4 (H.264).
 
     Args:
-        path: of the file, which ends in ``.mp4``.
-        frames: at least one; the last one is held.
+        path: of the file, of any name.
+        frames: at least one, of even height and width; the last one is held.
         total: number of frames.
         on_progress: called with ("video", done, total).
+
+    Raises:
+        OSError: ffmpeg did not write the whole video.
     """
-    writer: Any = imageio.get_writer(
-        path, format="FFMPEG", fps=VIDEO_RATE, codec="libx264", quality=6, ffmpeg_log_level="error"
-    )
-    # As a context of its own the writer leaves ffmpeg running where a frame fails
-    with contextlib.closing(writer), warnings.catch_warnings():
-        # JAX warns of every fork; this one, at the first frame, executes ffmpeg at once
-        warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
-        for i, frame in enumerate(frames):
-            writer.append_data(frame)
+    rest = iter(frames)
+    first = next(rest)
+    with _ffmpeg(path, first.shape) as video:
+        for i, frame in enumerate(itertools.chain([first], rest)):
+            video.write(np.ascontiguousarray(frame).data)
             if on_progress:
                 on_progress("video", i + 1, total)
         for _ in range(round(HOLD * VIDEO_RATE)):
-            writer.append_data(frame)
+            video.write(np.ascontiguousarray(frame).data)
+
+
+@contextlib.contextmanager
+def _ffmpeg(path: Path, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
+    """Yield the input of ffmpeg, which takes frames of ``shape``; check at the end that all was written."""
+    program = importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe()
+    taken = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{shape[1]}x{shape[0]}", "-r", str(VIDEO_RATE), "-i", "-")
+    given = ("-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", str(VIDEO_CRF), "-f", "mp4", str(path))
+    process = subprocess.Popen(
+        [program, "-y", "-v", "error", *taken, *given],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        process_group=0,  # Ctrl-C is for this process alone
+    )
+    assert process.stdin is not None
+    try:
+        with contextlib.suppress(BrokenPipeError):  # it has ended, and says why
+            yield process.stdin
+        said = process.communicate()[1].decode(errors="replace").strip()
+    except BaseException:
+        process.kill()
+        process.communicate()
+        raise
+    if process.returncode:
+        raise OSError(f"{path}: ffmpeg ended with {process.returncode}: {said}")
 
 
 class Window:

@@ -1,5 +1,6 @@
 """Test the command line: fast help, one line for bad input, and the commands that are quick enough to run here."""
 
+import errno
 import json
 import pickle
 import subprocess
@@ -15,7 +16,7 @@ from vssm_gym.cli import main as main_module
 from vssm_gym.cli.doctor import Probe, run_probe
 from vssm_gym.cli.shared.cache import cache_folder
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, OutputError
 
 HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex"]
 
@@ -110,6 +111,52 @@ def test_an_error_of_the_program_itself_keeps_its_traceback(vssm, monkeypatch):
         vssm("doctor")
 
 
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OutputError("out/map.npz", "No space left on device"), "out/map.npz: could not be written: No space left"),
+        (OSError(errno.ENOSPC, "No space left on device", "out/map.npz"), "out/map.npz: No space left on device"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), "Disk quota exceeded"),
+        (PermissionError(errno.EACCES, "Permission denied", "/out"), "/out: Permission denied"),
+        (OSError(errno.EROFS, "Read-only file system", "/out"), "/out: Read-only file system"),
+    ],
+)
+def test_what_cannot_be_written_is_one_line_and_1(vssm, monkeypatch, error, line):
+    def full() -> None:
+        """Meet a full disk."""
+        raise pickle.loads(pickle.dumps(error))  # as a worker's error crosses to the parent
+
+    monkeypatch.setattr(doctor_module, "doctor", full)
+    code, out, err = vssm("doctor")
+    assert (code, out, err.count("\n")) == (main_module.FAILED, "", 1)
+    assert err.startswith(f"error: {line}")
+
+
+def test_another_error_of_the_system_keeps_its_traceback(vssm, monkeypatch):
+    def broken() -> None:
+        """Break."""
+        raise ProcessLookupError(errno.ESRCH, "No such process")
+
+    monkeypatch.setattr(doctor_module, "doctor", broken)
+    with pytest.raises(ProcessLookupError):
+        vssm("doctor")
+
+
+def test_a_full_disk_behind_stdout_is_one_line(tmp_path):
+    """/dev/full takes nothing: neither the print nor the flush at exit shows a traceback."""
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full")
+    program = (
+        "import sys\nfrom vssm_gym.cli import doctor, main\n"
+        "doctor.doctor = lambda: print('findings')\nsys.argv = ['vssm-gym', 'doctor']\nsys.exit(main.main())"
+    )
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", program], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    assert (done.returncode, done.stderr) == (main_module.FAILED, "error: No space left on device\n")
+
+
 def test_ctrl_c_is_one_line_and_130(vssm, monkeypatch):
     def interrupted() -> None:
         """Be interrupted."""
@@ -168,6 +215,12 @@ def test_record_and_sweep_print_a_scenes_warnings(vssm, tmp_path):
         ("record --scene oak --out {0}/new --size 4x3", "CameraConfig: width: expected 8 to 4096 pixels"),
         ("record --scene oak --out {0}/new --sensor-noise loud", "one of none, kinect, stereo"),
         ("map build {0} --out {0}", "file: expected the name of a file to write; it is a folder"),
+        ("map build {0} --out {0}/map.npz", "map.npz: file: expected a new file: this one is never overwritten"),
+        ("map build {0} --out {0}/map.txt", "map.txt: file: expected a name that ends in .npz"),
+        ("scene generate --out {0}/home.json", "home.png: file: expected a new file: this one is never overwritten"),
+        ("report {0}/demo --out {0}/demo/episodes.jsonl", "episodes.jsonl: file: expected a name that ends in .html"),
+        ("evaluate-trajectory {0}/x.json {0}/file --json {0}/x.json", "x.json: file: expected another file than the"),
+        ("demo --out {0}", "folder: expected a new or empty folder, or that of a sweep, which has a sweep.json"),
         ("map build {0} --out {0}/new/map.npz", "folder: expected a folder that exists"),
         ("evaluate-trajectory {0}/file {0}/file --json {0}/new/x.json", "folder: expected a folder that exists"),
         ("bench speed --out {0}/new --seed -1", "bench: seed: expected at least 0, found -1"),
@@ -182,11 +235,11 @@ def test_record_and_sweep_print_a_scenes_warnings(vssm, tmp_path):
     ],
 )
 def test_unusable_outputs_are_refused_before_the_work_starts(vssm, tmp_path, arguments, message):
-    """Nothing is written, and an earlier demo is not deleted."""
+    """Nothing is written."""
     (tmp_path / "file").write_text("years of work")
     (tmp_path / "demo").mkdir()
-    for name in ("sweep.json", "episodes.jsonl"):
-        (tmp_path / "demo" / name).write_text("{}")
+    for name in ("demo/sweep.json", "demo/episodes.jsonl", "map.npz", "home.png", "x.json"):
+        (tmp_path / name).write_text("{}")
     before = sorted(tmp_path.rglob("*"))
     code, out, err = vssm(*(word.format(tmp_path) for word in arguments.split()))
     assert (code, out) == (main_module.BAD_INPUT, "")

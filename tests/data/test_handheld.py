@@ -93,7 +93,7 @@ def test_impossible_walks_are_refused(tmp_path):
         record_handheld("oak", tmp_path / "r", sensor_noise="loud")
     (tmp_path / "file").write_text("")
     for out in (tmp_path, tmp_path / "file"):
-        with pytest.raises(InputError, match="empty or new folder"):
+        with pytest.raises(InputError, match="folder: expected a "):
             record_handheld("oak", out, metres=1.0)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 

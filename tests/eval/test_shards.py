@@ -110,7 +110,7 @@ def test_a_shard_resumes_as_that_shard_only(sweep, tmp_path):
     (tmp_path / "part" / FILE).write_bytes(b"".join(lines[:2]))
     config = load_config(sweep / "sweep.yaml")
     for other in (None, Shard(2, 3), Shard(1, 2)):
-        with pytest.raises(InputError, match=r"shard: expected .*another shard, another folder"):
+        with pytest.raises(InputError, match=r"shard: expected .*another sweep belongs into another folder"):
             run_sweep(config, tmp_path / "part", resume=True, shard=other)
     with pytest.raises(InputError, match=r"episodes: expected 4 episodes; it holds 2 \(sweep --resume continues it\)"):
         merge_sweeps([tmp_path / "part", sweep / "part-2", sweep / "part-3"], tmp_path / "merged")

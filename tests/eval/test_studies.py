@@ -22,7 +22,7 @@ from vssm_gym.eval.studies import resolution as study_resolution
 from vssm_gym.eval.studies import runtime as study_runtime
 from vssm_gym.eval.studies.calibration import evaluate
 from vssm_gym.eval.studies.map_update import _answer, _picture
-from vssm_gym.eval.studies.page import Study, write_study
+from vssm_gym.eval.studies.page import Study, study_folder, write_study
 from vssm_gym.inference.status import Status
 from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame
 
@@ -58,7 +58,19 @@ def test_a_study_writes_three_files_and_the_page_is_self_contained(tmp_path) -> 
     assert set(stored) == {"version", "machine", "setting", "figures"}
     assert stored["figures"]["closed form"]["ms_a_frame"] == 5.0
     assert stored["setting"] == {"n": 3}
-    assert write_study(study, tmp_path / "new") == page  # again, in place
+
+
+def test_an_outcome_is_never_overwritten_and_may_lie_beside_others(tmp_path) -> None:
+    with study_folder("flight", tmp_path):
+        (tmp_path / "flight.svg").write_text("hours of work")
+    with study_folder("runtime", tmp_path):
+        (tmp_path / "runtime.json").write_text("{}")
+        with pytest.raises(InputError, match="no other run writing to it"), study_folder("resolution", tmp_path):
+            pass
+    message = r"flight\.svg: file: expected a new file: this one is never overwritten"
+    with pytest.raises(InputError, match=message), study_folder("flight", tmp_path):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.svg", "runtime.json", "study.json"]
 
 
 def test_a_study_with_nan_is_not_written(tmp_path) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,14 +12,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.chaos.disks import largest_file
 from tests.helpers.box_rooms import two_rooms
+from vssm_gym.cli.main import main
 from vssm_gym.envs.scenes.scene import save_scene
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key, read_rows
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import expand, load_config
-from vssm_gym.eval.sweep.runner import MANIFEST, _run, check_arguments, config_hash, run_sweep
+from vssm_gym.eval.sweep.runner import MANIFEST, _run, config_hash, run_sweep
 from vssm_gym.slam.map_building import ensure_map, map_hash
 from vssm_gym.version import package_version
 
@@ -81,7 +84,7 @@ def test_a_finished_sweep_resumes_to_itself(folder, finished):
 
 
 def test_a_folder_with_episodes_is_refused_without_resume(folder, finished):
-    with pytest.raises(InputError, match="a folder without episodes; it holds 6"):
+    with pytest.raises(InputError, match=r"a folder without a sweep; it holds episodes\.jsonl \(--resume"):
         run_sweep(load_config(folder / "sweep.yaml"), folder / "whole")
 
 
@@ -131,8 +134,8 @@ def test_the_hash_depends_on_the_content_not_on_the_path(folder):
         ("none", {"seed": -1}, "sweep: seed: expected at least 0, found -1"),
         ("file", {}, "file: folder: expected a folder or the name of a new one"),
         ("file/x", {}, "x: folder: expected a folder or the name of a new one; .*file is a file"),
-        ("", {}, "folder: expected a new or empty folder, or that of a sweep"),
-        ("", {"resume": True}, "folder: expected a new or empty folder, or that of a sweep"),
+        ("", {}, "folder: expected a new or empty folder, or that of a sweep, .*it holds file"),
+        ("", {"resume": True}, "folder: expected a new or empty folder, or that of a sweep, .*it holds file"),
     ],
 )
 def test_unusable_settings_and_folders_are_refused_and_nothing_is_changed(folder, tmp_path, out, options, message):
@@ -142,11 +145,48 @@ def test_unusable_settings_and_folders_are_refused_and_nothing_is_changed(folder
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("left", [(), (FILE,), (FILE, f".{MANIFEST}.7.tmp"), (FILE, MANIFEST, "notes.txt", "maps")])
-def test_the_folder_of_an_interrupted_sweep_is_accepted(tmp_path, left):
-    for name in left:
-        (tmp_path / name).touch()
-    check_arguments(tmp_path, workers=1, seed=0)
+def test_the_demo_clears_no_other_sweep_away(folder, finished, tmp_path, monkeypatch, capsys):
+    """It once removed the episodes, maps and recordings of any folder with a sweep.json."""
+    out = tmp_path / "out"
+    shutil.copytree(folder / "whole", out)
+    (out / "maps").mkdir()
+    (out / "maps" / "rooms.npz").write_text("a map")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    for options in ([], ["--resume"], ["--seed", "3"]):
+        monkeypatch.setattr(sys, "argv", ["vssm-gym", "demo", "--out", str(out), *options])
+        assert main() == 2
+        (error,) = capsys.readouterr().err.splitlines()
+        assert "config_hash" in error and "choose another --out, or delete it yourself" in error
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_a_sweep_that_runs_keeps_its_folder(folder, tmp_path):
+    """A second one on the same folder is refused before it writes anything, whatever it is."""
+    config = load_config(folder / "sweep.yaml")
+
+    def meanwhile(stage, done, total):
+        if done == 2:
+            rows = (tmp_path / FILE).read_bytes()
+            for options in ({"resume": True}, {}, {"seed": 1}):
+                with pytest.raises(InputError, match="no other run writing to it"):
+                    run_sweep(config, tmp_path, **options)
+            assert (tmp_path / FILE).read_bytes() == rows
+
+    run_sweep(config, tmp_path, workers=1, on_progress=meanwhile)
+    assert len(read_rows(tmp_path / FILE)) == 6
+
+
+def test_a_full_disk_ends_a_sweep_with_its_rows_and_resume_ends_it(folder, finished, tmp_path):
+    size = len(b"".join(finished[0].read_bytes().splitlines(keepends=True)[:3])) + 10
+    config = load_config(folder / "sweep.yaml")
+    message = r"episodes\.jsonl: could not be written: File too large"
+    with largest_file(size), pytest.raises(OutputError, match=message):
+        run_sweep(config, tmp_path, workers=1)
+    kept = read_rows(tmp_path / FILE)
+    assert 1 <= len(kept) < 6
+    run_sweep(config, tmp_path, resume=True, workers=1)
+    assert read_rows(tmp_path / FILE)[: len(kept)] == kept
+    assert untimed(read_rows(tmp_path / FILE)) == untimed(read_rows(finished[0]))
 
 
 def test_bad_input_that_a_worker_finds_is_shown_as_it_is(folder, tmp_path):
@@ -262,6 +302,4 @@ def test_agents_in_a_learned_map_end_to_end(folder, tmp_path):
     scene = load_config(folder / "agents.yaml").scenes[0]
     again = ensure_map(scene, tmp_path, voxel=0.1, seed=0)
     assert again.stat().st_mtime_ns == stamp
-    ensure_map(scene, tmp_path, voxel=0.2, seed=0)
-    assert again.stat().st_mtime_ns != stamp
     assert "rooms" in write_report(tmp_path).read_text()

@@ -87,11 +87,6 @@ def test_nan_never_reaches_the_log(tmp_path):
     assert [r["task"] for r in read_rows(tmp_path / FILE)] == [1]
 
 
-def test_two_sweeps_cannot_write_one_log(tmp_path):
-    with EpisodeLog(tmp_path / FILE), pytest.raises(InputError, match="no other sweep"):
-        EpisodeLog(tmp_path / FILE)
-
-
 def write(tmp_path, text):
     path = tmp_path / "sweep.yaml"
     path.write_text(text)

@@ -16,7 +16,7 @@ SIZE = "80x60"  # one size and one grid everywhere, since each compiles the step
 GRID = ("--voxel", "0.08", "--extent", "6.4")
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
 ROOM = Room(((-2.0, -1.6, 0.0), (2.2, 1.7, 2.3)), (((0.9, -0.4, 0.0), (1.4, 0.5, 0.8)),))
-FILES = ["map.npz", "mesh.ply", "report.html", "stats.json", "trajectory.txt"]
+FILES = ["map.npz", "mesh.ply", "report.html", "slam.json", "stats.json", "trajectory.txt"]
 
 
 def true_pose(k: int) -> np.ndarray:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import furniture, two_rooms
-from vssm_gym.cli.demo import _clear
 from vssm_gym.data.recording import PROVENANCE, read_provenance, record
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
 from vssm_gym.slam import map_building
-from vssm_gym.slam.map_building import build_map, ensure_map, map_hash
+from vssm_gym.slam.map_building import build_map, ensure_map
 from vssm_gym.version import package_version
 
 TABLE = furniture("table", (1.5, 2.0, 0.25), (0.6, 0.6, 0.5))
@@ -75,7 +74,7 @@ def test_the_same_seed_records_the_same_bytes(recording, tmp_path):
 
 def test_a_recording_is_never_overwritten(recording):
     before = (recording[0] / "groundtruth.txt").read_bytes()
-    with pytest.raises(InputError, match="folder: expected an empty or new folder"):
+    with pytest.raises(InputError, match="folder: expected a new or empty folder"):
         record("oak", recording[0])
     assert (recording[0] / "groundtruth.txt").read_bytes() == before
 
@@ -152,25 +151,36 @@ def drives(recording, monkeypatch):
     return made
 
 
-def test_a_map_is_made_again_if_any_of_its_inputs_differs(recording, drives, tmp_path):
+def test_a_map_or_drive_is_used_again_where_all_that_decides_it_agrees_and_never_replaced(recording, drives, tmp_path):
     scene = str(recording[0].parent / "rooms.json")
     path = ensure_map(scene, tmp_path, voxel=0.1, seed=0)
-    known = read_metadata(path)
+    known, first = read_metadata(path), path.read_bytes()
     assert known["package_version"] == package_version()
-    first = map_hash(path)
+    assert ensure_map(scene, tmp_path, voxel=0.1, seed=0).read_bytes() == first
+    path.unlink()
+    assert ensure_map(scene, tmp_path, voxel=0.1, seed=0).read_bytes() == first
+    assert len(drives) == 1
     for field, value in (("renderer", "raycast-other"), ("noise", "high"), ("seed", 5), ("scene_hash", "other")):
         note = tmp_path / "recordings" / "rooms" / PROVENANCE
-        note.write_text(json.dumps(json.loads(note.read_text()) | {field: value}))
+        before = note.read_text()
+        note.write_text(json.dumps(json.loads(before) | {field: value}))
         metadata = {
             key: known[key] for key in ("scene_hash", "seed", "noise", "renderer", "voxel", "poses", "package_version")
         }
         VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)).save(path, **metadata | {field: value})
-        assert map_hash(path) != first
-        before = len(drives)
-        assert map_hash(ensure_map(scene, tmp_path, voxel=0.1, seed=0)) == first
-        assert len(drives) == before + 1
+        other = path.read_bytes()
+        with pytest.raises(InputError, match=rf"rooms\.npz: {field}: expected a map with .*; found {value}"):
+            ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+        assert path.read_bytes() == other
+        path.unlink()
+        with pytest.raises(InputError, match=rf"rooms: {field}: expected a recording with .*; found {value}"):
+            ensure_map(scene, tmp_path, voxel=0.1, seed=0)
+        assert note.is_file()
+        note.write_text(before)
     ensure_map(scene, tmp_path, voxel=0.1, seed=0)
-    assert len(drives) == 5
+    with pytest.raises(InputError, match=r"rooms\.npz: voxel: expected a map with 0\.2; found 0\.1"):
+        ensure_map(scene, tmp_path, voxel=0.2, seed=0)
+    assert len(drives) == 1
 
 
 def test_other_files_are_neither_removed_nor_replaced(recording, drives, tmp_path):
@@ -178,24 +188,13 @@ def test_other_files_are_neither_removed_nor_replaced(recording, drives, tmp_pat
     photos = tmp_path / "recordings" / "rooms"
     photos.mkdir(parents=True)
     (photos / "photo.jpg").write_text("holiday")
-    with pytest.raises(InputError, match="rooms: folder: expected a recording made by vssm-gym"):
+    with pytest.raises(InputError, match=r"rooms: scene_hash: expected a recording with .*; found None"):
         ensure_map(scene, tmp_path, voxel=0.1, seed=0)
     assert (photos / "photo.jpg").read_text() == "holiday"
     path = tmp_path / "maps" / "rooms.npz"
     path.parent.mkdir()
     VoxelMap.prior(np.zeros(3), 0.1, (8, 8, 8)).save(path)
     before = path.read_bytes()
-    with pytest.raises(InputError, match=r"rooms\.npz: file: expected a map that a sweep or bench made"):
+    with pytest.raises(InputError, match=r"rooms\.npz: scene_hash: expected a map with .*; found None"):
         ensure_map(scene, tmp_path, voxel=0.1, seed=0)
     assert path.read_bytes() == before
-
-
-def test_a_demo_replaces_only_a_demo(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="or that of an earlier demo"):
-        _clear(tmp_path)
-    (tmp_path / "sweep.json").write_text("{}")
-    (tmp_path / "maps").mkdir()
-    _clear(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["sweep.json", "thesis.tex"]
-    _clear(tmp_path / "new")

@@ -216,10 +216,13 @@ def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch
     code, _, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)
     assert code == 130
     assert err.splitlines()[-1].startswith("interrupted")
-    assert names(out) == ["trajectory.partial.txt"]
+    assert names(out) == ["slam.json", "trajectory.partial.txt"]
     assert len(poses_of(out / "trajectory.partial.txt")[0]) == 4
 
-    # Another run may use the folder, and its own partial file replaces the old one.
+    # Another run leaves the poses alone. The same one may use the folder, and its partial file replaces the old one.
+    code, _, err = vssm("slam", recording, "--out", out, "--size", SIZE, *GRID, "--rate", "5")
+    assert (code, err.count("\n")) == (2, 1) and "another SLAM run belongs into another folder" in err
+    assert len(poses_of(out / "trajectory.partial.txt")[0]) == 4
     calls.clear()
     calls.extend([1, 1])
     assert vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)[0] == 130

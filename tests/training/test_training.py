@@ -14,10 +14,11 @@ import yaml
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from tests.chaos.disks import largest_file
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import features
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, OutputError
 from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.training.config import EnvironmentSettings, TrainingConfig, load_training, training_hash
@@ -327,7 +328,7 @@ def test_a_finished_policy_is_not_overwritten(corridor, tmp_path, changed):
     path = run_training(config(), tmp_path)
     (tmp_path / "checkpoint.pt").unlink()
     before = path.read_bytes()
-    with pytest.raises(InputError, match="--resume continues"):
+    with pytest.raises(InputError, match="config_hash" if changed else "--resume continues"):
         run_training(config(**changed), tmp_path)
     assert path.read_bytes() == before
 
@@ -338,15 +339,38 @@ def test_a_folder_with_other_files_is_refused(corridor, tmp_path):
         run_training(config(), tmp_path)
 
 
-def test_a_log_has_one_writer_and_drops_lines_after_the_checkpoint(tmp_path):
-    with ProgressLog(tmp_path / "log") as log:
+def test_a_log_forgets_what_was_not_kept_and_rewrites_nothing(tmp_path):
+    """Lines that are kept stay where they are: a kill or a full disk cannot cost them."""
+    path = tmp_path / "log"
+    with ProgressLog(path) as log:
         for steps in (10, 20, 30):
             log.append({"steps": steps})
-        with pytest.raises(InputError, match="no other training"):
-            ProgressLog(tmp_path / "log")
-        log.drop_after(20)
+        kept = path.read_bytes()[: 2 * len(b'{"steps": 10}\n')]
+        with largest_file(len(kept) - 1):
+            log.drop_after(20)
+        assert path.read_bytes() == kept
         log.append({"steps": 25})
-    assert [row["steps"] for row in read_progress(tmp_path / "log")] == [10, 20, 25]
+    path.write_bytes(path.read_bytes() + b'{"ste')
+    with ProgressLog(path) as log:
+        log.drop_after(40)
+    assert [row["steps"] for row in read_progress(path)] == [10, 20, 25] and path.read_bytes().endswith(b"\n")
+
+
+def test_a_full_disk_ends_a_training_and_resume_ends_it(corridor, tmp_path):
+    """The network is smaller than the optimiser's state beside it: the checkpoint does not fit."""
+    with pytest.raises(OutputError, match=r"could not be written: File too large"), largest_file(8000):
+        run_training(config(), tmp_path)
+    assert not (tmp_path / "checkpoint.pt").exists() and not list(tmp_path.glob(".*"))
+    run_training(config(), tmp_path, resume=True)
+    assert read_progress(tmp_path / "progress.jsonl")[-1]["steps"] == 64
+
+
+def test_a_folder_has_one_training_at_a_time(corridor, tmp_path):
+    def meanwhile(row: dict[str, Any], share: float) -> None:
+        with pytest.raises(InputError, match="no other run writing to it at the same time"):
+            run_training(config(), tmp_path, resume=True)
+
+    run_training(config(), tmp_path, on_update=meanwhile)
 
 
 def test_a_second_interrupt_stops_at_once():

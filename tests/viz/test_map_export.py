@@ -198,7 +198,7 @@ def test_the_command_writes_everything_at_once(vssm, learned, tmp_path):
     np.testing.assert_allclose(centres[-1, 0], grid.origin + 0.5 * grid.resolution, atol=1e-5)
     again = vssm("map", "export", str(tmp_path / "map.npz"), "--out", str(tmp_path / "new" / "export"))
     assert again[0] == 2
-    assert "an export is never overwritten" in again[2]
+    assert "nothing is ever overwritten" in again[2]
 
 
 def test_a_map_in_a_cameras_frame_has_no_plan(vssm, learned, tmp_path):

@@ -40,7 +40,7 @@ def bench(
         suite: the suite to run.
         sequence: TUM folder, for `slam` only.
         scene: built-in name or path of a scene file; by default `oak`, for `car` `arena`.
-        out: folder for the learned map, which is kept, and for the results as JSON.
+        out: folder for the learned map, which is kept, and for the results as JSON; it may hold other suites' results.
         trials: number of drives (`tracker` 300, `drift` 4), runs (`slam` 1), steps (`soak` 100000, `rl` 1000000), steps
             of each controller (`car` 300) or candidates (`information` 40).
         workers: number of processes of `tracker` and `drift`.
@@ -55,7 +55,7 @@ def bench(
     from vssm_gym.errors import InputError
     from vssm_gym.eval.sweep.config import DEFAULT_VOXEL
     from vssm_gym.files.atomic import atomic_write
-    from vssm_gym.files.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, check_new_file, owned_folder
     from vssm_gym.slam.map_building import ensure_map, map_hash
     from vssm_gym.version import package_version
 
@@ -67,38 +67,40 @@ def bench(
     if (sequence is not None) != (suite == "slam"):
         raise InputError("bench", "SEQUENCE", "a TUM folder after `bench slam`, and nothing after other suites")
     recording = None if sequence is None else load_sequence(sequence)
-    with progress_bars() as progress:
-        if recording is not None:
-            from vssm_gym.eval.bench.slam import compare
-
-            result = compare(recording, trials=count, on_progress=progress)
-        elif suite == "envs":
-            from vssm_gym.eval.bench.envs import measure
-
-            result = measure(scene=scene, seed=seed, on_progress=progress)
-        elif suite == "soak":
-            from vssm_gym.eval.bench.soak import soak
-
-            result = soak(steps=count, seed=seed, on_progress=progress)
-        elif suite == "car":
-            from vssm_gym.eval.bench.car import measure as measure_car
-
-            result = measure_car(scene=scene, steps=count, seed=seed, on_progress=progress)
-        elif suite == "information":
-            from vssm_gym.eval.bench.information import measure as measure_information
-
-            check_at_least("bench", "trials", count, FEWEST_CANDIDATES)
-            result = measure_information(scene=scene, candidates=count, seed=seed, on_progress=progress)
-        else:
-            map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
-            result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
-            result["map_hash"] = map_hash(map_file)
-    out.mkdir(parents=True, exist_ok=True)
     measured = "all" if suite == "soak" else Path(scene if sequence is None else sequence.resolve()).stem
     path = out / f"{suite}-{measured}.json"
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
-    _show(suite, result, Console())
+    owner = Owner("bench", "bench.json", {"version": package_version()}, identity=())
+    with owned_folder(out, owner):
+        check_new_file(path)
+        with progress_bars() as progress:
+            if recording is not None:
+                from vssm_gym.eval.bench.slam import compare
+
+                result = compare(recording, trials=count, on_progress=progress)
+            elif suite == "envs":
+                from vssm_gym.eval.bench.envs import measure
+
+                result = measure(scene=scene, seed=seed, on_progress=progress)
+            elif suite == "soak":
+                from vssm_gym.eval.bench.soak import soak
+
+                result = soak(steps=count, seed=seed, on_progress=progress)
+            elif suite == "car":
+                from vssm_gym.eval.bench.car import measure as measure_car
+
+                result = measure_car(scene=scene, steps=count, seed=seed, on_progress=progress)
+            elif suite == "information":
+                from vssm_gym.eval.bench.information import measure as measure_information
+
+                check_at_least("bench", "trials", count, FEWEST_CANDIDATES)
+                result = measure_information(scene=scene, candidates=count, seed=seed, on_progress=progress)
+            else:
+                map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
+                result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
+                result["map_hash"] = map_hash(map_file)
+        _show(suite, result, Console())  # before it is written: a full disk costs the file alone
+        with atomic_write(path) as temporary:
+            temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
     print(path)
 
 

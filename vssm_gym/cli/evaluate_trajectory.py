@@ -31,7 +31,7 @@ def evaluate_trajectory(
             scale is unknown (the relative errors are then those of the scaled estimate); first: the first pair of
             poses, so that the error is the drift since then; none: both files share one frame.
         tolerance: largest difference between the stamps of a pair of poses, seconds.
-        json_file: also write every statistic to this file.
+        json_file: also write every statistic to this file (.json).
     """
     from rich.console import Console
 
@@ -44,7 +44,7 @@ def evaluate_trajectory(
     if not tolerance >= 0.0:
         raise InputError("evaluate-trajectory", "tolerance", f"seconds >= 0, not {tolerance}")
     if json_file is not None:
-        check_file(json_file)
+        check_file(json_file, (".json",), inputs=(estimate, truth))
     times_est, T_est = read_trajectory(estimate)
     times_true, T_true = read_trajectory(truth)
     of_est, of_true = associate(times_est, times_true, tolerance)

@@ -1,5 +1,6 @@
 """Run ``vssm-gym explore --scene S --out DIR``: one explorer in one scene, with pictures and a video of the run."""
 
+import sys
 from pathlib import Path
 
 TEST_STARTS = 100  # test tasks of a scene, whose starts can be taken
@@ -23,7 +24,7 @@ def explore(
 
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
-        out: new or empty folder; it appears when the run is complete.
+        out: new or empty folder. Map and pictures are there when the run has ended, the video some minutes later.
         agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, frontier_gain_scan, random_viewpoint or
             random_walk; mi_explorer_estimated_pose, frontier_gain_estimated_pose or frontier_gain_scan_estimated_pose.
         start: number of the scene's test task whose start is taken, 0 to 99.
@@ -54,13 +55,16 @@ def explore(
     )
     check_names(config, "explore")
     check_folder(out)
-    if out.exists() and any(out.iterdir()):
-        raise InputError(out, "folder", "an empty or new folder: a run is never overwritten")
     check_writer("explore")
     print_notices([scene])
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with progress_bars() as progress:
-        row = run(config, out, progress)
+    try:
+        with progress_bars() as progress:
+            row = run(config, out, progress)
+    except KeyboardInterrupt:
+        for name in FILES:
+            if (out / name).exists():
+                print(f"kept: {out / name}", file=sys.stderr)
+        raise
     covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
     print(f"{covered}: {row['status'] if row['stopped'] else 'time limit reached'}")
     print("\n".join(str(out / name) for name in FILES if (out / name).exists()))

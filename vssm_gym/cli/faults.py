@@ -32,14 +32,18 @@ def slam(
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.faults import slam as faulty_slam
     from vssm_gym.files.atomic import atomic_write
-    from vssm_gym.files.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, owned_folder
     from vssm_gym.version import package_version
 
     check_at_least("faults", "seed", seed, 0)
     check_folder(out)
     recordings = [load_sequence(sequence) for sequence in sequences]
-    with progress_bars() as progress:
-        rows = faulty_slam.run(recordings, seed=seed, on_progress=progress)
+    with owned_folder(out, Owner("faults", "faults.json", {"version": package_version()}, identity=())):
+        with progress_bars() as progress:
+            rows = faulty_slam.run(recordings, seed=seed, on_progress=progress)
+        stored = {"version": package_version(), "seed": seed} | faulty_slam.figures(rows)
+        with atomic_write(out / "slam.json") as temporary:
+            temporary.write_text(json.dumps(stored, indent=1) + "\n")
     table = Table(title="SLAM with faults", caption="error: of the worst accepted position since the fault began")
     for name in ("fault", "where", "flagged after", "error, cm", "stds", "back after", "outcome"):
         table.add_column(name, justify="left" if name in ("fault", "where", "outcome") else "right", no_wrap=True)
@@ -50,10 +54,6 @@ def slam(
         errors = (f"{100 * row.error_m:.1f}", f"{row.error_stds:.1f}") if row.confident else ("-", "-")
         table.add_row(row.fault, row.place, flagged, *errors, back, outcome)
     Console().print(table)
-    out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / "slam.json") as temporary:
-        stored = {"version": package_version(), "seed": seed} | faulty_slam.figures(rows)
-        temporary.write_text(json.dumps(stored, indent=1) + "\n")
     failed = sum(not row.passed for row in rows)
     print(f"{len(rows) - failed} of {len(rows)} runs passed; {out / 'slam.json'}")
     return FAULTS_FAILED if failed else 0

@@ -15,7 +15,8 @@ from tyro.conf import FlagCreatePairsOff
 from tyro.extras import SubcommandApp
 
 from vssm_gym.cli.shared.cache import use_compilation_cache
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, OutputError
+from vssm_gym.files.atomic import REFUSALS
 from vssm_gym.version import __version__
 
 # In the order of use: "file.function"; a dictionary holds subcommands.
@@ -47,6 +48,7 @@ COMMANDS: dict[str, Any] = {
 }
 
 DESCRIPTION = "Indoor Gymnasium environments, a spatial world model inferred in real time, and agents that plan in it."
+FAILED = 1  # a file could not be written
 BAD_INPUT = 2  # also what a wrong option exits with
 INTERRUPTED = 130  # what shells report for Ctrl-C: 128 + SIGINT
 
@@ -72,10 +74,25 @@ def main() -> int:
     except KeyboardInterrupt:
         print("interrupted: what was finished is kept", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader has closed the pipe, as `head -1` does; the flush at exit must not fail either
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader has closed the pipe, as `head -1` does
+        _leave_stdout()
         return 0
+    except OSError as error:
+        if not isinstance(error, OutputError) and error.errno not in REFUSALS:
+            raise
+        about = f"{error.filename}: " if error.filename else ""
+        print(f"error: {error if isinstance(error, OutputError) else about + str(error.strerror)}", file=sys.stderr)
+        _leave_stdout()
+        return FAILED
     return result if isinstance(result, int) else 0
+
+
+def _leave_stdout() -> None:
+    """Print what is left to print if that is possible; the flush at exit must not fail."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def build_app(commands: dict[str, Any], brief: bool = False) -> SubcommandApp:

@@ -16,7 +16,7 @@ def build(
 
     Args:
         sequence: TUM folder with groundtruth.txt; `vssm-gym record` makes one.
-        out: the map file to write (.npz).
+        out: the map file to write (.npz), a new one.
         voxel: edge of a cell, metres.
         poses: camera poses: recorded (ground truth), or estimated by PRISM from the images and commands of a survey.
     """
@@ -24,12 +24,12 @@ def build(
     from vssm_gym.cli.slam import print_warnings
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
-    from vssm_gym.files.output_folders import check_file
+    from vssm_gym.files.output_folders import check_new_file
     from vssm_gym.slam.map_building import build_map
 
     if not 0.0 < voxel <= 0.5:
         raise InputError("map build", "voxel", f"a cell size in (0, 0.5] m, found {voxel}")
-    check_file(out)
+    check_new_file(out, (".npz",))
     recording = load_sequence(sequence)
     print_warnings(recording.notices)
     damaged: list[str] = []
@@ -59,25 +59,20 @@ def export(
         height: height of the robot, metres; obstacles above it are left out of the ROS map.
     """
     from vssm_gym.errors import InputError
-    from vssm_gym.files.atomic import atomic_write
-    from vssm_gym.files.output_folders import check_folder
+    from vssm_gym.files.output_folders import check_new_folder, whole_folder
     from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
     from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, write_ros_map
     from vssm_gym.viz.glb import write_glb
     from vssm_gym.viz.mesh import surface_mesh, write_ply
 
-    check_folder(out)
-    if out.exists() and any(out.iterdir()):
-        raise InputError(out, "folder", "an empty or new folder: an export is never overwritten")
+    check_new_folder(out)
     if "sequence" in read_metadata(map_file):
         expected = "a map whose z axis points up, of `vssm-gym map build`; this one is in its first camera's frame"
         raise InputError(map_file, "frame", f"{expected} (its mesh.ply lies beside it)")
     voxel_map = VoxelMap.load(map_file)
     grid = OccupancyGrid.from_voxel_map(voxel_map, resolution, height)
     mesh = surface_mesh(voxel_map)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out) as unfinished:
-        unfinished.mkdir()
+    with whole_folder(out) as unfinished:
         write_ros_map(unfinished / "map.yaml", grid)
         write_ply(unfinished / "mesh.ply", mesh)
         write_glb(unfinished / "mesh.glb", mesh)

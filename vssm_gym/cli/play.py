@@ -40,7 +40,7 @@ def play(
     from vssm_gym.cli.shared.play_session import PLAYABLE, Session
     from vssm_gym.cli.shared.terminal import check_terminal, whole_terminal
     from vssm_gym.errors import InputError
-    from vssm_gym.files.output_folders import check_at_least, check_folder
+    from vssm_gym.files.output_folders import check_at_least, check_new_folder
 
     name = env.removeprefix("vssm_gym/")
     if name not in PLAYABLE:
@@ -53,9 +53,7 @@ def play(
     check_at_least("play", "seed", seed, 0)
     check_terminal("play")
     if record is not None:
-        check_folder(record)
-        if record.exists() and any(record.iterdir()):
-            raise InputError(record, "folder", "an empty or new folder: a recording is never overwritten")
+        check_new_folder(record)
     camera = camera_of("play", size)
     seeing: dict[str, Any] = {"camera": camera} if keys.camera else {"render_mode": "rgb_array"}
     if keys.camera:

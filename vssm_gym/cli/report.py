@@ -15,7 +15,7 @@ def report(
 
     Args:
         folder: folder of a sweep, finished or not.
-        out: file to write in place of DIR/report.html; its folder must exist.
+        out: file to write in place of DIR/report.html (.html); its folder must exist.
         seed: seed of the bootstrap resampling behind the intervals.
     """
     from vssm_gym.eval.report.page import write_report

@@ -18,16 +18,15 @@ def preview(
 
     Args:
         scene: built-in name (oak), a maze's (spiral-v1), procedural:SEED or path of a scene file.
-        out: the picture to write (.png).
+        out: the picture to write (.png), a new file.
         height: height of the picture, pixels.
     """
     from vssm_gym.errors import InputError
-    from vssm_gym.files.output_folders import check_file
+    from vssm_gym.files.output_folders import check_new_file
 
     if not 120 <= height <= 4320:
         raise InputError("scene preview", "height", f"120 to 4320 pixels; found {height}")
-    check_file(out)
-    _check_ending("scene preview", out, ".png")
+    check_new_file(out, (".png",))
     apartment = _load(scene)
     _draw(apartment, out, height)
     print(f"{_summary(apartment)}\n{out}")
@@ -41,20 +40,16 @@ def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FI
 
     Args:
         file: the scene file.
-        out: the scene to write (.json); the picture gets the same name and the ending .png.
+        out: the scene to write (.json), a new file; the picture gets the same name and the ending .png.
     """
-    from vssm_gym.errors import InputError
-
-    if out.exists() and Path(file).exists() and out.samefile(file):
-        raise InputError("scene import", "out", f"another file than {file}: what is imported is never overwritten")
-    _write("scene import", out, lambda: _load(file))
+    _write(out, lambda: _load(file))
 
 
 def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"] = "medium") -> None:
     """Generate a furnished apartment from a seed, with a picture.
 
     Args:
-        out: the scene to write (.json); the picture gets the same name and the ending .png.
+        out: the scene to write (.json), a new file; the picture gets the same name and the ending .png.
         seed: seed of the apartment; the same seed gives the same apartment.
         size: size of the apartment: small (1 to 3 rooms), medium or large.
     """
@@ -62,19 +57,19 @@ def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"]
     from vssm_gym.files.output_folders import check_at_least
 
     check_at_least("scene generate", "seed", seed, 0)
-    _write("scene generate", out, lambda: generated(seed, size))
+    _write(out, lambda: generated(seed, size))
 
 
-def _write(command: str, out: Path, make: "Callable[[], Apartment]") -> None:
+def _write(out: Path, make: "Callable[[], Apartment]") -> None:
     from vssm_gym.envs.scenes.scene import save_scene
-    from vssm_gym.files.output_folders import check_file
+    from vssm_gym.files.output_folders import check_new_file
 
-    check_file(out)
-    _check_ending(command, out, ".json")
+    picture = out.with_suffix(".png")
+    check_new_file(out, (".json",))
+    check_new_file(picture)
     apartment = make()
     summary = _summary(apartment)  # refuses a scene in which the robot fits nowhere, before anything is written
     save_scene(apartment, out)
-    picture = out.with_suffix(".png")
     _draw(apartment, picture, 720)
     print(f"{summary}\n{out}\n{picture}\nnext: vssm-gym record --scene {out} --out recording")
 
@@ -87,13 +82,6 @@ def _load(scene: str) -> "Apartment":
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return load_scene(FOLDER / f"{scene}.json" if scene in MAZES else scene)
-
-
-def _check_ending(command: str, path: Path, ending: str) -> None:
-    from vssm_gym.errors import InputError
-
-    if path.suffix.lower() != ending:
-        raise InputError(command, "out", f"a name that ends in {ending}; found {path.name!r}")
 
 
 def _draw(apartment: "Apartment", path: Path, height: int) -> None:

@@ -65,6 +65,7 @@ def slam(
     """
     from vssm_gym.cli.shared.arguments import parse_numbers, parse_size
     from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.files.output_folders import check_folder
     from vssm_gym.slam import output as slam_output
     from vssm_gym.slam.run import SlamOptions
     from vssm_gym.viz.stream import open_viewer
@@ -84,7 +85,7 @@ def slam(
         map=map,
         start=None if start is None else parse_numbers("slam", "start", start, float, "numbers x,y,z,qx,qy,qz,qw"),
     )
-    slam_output.check_free(out)
+    check_folder(out)
     calibration = None if intrinsics is None else parse_numbers("slam", "intrinsics", intrinsics, float, INTRINSICS)
     recording = load_sequence(sequence, calibration)
     print_warnings(recording.notices)

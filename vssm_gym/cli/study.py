@@ -30,7 +30,7 @@ def map_update(
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
     from vssm_gym.eval.studies import map_update as study_map_update
-    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_at_least, check_folder
 
     check_at_least("study", "frames", frames, 20)
@@ -38,12 +38,13 @@ def map_update(
         raise InputError("study", "voxel", f"a cell size in (0, 0.5] m, found {voxel}")
     check_folder(out)
     recording = load_sequence(sequence)
-    with progress_bars() as progress:
-        study = study_map_update.run(
-            recording, size=parse_size("study", size), frames=frames, voxel=voxel, on_progress=progress
-        )
-    print(study.answer)
-    print(write_study(study, out))
+    with study_folder("map-update", out):
+        with progress_bars() as progress:
+            study = study_map_update.run(
+                recording, size=parse_size("study", size), frames=frames, voxel=voxel, on_progress=progress
+            )
+        print(study.answer)
+        print(write_study(study, out))
 
 
 def resolution(
@@ -73,25 +74,26 @@ def resolution(
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import resolution as study_resolution
-    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_at_least, check_folder
 
     check_at_least("study", "seeds", seeds, 1)
     cells, widths = _distinct("voxels", voxels, float), _distinct("render-widths", render_widths, int)
     check_folder(out)
     recording = load_sequence(sequence)
-    with progress_bars() as progress:
-        study = study_resolution.run(
-            recording,
-            voxels=cells,
-            render_widths=widths,
-            size=parse_size("study", size),
-            rate=rate,
-            seeds=seeds,
-            on_progress=progress,
-        )
-    print(study.answer)
-    print(write_study(study, out))
+    with study_folder("resolution", out):
+        with progress_bars() as progress:
+            study = study_resolution.run(
+                recording,
+                voxels=cells,
+                render_widths=widths,
+                size=parse_size("study", size),
+                rate=rate,
+                seeds=seeds,
+                on_progress=progress,
+            )
+        print(study.answer)
+        print(write_study(study, out))
 
 
 def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
@@ -107,15 +109,16 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import runtime as study_runtime
-    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_folder
 
     check_folder(out)
     recording = load_sequence(sequence)
-    with progress_bars() as progress:
-        study = study_runtime.run(recording, rate=rate, on_progress=progress)
-    print(study.answer)
-    print(write_study(study, out))
+    with study_folder("runtime", out):
+        with progress_bars() as progress:
+            study = study_runtime.run(recording, rate=rate, on_progress=progress)
+        print(study.answer)
+        print(write_study(study, out))
 
 
 def calibration(
@@ -143,17 +146,18 @@ def calibration(
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import calibration as study_calibration
-    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_folder
     from vssm_gym.slam.run import SlamOptions
 
     options = SlamOptions(size=parse_size("study", size), rate=rate, voxel=voxel, extent=extent)
     check_folder(out)
     recordings = [load_sequence(sequence) for sequence in sequences]
-    with progress_bars() as progress:
-        study = study_calibration.run(recordings, options=options, on_progress=progress)
-    print(study.answer)
-    print(write_study(study, out))
+    with study_folder("calibration", out):
+        with progress_bars() as progress:
+            study = study_calibration.run(recordings, options=options, on_progress=progress)
+        print(study.answer)
+        print(write_study(study, out))
 
 
 def flight(
@@ -192,7 +196,7 @@ def flight(
     from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.eval.studies import flight as study_flight
-    from vssm_gym.eval.studies.page import write_study
+    from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_at_least, check_folder
     from vssm_gym.slam.run import SlamOptions
 
@@ -208,18 +212,19 @@ def flight(
     )
     check_folder(out)
     names = tuple(dict.fromkeys(flights.replace(" ", "").split(",")))
-    with progress_bars() as progress:
-        study = study_flight.run(
-            scene,
-            flights=names,
-            speeds=_distinct("speeds", speeds, float),
-            sensor_noise=sensor_noise,
-            options=options,
-            seeds=seeds,
-            on_progress=progress,
-        )
-    print(study.answer)
-    print(write_study(study, out))
+    with study_folder("flight", out):
+        with progress_bars() as progress:
+            study = study_flight.run(
+                scene,
+                flights=names,
+                speeds=_distinct("speeds", speeds, float),
+                sensor_noise=sensor_noise,
+                options=options,
+                seeds=seeds,
+                on_progress=progress,
+            )
+        print(study.answer)
+        print(write_study(study, out))
 
 
 def _distinct(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vssm_gym.data.recording import check_new, folder_for
+from vssm_gym.data.recording import folder_for
 from vssm_gym.data.sequences import SequenceWriter, imu_line
 from vssm_gym.envs.flight import FlightEnv
 from vssm_gym.envs.flight_body import FlightController
@@ -17,6 +17,7 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.reference_flights import Yaw
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import check_new_folder
 from vssm_gym.progress import OnProgress
 
 FLIGHT_DEPTH_SCALE = 2000.0  # units a metre: 16 bits reach 32 m, in steps of half a millimetre
@@ -54,7 +55,7 @@ def record_flight(
     Raises:
         InputError: an unknown name, a flight that does not fit, or a folder that is not empty.
     """
-    check_new(out)
+    check_new_folder(out)
     env = FlightEnv(
         scene=scene,
         noise=noise,

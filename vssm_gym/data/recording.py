@@ -24,8 +24,8 @@ from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.envs.tasks.survey import Waypoint, survey_route
 from vssm_gym.errors import InputError
-from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.json_file import read_json
+from vssm_gym.files.output_folders import check_new_folder, whole_folder
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer
@@ -59,7 +59,7 @@ def record(
     Raises:
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
-    check_new(out)
+    check_new_folder(out)
     env = PointNavEnv(
         scene=str(scene), noise=noise, sensor_noise=sensor_noise, camera=camera, observe_pose=True, reward="sparse"
     )
@@ -98,7 +98,7 @@ def record_handheld(
     Raises:
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
     """
-    check_new(out)
+    check_new_folder(out)
     measured = rgbd_noise.sensor_noise(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
@@ -132,7 +132,7 @@ def recorded_episode(
         out: new or empty folder; it appears where the block ends without an error.
         about: further fields of ``recording.json``.
     """
-    check_new(out)
+    check_new_folder(out)
     with folder_for(out, simulation.apartment, about | {"renderer": simulation.renderer.name}) as unfinished:
         writer = SequenceWriter(unfinished, simulation.camera, simulation.robot.T_body_cam)
         frames = itertools.count()
@@ -145,18 +145,11 @@ def recorded_episode(
         writer.close()
 
 
-def check_new(out: Path) -> None:
-    """Raise :class:`InputError` where ``out`` is not a new or empty folder."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(out, "folder", "an empty or new folder: a recording is never overwritten")
-
-
 @contextmanager
 def folder_for(out: Path, apartment: Apartment, about: dict[str, Any]) -> Iterator[Path]:
     """Yield a folder to record into, which becomes ``out`` when complete, with its provenance beside the images."""
     provenance = {"scene": apartment.name, "scene_hash": apartment.content_hash(), **about}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out) as unfinished:
+    with whole_folder(out) as unfinished:
         yield unfinished
         (unfinished / PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
 

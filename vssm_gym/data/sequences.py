@@ -19,6 +19,7 @@ from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.numbers import read_table
+from vssm_gym.files.output_folders import check_new_folder
 from vssm_gym.geometry.camera import Camera
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
@@ -238,8 +239,7 @@ class SequenceWriter:
             depth_scale: units a metre; readings beyond 65535 units do not fit 16 bits and are stored as 0.
         """
         self.root = Path(root)
-        if self.root.exists() and (not self.root.is_dir() or any(self.root.iterdir())):
-            raise InputError(self.root, "folder", "an empty or new folder: a recording is never overwritten")
+        check_new_folder(self.root)
         for name in ("rgb", "depth"):
             (self.root / name).mkdir(parents=True, exist_ok=True)
         self.camera, self.T_body_cam = camera, np.asarray(T_body_cam, dtype=float)

@@ -4,10 +4,9 @@ The poses are either those recorded with it, as from a motion-capture system, or
 """
 
 import hashlib
-import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.errors import InputError
+from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
@@ -178,7 +178,7 @@ def ensure_map(
     """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
 
     Map and recording are kept. They are used again if scene, seed, noise and tracer of the drive, cell size and kind of
-    poses are the same, else made again. Only files made by this package are replaced.
+    poses are the same, else refused: results in the folder are of these maps.
 
     Args:
         scene: built-in name or path of a scene file.
@@ -189,7 +189,7 @@ def ensure_map(
         on_progress: called after every frame recorded and every frame mapped.
 
     Raises:
-        InputError: a scene that cannot be used, or files of another origin at the places of map or recording.
+        InputError: a scene that cannot be used, or a map or recording of another origin at its place.
     """
     apartment = load_scene(scene)
     name = Path(scene).stem
@@ -201,18 +201,11 @@ def ensure_map(
     }
     map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
     if map_file.exists():
-        found = read_metadata(map_file)
-        if "scene_hash" not in found:
-            raise InputError(map_file, "file", "a map that a sweep or bench made, or none")
-        if _agrees(found, origin | {"voxel": voxel, "poses": poses}):
-            return map_file
+        _check_origin(map_file, "map", read_metadata(map_file), origin | {"voxel": voxel, "poses": poses})
+        return map_file
     if recording.exists():
-        found = read_provenance(recording)
-        if "scene_hash" not in found:
-            raise InputError(recording, "folder", "a recording made by vssm-gym, or none")
-        if not _agrees(found, origin):
-            shutil.rmtree(recording)
-    if not recording.exists():
+        _check_origin(recording, "recording", read_provenance(recording), origin)
+    else:
         recording.parent.mkdir(parents=True, exist_ok=True)
         record(scene, recording, noise=NOISE, seed=seed, on_progress=on_progress)
     voxel_map = build_map(load_sequence(recording), voxel, on_progress, poses=poses)
@@ -226,5 +219,9 @@ def map_hash(map_file: Path) -> str:
     return hashlib.sha256(map_file.read_bytes()).hexdigest()[:16]
 
 
-def _agrees(found: dict, wanted: dict) -> bool:
-    return all(found.get(key) == value for key, value in wanted.items())
+def _check_origin(path: Path, what: str, found: dict[str, Any], wanted: dict[str, Any]) -> None:
+    """Raise :class:`InputError` for the first field of its origin in which a map or recording differs."""
+    for field, value in wanted.items():
+        if found.get(field) != value:
+            expected = f"a {what} with {value}; found {found.get(field)} ({ADVICE})"
+            raise InputError(path, field, expected)

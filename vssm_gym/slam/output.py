@@ -1,5 +1,6 @@
 """Write the output folder of ``vssm-gym slam``: trajectory line by line, then map, mesh, ``stats.json`` and report."""
 
+import hashlib
 import json
 import os
 import platform
@@ -8,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TextIO
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,7 +18,8 @@ from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.data.trajectories import tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.output_folders import check_folder
+from vssm_gym.files.line_file import LineFile
+from vssm_gym.files.output_folders import Owner, owned_folder
 from vssm_gym.inference.status import Status
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
@@ -30,7 +32,7 @@ from vssm_gym.viz.mesh import surface_mesh, write_ply
 from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
-STATS, REPORT = "stats.json", "report.html"
+STATS, REPORT, MANIFEST = "stats.json", "report.html", "slam.json"
 MOST_OUTSIDE = 0.5  # a larger share of readings outside the map gives a warning
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
@@ -40,7 +42,6 @@ LATENCY_NOTE = (
     "undistorting and resizing, in a thread beside the filter; wait: the time in which the filter waits for the image. "
     "Frames on which a stage ran for the first time, and was compiled, are left out"
 )
-OURS = {PARTIAL, TRAJECTORY, MAP, MESH, STATS}  # files that an unfinished run may leave; the report is written last
 
 
 def process(
@@ -54,20 +55,45 @@ def process(
     """Run SLAM over a sequence and write everything to ``out``; returns what ``stats.json`` holds.
 
     Each file is written atomically. If the run ends early, the poses of the finished frames stay in
-    ``trajectory.partial.txt``, and a later run may use the folder again.
+    ``trajectory.partial.txt``, and the same run may use the folder again.
 
     Args:
         sequence: the recording.
-        out: new or empty folder, or that of an unfinished run.
+        out: new or empty folder, or that of an unfinished run over the same sequence with the same options.
         options: image size, rate, grid, solver.
         on_progress: called after every frame, and after every file.
         on_frame: called with every finished frame.
         viewer: shows every frame, and the surface at the end.
 
     Raises:
-        InputError: bad input; nothing is written before the first frame is done.
+        InputError: bad input, or the folder of another run; a run that ends before its first frame leaves nothing.
+        OutputError: a full disk or the like.
     """
-    check_free(out)
+    with owned_folder(out, _owner(sequence, options)):
+        return _process(sequence, out, options, on_progress, on_frame, viewer)
+
+
+def _owner(sequence: Sequence, options: SlamOptions) -> Owner:
+    """Return what marks the folder of a run: the sequence, by its name and stamps, and the options."""
+    stamps = hashlib.sha256(np.array([frame.time for frame in sequence.frames]).tobytes()).hexdigest()[:16]
+    camera = {"K": sequence.camera.K.tolist(), "distortion": sequence.distortion.tolist()}
+    config = {"sequence": sequence.root.resolve().name, "stamps": stamps, **camera, **_config(options)}
+    if options.map is not None and options.map.is_file():
+        config["map"] = hashlib.sha256(options.map.read_bytes()).hexdigest()[:16]
+    hashed = hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
+    content = {"config": config, "config_hash": hashed, "version": package_version()}
+    return Owner("SLAM run", MANIFEST, content, finished=REPORT)
+
+
+def _process(
+    sequence: Sequence,
+    out: Path,
+    options: SlamOptions,
+    on_progress: OnProgress | None,
+    on_frame: Callable[[TrackedFrame], None] | None,
+    viewer: Viewer | None,
+) -> dict[str, Any]:
+    """Do the work of :func:`process` in a folder that it owns."""
     start = time.perf_counter()
     images = FrameReader(sequence, options.size)  # for the viewer: the run keeps none of its images
 
@@ -198,19 +224,6 @@ def errors(run: SlamRun, sequence: Sequence) -> dict[str, Any] | None:
         return {"impossible": str(error)}
 
 
-def check_free(out: Path) -> None:
-    """Refuse a folder that is neither new nor empty nor left by an unfinished run: nothing is ever overwritten.
-
-    Raises:
-        InputError: it holds a finished run, or something else.
-    """
-    if not out.exists():
-        check_folder(out)
-        return
-    if not out.is_dir() or not {path.name for path in out.iterdir()} <= OURS:
-        raise InputError(out, "folder", "a new or empty folder, or that of a run which did not end")
-
-
 def _write(path: Path, text: str) -> None:
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -221,21 +234,14 @@ class _TrajectoryFile:
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        self._file: TextIO | None = None
+        self._file: LineFile | None = None
 
     def append(self, frame: TrackedFrame) -> None:
-        """Write a frame's pose; the first call makes the folder and removes files of an unfinished run."""
+        """Write a frame's pose; the first call drops the poses of the same run before, if that did not end."""
         if self._file is None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-                for name in OURS:
-                    (self.out / name).unlink(missing_ok=True)
-                self._file = (self.out / PARTIAL).open("w", encoding="utf-8")
-            except OSError as error:
-                raise InputError(self.out, "folder", f"a folder that can be written ({error.strerror})") from error
-            self._file.write("# timestamp tx ty tz qx qy qz qw\n")
-        self._file.write(tum_line(frame.time, frame.T_world_cam))
-        self._file.flush()
+            self._file = LineFile(self.out / PARTIAL, keep=0)
+            self._file.append(b"# timestamp tx ty tz qx qy qz qw\n")
+        self._file.append(tum_line(frame.time, frame.T_world_cam).encode())
 
     def __enter__(self) -> "_TrajectoryFile":
         return self

@@ -109,9 +109,7 @@ def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: flo
         InputError: a folder that holds no training or no line that counts; trainings of one name that are not seeds
             of one configuration; a file that cannot be written.
     """
-    if out.suffix.lower() not in KINDS:
-        raise InputError(out, "file", f"a name that ends in {' or '.join(KINDS)}")
-    check_file(out)
+    check_file(out, KINDS)
     if minutes is not None and not (math.isfinite(minutes) and minutes > 0.0):
         raise InputError("curves", "minutes", f"more than 0; found {minutes:g}")
     groups = grouped([read_training(folder) for folder in folders])

@@ -1,9 +1,7 @@
 """Hold a running training of any algorithm: its clock, its limits, its log, and its policy file."""
 
 import contextlib
-import fcntl
 import json
-import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -14,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.agents.policy.policy_file import Policy, PolicySpec, save
-from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
+from vssm_gym.files.line_file import LineFile
 from vssm_gym.training.config import TrainingConfig
 from vssm_gym.training.environment import BODY
 
@@ -128,28 +126,19 @@ class Run:
 
 
 class ProgressLog:
-    """Write ``progress.jsonl``; a lock keeps a second training out of the folder."""
+    """Write ``progress.jsonl``, in a folder that the process owns."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._file = path, path.open("ab")
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._file.close()
-            raise InputError(path, "file", "no other training writing it at the same time") from error
+        self._path, self._file = path, LineFile(path)
 
     def append(self, row: Row) -> None:
         """Add a line."""
-        self._file.write(json.dumps(row, allow_nan=False).encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        self._file.append(json.dumps(row, allow_nan=False).encode() + b"\n", sync=True)
 
     def drop_after(self, steps: int) -> None:
-        """Drop lines after ``steps``, and an unfinished last line."""
-        kept = [json.dumps(row) for row in read_progress(self._path) if row["steps"] <= steps]
-        self._file.truncate(0)  # appending continues at the new end
-        self._file.write("".join(line + "\n" for line in kept).encode())
-        self._file.flush()
+        """Drop lines after ``steps``, and an unfinished last line; what is kept is not written again."""
+        kept = sum(row["steps"] <= steps for row in read_progress(self._path))  # the first ones: steps only grow
+        self._file.truncate(sum(map(len, self._path.read_bytes().splitlines(keepends=True)[:kept])))
 
     def __enter__(self) -> "ProgressLog":
         return self

@@ -7,13 +7,11 @@ the whole training, the environment's construction and compilation included.
 
 import importlib.metadata
 import importlib.util
-import json
 from pathlib import Path
 from typing import Any
 
 from vssm_gym.errors import InputError
-from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.output_folders import check_folder
+from vssm_gym.files.output_folders import Owner, check_folder, owned_folder
 from vssm_gym.training.cloning import DEMONSTRATIONS, clone
 from vssm_gym.training.config import TrainingConfig, training_hash
 from vssm_gym.training.environment import make_training_env, stream, world_hash
@@ -21,7 +19,7 @@ from vssm_gym.training.run import POLICY, OnUpdate, ProgressLog, Row, Run, defer
 from vssm_gym.version import package_version
 
 MANIFEST, PROGRESS, CHECKPOINT, LOGS = "training.json", "progress.jsonl", "checkpoint.pt", "logs"
-BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # files that mark a training that has begun
+BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # what a training resumes from, or has ended with
 LIBRARIES = ("stable_baselines3", "torch", "numpy", "jax", "gymnasium")
 
 
@@ -40,13 +38,17 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
 
     Raises:
         InputError: the folder of another or of a running training, or an invalid map, scene or keyword.
+        OutputError: a full disk or the like; the last checkpoint is kept.
     """
     _check_extra()
     check_folder(out)
     manifest = _manifest(config)
-    out.mkdir(parents=True, exist_ok=True)
-    with ProgressLog(out / PROGRESS) as log, deferred_interrupt() as interrupted:
-        _claim(out, manifest, resume)
+    owner = Owner("training", MANIFEST, manifest, resumed=BEGUN)
+    with (
+        owned_folder(out, owner, resume),
+        ProgressLog(out / PROGRESS) as log,
+        deferred_interrupt() as interrupted,
+    ):
         run = Run(config, out, manifest, log, interrupted, on_update or (lambda row, fraction: None))
         if config.algorithm.name == "bc":
             clone(run)
@@ -120,24 +122,3 @@ def _manifest(config: TrainingConfig) -> dict[str, Any]:
         "version": package_version(),
         "libraries": {name: importlib.metadata.version(name) for name in LIBRARIES},
     }
-
-
-def _claim(out: Path, manifest: dict[str, Any], resume: bool) -> None:
-    """Make ``out`` this training's folder; raise :class:`InputError` where it cannot be."""
-    path = out / MANIFEST
-    others = [one.name for one in out.iterdir() if not one.name.startswith((PROGRESS, f".{MANIFEST}."))]
-    if others and not path.is_file():
-        raise InputError(out, "folder", f"a new or empty folder, or that of a training; it holds {others[0]}")
-    if any((out / name).is_file() for name in BEGUN):
-        if not resume:
-            raise InputError(out, "folder", "a folder without a training; --resume continues the one it holds")
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))["config_hash"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(path, "file", "the JSON that the training wrote") from error
-        if found != manifest["config_hash"]:
-            expected = f"{manifest['config_hash']}, as of this configuration, its map and --seed; found {found}"
-            raise InputError(path, "config_hash", f"{expected}: another training belongs into another folder")
-        return
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")

@@ -38,12 +38,7 @@ def write_video(path: Path, both: PolicyRuns, on_progress: OnProgress | None = N
     """
     sheet = Sheet(both)
     with atomic_write(path) as temporary:
-        unfinished = temporary.with_suffix(".mp4")  # ffmpeg goes by the name's end
-        try:
-            write_frames(unfinished, (sheet.draw(i) for i in range(len(both))), len(both), on_progress)
-            unfinished.replace(temporary)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        write_frames(temporary, (sheet.draw(i) for i in range(len(both))), len(both), on_progress)
 
 
 class Sheet:

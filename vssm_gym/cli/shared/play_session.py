@@ -189,7 +189,8 @@ class Session:
         """Return the lines that are printed at the end."""
         lines = [f"{self.episodes} episode{'s' * (self.episodes > 1)}, {self.successes} with success"]
         if self._record is not None and self._record.exists():
-            folders = sorted(self._record.iterdir(), key=lambda path: int(path.name))
+            episodes = (path for path in self._record.iterdir() if path.name.isdigit())
+            folders = sorted(episodes, key=lambda path: int(path.name))
             lines += [f"recorded: {folder}" for folder in folders]
         return lines
 
