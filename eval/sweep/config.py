@@ -1,6 +1,8 @@
 """Read and check a sweep's configuration, whose lists multiply into episodes, before anything runs."""
 
 import itertools
+import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,23 +17,32 @@ from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings, scene_name
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
+from vssm_gym.files.bounded import is_file
 from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, read_yaml
 
+CONDITIONS = ("robot", "noise", "sensor_noise", "renderer", "physics")
+MOST_TASKS = 100_000  # of a scene
+MOST_EPISODES = 1_000_000  # of a sweep; a thousand hours of them
+_RANGE = re.compile(r"\s*([0-9]{1,9})\s*-\s*([0-9]{1,9})\s*")
 DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker than an inner wall of 10 cm
 
 
 def _task_ids(value: Any) -> Any:
     """Parse ``100`` (the first hundred test tasks), ``"20-39"`` (these numbers, both included) or a list."""
+    expected = "a number of tasks, a range like 20-39 or a list of task numbers"
     if isinstance(value, bool):
-        raise ValueError("a number of tasks, a range like 20-39 or a list of task numbers")
+        raise ValueError(expected)
     if isinstance(value, int):
-        return tuple(range(value))
-    if isinstance(value, str):
-        first, dash, last = value.partition("-")
-        if not (dash and first.strip().isdigit() and last.strip().isdigit()):
-            raise ValueError(f"a number of tasks, a range like 20-39 or a list of task numbers, found {value!r}")
-        return tuple(range(int(first), int(last) + 1))
-    return as_tuple(value)
+        value = f"0-{value - 1}" if value > 0 else ()
+    if not isinstance(value, str):
+        return as_tuple(value)
+    found = _RANGE.fullmatch(value)
+    if not found:
+        raise ValueError(f"{expected}, found {value!r:.100}")
+    first, last = int(found[1]), int(found[2])
+    if last - first >= MOST_TASKS:
+        raise ValueError(f"at most {MOST_TASKS:,} tasks, found {value:.100}")
+    return tuple(range(first, last + 1))
 
 
 class SweepConfig(BaseModel):
@@ -88,6 +99,9 @@ def load_config(path: Path) -> SweepConfig:
     """
     config = read_yaml(path, SweepConfig)
     check_environments(config, path)
+    lists = (getattr(config, name) for name in ("env", "scenes", "agents", *CONDITIONS, "tasks", "seeds"))
+    if (episodes := math.prod(map(len, lists))) > MOST_EPISODES:
+        raise InputError(path, "file", f"lists that multiply to at most {MOST_EPISODES:,} episodes; found {episodes:,}")
     protocol = protocol_of(config.env[0])
     scenes = tuple(
         scene if scene in protocol.scene_names() or scene.startswith(PREFIX) else str((path.parent / scene).resolve())
@@ -146,6 +160,6 @@ def check_names(config: SweepConfig, source: object) -> None:
     for scene in config.scenes:
         if scene.startswith(PREFIX):
             parse_spec(scene)
-        elif scene not in names and not Path(scene).is_file():
+        elif scene not in names and not is_file(scene):
             expected = f"a built-in scene ({', '.join(names)}), {PREFIX}SEED or an existing file; found {scene!r}"
             raise InputError(source, "scenes", expected)

@@ -52,6 +52,21 @@ def test_gymnasium_accepts_it(name):
 
 
 @pytest.mark.parametrize("name", IDS)
+def test_options_and_use_after_close_are_refused(name):
+    env = make(name).unwrapped
+    for options in (5, "task", [1], np.zeros(3), {"no such key": 1}, {1: 2, "x": 3}):
+        with pytest.raises(InputError, match="reset: options: expected") as refused:
+            env.reset(seed=0, options=options)
+        assert str(refused.value).isprintable()
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for use in (env.reset, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(gym.error.ClosedEnvironmentError):
+            use()
+
+
+@pytest.mark.parametrize("name", IDS)
 def test_stable_baselines_accepts_it(name):
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="the rl extra is not installed")
     with warnings.catch_warnings():

@@ -189,9 +189,23 @@ def test_all_environments_can_be_rendered():
         (lambda: make_vec("vssm_gym/PointNav-v0", threads="2"), "threads"),
         (lambda: make_vec("vssm_gym/PointNav-v0").reset(seed=[1, 2]), "seed"),
         (lambda: make_vec("vssm_gym/PointNav-v0").reset(options={"reset_mask": np.zeros(N, bool)}), "reset_mask"),
+        (lambda: make_vec("vssm_gym/PointNav-v0").reset(seed=-1), "seed"),
+        (lambda: make_vec("vssm_gym/PointNav-v0").reset(seed=1.5), "seed"),
+        (lambda: make_vec("vssm_gym/PointNav-v0").reset(seed=[1, -1, 2]), "seed"),
+        (lambda: make_vec("vssm_gym/PointNav-v0").reset(seed="1"), "seed"),
+        (lambda: make_vec("vssm_gym/PointNav-v0").reset(options=5), "options"),
         (lambda: make_vec("vssm_gym/PointNav-v0").reset(options={"reset_mask": [1, 0]}), "reset_mask"),
     ],
 )
 def test_bad_input_is_named(break_it, field):
     with pytest.raises(InputError, match=field):
         break_it()
+
+
+def test_closed_environments_are_not_stepped():
+    env = make_vec("vssm_gym/LidarMaze-v0")
+    env.reset(seed=0)
+    env.close()
+    for use in (env.reset, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(gym.error.ClosedEnvironmentError):
+            use()

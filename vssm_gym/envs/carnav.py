@@ -33,7 +33,7 @@ from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.car import TARGETS, CarTask, CarTaskSampler, Targets
 from vssm_gym.envs.tasks.rewards import DenseReward
-from vssm_gym.envs.validation import choose, parse_action
+from vssm_gym.envs.validation import check_options, choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
@@ -155,10 +155,7 @@ class CarNavEnv(PhasedEnv):
 
         Raises :class:`InputError` for a target that the car cannot reach, or a task of another scene.
         """
-        options = options or {}
-        if unknown := set(options) - {"task", "goal", "restart"}:
-            expected = f"no other keys than 'task', 'goal' and 'restart'; found {sorted(unknown)}"
-            raise InputError("reset", "options", expected)
+        options = check_options(options, "task", "goal", "restart")
         number = 0 if self.task is None else self.task.id + 1  # of a chain's next task
         task, goal, restart = options.get("task"), options.get("goal"), options.get("restart", False)
         if not isinstance(restart, bool):
@@ -250,6 +247,7 @@ class CarNavEnv(PhasedEnv):
 
     def close(self) -> None:
         """Free the simulator."""
+        super().close()
         self.body.close()
 
     def _action_space(self) -> gym.spaces.Box:

@@ -15,7 +15,7 @@ from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.coverage import Coverage
 from vssm_gym.envs.tasks.navigation import BORDER_MARGIN
 from vssm_gym.envs.tasks.rewards import DenseReward
-from vssm_gym.envs.validation import choose
+from vssm_gym.envs.validation import check_options, choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
@@ -70,11 +70,9 @@ class ExploreEnv(PhasedEnv):
 
         Raises :class:`InputError` where the robot does not fit there.
         """
+        given = check_options(options, "start").get("start")
         self.simulation.seed(seed)
-        unknown = set(options or {}) - {"start"}
-        if unknown:
-            raise InputError("reset", "options", f"no other key than 'start'; found {sorted(unknown)}")
-        start = self._start((options or {}).get("start"))
+        start = self._start(given)
         self.simulation.place(start)
         self.coverage.reset()
         self.coverage.see(self.planar)

@@ -38,7 +38,7 @@ from vssm_gym.envs.tasks.reference_flights import (
     Yaw,
     place,
 )
-from vssm_gym.envs.validation import choose, parse_action
+from vssm_gym.envs.validation import check_options, choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.gravity import GRAVITY
 from vssm_gym.geometry.transforms import matrix_to_planar
@@ -152,10 +152,7 @@ class FlightEnv(PhasedEnv):
         A seed restarts all streams; without one they continue. Raises :class:`InputError` for a flight that the body
         cannot fly here.
         """
-        unknown = set(options or {}) - {"task"}
-        if unknown:
-            raise InputError("reset", "options", f"no other key than 'task'; found {sorted(unknown)}")
-        task = (options or {}).get("task")
+        task = check_options(options, "task").get("task")
         if task is not None and not isinstance(task, ReferenceFlight):
             raise InputError("reset", "options['task']", f"a ReferenceFlight; found {type(task).__name__}")
         if seed is not None or not self._streams:

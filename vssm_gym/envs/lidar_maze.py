@@ -30,7 +30,7 @@ from vssm_gym.envs.tasks.maze_objectives import Approach, MazeCoverage
 from vssm_gym.envs.tasks.mazes import ROBOT, load_maze
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.tasks.rewards import DenseReward
-from vssm_gym.envs.validation import choose, parse_action
+from vssm_gym.envs.validation import check_options, choose, parse_action
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
@@ -114,13 +114,10 @@ class LidarMazeEnv(PhasedEnv):
 
     def begin(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Start an episode: streams, task and pose, without a scan."""
+        task = check_options(options, "task").get("task")
         if seed is not None or not self._streams:
             self._streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
             self.sensors.seed(self._streams)
-        unknown = set(options or {}) - {"task"}
-        if unknown:
-            raise InputError("reset", "options", f"no other key than 'task'; found {sorted(unknown)}")
-        task = (options or {}).get("task")
         if task is None:
             task = self.tasks.tasks[self._streams["task"].integers(len(self.tasks.tasks))]
         else:

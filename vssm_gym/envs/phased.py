@@ -29,6 +29,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     passes_to: ClassVar[type | None] = None  # the class whose keywords the constructor accepts besides its own
     parallel: bool = False  # True if several environments may sense at once, in threads of one process
+    _closed: bool = False
     _running: bool = False  # True from a reset to the step that ends the episode
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
@@ -61,6 +62,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Start an episode; see :meth:`begin` for seed and options."""
+        self._check_open()
         super().reset(seed=seed)
         self.begin(seed, options)
         self.sense()
@@ -70,6 +72,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     def step(self, action: np.ndarray) -> Report:
         """Carry out an action; see :meth:`advance`. Raises ``ResetNeeded`` where no episode is under way."""
+        self._check_open()
         if not self._running:
             raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
         self.advance(action)
@@ -77,6 +80,14 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         observation, reward, terminated, truncated, info = self.report()
         self._running = not (terminated or truncated)
         return observation, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Free what the environment holds; it cannot be reset or stepped afterwards."""
+        self._closed = True
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise gym.error.ClosedEnvironmentError("the environment is closed: make a new one")
 
 
 def keywords_of(cls: type) -> list[str]:

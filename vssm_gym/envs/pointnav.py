@@ -17,7 +17,7 @@ from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
 from vssm_gym.envs.tasks.rewards import DenseReward
-from vssm_gym.envs.validation import choose
+from vssm_gym.envs.validation import check_options, choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import PlanarPose
 
@@ -90,11 +90,8 @@ class PointNavEnv(PhasedEnv):
         A seed restarts all streams; without one they continue. Raises :class:`InputError` where the task does not
         belong to this scene, or where its start or goal is not free.
         """
+        task = check_options(options, "task").get("task")
         self.simulation.seed(seed)
-        unknown = set(options or {}) - {"task"}
-        if unknown:
-            raise InputError("reset", "options", f"no other key than 'task'; found {sorted(unknown)}")
-        task = (options or {}).get("task")
         self.task = self._next_task() if task is None else self._checked(task)
         start = np.asarray(self.task.start, dtype=np.float64)
         self.simulation.place(start)

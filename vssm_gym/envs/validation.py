@@ -47,6 +47,40 @@ def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> N
         raise InputError(source, field, f"one of {', '.join(map(repr, available))}; found {value!r:.80}")
 
 
+def check_options(options: Any, *known: str) -> dict[str, Any]:
+    """Return the options of a reset; raise InputError for what is no dictionary, or for a key that is not ``known``."""
+    if options is None:
+        return {}
+    if not isinstance(options, dict):
+        raise InputError("reset", "options", f"a dictionary or None; found {options!r:.80}")
+    if unknown := [key for key in options if key not in known]:
+        names = " and ".join(filter(None, [", ".join(map(repr, known[:-1])), repr(known[-1])]))
+        keys = f"key{'s' * (len(known) > 1)} than {names}"
+        raise InputError("reset", "options", f"no other {keys}; found {sorted(map(repr, unknown))!s:.100}")
+    return dict(options)
+
+
+def vector_seeds(seed: Any, n: int) -> list[int | None]:
+    """Return ``n`` seeds of one for each environment, of the first of consecutive ones, or of None.
+
+    Raises:
+        InputError: another number of them, or one that is no whole number >= 0.
+    """
+    if seed is None:
+        return [None] * n
+    single = isinstance(seed, int | np.integer)
+    seeds = [seed] if single else list(seed) if isinstance(seed, list | tuple | np.ndarray) else ["no list"]
+    for one in seeds:
+        if one is not None and (isinstance(one, bool) or not isinstance(one, int | np.integer) or one < 0):
+            expected = f"a whole number >= 0, or {n} of them or of None"
+            raise InputError("reset", "seed", f"{expected}; found {seed!r:.80}")
+    if single:
+        return [int(seed) + i for i in range(n)]
+    if len(seeds) != n:
+        raise InputError("reset", "seed", f"{n} seeds; found {len(seeds)}")
+    return [None if one is None else int(one) for one in seeds]
+
+
 def parse_action(action: Any, names: tuple[str, ...]) -> np.ndarray:
     """Return ``action`` as float64, one number for each of ``names``.
 

@@ -20,6 +20,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.registration import ENVIRONMENTS
+from vssm_gym.envs.validation import vector_seeds
 from vssm_gym.errors import InputError
 
 
@@ -80,9 +81,10 @@ class PhasedVectorEnv(VectorEnv):
             seed: one for each environment, or the first of consecutive ones; None: their streams continue.
             options: options of every environment's reset, and ``reset_mask`` ``(num_envs,)`` bool.
         """
-        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if _single(seed) else list(seed)  # type: ignore[arg-type, operator]
-        if len(seeds) != self.num_envs:
-            raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
+        self._check_open()
+        seeds = vector_seeds(seed, self.num_envs)
+        if options is not None and not isinstance(options, dict):
+            raise InputError("reset", "options", f"a dictionary or None; found {options!r:.80}")
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
@@ -102,6 +104,7 @@ class PhasedVectorEnv(VectorEnv):
         Raises :class:`InputError`, without any effect, for actions that are not ``num_envs`` finite ones of the right
         shape.
         """
+        self._check_open()
         if not self._begun.all():
             raise gym.error.ResetNeeded("call reset before step")
         batch = np.asarray(actions)
@@ -151,6 +154,10 @@ class PhasedVectorEnv(VectorEnv):
         for env in self.envs:
             env.close()
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError("the environments are closed: make new ones")
+
     def _gather(self, fresh: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Sense in all environments and stack the reports; infos are of the ``fresh`` environments."""
         self._sense()
@@ -183,10 +190,6 @@ def _sense_in_turn(envs: list[PhasedEnv]) -> None:
 
 def _whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
-
-
-def _single(seed: Any) -> bool:
-    return seed is None or isinstance(seed, int | np.integer)
 
 
 def _of(path: str) -> Callable[..., PhasedVectorEnv]:

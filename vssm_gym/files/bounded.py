@@ -30,6 +30,14 @@ def open_file(path: str | Path, expected: str = "a readable file") -> BinaryIO:
     return os.fdopen(descriptor, "rb")
 
 
+def is_file(path: str | Path) -> bool:
+    """Return True for an existing ordinary file; False also for a name that no file can have."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):  # too long, or with a NUL
+        return False
+
+
 def read_bytes(path: str | Path, limit: int, expected: str = "a readable file") -> bytes:
     """Return the file's content; raise InputError where it cannot be read or has more than ``limit`` bytes."""
     with open_file(path, expected) as file:

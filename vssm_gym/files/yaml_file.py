@@ -8,8 +8,11 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, Validati
 
 from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_text
+from vssm_gym.files.json_file import LARGEST
 
 YAML_BYTES = 256 << 10  # of a configuration; the parser reads 100 kB a second
+LONGEST_NAME = 1000  # characters of a name or a path
+MOST_VALUES = 100_000  # of a list
 YAML_DEPTH = 20  # nested lists and mappings; configurations nest 4 deep
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -27,10 +30,16 @@ def distinct(values: tuple[T, ...]) -> tuple[T, ...]:
     return values
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)]
-Seeds = Annotated[
-    tuple[Annotated[int, Field(ge=0)], ...], BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1)
-]
+def printable(name: str) -> str:
+    """Return the name; raise ValueError for an empty one, a very long one, or control characters in it."""
+    if not name.isprintable() or not 0 < len(name) <= LONGEST_NAME:
+        raise ValueError(f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r:.100}")
+    return name
+
+
+_LIST = (BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1, max_length=MOST_VALUES))
+Names = Annotated[tuple[Annotated[str, AfterValidator(printable)], ...], *_LIST]
+Seeds = Annotated[tuple[Annotated[int, Field(ge=0, lt=LARGEST)], ...], *_LIST]
 
 
 def read_yaml(path: Path, model: type[M]) -> M:

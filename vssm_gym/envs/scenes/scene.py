@@ -18,6 +18,7 @@ from vssm_gym.envs.scenes.importers.ros_map import import_ros_map
 from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.bounded import is_file
 from vssm_gym.files.json_file import read_json, read_json_line
 
 __all__ = [
@@ -79,7 +80,7 @@ def _from_file(spec: str) -> Apartment:
     if name.endswith(LINES) and number.isdigit():
         return _from_lines(Path(name), int(number[:9]))
     path = Path(spec)
-    if not _is_file(path):
+    if not is_file(path):
         names = ", ".join(built_in_scenes())
         raise InputError(spec, "scene", f"a built-in name ({names}), {PREFIX}SEED or the path of an existing file")
     if spec.endswith(LINES):
@@ -93,13 +94,6 @@ def _from_file(spec: str) -> Apartment:
 
         return import_mjcf(path)
     return _from_json(path)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # longer than any name may be
-        return False
 
 
 def _from_json(path: Path) -> Apartment:

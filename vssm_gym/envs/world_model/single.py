@@ -5,6 +5,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.validation import check_options
 from vssm_gym.envs.world_model.vector import WorldModelVectorEnv
 from vssm_gym.errors import InputError
 
@@ -32,7 +33,7 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin an episode with ``options["task"]``, the number of a task of the pool, or with one that is drawn."""
         super().reset(seed=seed)
-        observation, infos = self.vector.reset(seed=seed, options=options)
+        observation, infos = self.vector.reset(seed=seed, options=check_options(options, "task"))
         self._running = True
         return _first(observation), _info(infos) | _still(self.vector)
 
@@ -49,6 +50,10 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
         observation, reward, terminated, truncated, infos = self.vector.step(batch)
         self._running = not (terminated[0] or truncated[0])
         return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _info(infos)
+
+    def close(self) -> None:
+        """Free the batch; the environment cannot be reset or stepped afterwards."""
+        self.vector.close()
 
     def render(self) -> np.ndarray | None:
         """Draw the robot on the belief's floor plan; return None without ``render_mode``."""

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
-from vssm_gym.envs.validation import choose
+from vssm_gym.envs.validation import check_options, choose, vector_seeds
 from vssm_gym.envs.world_model.batch_slices import BatchSlices
 from vssm_gym.envs.world_model.config import SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
@@ -78,13 +78,12 @@ class WorldModelVectorEnv(VectorEnv):
             options: ``reset_mask`` ``(num_envs,)`` bool; ``task``: numbers of the pool's tasks, one a robot or one for
                 all robots.
         """
-        options = dict(options or {})
+        self._check_open()
+        options = check_options(options, "reset_mask", "task")
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise InputError("reset", "options['reset_mask']", f"{self.num_envs} booleans, one of them true")
         tasks = self._tasks(options.pop("task", None))
-        if options:
-            raise InputError("reset", "options", f"no other keys than 'reset_mask' and 'task'; found {sorted(options)}")
         if not (self._begun or mask.all()):
             raise gym.error.ResetNeeded("the first reset is one of all environments: reset_mask comes later")
         self._seed(seed, mask)
@@ -101,6 +100,7 @@ class WorldModelVectorEnv(VectorEnv):
 
         Actions that are not finite or not of the action space's shape raise :class:`InputError` and change nothing.
         """
+        self._check_open()
         if not self._begun:
             raise gym.error.ResetNeeded("call reset before step")
         batch = np.asarray(actions)
@@ -165,6 +165,10 @@ class WorldModelVectorEnv(VectorEnv):
         start = np.asarray(self.world.pool.start)[task]
         return {"task": task, "_task": mask, "start_pose": start, "_start_pose": mask}
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError("the environments are closed: make new ones")
+
     def _tasks(self, given: Any) -> np.ndarray:
         """Return the numbers of tasks, one a robot; -1 draws one."""
         if given is None:
@@ -183,10 +187,7 @@ class WorldModelVectorEnv(VectorEnv):
             fresh = np.random.SeedSequence().generate_state(2 * self.num_envs, np.uint32)
             keys, mask = fresh.reshape(-1, 2), np.ones(self.num_envs, bool)
         else:
-            single = isinstance(seed, int | np.integer)
-            seeds = [int(seed) + i for i in range(self.num_envs)] if single else list(seed)
-            if len(seeds) != self.num_envs:
-                raise InputError("reset", "seed", f"{self.num_envs} seeds; found {len(seeds)}")
+            seeds = vector_seeds(seed, self.num_envs)
             keys = np.array(self._batch.state.key)
             if not self._begun:  # those without a seed of their own
                 keys = np.random.SeedSequence().generate_state(keys.size, np.uint32).reshape(keys.shape)
