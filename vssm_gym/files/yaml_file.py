@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, Validati
 
 from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_text
-from vssm_gym.files.json_file import LARGEST
+from vssm_gym.files.json_file import LARGEST_WHOLE
 
 YAML_BYTES = 256 << 10  # of a configuration; the parser reads 100 kB a second
 LONGEST_NAME = 1000  # characters of a name or a path
@@ -39,7 +39,7 @@ def printable(name: str) -> str:
 
 _LIST = (BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1, max_length=MOST_VALUES))
 Names = Annotated[tuple[Annotated[str, AfterValidator(printable)], ...], *_LIST]
-Seeds = Annotated[tuple[Annotated[int, Field(ge=0, lt=LARGEST)], ...], *_LIST]
+Seeds = Annotated[tuple[Annotated[int, Field(ge=0, lt=LARGEST_WHOLE)], ...], *_LIST]
 
 
 def read_yaml(path: Path, model: type[M]) -> M:
