@@ -33,7 +33,7 @@ PREFIX = "policy:"  # of agents' names that are a policy's file
 HASH_DIGITS = 8  # hexadecimal, of a policy's content
 POLICY_BYTES = 256 << 20  # of a file, and of its arrays; the policies trained here have 0.3 MB
 MOST_LAYERS = 32  # hidden ones
-LONGEST_NAME = 200  # characters
+LONGEST_POLICY_NAME = 200  # characters
 LARGEST_LIMIT = 1e6  # m, rad: a bound of commands and distances, far beyond any robot's
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 SQUASHES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
@@ -162,7 +162,7 @@ def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
         raise InputError(path, "header", f"the fields {', '.join(sorted(names))}; found {', '.join(sorted(header))}")
     tuples = {name: tuple(header[name]) for name in ("parts", "hidden", "low", "high") if _is_list(header[name])}
     checks = {
-        "name": isinstance(header["name"], str) and 0 < len(header["name"]) <= LONGEST_NAME,
+        "name": isinstance(header["name"], str) and 0 < len(header["name"]) <= LONGEST_POLICY_NAME,
         "parts": _is_list(header["parts"])
         and "goal" in header["parts"]
         and len(header["parts"]) <= len(SIZES)
