@@ -37,6 +37,7 @@ def printable(name: str) -> str:
     return name
 
 
+# Of a field that takes one value or a list.
 _LIST = (BeforeValidator(as_tuple), AfterValidator(distinct), Field(min_length=1, max_length=MOST_VALUES))
 Names = Annotated[tuple[Annotated[str, AfterValidator(printable)], ...], *_LIST]
 Seeds = Annotated[tuple[Annotated[int, Field(ge=0, lt=LARGEST_WHOLE)], ...], *_LIST]
