@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import Room, camera_pose
@@ -188,6 +188,7 @@ def test_a_large_grid_needs_memory_for_stored_blocks_only() -> None:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
+@settings(max_examples=8)  # each number of stored blocks compiles anew
 @given(seeds)
 def test_save_and_load_a_sparse_map(tmp_path_factory, seed: int) -> None:
     path = tmp_path_factory.mktemp("map") / "map.npz"
