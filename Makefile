@@ -23,7 +23,7 @@ help:
 	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims"
 	@echo "make coverage   make test, and the share of lines that it runs; fails below the floor in pyproject.toml"
 	@echo "make additions  take out a sensor, a metric, a planner, a robot in turn: the rest must pass"
-	@echo "make faults     faulty images for SLAM; RECORDINGS=DIR adds TUM folders to the simulated walks"
+	@echo "make faults     faulty images for SLAM and agents; RECORDINGS=DIR adds TUM folders to the simulated walks"
 	@echo "make chaos      kill commands at random moments, fill their disks, start them twice (about half an hour)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
@@ -71,7 +71,7 @@ additions: $(STAMP)
 	$(BIN)/python tests/remove_additions.py
 
 faults: $(STAMP)
-	$(BIN)/vssm-gym faults slam $(RECORDINGS)
+	failed=0; $(BIN)/vssm-gym faults slam $(RECORDINGS) || failed=1; $(BIN)/vssm-gym faults navigation || failed=1; exit $$failed
 
 chaos: $(STAMP)
 	$(BIN)/python -m tests.chaos

@@ -6,8 +6,7 @@ Every agent that estimates its pose reads the same judgement (:class:`JudgedFilt
     score >= min_score,   photometric <= clip(max_unexplained contrast / sigma, 1, max_photometric)
 
 holds for an image that fits: its geometry does, and the mean photometric residual, in standard deviations ``sigma`` of
-the alignment, leaves little of the image's own contrast unexplained. At a wrong place, where geometry may fit by
-chance, colours do not.
+the alignment, is no larger than the image's own contrast. At a wrong place geometry may fit by chance, but not colours.
 """
 
 from collections.abc import Mapping
@@ -68,7 +67,8 @@ class TrustConfig:
     frozen: FrozenConfig = field(default_factory=FrozenConfig)
     min_reading: float = 0.05  # share of the pixels with depth: fewer fit anywhere
     min_score: float = 0.65  # of the alignment: 0.68 and more at the right place
-    max_unexplained: float = 0.7  # of the contrast: 0.1 to 0.7 at the right place, 0.8 to 2 at most wrong ones
+    # Of the contrast. At the right place 0.1 to 0.7 of exact images and up to 1 of a Kinect's, whose exposure changes.
+    max_unexplained: float = 1.0
     max_photometric: float = 4.0
     confirm: int = 3  # images in a row that fit, after which a robot that was lost believes its estimate again
 
@@ -159,7 +159,7 @@ class JudgedFilter:
         return info.status
 
     def _fits_well(self, quality: AlignInfo, observation: Observation) -> bool:
-        """Return True where geometry fits, and little of the image's contrast is left unexplained."""
+        """Return True where geometry fits, and the residual of the colours does not exceed the image's contrast."""
         grey = np.asarray(observation["rgb"], np.float32).mean(axis=-1) / 255.0
         contrast = float(np.abs(grey - grey.mean()).mean()) / AlignConfig.rgb_sigma
         limit = np.clip(self._config.max_unexplained * contrast, 1.0, self._config.max_photometric)

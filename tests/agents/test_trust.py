@@ -73,7 +73,7 @@ def test_a_lost_robot_believes_again_after_several_images_that_fit():
     ("photometric", "inlier_share", "status"), [(0.5, 0.9, OK), (1.5, 0.7, OK), (3.9, 0.9, LOST), (0.5, 0.6, LOST)]
 )
 def test_an_image_that_the_map_does_not_explain_does_not_fit(photometric, inlier_share, status):
-    """Noise has a contrast of 3.3 standard deviations of the alignment, of which 70 % may stay unexplained."""
+    """Noise has a contrast of 3.3 standard deviations of the alignment, which the residual may not exceed."""
     filter = Scripted(OK, photometric=photometric, inlier_share=inlier_share)
     assert judged(filter).step(DRIVE, image(1)).status is status
 

@@ -1,6 +1,7 @@
 """Test one episode: metrics come from the simulator's ground truth, and each kind of failure has its own reason."""
 
 import json
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -123,6 +124,25 @@ def test_an_agent_at_a_wall_collided(env, sampler):
     assert row["collisions"] > 20
     assert 1 <= len(row["trace"]["contacts"]) <= 30
     assert row["trace"]["true"][-1] == pytest.approx([2.85, 3.0], abs=0.01)
+
+
+class GivesUp(Scripted):
+    """Ends its task because it does not believe its estimate."""
+
+    def act(self, observation):
+        decision = super().act(observation)
+        ends = bool(decision.action[3] > 0.5)
+        return replace(decision, gives_up=ends, status="gave up: lost for 65 steps" if ends else "driving")
+
+
+def test_to_give_up_at_the_goal_is_no_success(env, sampler):
+    """The robot stands 0.32 m from the goal, but the stop claims nothing."""
+    agent = GivesUp((0.0, 0.0, 0.16), stop_after=23, pose=lambda start, n: moved(start, 0.16 * (n - 1), 0.0))
+    row = run(env, sampler, agent)
+    assert row["distance_to_goal"] < 0.4
+    assert not row["success"]
+    assert row["spl"] == 0.0
+    assert row["failure"].startswith("lost: gave up: lost for 65 steps")
 
 
 def test_an_agent_that_goes_in_circles_ran_out_of_time(env, sampler):

@@ -57,3 +57,46 @@ def slam(
     failed = sum(not row.passed for row in rows)
     print(f"{len(rows) - failed} of {len(rows)} runs passed; {out / 'slam.json'}")
     return FAULTS_FAILED if failed else 0
+
+
+def navigation(out: Path = Path("out/faults"), seed: int = 0) -> int:
+    """Run agents that estimate their pose with a camera that fails for a while, or carry them off.
+
+    Prints when each fault was flagged and what the agent said at the end; OUT gets navigation.json, and the maps of the
+    scenes. The exit code is 1 where an agent claimed an arrival that was none, or did not notice for long that its
+    estimate was wrong.
+
+    Args:
+        out: folder for the results.
+        seed: seed of the drives that maps are learned from, of the episodes and of the faults.
+    """
+    import json
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.eval.faults import navigation as faulty_navigation
+    from vssm_gym.files.atomic import atomic_write
+    from vssm_gym.files.output_folders import Owner, check_at_least, owned_folder
+    from vssm_gym.version import package_version
+
+    check_at_least("faults", "seed", seed, 0)
+    with owned_folder(out, Owner("faults", "faults.json", {"version": package_version()}, identity=())):
+        with progress_bars() as progress:
+            rows = faulty_navigation.run(out, seed=seed, on_progress=progress)
+        stored = {"version": package_version(), "seed": seed} | faulty_navigation.figures(rows)
+        with atomic_write(out / "navigation.json") as temporary:
+            temporary.write_text(json.dumps(stored, indent=1) + "\n")
+    table = Table(title="Agents with faults", caption="silent: steps in a row with a wrong estimate and no flag")
+    for name in ("fault", "agent", "flagged after", "silent", "error, m", "claim", "status at the end"):
+        numeric = name in ("flagged after", "silent", "error, m")
+        table.add_column(name, justify="right" if numeric else "left", no_wrap=numeric)
+    for row in rows:
+        claim = "none" if not row.claimed else "wrong" if row.wrong else "right"
+        after = "-" if row.flagged is None else str(row.flagged)
+        table.add_row(row.case, row.agent, after, str(row.silent), f"{row.error:.2f}", claim, row.status)
+    Console().print(table)
+    failed = sum(not row.passed for row in rows)
+    print(f"{len(rows) - failed} of {len(rows)} episodes passed; {out / 'navigation.json'}")
+    return FAULTS_FAILED if failed else 0

@@ -43,7 +43,7 @@ COMMANDS: dict[str, Any] = {
         "calibration": "study.calibration",
         "flight": "study.flight",
     },
-    "faults": {"slam": "faults.slam"},
+    "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",
 }
 
