@@ -16,10 +16,12 @@ from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli.main import COMMANDS, build_app
 from vssm_gym.envs.robots.holonomic import NOISE_LEVELS
 from vssm_gym.inference.alignment.adam import AdamConfig
+from vssm_gym.inference.alignment.depth_scale import DEPTH_SCALES
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
 from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.confirmation import ConfirmationConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
 from vssm_gym.inference.tracking.keyframes import KeyframeConfig
 from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
@@ -209,10 +211,20 @@ STATED = [
     ("I27", "<= 5", TrackingConfig().max_photometric, 5.0),
     ("I27", "12^2", TrackingConfig().max_surprise, 12.0),
     ("I27", "5 % of the pixels", TrackingConfig().min_reading, 0.05),
-    ("I28", "0.3 m and 0.26 rad", (KeyframeConfig().distance, KeyframeConfig().angle), (0.3, 0.26)),
-    ("I29", ">= 0.65", RecoveryConfig().min_score, 0.65),
-    ("I29", "min(4, 0.55 contrast", (RecoveryConfig().max_photometric, RecoveryConfig().max_unexplained), (4.0, 0.55)),
-    ("I33", "100 steps", TRACKER_ADAM.steps, 100),
+    ("I28", ">= 0.7 ", ConfirmationConfig().min_correlation, 0.7),
+    ("I28", "1.5 * 0.04", ConfirmationConfig().min_contrast, 1.5),
+    ("I28", ">= 0.85 ", ConfirmationConfig().confirming_correlation, 0.85),
+    ("I28", "+ 0.1 ", ConfirmationConfig().colour_margin, 0.1),
+    ("I28", "> 4^2", ConfirmationConfig().max_unconfirmed, 4.0),
+    ("I29", "{0.83, 0.91, 1, 1.1, 1.2}", DEPTH_SCALES, (0.83, 0.91, 1.0, 1.1, 1.2)),
+    ("I30", "1 / 0.03^2", RecoveryConfig().max_std, 0.03),
+    ("I31", "0.3 m and 0.26 rad", (KeyframeConfig().distance, KeyframeConfig().angle), (0.3, 0.26)),
+    ("I32", ">= 0.65", RecoveryConfig().min_score, 0.65),
+    ("I32", "min(4, 0.55 contrast", (RecoveryConfig().max_photometric, RecoveryConfig().max_unexplained), (4.0, 0.55)),
+    ("I32", "rho >= 0.8,", RecoveryConfig().min_correlation, 0.8),
+    ("I32", "0.1 m or rad", RecoveryConfig().apart, 0.1),
+    ("I32", "c(best) + 0.1", RecoveryConfig().colour_margin, 0.1),
+    ("I36", "100 steps", TRACKER_ADAM.steps, 100),
     ("T2", "low (3 deg, 0.1 b)", (NOISE_LEVELS["low"].turn, NOISE_LEVELS["low"].step), (math.radians(3.0), 0.02)),
     ("T2", "high (9 deg, 0.3 b)", (NOISE_LEVELS["high"].turn, NOISE_LEVELS["high"].step), (math.radians(9.0), 0.06)),
 ]

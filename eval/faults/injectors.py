@@ -19,7 +19,7 @@ CARD_DISTANCE = 0.3  # m from the lens
 CARD_NOISE = (2.0, 0.001)  # std of its grey levels and of its depth, m: a real sensor repeats no image
 SCALE_ERROR = 1.2  # of the depth
 DEPTH_LAG = 20  # images that the depth is older than the colour
-KIDNAP, SHOVE = 0.5, 0.25  # m that the camera is carried at least, within one image
+KIDNAP, SHOVE = 0.5, 0.25  # m that the camera is carried, within one image
 
 
 def blackout(images: Sequence[Image], before: int, rng: np.random.Generator) -> Image:
@@ -83,15 +83,18 @@ def reordered(
     Raises:
         InputError: the camera never gets far enough away.
     """
-    away = KIDNAP if name == "kidnap" else SHOVE
     stays = during if name == "kidnap" else len(order) - before
     last = order[before - 1]
-    far = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[last, :3, 3], axis=1) >= away
-    far[len(T_world_cam) - stays + 1 :] = False  # so that enough frames follow
-    after = np.flatnonzero(far[last:]) + last
-    places = after if len(after) or name == "shove" else np.flatnonzero(far)[::-1]
-    if not len(places):
-        raise InputError("faults", "recording", f"a camera that moves at least {away} m away from frame {last}")
+    apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[last, :3, 3], axis=1)
+    apart[len(T_world_cam) - stays + 1 :] = 0.0  # so that enough frames follow
+    if name == "kidnap":
+        away = min(KIDNAP, apart.max())  # a recording of a small space has no place farther than its farthest
+        places = np.flatnonzero(apart >= away)
+        places = places[np.argsort(places < last, kind="stable")]
+    else:
+        away, places = SHOVE, np.flatnonzero(apart[last:] >= SHOVE) + last
+    if not len(places) or away < SHOVE:
+        raise InputError("faults", "recording", f"a camera that moves at least {SHOVE} m away from frame {last}")
     result = order.copy()
     result[before : before + stays] = places[0] + np.arange(stays)
     return result

@@ -71,7 +71,9 @@ def track(
     """Track image ``k`` from the state's past, with some of its fields replaced."""
     before = replace(state.past, **past)
     control = jnp.zeros(6) if control is None else control
-    given = TrackingInput(before, transition, control, jnp.float32(DT), state.reference, image(k), RIG, state.key)
+    given = TrackingInput(
+        before, transition, control, jnp.float32(DT), state.reference, image(k), RIG, state.key, False
+    )
     return camera_filter.track(given, CONFIG.tracking)
 
 

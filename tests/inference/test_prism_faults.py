@@ -23,13 +23,20 @@ from tests.helpers.prism_room import (
 )
 from tests.helpers.prism_room import step as filtered
 from vssm_gym.errors import InputError
+from vssm_gym.eval.faults.injectors import IMAGE_FAULTS, ImageFault
 from vssm_gym.inference.filter import FilterInfo
 from vssm_gym.inference.prism.config import PrismConfig
 from vssm_gym.inference.prism.filter import PrismState
 from vssm_gym.inference.status import Status
 from vssm_gym.model.emission import RGBD, render
 
-LOST, NO_READING, OK, RECOVERED = Status.LOST, Status.NO_READING, Status.OK, Status.RECOVERED
+LOST, NO_READING, OK, RECOVERED, REPEATED = (
+    Status.LOST,
+    Status.NO_READING,
+    Status.OK,
+    Status.RECOVERED,
+    Status.REPEATED,
+)
 
 WALKED = 12  # frames before anything happens
 TRACKED = (OK, RECOVERED)
@@ -223,12 +230,48 @@ def test_noise_in_place_of_an_image() -> None:
     back_on_the_walk(state, WALKED + 4)
 
 
-def test_a_repeated_image() -> None:
-    """When the camera repeats an image, the pose stays and the velocity is that of a standstill."""
-    state, _ = walked(WALKED)
+def test_a_repeated_depth_image() -> None:
+    """A camera that hangs measures nothing new: it is reported, the pose stays, and its spread grows."""
+    state, infos = walked(WALKED)
+    before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body), 0.0
     for _ in range(5):
         state, info = step(state, image(WALKED))
-        assert info.status == OK
-        assert error(info.belief, true_pose(WALKED))[0] < 0.01
-    assert np.abs(np.asarray(info.belief.mean.velocity)).max() < 0.1
+        assert info.status == REPEATED
+        np.testing.assert_array_equal(np.asarray(info.belief.mean.T_world_body), stood)
+        assert spread < (spread := float(jnp.trace(info.belief.covariance[:3, :3])))
+    assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 1)
+
+
+def delivered(k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return frame ``k`` as a camera delivers it."""
+    return np.rint(255.0 * np.asarray(image(k).rgb)).astype(np.uint8), np.asarray(image(k).depth)
+
+
+def check_not_believed(fault: ImageFault, frames: int) -> None:
+    """Assert that no image of a fault is accepted, none enters the map, and tracking continues after it."""
+    state, _ = walked(WALKED)
+    before, rng = copy(state).map, np.random.default_rng(0)
+    images = [delivered(k) for k in range(WALKED + 1)]
+    for k in range(WALKED + 1, WALKED + 1 + frames):
+        images.append(delivered(k))
+        state, info = step(state, RGBD.from_camera(*fault(images, WALKED + 1, rng)))
+        assert info.status == LOST, f"frame {k}: {info.status.message}"
+    assert same_map(state.map, before)
+    back_on_the_walk(state, WALKED + 1 + frames)
+
+
+def test_a_grey_card_before_the_lens_is_relocalised_nowhere() -> None:
+    """It is flat and of one colour: it fits many walls, and fixes the pose at none of them."""
+    check_not_believed(IMAGE_FAULTS["grey card"], 4)
+
+
+@pytest.mark.parametrize("scale", [0.83, 1.2])
+def test_depth_of_a_wrong_scale_does_not_move_the_camera(scale: float) -> None:
+    check_not_believed(lambda images, before, rng: (images[-1][0], np.float32(scale) * images[-1][1]), 4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["grey card", "scaled depth", "swapped depth", "mirrored"])
+def test_a_false_image_is_not_believed(name: str) -> None:
+    check_not_believed(IMAGE_FAULTS[name], 12)

@@ -6,7 +6,7 @@ from enum import IntEnum
 class Status(IntEnum):
     """Enumerate the outcomes of a step; reports print :attr:`message`.
 
-    Filters report the first four; the others are what agents conclude from several steps.
+    Filters report the first five; the others are what agents conclude from several steps.
     """
 
     OK = 0

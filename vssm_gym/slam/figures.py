@@ -252,7 +252,7 @@ def fit(run: SlamRun, config: TrackingConfig) -> bytes:
     t = np.array([frame.time for frame in aligned]) - run.times[0]
     status = np.array([frame.status for frame in aligned], int)
     marks = (
-        (np.isin(status, (Status.LOST, Status.NO_READING)), "x", "lost"),
+        (np.isin(status, (Status.LOST, Status.NO_READING, Status.REPEATED)), "x", "lost"),
         (status == Status.RECOVERED, "^", "relocalised"),
     )
     score = np.array([_score(frame) for frame in aligned])

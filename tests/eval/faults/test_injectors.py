@@ -83,11 +83,16 @@ def test_a_kidnapped_camera_comes_back_and_a_shoved_one_moves_on():
 
 
 def test_a_kidnap_leads_back_where_nothing_follows():
-    """The recording ends near the fault: the camera is carried to the last place before it that is far enough."""
+    """The recording ends near the fault: the camera is carried to the first place before it that is far enough."""
     moved = reordered("kidnap", line(22, 0.11), np.arange(20), before=15, during=4)
-    np.testing.assert_array_equal(moved[15:19], [9, 10, 11, 12])
+    np.testing.assert_array_equal(moved[15:19], [0, 1, 2, 3])
+
+
+def test_a_kidnap_in_a_small_space_leads_to_its_farthest_place():
+    moved = reordered("kidnap", line(30, 0.02), np.arange(20), before=5, during=4)
+    np.testing.assert_array_equal(moved[5:9], [26, 27, 28, 29])
 
 
 def test_a_camera_that_stays_in_one_place_cannot_be_carried_off():
-    with pytest.raises(InputError, match=r"at least 0\.5 m away"):
+    with pytest.raises(InputError, match=r"at least 0\.25 m away"):
         reordered("kidnap", line(60, 0.001), np.arange(20), before=8, during=4)

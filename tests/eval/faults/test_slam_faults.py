@@ -131,3 +131,11 @@ def test_a_faulty_recording_is_the_true_one_outside_the_fault(walk, tmp_path):
 def test_a_simulated_walk_with_a_fault(walk, fault):
     row = measure(fault, places_of(walk)[0])
     assert row.passed, row
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["grey card", "scaled depth"])
+def test_the_real_sequence_with_a_fault(shared_data, fault):
+    """A card was once relocalised 2.7 m away, and scaled depth moved the camera by 16 cm."""
+    row = measure(fault, places_of(load_sequence(shared_data / "tum_fr1_xyz"))[0])
+    assert row.passed, row

@@ -143,8 +143,10 @@ class Prism:
             reference = reference_view.from_map(state.map, T_expected, view.camera, max_depth)
         if config.recovery is not None and state.keyframes is not None:
             relocalisation = Relocalisation(state.map, state.keyframes, max_depth, config.recovery)
-        given = TrackingInput(state.past, self.transition, control, seconds(dt), reference, small, view, solving)
-        located = localise(given, config.tracking, state.lost, relocalisation, clock)
+        given = TrackingInput(
+            state.past, self.transition, control, seconds(dt), reference, small, view, solving, state.lost
+        )
+        located = localise(given, config.tracking, relocalisation, clock)
         past, status = located.past, located.status
         if not status.accepted:
             lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))

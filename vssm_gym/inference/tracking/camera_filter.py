@@ -37,6 +37,7 @@ from vssm_gym.inference.alignment.rotation import RotationConfig, camera_rotatio
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.linear_gaussian import Gaussian
 from vssm_gym.inference.tracking import process_noise
+from vssm_gym.inference.tracking.confirmation import ConfirmationConfig, colour_confirms
 from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.base import Transition
@@ -66,6 +67,9 @@ class TrackingConfig:
     min_score: float = 0.6  # of :func:`alignment.score`
     max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
     max_surprise: float = 12.0  # stds of the predicted pose: beyond them the camera jumped and the prior is wrong
+    confirmation: ConfirmationConfig | None = field(
+        default_factory=ConfirmationConfig
+    )  # by the colour; None: not needed
     start_velocity: tuple[float, float] = (0.5, 1.0)  # m/s, rad/s: std of an unknown velocity
 
     def __post_init__(self) -> None:
@@ -110,6 +114,8 @@ class Tracked(eqx.Module):
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
     fit_quality: AlignInfo
     accepted: Bool[Array, ""]
+    expected: Bool[Array, ""]  # the step is no larger than the belief before it foresees
+    repeated: Bool[Array, ""]  # the depth image is that of the last accepted image, bit for bit
 
 
 # For a body whose commands are known. Three degrees of freedom and a known command suffice where six and constant
@@ -122,6 +128,7 @@ COMMANDED = TrackingConfig(
     min_reading=0.0,
     min_score=0.5,
     max_surprise=float("inf"),
+    confirmation=None,
 )
 
 
@@ -184,12 +191,13 @@ class TrackingInput(NamedTuple):
     image: RGBD  # at tracking size
     rig: Rig  # the camera, at that size, and its pose on the body
     key: PRNGKeyArray  # of a solver that draws
+    lost: bool | Bool[Array, ""]  # the image before was not accepted
 
 
 @partial(jax.jit, static_argnums=1)
 def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     """Return the belief over the state given an image; ``config`` has solver, effort and gates."""
-    past, transition, control, dt, reference, image, rig, key = given
+    past, transition, control, dt, reference, image, rig, key, lost = given
     manifold = transition.manifold
     possible = predicted = transition.predict(past.belief, control, dt)
     if config.adaptation is not None:
@@ -200,7 +208,8 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     basis = camera_twists(manifold, rig)
     T_ref_world = inverse(reference.T_world_cam)
     T_prior = T_ref_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
-    start, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, reference, image, rig.camera, config)
+    starts, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, reference, image, rig.camera, config)
+    start = starts[0]
     precision = jnp.linalg.inv(pose_covariance)
     problem = (T_prior, precision, start, basis, reference.image, image, rig.camera)
     T, fit_quality = SOLVERS[config.solver](problem, reference, config, key)
@@ -219,7 +228,17 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
     accepted = (score(fit_quality) >= config.min_score) & (fit_quality.photometric <= config.max_photometric)
     accepted &= jnp.mean(image.hit) >= config.min_reading
-    accepted &= moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved) <= config.max_surprise**2
+    surprise = moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved)
+    accepted &= surprise <= config.max_surprise**2
+    expected = jnp.ones((), bool)
+    if config.confirmation is not None:
+        expected = jnp.logical_not(lost) & (surprise <= config.confirmation.max_unconfirmed**2)
+        accepted &= colour_confirms(
+            T, starts, expected, reference, image, rig.camera, config.align, config.confirmation
+        )
+    # A standing camera with noise repeats no image; where the commands are known, a blocked robot may see the same.
+    repeated = jnp.all(image.depth == past.image.depth) & (not transition.commanded)
+    accepted &= ~repeated
     accepted &= jnp.all(jnp.isfinite(both.covariance))
     noise_scale = past.noise_scale
     if config.adaptation is not None:
@@ -229,7 +248,17 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         )
     T_world_cam = manifold.pose(posterior.mean) @ rig.T_body_cam
     return Tracked(
-        posterior, T_world_cam, smoothed, possible, noise_scale, T_world_turned, brightness, fit_quality, accepted
+        posterior,
+        T_world_cam,
+        smoothed,
+        possible,
+        noise_scale,
+        T_world_turned,
+        brightness,
+        fit_quality,
+        accepted,
+        expected,
+        repeated,
     )
 
 
@@ -242,7 +271,7 @@ def _start(
     camera: Camera,
     config: TrackingConfig,
 ) -> tuple[Array, RGBD, Array, Array]:
-    """Return the start pose of the search, the image at the map's exposure, its gain, and the last pose turned.
+    """Return the start poses, the best first, the image at the map's exposure, its gain, and the last pose turned.
 
     Two start poses are compared by alignment cost. After a sudden motion, the last pose turned by the estimated
     rotation is better; in front of a tiled wall, only the prediction distinguishes a step to the left from a turn.
@@ -266,6 +295,6 @@ def _start(
         image = expose(image, brightness)
         obs = observed(image)
     if len(starts) == 1:
-        return T_prior, image, brightness, T_world_turned
+        return starts, image, brightness, T_world_turned
     costs = [alignment_cost(T, ref, obs, camera, factor, align) for T in starts]
-    return starts[jnp.argmin(jnp.stack(costs))], image, brightness, T_world_turned
+    return starts[jnp.argsort(jnp.stack(costs))], image, brightness, T_world_turned

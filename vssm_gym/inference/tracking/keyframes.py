@@ -68,7 +68,7 @@ def remember(
     camera: Camera,
     config: KeyframeConfig = KeyframeConfig(),
 ) -> Keyframes:
-    """Keep the image if no keyframe is near its pose (eq. I28). The keyframes passed in are consumed."""
+    """Keep the image if no keyframe is near its pose (eq. I31). The keyframes passed in are consumed."""
     apart = jnp.linalg.norm(keyframes.T_world_cam[:, :3, 3] - T_world_cam[:3, 3], axis=-1)
     # trace(R_a^T R_b) = 1 + 2 cos(angle)
     trace = jnp.einsum("nij,ij->n", keyframes.T_world_cam[:, :3, :3], T_world_cam[:3, :3])

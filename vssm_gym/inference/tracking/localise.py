@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse
+from vssm_gym.inference.alignment.depth_scale import fits_unscaled
 from vssm_gym.inference.alignment.exposure import expose
 from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
 from vssm_gym.inference.filter import Clock, Rig
@@ -58,33 +59,33 @@ class Located:
 
 
 def localise(
-    given: TrackingInput, config: TrackingConfig, lost: bool, relocalisation: Relocalisation | None, clock: Clock
+    given: TrackingInput, config: TrackingConfig, relocalisation: Relocalisation | None, clock: Clock
 ) -> Located:
     """Locate an image: by tracking, by recovery where that fails, else by prediction.
 
     Args:
         given: The image and everything that it is filtered with.
         config: Solver, effort and gates.
-        lost: Whether the previous image was not accepted.
         relocalisation: Map and keyframes for recovery; None: no recovery.
         clock: Of the stages "track" and "recover".
     """
     tracked = clock("track", track(given, config))
-    past, transition, image, rig = given.past, given.transition, given.image, given.rig
-    if tracked.accepted:
+    past, transition, image, rig, lost = given.past, given.transition, given.image, given.rig, bool(given.lost)
+    if tracked.accepted and (tracked.expected or _at_scale(tracked, given, config)):
         if config.exposure:
             image = _expose(image, tracked.gain)
         now = Past(tracked.belief, tracked.laplace, tracked.noise_scale, image, tracked.T_world_cam)
         return Located(Status.OK, now, tracked.gain, tracked.fit_quality)
     has_depth = readable(image, config)
-    if has_depth and relocalisation is not None:
+    repeated = has_depth and bool(tracked.repeated)
+    if has_depth and not repeated and relocalisation is not None:
         starts = _starts(past, tracked, image, rig, lost, relocalisation)
         found = search(starts, transition.manifold, image, rig, config, relocalisation)
         if found is not None:
             clock("recover", found.past.belief)
             return found
     belief = clock("recover", _without_image(past, tracked.predicted, transition, rig, config, lost))
-    status = Status.LOST if has_depth else Status.NO_READING
+    status = Status.REPEATED if repeated else Status.LOST if has_depth else Status.NO_READING
     now = Past(belief, jnp.zeros_like(tracked.laplace), process_noise.full(), past.image, past.T_world_cam)
     return Located(status, now, tracked.gain, tracked.fit_quality)
 
@@ -126,7 +127,7 @@ def search(
     config: TrackingConfig,
     relocalisation: Relocalisation,
 ) -> Located | None:
-    """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose (eq. I29).
+    """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose (eq. I32).
 
     Args:
         T_world_starts: Camera poses to start from.
@@ -162,6 +163,14 @@ def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, 
         expected = f"the {transition.controls} numbers of {type(transition).__name__}'s controls"
         raise InputError("filter.step", "control", f"{expected}; found shape {np.shape(control)}")
     return control
+
+
+def _at_scale(tracked: Tracked, given: TrackingInput, config: TrackingConfig) -> Bool[Array, ""]:
+    """Return whether the depth of an image that was not expected fits the reference view at no other scale better."""
+    reference, image = given.reference, _expose(given.image, tracked.gain)
+    T = inverse(reference.T_world_cam) @ tracked.T_world_cam
+    basis = camera_twists(given.transition.manifold, given.rig)
+    return fits_unscaled(T, basis, reference.image, image, given.rig.camera, config.align, reference.seen)
 
 
 def _starts(

@@ -110,7 +110,7 @@ class MapTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to one rendered from the map at the predicted pose (eq. I30).
+        """Align the image to one rendered from the map at the predicted pose (eq. I33).
 
         Args:
             state: after the last image.
@@ -137,8 +137,8 @@ class MapTracker:
         relocalisation = None
         if kept is not None and self.recovery is not None:
             relocalisation = Relocalisation(state.map, kept, self.max_depth, self.recovery)
-        given = TrackingInput(state.past, self.transition, control, h, reference, image, rig, state.key)
-        located = localise(given, self.config, state.lost, relocalisation, clock)
+        given = TrackingInput(state.past, self.transition, control, h, reference, image, rig, state.key, state.lost)
+        located = localise(given, self.config, relocalisation, clock)
         past, status = located.past, located.status
         if relocalisation is not None and status.accepted:
             settings = relocalisation.config.keyframe
@@ -185,7 +185,7 @@ class FrameTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to the one before (eq. I31); see :class:`Filter`."""
+        """Align the image to the one before (eq. I34); see :class:`Filter`."""
         h, control = seconds(dt), checked(self.transition, control)
         tracked, carried = clock(
             "track",
@@ -224,7 +224,7 @@ class DeadReckoning:
     def step(
         self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
     ) -> tuple[GaussianBelief, FilterInfo]:
-        """Predict without an image (eq. I32); see :class:`Filter`."""
+        """Predict without an image (eq. I35); see :class:`Filter`."""
         belief = clock("track", _predicted(self.transition, state, checked(self.transition, control), seconds(dt)))
         return belief, FilterInfo(Status.OK, belief)
 
@@ -248,7 +248,7 @@ def _track_from_frame(
     belief = past.belief
     known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
     reference = ReferenceView(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
-    tracked = track(TrackingInput(known, transition, control, dt, reference, image, rig, key), config)
+    tracked = track(TrackingInput(known, transition, control, dt, reference, image, rig, key, False), config)
     step = tracked.belief
     carried = transition.predict(belief, control, dt, 0.0).covariance
     return tracked, replace(step, covariance=carried + step.covariance)

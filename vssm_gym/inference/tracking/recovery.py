@@ -12,9 +12,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import inverse, se3_log
 from vssm_gym.inference.alignment import gauss_newton
+from vssm_gym.inference.alignment.agreement import Agreement, agreement, fixes_pose
+from vssm_gym.inference.alignment.depth_scale import fits_unscaled
 from vssm_gym.inference.alignment.exposure import expose, gain
-from vssm_gym.inference.alignment.residuals import AlignConfig, AlignInfo, luminance, score
+from vssm_gym.inference.alignment.residuals import (
+    AlignConfig,
+    AlignInfo,
+    luminance,
+    make_observed,
+    make_reference,
+    score,
+    stride,
+)
 from vssm_gym.inference.alignment.rotation import RotationConfig
 from vssm_gym.inference.tracking.keyframes import KeyframeConfig
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -35,6 +46,10 @@ class RecoveryConfig:
     min_score: float = 0.65  # a little above tracking's: a wrong place must not pass
     max_photometric: float = 4.0
     max_unexplained: float = 0.55  # of the image's contrast: 0.3 to 0.4 at the right place, 0.6 to 1.4 at wrong ones
+    min_correlation: float = 0.8  # of the luminances of the image and the map
+    max_std: float = 0.03  # m and rad: the image alone must fix every coordinate of the pose to this
+    apart: float = 0.1  # m and rad: poses that differ by more are different places
+    colour_margin: float = 0.1  # stds of the luminance: a place that fits worse by less is as good
 
 
 class Attempt(eqx.Module):
@@ -43,7 +58,8 @@ class Attempt(eqx.Module):
     T_world_cam: Float[Array, "4 4"]
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
     fit_quality: AlignInfo
-    accepted: Bool[Array, ""]
+    agreement: Agreement  # of the colours
+    accepted: Bool[Array, ""]  # by itself: without a comparison with the others
 
 
 @partial(jax.jit, static_argnums=5)
@@ -61,7 +77,12 @@ def _align(
     contrast = jnp.mean(jnp.abs(grey - jnp.mean(grey))) / config.align.rgb_sigma
     limit = jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)
     accepted = (score(info) >= config.min_score) & (info.photometric <= limit)
-    return Attempt(T_world_start @ T, brightness, info, accepted)
+    ref = make_reference(rendered, camera, config.align)
+    obs = make_observed(image, camera, 1, stride(camera, 1, config.align))
+    agrees = agreement(T, ref, obs, camera, 1, config.align)
+    accepted &= agrees.correlation >= config.min_correlation
+    accepted &= fixes_pose(T, basis, ref, obs, camera, config.align, config.max_std)
+    return Attempt(T_world_start @ T, brightness, info, agrees, accepted)
 
 
 def recover(
@@ -73,7 +94,7 @@ def recover(
     max_depth: float,
     config: RecoveryConfig,
 ) -> Attempt:
-    """Align to the map rendered at every start; return the best accepted alignment (eq. I29).
+    """Align to the map rendered at every start; return the best accepted alignment (eq. I32).
 
     Each start is aligned twice, the second time to a rendering at the first result, so that distant starts converge.
 
@@ -93,5 +114,24 @@ def recover(
         again = emission.render(m, attempt.T_world_cam, camera, max_depth)
         attempts.append(_align(attempt.T_world_cam, again, image, camera, basis, config))
     every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
-    best = jnp.argmax(every.accepted + jnp.nan_to_num(jax.vmap(score)(every.fit_quality)))
-    return jax.tree.map(lambda leaf: leaf[best], every)
+    found = _best(every, config)
+    if found.accepted:
+        rendered = emission.render(m, found.T_world_cam, camera, max_depth)
+        unscaled = fits_unscaled(jnp.eye(4), basis, rendered, _expose(image, found.gain), camera, config.align)
+        found = eqx.tree_at(lambda a: a.accepted, found, unscaled)
+    return found
+
+
+_expose = jax.jit(expose)
+
+
+@partial(jax.jit, static_argnums=1)
+def _best(every: Attempt, config: RecoveryConfig) -> Attempt:
+    """Return the best attempt; it is accepted if no other place fits as well."""
+    accepted = every.accepted
+    best = jnp.argmax(accepted + jnp.nan_to_num(jax.vmap(score)(every.fit_quality)))
+    apart = jax.vmap(se3_log)(inverse(every.T_world_cam[best]) @ every.T_world_cam)
+    elsewhere = jnp.maximum(jnp.linalg.norm(apart[:, :3], axis=1), jnp.linalg.norm(apart[:, 3:], axis=1)) > config.apart
+    rival = accepted & elsewhere & (every.agreement.cost <= every.agreement.cost[best] + config.colour_margin)
+    found = jax.tree.map(lambda leaf: leaf[best], every)
+    return eqx.tree_at(lambda a: a.accepted, found, accepted[best] & ~jnp.any(rival))
