@@ -22,7 +22,7 @@ from vssm_gym.geometry.camera import Camera
 CHECKOUT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())
 SETUPTOOLS = PROJECT["tool"]["setuptools"]
-HEAVY = ["jax", "mujoco", "numba", "embreex", "matplotlib", "scipy", "shapely", "torch"]
+HEAVY = ["jax", "mujoco", "numba", "embreex", "matplotlib", "scipy", "shapely", "torch", "jinja2"]
 MODULE_OF = {"pyyaml": "yaml", "pillow": "PIL", "scikit-image": "skimage"}  # where the import has another name
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.tables import Measures, grouping
-from vssm_gym.viz.html import html_table
+from vssm_gym.viz.html import Table
 
 CAR = Measures("car")
 SIMULATORS = ("mujoco", "bullet")
@@ -16,7 +16,7 @@ def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(name for name in grouping(rows) if name not in ("scene", "physics"))
 
 
-def simulators(rows: Sequence[Row], seed: int) -> str | None:
+def simulators(rows: Sequence[Row], seed: int) -> Table | None:
     """Tabulate each agent's metrics in both simulators and their paired difference; None where one did not run.
 
     Agents plan on the bicycle's kinematics in both; both run the same targets and seeds.
@@ -36,4 +36,4 @@ def simulators(rows: Sequence[Row], seed: int) -> str | None:
         cells = [CAR.text(metric, interval) for metric, interval in found.items()]
         lines.append([*group, f"{second} - {first}", str(pairs), *cells])
     header = [*(name.replace("_", " ") for name in by), "executed in", "episodes", *names]
-    return html_table(header, lines, len(by) + 1) if lines else None
+    return Table(header, lines, len(by) + 1) if lines else None

@@ -10,7 +10,7 @@ from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean, group_rows
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, COVERAGE_LEVELS, Axis, Ratio
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.tables import Measures, grouping
-from vssm_gym.viz.html import html_table
+from vssm_gym.viz.html import Table
 
 TIED = 50.0  # nats: smaller differences vanish in the tables, which show tenths of 10^3 nats
 KNOWN_PAIRS = 0.5  # proportion of pairs that a statement at one point needs: others ran out of time before it
@@ -30,7 +30,7 @@ def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(name for name in grouping(rows) if name not in ("scene", "agent"))
 
 
-def headline(rows: Sequence[Row], seed: int) -> str:
+def headline(rows: Sequence[Row], seed: int) -> Table:
     """Tabulate each agent over all scenes: median path lengths, coverage, collisions, mesh, navigation on its maps."""
     by = (*pooled(rows), "agent")
     shown = [name for name in POOLED if any(row.get(name) is not None for row in rows)]
@@ -55,7 +55,7 @@ def headline(rows: Sequence[Row], seed: int) -> str:
         line += [proportions.percent(members, name).text(1) for name in ("covered_90", "covered_99", "collided")]
         line += [EXPLORE.text(name, over_scenes(members, name, seed)) for name in shown]
         lines.append(line)
-    return html_table(header, lines, len(by))
+    return Table(header, lines, len(by))
 
 
 def over_scenes(rows: Sequence[Row], name: str, seed: int) -> Interval:
@@ -73,7 +73,7 @@ def median_text(interval: Interval) -> str:
     return f"{mean} [-]" if np.isnan(interval.low) else f"{mean} [{low}, {high}]"
 
 
-def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
+def ratios(rows: Sequence[Row], reference: str, seed: int) -> Table:
     """Tabulate the reference's path length to levels of coverage over each other agent's, and its time to the goal."""
     by = pooled(rows)
     header = [*(name.replace("_", " ") for name in by), "ratio of path lengths", "pairs", "scenes"]
@@ -88,7 +88,7 @@ def ratios(rows: Sequence[Row], reference: str, seed: int) -> str:
             for r in found:
                 line += [r.text, f"{r.shorter} of {r.interval.episodes}", f"{r.first_missed} / {r.second_missed}"]
             lines.append([*line, exploration.ratio(members, reference, other, COVERAGE_GOAL, seed, "seconds").text])
-    return html_table(header, lines, len(by) + 1)
+    return Table(header, lines, len(by) + 1)
 
 
 def others(rows: Sequence[Row], reference: str) -> list[str]:
@@ -127,7 +127,7 @@ def rivals(rows: Sequence[Row], reference: str, seed: int) -> list[Rival]:
     return strongest
 
 
-def by_scene(found: Sequence[Rival], reference: str) -> str:
+def by_scene(found: Sequence[Rival], reference: str) -> Table:
     """Tabulate the strongest other agent of each scene and how the reference compares."""
     lines = [
         [
@@ -142,7 +142,7 @@ def by_scene(found: Sequence[Rival], reference: str) -> str:
         for rival in found
     ]
     header = ["scene", "strongest other agent", f"{reference}'s path is", "pairs", f"ratio to {COVERAGE_GOAL} %"]
-    return html_table([*header, "shorter", "missed"], lines, 3)
+    return Table([*header, "shorter", "missed"], lines, 3)
 
 
 @dataclass(frozen=True)
@@ -183,15 +183,15 @@ def compared(rows: Sequence[Row], reference: str, seed: int, axis: Axis) -> list
     ]
 
 
-def named(points: Sequence[PointComparison]) -> str:
-    """Format points as ``frontier_gain at 5, 10 m, frontier_nearest at 40 m``."""
+def named(points: Sequence[PointComparison]) -> list[str]:
+    """Format points as ``["frontier_gain at 5, 10 m", "frontier_nearest at 40 m"]``."""
     at: dict[str, list[str]] = {}
     for point in points:
         at.setdefault(point.other, []).append(f"{point.where:g}")
-    return ", ".join(f"{other} at {', '.join(where)} {points[0].unit}" for other, where in at.items())
+    return [f"{other} at {', '.join(where)} {points[0].unit}" for other, where in at.items()]
 
 
-def at_equal(points: Sequence[PointComparison]) -> str:
+def at_equal(points: Sequence[PointComparison]) -> Table:
     """Tabulate differences of map entropy and coverage at equal path lengths or times."""
     lines = [
         [
@@ -203,7 +203,7 @@ def at_equal(points: Sequence[PointComparison]) -> str:
         ]
         for point in points
     ]
-    return html_table(["other agent", "at", "pairs known", "entropy, 10^3 nats", "coverage, %"], lines, 1)
+    return Table(["other agent", "at", "pairs known", "entropy, 10^3 nats", "coverage, %"], lines, 1)
 
 
 def _scaled(d: Interval, factor: float) -> str:

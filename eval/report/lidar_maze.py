@@ -1,4 +1,4 @@
-"""Lay out LidarMaze's report: PointNav's without learned maps, with lengths to the centimetre."""
+"""Define LidarMaze's report: PointNav's without learned maps, with lengths to the centimetre."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ from vssm_gym.eval.report.view import POINTNAV_VIEW
 
 LIDAR_MAZE_VIEW = replace(
     POINTNAV_VIEW,
+    template="lidar_maze.html.j2",
     conditions=("robot", "noise", "sensor_noise"),
-    drawn_on="without a map: the agents were given none",
     numbers=lambda row: f"{row['steps']} steps, {row['path_length']:.2f} m of {row['geodesic']:.2f} m",
 )

@@ -1,8 +1,7 @@
 """Write the report of a sweep as one self-contained HTML page: headline, failures first, tables, curves, runs."""
 
-import json
 from collections.abc import Mapping, Sequence
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,12 @@ from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import figures, tables
-from vssm_gym.eval.report.view import View
+from vssm_gym.eval.report.view import Mark, View, map_file
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import check_file
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
-from vssm_gym.viz.html import STYLE
+from vssm_gym.viz.html import Image, Table, render, svg_image, webp_image
 
 ORDERED = ("noise", "sensor_noise", "renderer", "physics", "agent")  # fields in the order of the configuration's lists
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
@@ -70,103 +69,105 @@ def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list
 
 
 def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], folder: Path, seed: int) -> str:
-    files = {row["scene"]: folder / "maps" / f"{row['scene']}.npz" for row in rows}
-    maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path.is_file()}
+    files = {row["scene"]: map_file(folder / "maps", f"{row['scene']}.npz") for row in rows}
+    maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path is not None}
     backgrounds = view.backgrounds(maps, folder, rows)
     reference = tables.reference_agent(rows)
-    sections = [
-        _header(view, rows, manifest, seed),
-        _failures(view, rows, backgrounds),
-        "<h2>Results</h2>",
-        f"<p class=note>{view.note} {view.measures.directions(tables.known(rows, view.measures))}</p>",
-        f"<div class=wide>{tables.results(rows, seed, view.measures)}</div>",
-    ]
-    if reference:
-        sections += [
-            f"<h2>Paired differences to {escape(reference)}</h2>",
-            "<p class=note>Same task, same seed, same noise stream; an interval that leaves out 0 is a difference.</p>",
-            f"<div class=wide>{tables.differences(rows, reference, seed, view.measures)}</div>",
-        ]
-    sections += [view.comparison(rows, seed), "<h2>Curves</h2>"]
-    for group, members in group_rows(rows, view.curves_by(rows)).items():
-        image = pictures.data_url(view.curves(members, seed), "image/svg+xml")
-        sections.append(f"<h3>{escape(' · '.join(group))}</h3><img src='{image}' alt='curves of {escape(group[0])}'>")
-    if any(row.get("latency") for row in rows):
-        sections += [
-            "<h2>Latency of a step</h2>",
-            "<p class=note>Wall-clock times inside a worker that shares this machine with the others.</p>",
-            tables.latencies(rows),
-        ]
-    sections.append(view.plans(rows, maps, folder))
+    successes = None
     if any(row.get("trace") for row in rows):
-        successes = figures.choose_successes(rows, SUCCESSES_DRAWN)
-        sections += ["<h2>Successful runs</h2>", _runs(view, successes, backgrounds)]
-    title = f"vssm-gym: {', '.join(dict.fromkeys(row['scene'] for row in rows))}"
-    return (
-        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{escape(title)}</title>"
-        f"<meta name=viewport content='width=device-width'><style>{STYLE}</style></head>"
-        f"<body>{''.join(sections)}</body></html>\n"
+        successes = _runs(view, figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds)
+    return render(
+        view.template,
+        scenes=list(files),
+        agents=manifest["config"]["agents"],
+        known=_facts(view, rows, manifest),
+        unfinished=len(rows) < manifest["episodes"],
+        notices={scene: notice for scene, notice in manifest.get("notices", {}).items() if notice},
+        headline=view.headline(rows, seed),
+        config=manifest["config"],
+        failures=_failures(view, rows, backgrounds),
+        directions=view.measures.directions(tables.known(rows, view.measures)),
+        results=tables.results(rows, seed, view.measures),
+        reference=reference,
+        differences=tables.differences(rows, reference, seed, view.measures) if reference else None,
+        comparison=view.comparison(rows, seed),
+        curves=[
+            (group, svg_image(view.curves(members, seed)))
+            for group, members in group_rows(rows, view.curves_by(rows)).items()
+        ],
+        latencies=tables.latencies(rows) if any(row.get("latency") for row in rows) else None,
+        plans=view.plans(rows, maps, folder),
+        successes=successes,
+        **view.values,
     )
 
 
-def _header(view: View, rows: Sequence[Row], manifest: dict[str, Any], seed: int) -> str:
+def _facts(view: View, rows: Sequence[Row], manifest: dict[str, Any]) -> dict[str, Sequence[Any]]:
+    """Return what stands under the heading: names, and the values of each."""
     config = manifest["config"]
-    facts = {
-        "episodes": f"{len(rows)} of {manifest['episodes']}" if len(rows) <= manifest["episodes"] else str(len(rows)),
-        "configuration": manifest["config_hash"],
-        "version": ", ".join(sorted({row["version"] for row in rows if row.get("version")})),
-        "environment": ", ".join(config["env"]),
-        **{name.replace("_", " "): ", ".join(config[name]) for name in view.conditions},
-        "voxel": f"{config['voxel']} m",
-        "ends on": ", ".join(sorted({row["end_on"] for row in rows if row.get("end_on")})),
-        "seeds": ", ".join(str(seed) for seed in config["seeds"]),
+    finished = f"{len(rows)} of {manifest['episodes']}" if len(rows) <= manifest["episodes"] else str(len(rows))
+    return {
+        "episodes": [finished],
+        "configuration": [manifest["config_hash"]],
+        "version": sorted({row["version"] for row in rows if row.get("version")}),
+        "environment": config["env"],
+        **{name.replace("_", " "): config[name] for name in view.conditions},
+        "voxel": [f"{config['voxel']} m"],
+        "ends on": sorted({row["end_on"] for row in rows if row.get("end_on")}),
+        "seeds": config["seeds"],
     }
-    line = " · ".join(f"{name} <code>{escape(value)}</code>" for name, value in facts.items() if value)
-    unfinished = len(rows) < manifest["episodes"]
-    warning = "<p class=bad>The sweep has not ended; continue it with --resume.</p>" if unfinished else ""
-    headline = view.headline(rows, seed)
-    known = {scene: notice for scene, notice in manifest.get("notices", {}).items() if notice}
-    notices = "".join(f"<p class=bad>{escape(scene)}: {escape(notice)}</p>" for scene, notice in known.items())
-    raw = escape(json.dumps(config, indent=1))
-    return (
-        f"<h1>{escape(', '.join(dict.fromkeys(row['scene'] for row in rows)))}: {', '.join(config['agents'])}</h1>"
-        f"<p class=note>{line}</p>{warning}{notices}{headline}"
-        f"<details><summary>configuration</summary><pre>{raw}</pre></details>"
-    )
 
 
-def _failures(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Background]) -> str:
-    shown = [row for row in rows if view.failed(row)]
+@dataclass(frozen=True)
+class Run:
+    """Hold the picture of a run and its caption."""
+
+    image: Image
+    name: tuple[str, ...]
+    outcome: list[Mark]
+    numbers: str
+
+
+@dataclass(frozen=True)
+class Failures:
+    """Hold the section of runs that failed, or that the view counts among them.
+
+    Attributes:
+        shown: the number of such runs.
+        counts: failures by kind.
+        drawn: some of the runs.
+        key: to their pictures.
+        listed: every failed episode with its reason, where one failed.
+    """
+
+    shown: int
+    counts: Table
+    drawn: list[Run]
+    key: Image
+    listed: Table | None
+
+
+def _failures(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Background]) -> Failures | None:
+    shown = sum(map(view.failed, rows))
     if not shown:
-        return f"<h2>{view.failures}</h2><p class=good>{view.without_failures}</p>"
+        return None
     drawn = figures.choose_failures(rows, FAILURES_DRAWN, FAILURES_OF_ONE, view.failed)
-    key = pictures.data_url(view.legend(), "image/svg+xml")
-    reasons = (
-        f"<details><summary>all {failed} failures</summary><div class=wide>{tables.failure_list(rows)}</div></details>"
-        if (failed := sum(map(figures.has_failed, rows)))
-        else ""
-    )
-    counts = f"<h2>{view.failures}</h2><div class=wide>{tables.failure_counts(rows)}</div>"
-    if not drawn:
-        return f"{counts}{reasons}"
-    return (
-        f"{counts}<p class=note>{len(drawn)} of {len(shown)} {view.such} are drawn, agents that fail rarely first, "
-        f"{view.drawn_on} (dark: cut at {view.cut_height:g} m; grey: never seen).</p>"
-        f"<img src='{key}' alt='key'>{_runs(view, drawn, backgrounds)}{reasons}"
+    return Failures(
+        shown,
+        tables.failure_counts(rows),
+        _runs(view, drawn, backgrounds),
+        svg_image(view.legend()),
+        tables.failure_list(rows) if any(map(figures.has_failed, rows)) else None,
     )
 
 
-def _runs(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Background]) -> str:
-    if not rows:
-        return "<p class=note>None.</p>"
-    return f"<div class=runs>{''.join(_run(view, row, backgrounds.get(row['scene'])) for row in rows)}</div>"
-
-
-def _run(view: View, row: Row, background: pictures.Background | None) -> str:
-    image = pictures.data_url(view.picture(row, background), "image/webp")
-    name = f"{row['agent']} · {view.condition(row)} · task {row['task']} · seed {row['seed']}"
-    outcome = f"<span class=bad>{escape(row['failure'])}</span>" if row["failure"] else view.success(row)
-    return (
-        f"<figure><img src='{image}' alt='{escape(name)}'><figcaption>{escape(name)}<br>{outcome}<br>"
-        f"{view.numbers(row)}</figcaption></figure>"
-    )
+def _runs(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Background]) -> list[Run]:
+    return [
+        Run(
+            webp_image(view.picture(row, backgrounds.get(row["scene"]))),
+            (row["agent"], *view.condition(row), f"task {row['task']}", f"seed {row['seed']}"),
+            [(row["failure"], "bad")] if row["failure"] else view.success(row),
+            view.numbers(row),
+        )
+        for row in rows
+    ]

@@ -1,4 +1,4 @@
-"""Build the tables of a report as HTML: results with intervals, paired differences, latencies, failures by reason."""
+"""Build the tables of a report: results with intervals, paired differences, latencies, failures by reason."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from vssm_gym.eval.metrics import aggregate, proportions
 from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.metrics.metric import Metric, Row, check_name
 from vssm_gym.eval.metrics.registry import shown_in
-from vssm_gym.viz.html import html_table
+from vssm_gym.viz.html import Table
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def results(
     measures: Measures = POINTNAV,
     metrics: Sequence[str] = (),
     by: Sequence[str] | None = None,
-) -> str:
+) -> Table:
     """Tabulate mean and 95 % interval of each of ``metrics`` (all that are measured) for each group of rows.
 
     Args:
@@ -106,7 +106,7 @@ def results(
         [*group, str(len(members)), *(measures.mean(members, metric, seed) for metric in shown)]
         for group, members in aggregate.group_rows(rows, by).items()
     ]
-    return html_table(header, lines, len(by))
+    return Table(header, lines, len(by))
 
 
 def known(rows: Sequence[Row], measures: Measures, metrics: Sequence[str] = ()) -> list[str]:
@@ -114,7 +114,7 @@ def known(rows: Sequence[Row], measures: Measures, metrics: Sequence[str] = ()) 
     return [metric for metric in metrics or measures.metrics if any(row.get(metric) is not None for row in rows)]
 
 
-def headline(rows: Sequence[Row], seed: int, measures: Measures, by: Sequence[str]) -> str:
+def headline(rows: Sequence[Row], seed: int, measures: Measures, by: Sequence[str]) -> Table:
     """Tabulate the metrics that a page opens with, for each group of rows."""
     return results(rows, seed, measures, measures.headline, by)
 
@@ -127,7 +127,7 @@ def reference_agent(rows: Sequence[Row]) -> str | None:
     return "astar" if "astar" in agents else agents[0]
 
 
-def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measures = POINTNAV) -> str:
+def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measures = POINTNAV) -> Table:
     """Tabulate paired differences ``reference - other`` over the episodes that both ran."""
     by = grouping(rows)[:-1]
     compared = known(rows, measures, measures.compared)
@@ -142,10 +142,10 @@ def differences(rows: Sequence[Row], reference: str, seed: int, measures: Measur
             pairs = max((interval.episodes for interval in found.values() if interval), default=0)
             cells = [measures.text(metric, interval) for metric, interval in found.items()]
             lines.append([*group, f"{reference} - {other}", str(pairs), *cells])
-    return html_table(header, lines, len(by) + 1)
+    return Table(header, lines, len(by) + 1)
 
 
-def latencies(rows: Sequence[Row]) -> str:
+def latencies(rows: Sequence[Row]) -> Table:
     """Tabulate latencies (ms) by agent and stage: medians of the episodes' 50 % and 95 % points, the largest 95 %."""
     lines = []
     for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
@@ -155,7 +155,7 @@ def latencies(rows: Sequence[Row]) -> str:
                 for p in ("p50", "p95")
             )
             lines.append([agent, stage, f"{np.median(p50):.1f}", f"{np.median(p95):.1f}", f"{p95.max():.1f}"])
-    return html_table(["agent", "stage", "p50 ms", "p95 ms", "worst p95 ms"], lines, 2)
+    return Table(["agent", "stage", "p50 ms", "p95 ms", "worst p95 ms"], lines, 2)
 
 
 def kind(reason: str) -> str:
@@ -163,7 +163,7 @@ def kind(reason: str) -> str:
     return reason.partition(":")[0]
 
 
-def failure_counts(rows: Sequence[Row]) -> str:
+def failure_counts(rows: Sequence[Row]) -> Table:
     """Count each agent's failures by kind, and its episodes with a collision where rows have that field."""
     by = grouping(rows)
     kinds = sorted({kind(row["failure"]) for row in rows if row["failure"]})
@@ -175,10 +175,10 @@ def failure_counts(rows: Sequence[Row]) -> str:
         counts.update({name: sum(bool(row[name]) for row in members) for name in collided})
         lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in (*kinds, *collided))])
     header = [*(name.replace("_", " ") for name in by), "failed", *kinds, *collided]
-    return html_table(header, lines, len(by))
+    return Table(header, lines, len(by))
 
 
-def failure_list(rows: Sequence[Row]) -> str:
+def failure_list(rows: Sequence[Row]) -> Table:
     """List every failed episode with its reason."""
     by, failed = grouping(rows), [row for row in rows if row["failure"]]
     ends = {name: label for name, label in ENDS.items() if any(row.get(name) is not None for row in failed)}
@@ -194,4 +194,4 @@ def failure_list(rows: Sequence[Row]) -> str:
         for row in failed
     ]
     header = [*(name.replace("_", " ") for name in by), "task", "seed", "reason", "steps", *ends.values()]
-    return html_table(header, lines, len(by) + 3)
+    return Table(header, lines, len(by) + 3)

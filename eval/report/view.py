@@ -1,14 +1,22 @@
-"""Define what differs between the reports of environments; :mod:`vssm_gym.eval.report.page` assembles the page."""
+"""Define what differs between the reports of environments; :mod:`vssm_gym.eval.report.page` collects the page."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import figures, summary, tables
 from vssm_gym.eval.report.summary import Column
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
+from vssm_gym.viz.html import Image
+
+LONGEST_FILE_NAME = 255  # bytes: a system call with a longer one fails
+
+Mark = tuple[str, str]
+"""A text, and how it is set off: ``good``, ``bad``, or empty where it is not."""
 
 
 @dataclass(frozen=True)
@@ -16,50 +24,57 @@ class View:
     """Define how the episodes of an environment are measured, drawn and described.
 
     Attributes:
+        template: of the page (:mod:`vssm_gym.viz.html`), which holds all explanations.
+        values: further values that the template names.
         conditions: lists of the configuration that the page's header shows.
         measures: the metrics of the tables.
-        note: HTML that explains the metrics.
         summary: headings and functions of the columns of the table that a sweep prints, one line an agent.
-        headline: HTML of the tables that the page opens with.
-        comparison: HTML of a section after the agents' differences.
+        headline: what the page opens with: a table, or what else the template shows there.
+        comparison: what the template shows after the agents' differences.
         curves_by: fields with one figure of curves for each combination of values.
         curves: that figure as SVG.
-        plans: HTML of a section drawn from the learned maps, by scene, or from maps in the sweep's folder.
+        plans: what is drawn from the learned maps, by scene, or from maps in the sweep's folder.
         backgrounds: images that runs are drawn on, by scene, from the same maps.
-        drawn_on: a phrase that names these images.
-        cut_height: height at which maps are cut for them, m.
         failed: whether a run is drawn in the section of failures.
-        failures: the heading of that section.
-        such: a phrase that names those runs.
-        without_failures: the text of that section without such runs.
         legend: the key to the pictures as SVG.
         picture: one run on its map as WebP.
-        condition: a text of a run's scene and noise.
-        success: HTML of the outcome of a successful run.
+        condition: a run's scene and noise.
+        success: the outcome of a successful run.
         numbers: a text of a run's steps, times and lengths.
     """
 
+    template: str
     conditions: tuple[str, ...]
     measures: tables.Measures
-    note: str
     summary: Mapping[str, Column]
-    headline: Callable[[Sequence[Row], int], str]
-    comparison: Callable[[Sequence[Row], int], str]
+    headline: Callable[[Sequence[Row], int], Any]
+    comparison: Callable[[Sequence[Row], int], Any]
     curves_by: Callable[[Sequence[Row]], Sequence[str]]
     curves: Callable[[Sequence[Row], int], bytes]
-    plans: Callable[[Sequence[Row], Mapping[str, VoxelMap], Path], str]
+    plans: Callable[[Sequence[Row], Mapping[str, VoxelMap], Path], Any]
     backgrounds: Callable[[Mapping[str, VoxelMap], Path, Sequence[Row]], Mapping[str, pictures.Background]]
-    drawn_on: str
-    cut_height: float
     failed: Callable[[Row], bool]
-    failures: str
-    such: str
-    without_failures: str
     legend: Callable[[], bytes]
     picture: Callable[[Row, pictures.Background | None], bytes]
-    condition: Callable[[Row], str]
-    success: Callable[[Row], str]
+    condition: Callable[[Row], tuple[str, ...]]
+    success: Callable[[Row], list[Mark]]
     numbers: Callable[[Row], str]
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Hold a picture of a map with the run that it belongs to; ``image`` is None where there is nothing to draw."""
+
+    name: tuple[str, ...]
+    image: Image | None
+    caption: str
+
+
+def map_file(folder: Path, name: str) -> Path | None:
+    """Return the file ``name`` in ``folder``; None where there is none, or where a row's name leads elsewhere."""
+    plain = name == Path(name).name and len(os.fsencode(name)) <= LONGEST_FILE_NAME
+    return folder / name if plain and (folder / name).is_file() else None
 
 
 def learned(
@@ -76,26 +91,21 @@ SUMMARY = {
 }
 
 POINTNAV_VIEW = View(
+    template="pointnav.html.j2",
     conditions=("renderer", "robot", "noise", "sensor_noise"),
     measures=tables.POINTNAV,
-    note="Means over tasks; in brackets the 95 % percentile bootstrap interval, resampling tasks. "
-    "Location error is measured by the harness against the simulator's pose, at every step.",
     summary=SUMMARY,
     headline=lambda rows, seed: tables.headline(rows, seed, tables.POINTNAV, tables.grouping(rows)),
-    comparison=lambda rows, seed: "",
+    comparison=lambda rows, seed: None,
     curves_by=lambda rows: tables.grouping(rows)[:-1],
     curves=figures.curves,
-    plans=lambda rows, maps, folder: "",
+    plans=lambda rows, maps, folder: None,
     backgrounds=learned(pictures.CUT_HEIGHT),
-    drawn_on="on the map that the agents were given",
-    cut_height=pictures.CUT_HEIGHT,
     failed=figures.has_failed,
-    failures="Failures",
-    such="failed episodes",
-    without_failures="None: every episode succeeded.",
     legend=figures.legend,
     picture=figures.run_picture,
-    condition=lambda row: f"{row['scene']} · {row['noise']}",
-    success=lambda row: f"<span class=good>success</span>, SPL {row['spl']:.2f}",
+    condition=lambda row: (row["scene"], row["noise"]),
+    success=lambda row: [("success", "good"), (f"SPL {row['spl']:.2f}", "")],
     numbers=lambda row: f"{row['steps']} steps, {row['path_length']:.1f} m of {row['geodesic']:.1f} m",
+    values={"cut_height": f"{pictures.CUT_HEIGHT:g}"},
 )

@@ -220,7 +220,7 @@ def _picture(raw: Mapping[str, Calibration], scaled: Mapping[str, Calibration], 
         right.barh(places + offset, shares, 0.36, color=colour, label=kind)
     right.axvline(95.0, color="0.3", linestyle="--", linewidth=1.0)
     right.set(xlabel="% in the 95 % band", title="velocity, as stated", xlim=(0, 100))
-    right.set_yticks(places, list(rows), fontsize=8)
+    right.set_yticks(places, [pictures.tick_name(name) for name in rows], fontsize=8)
     right.invert_yaxis()
     right.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     for axes in (left, middle, right):

@@ -6,7 +6,6 @@ import os
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import Owner, check_new_file, owned_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
-from vssm_gym.viz import pictures
-from vssm_gym.viz.html import STYLE, html_table
+from vssm_gym.viz.html import Table, render, svg_image
 
 SUFFIXES = ("json", "svg", "html")
 
@@ -76,17 +74,10 @@ def write_study(study: Study, out: Path) -> Path:
 
 def page(study: Study, stored: dict[str, Any]) -> str:
     """Build the HTML page of a study."""
-    notes = "".join(f"<p class=note>{escape(note)}</p>" for note in study.notes)
-    return (
-        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>vssm-gym study: {escape(study.name)}</title>"
-        f"<meta name=viewport content='width=device-width'><style>{STYLE}</style></head><body>"
-        f"<h1>{escape(study.question)}</h1><p>{escape(study.answer)}</p>"
-        f"<img src='{pictures.data_url(study.picture, 'image/svg+xml')}' alt='{escape(study.question)}'>"
-        f"<div class=wide>{html_table(study.header, study.lines, 1)}</div>{notes}"
-        f"<details><summary>setting</summary><pre>{escape(_without_figures(stored))}</pre></details>"
-        "</body></html>\n"
+    return render(
+        "study.html.j2",
+        study=study,
+        picture=svg_image(study.picture),
+        table=Table(study.header, study.lines, 1),
+        measured={name: value for name, value in stored.items() if name != "figures"},
     )
-
-
-def _without_figures(stored: dict[str, Any]) -> str:
-    return json.dumps({name: value for name, value in stored.items() if name != "figures"}, indent=1)

@@ -24,6 +24,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
+from vssm_gym.viz.pictures import png
 
 PICTURE_DPI = 110  # of the pictures
 MANIFEST, VIDEO = "explore.json", "run.mp4"
@@ -84,9 +85,9 @@ def _explore(
     choice = recording.choice()
     if choice is not None:
         with atomic_write(out / "candidates.png") as temporary:
-            pictures.candidates(choice, recording).savefig(temporary, format="png", dpi=PICTURE_DPI)
+            temporary.write_bytes(png(pictures.candidates(choice, recording), PICTURE_DPI))
     with atomic_write(out / "run.png") as temporary:
-        pictures.run(recording, explored, row).savefig(temporary, format="png", dpi=PICTURE_DPI)
+        temporary.write_bytes(png(pictures.run(recording, explored, row), PICTURE_DPI))
     with atomic_write(out / "mesh.png") as temporary:
         Image.fromarray(mesh_picture(surface_mesh(explored))).save(temporary, format="PNG")
     title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"

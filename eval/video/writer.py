@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from vssm_gym.errors import InputError
 from vssm_gym.progress import OnProgress
+from vssm_gym.viz.pictures import take_literally
 
 VIDEO_RATE = 15  # frames a second
 VIDEO_CRF = 20  # H.264's constant rate factor: 0 is lossless, 51 the worst
@@ -125,6 +126,7 @@ class Page:
     ) -> UInt8[np.ndarray, "height width 3"]:
         """Draw a frame with the moving artists' present state; the first frame draws the static parts."""
         if self._background is None:
+            take_literally(self.figure)
             self._canvas.draw()
             self._background = self._canvas.copy_from_bbox(self.figure.bbox)
         self._canvas.restore_region(self._background)

@@ -18,7 +18,7 @@ from vssm_gym.cli.shared.cache import cache_folder
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
 from vssm_gym.errors import InputError, OutputError
 
-HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex"]
+HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex", "jinja2"]
 
 
 def words(commands: dict, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:

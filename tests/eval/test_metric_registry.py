@@ -1,7 +1,6 @@
 """Test every registered metric on stored rows: it equals the stored value, and the tables show it."""
 
 import math
-from html import escape
 
 import pytest
 
@@ -53,7 +52,7 @@ def test_a_metric_is_shown_in_its_reports(name):
     assert metric.direction in ("higher", "lower", "neither")
     for report in metric.reports:
         rows = [measured(row) for row in EVERY[report]]
-        assert f">{escape(metric.label)}</th>" in results(rows, 0, Measures(report))
+        assert metric.label in results(rows, 0, Measures(report)).header
 
 
 def test_every_report_has_metrics_of_its_own_labels():

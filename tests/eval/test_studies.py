@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 from tests.helpers.box_rooms import furniture, two_rooms
+from tests.viz.hostile_text import KINDS, MARKUP, Change, changed, check_page, harmless, suffix
 from vssm_gym.cli import study as commands
 from vssm_gym.cli.study import map_update
 from vssm_gym.data.recording import record_handheld
@@ -23,6 +24,7 @@ from vssm_gym.eval.studies import runtime as study_runtime
 from vssm_gym.eval.studies.calibration import evaluate
 from vssm_gym.eval.studies.map_update import _answer, _picture
 from vssm_gym.eval.studies.page import Study, study_folder, write_study
+from vssm_gym.eval.studies.page import page as study_page
 from vssm_gym.inference.status import Status
 from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame
 
@@ -53,7 +55,7 @@ def test_a_study_writes_three_files_and_the_page_is_self_contained(tmp_path) -> 
     text = page.read_text()
     assert "Which is &lt;faster&gt;?" in text
     assert "data:image/svg+xml;base64," in text
-    assert "src='http" not in text
+    assert 'src="http' not in text
     stored = json.loads((tmp_path / "new" / "map-update.json").read_text())
     assert set(stored) == {"version", "machine", "setting", "figures"}
     assert stored["figures"]["closed form"]["ms_a_frame"] == 5.0
@@ -71,6 +73,19 @@ def test_an_outcome_is_never_overwritten_and_may_lie_beside_others(tmp_path) -> 
     with pytest.raises(InputError, match=message), study_folder("flight", tmp_path):
         pass
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.svg", "runtime.json", "study.json"]
+
+
+def test_no_text_of_a_study_becomes_markup() -> None:
+    """Sequences give names to rows, settings and notes; every field of a study is changed, those to come too."""
+    study = Study("a", "b?", "c", ("d", "e"), [["f", "g"]], b"<svg/>", {"h": ["i", {"j": "k"}]}, {}, ("l", "m"))
+
+    def shown(change: Change) -> str:
+        texts = {field.name: changed(getattr(study, field.name), change) for field in fields(Study)}
+        return study_page(Study(**texts), {"setting": texts["setting"], "version": change("0")})
+
+    for text in KINDS.values():
+        check_page(shown(suffix(text)), shown(harmless))
+    assert MARKUP[0] in check_page(shown(suffix(MARKUP[0])), shown(harmless)).text
 
 
 def test_a_study_with_nan_is_not_written(tmp_path) -> None:

@@ -102,7 +102,7 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
 
     page = (out / "report.html").read_text()
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
-    assert page.count("<img src='data:image/") == 7
+    assert page.count('<img src="data:image/') == 7
     assert "No frame was lost" in page
     assert "Damaged input" not in page
     assert f"{100 * stats['errors']['ate_translation_se3']['rmse']:.2f} cm" in page

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from tests.helpers.slam_recordings import (
     true_pose,
     write_sequence,
 )
+from tests.viz.hostile_text import KINDS, MARKUP, changed, check_page, harmless, suffix
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.data.trajectories import velocities
 from vssm_gym.geometry.transforms import inverse, se3_exp
@@ -126,11 +128,39 @@ def test_the_report_shows_every_status(long_sequence):
     assert stats["latency_ms"]["recover"]["n"] == 2
     assert stats["notices"] == ["rgb.txt: odd"]
     stats["map"] |= {"vertices": 0, "faces": 0}
-    shown = slam_report.page(run, long_sequence, truth, surface_mesh(run.map), stats, options().tracking)
+    page = slam_report.page(run, long_sequence, truth, surface_mesh(run.map), stats, options().tracking)
+    shown = " ".join(page.split())
     for text in ("2 of 10 frames were lost", "relocalised 1 time", "12 observed blocks", "1 warning.", "rgb.txt: odd"):
         assert text in shown
     for status in (Status.LOST, Status.NO_READING, Status.RECOVERED):
         assert status.message in shown
+
+
+def test_no_text_of_a_run_becomes_markup(long_sequence, monkeypatch):
+    """Names come from the recording's folder, from its files and from options; no figure shows one."""
+    monkeypatch.setattr(slam_report.figures, "views", lambda run: (b"a picture", [(0, 0.01, 0.9)]))
+    monkeypatch.setattr(slam_report.figures, "path", lambda *_: (b"a picture", 10.0))
+    for module, names in (
+        (slam_report.figures, ("slices", "fit", "latency")),
+        (slam_states, ("velocity", "pose_std")),
+        (slam_report.calibration, ("figure",)),
+    ):
+        for name in names:
+            monkeypatch.setattr(module, name, lambda *_: b"a picture")
+    run = made_up_run(long_sequence, 12, at_3={"status": Status.LOST, "photometric": np.nan})
+    run = replace(run, notices=("rgb.txt: odd", "depth.txt: odd"))
+    truth = slam_states.Truth.of(run, long_sequence)
+    stats = slam_output.summarise(run, long_sequence, options(), 1.0, truth)
+    mesh = SimpleNamespace(vertices=(), faces=())
+    for known, errors in ((truth, stats["errors"]), (None, {"impossible": "two poses"})):
+        seen = stats | {"errors": errors}
+        shown = lambda change, known=known, seen=seen: slam_report.page(
+            run, long_sequence, known, mesh, changed(seen, change), options().tracking
+        )
+        like = shown(harmless)
+        for text in KINDS.values():
+            check_page(shown(suffix(text)), like)
+        assert MARKUP[0] in check_page(shown(suffix(MARKUP[0])), like).text
 
 
 def stored_sparsely(m: VoxelMap, slots: int) -> VoxelMap:

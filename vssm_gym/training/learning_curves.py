@@ -7,7 +7,6 @@ A line counts from the step on at which every robot has had time for one whole e
 ended, and nearly all of those succeeded.
 """
 
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -114,12 +113,7 @@ def write_curves(folders: Sequence[Path], out: Path, seed: int = 0, minutes: flo
         raise InputError("curves", "minutes", f"more than 0; found {minutes:g}")
     groups = grouped([read_training(folder) for folder in folders])
     drawn = figure(groups, seed, minutes)
-    if out.suffix.lower() == ".svg":
-        content = pictures.svg(drawn)
-    else:
-        buffer = io.BytesIO()
-        drawn.savefig(buffer, format="png", dpi=CURVES_DPI)
-        content = buffer.getvalue()
+    content = pictures.svg(drawn) if out.suffix.lower() == ".svg" else pictures.png(drawn, CURVES_DPI)
     with atomic_write(out) as temporary:
         temporary.write_bytes(content)
     return [speed(name, group, seed) for name, group in groups.items()]

@@ -1,29 +1,108 @@
-"""Lay out pages that need no other file: their style, and tables."""
+"""Render the HTML pages of the project, each one file that needs no other: templates, escaping, tables and pictures.
 
-from collections.abc import Sequence
-from html import escape
-
-STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;color:#1d2126;max-width:1380px;margin:24px auto;padding:0 20px}
-h1{font-size:26px;margin:0 0 4px}h2{margin:34px 0 8px;font-size:20px;border-bottom:1px solid #d5d9de}
-table{border-collapse:collapse;font-size:13px;margin:8px 0}th,td{padding:3px 9px;text-align:left;white-space:nowrap}
-th{border-bottom:2px solid #9aa3ad;font-weight:600}tr:nth-child(even) td{background:#f4f6f8}
-.n{text-align:right;font-variant-numeric:tabular-nums}.wide{overflow-x:auto}
-.beside{display:flex;flex-wrap:wrap;gap:0 32px}
-.runs{display:grid;grid-template-columns:repeat(auto-fill,minmax(280px,1fr));gap:12px}
-figure{margin:0;border:1px solid #d5d9de;border-radius:6px;padding:6px}figure img{width:100%}
-figcaption{font-size:12.5px}.bad{color:#a3203a;font-weight:600}.good{color:#0b6e4f;font-weight:600}
-p.note{color:#56606b;font-size:13px;max-width:80ch}img{max-width:100%}code{background:#f0f2f4;padding:0 4px}
+Every page is a template of ``templates/`` and the plain values that it names. Whatever a template prints is made
+visible, shortened and escaped here, so that no name, wherever it comes from, becomes markup. Three things are printed
+as they are: what the filters ``prose`` and ``setting`` return, and :attr:`Image.url`; all are made in this module. No
+page has a script.
 """
 
+import base64
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
 
-def html_table(header: Sequence[str], lines: Sequence[Sequence[str]], numbers_from: int) -> str:
-    """Return a table whose columns from ``numbers_from`` on are right-aligned; cells are escaped here."""
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "".join(
-        "<tr>"
-        + "".join(f"<td{' class=n' if i >= numbers_from else ''}>{escape(cell)}</td>" for i, cell in enumerate(line))
-        + "</tr>"
-        for line in lines
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from vssm_gym.viz.text import LONGEST, shortened, visible
+
+LONGEST_PROSE = 2000  # characters of a paragraph that was written in the program, with names in it
+_LONG_WORD = re.compile(rf"\S{{{LONGEST + 1},}}")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Hold the cells of a table; columns from ``numbers_from`` on are right-aligned."""
+
+    header: Sequence[str]
+    lines: Sequence[Sequence[str]]
+    numbers_from: int
+
+
+@dataclass(frozen=True)
+class Image:
+    """Hold an encoded picture that this program drew. It may not be one that was read from a file."""
+
+    content: bytes
+    kind: Literal["image/svg+xml", "image/webp"]
+
+    @property
+    def url(self) -> Markup:
+        """The picture as a ``data:`` URL, the only kind of link in a page. Base64 holds no character to escape."""
+        return Markup(f"data:{self.kind};base64,{base64.b64encode(self.content).decode('ascii')}")
+
+
+def svg_image(content: bytes) -> Image:
+    """Return the :class:`Image` of a figure that matplotlib wrote as SVG."""
+    return Image(content, "image/svg+xml")
+
+
+def webp_image(content: bytes) -> Image:
+    """Return the :class:`Image` of a figure that was encoded as WebP."""
+    return Image(content, "image/webp")
+
+
+def render(template: str, /, **values: Any) -> str:
+    """Fill in a template of ``templates/``.
+
+    Args:
+        template: the file's name.
+        values: the names that it uses.
+
+    Raises:
+        jinja2.UndefinedError: it uses a name that ``values`` lacks.
+    """
+    return _environment().get_template(template).render(values)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("vssm_gym.viz"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        auto_reload=False,
     )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    environment.filters |= {"prose": _prose, "setting": _setting}
+    return environment
+
+
+def _shown(value: Any) -> Any:
+    """Prepare what a template prints, before it is escaped; markup of a macro, a block or a filter is complete."""
+    return value if isinstance(value, Markup) else shortened(visible(str(value)))
+
+
+def _prose(text: str) -> Markup:
+    """Return a text of the program, which may be longer than a name; the names in it are shortened."""
+    whole = _LONG_WORD.sub(lambda word: shortened(word[0]), visible(text))
+    return escape(shortened(whole, LONGEST_PROSE))
+
+
+def _setting(value: Any) -> Markup:
+    """Return a configuration as indented JSON, for preformatted text."""
+    return escape(json.dumps(_with_short_names(value), indent=1))
+
+
+def _with_short_names(value: Any) -> Any:
+    if isinstance(value, str):
+        return shortened(value)
+    if isinstance(value, dict):
+        return {shortened(str(name)): _with_short_names(inner) for name, inner in value.items()}
+    return [_with_short_names(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -1,6 +1,5 @@
 """Draw a learned map from above and runs on it, and encode figures for pages."""
 
-import base64
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,14 +16,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
+from matplotlib.text import Text
 
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
+from vssm_gym.viz.text import shortened, visible
 
 CUT_HEIGHT = 1.2  # m: above tables, below door lintels and wall cupboards
 CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # of objects at the cut: walls, tall furniture
 UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])  # of space that was not observed
 TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#c2185b", "#e09f1f"
 DASHES = (0, (3, 1.5))  # offset, then lengths of dash and gap in line widths
+LONGEST_IN_FIGURE = 60  # characters of a line of text
 
 
 @dataclass(frozen=True)
@@ -103,22 +105,46 @@ def draw_outlines(axes: Axes, outlines: Float[np.ndarray, "n 4 2"], colour: str,
 
 def webp(figure: Figure, dpi: int = 90) -> bytes:
     """Encode the figure as WebP: a textured map takes a fifth of its size as PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="webp", dpi=dpi, pil_kwargs={"quality": 80})
-    return buffer.getvalue()
+    return _encoded(figure, "webp", dpi=dpi, pil_kwargs={"quality": 80})
+
+
+def png(figure: Figure, dpi: int) -> bytes:
+    """Encode the figure as PNG."""
+    return _encoded(figure, "png", dpi=dpi)
 
 
 def svg(figure: Figure) -> bytes:
     """Encode the figure as SVG, reproducibly: no date, and ids from a fixed salt."""
-    buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "vssm_gym"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        return _encoded(figure, "svg", metadata={"Date": None})
+
+
+def _encoded(figure: Figure, kind: str, **options: Any) -> bytes:
+    take_literally(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, **options)
     return buffer.getvalue()
 
 
-def data_url(content: bytes, kind: str) -> str:
-    """Encode ``content`` as a ``data:`` URL of MIME type ``kind``, for self-contained pages."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+def take_literally(figure: Figure) -> None:
+    """Show the texts of a figure as they are: ``$`` begins no formula, and what has no glyph is escaped.
+
+    Titles and legends name agents, scenes and sequences. The numbers at an axis' ticks, which matplotlib may write as
+    formulas, are left alone; names at ticks pass through :func:`tick_name`.
+    """
+    axes = [axis for one in figure.findobj(Axes) for axis in (one.xaxis, one.yaxis)]
+    at_ticks = {text for axis in axes for text in axis.findobj(Text)} - {axis.label for axis in axes}
+    for text in figure.findobj(Text):
+        if text not in at_ticks:
+            text.set_parse_math(False)
+            text.set_text(
+                "\n".join(shortened(visible(line), LONGEST_IN_FIGURE) for line in text.get_text().split("\n"))
+            )
+
+
+def tick_name(name: str) -> str:
+    """Return a name that matplotlib shows as it is at a tick."""
+    return shortened(visible(name), LONGEST_IN_FIGURE).replace("$", r"\$")
 
 
 def legend_handles() -> list:

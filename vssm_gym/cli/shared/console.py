@@ -1,15 +1,42 @@
-"""Show progress bars, tables of results and warnings in the terminal."""
+"""Show text, tables of results and progress bars in the terminal.
+
+Whatever is printed passes through :func:`say` or :func:`literal_console`: names that come from files set no style, move
+no cursor and begin no line. The linter refuses ``print`` and rich's own console elsewhere in this package.
+"""
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from vssm_gym.viz.text import shortened, visible
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress, ProgressColumn
+    from rich.text import Text
 
 STAGES = {"recording": "driving and recording", "map": "building the map", "episodes": "running episodes"}
+
+
+def say(*lines: object, error: bool = False) -> None:
+    """Print each of ``lines`` as one line, on stdout, or on stderr for an ``error`` or a warning."""
+    for line in lines:
+        print(visible(str(line)), file=sys.stderr if error else sys.stdout)
+
+
+def literal_console(**options: Any) -> "Console":
+    """Return rich's console for tables; ``[bold]`` and ``:smile:`` in a text are these characters."""
+    from rich.console import Console
+
+    class LiteralConsole(Console):
+        def render_str(self, text: str, **style: Any) -> "Text":
+            return super().render_str("\n".join(map(visible, text.split("\n"))), **style)
+
+    stream = sys.stderr if options.get("stderr") else sys.stdout
+    width = None if stream.isatty() else 120  # a log has no width of its own
+    return LiteralConsole(**{"markup": False, "emoji": False, "highlight": False, "width": width, **options})
 
 
 @contextlib.contextmanager
@@ -22,7 +49,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
     from rich.progress import TimeRemainingColumn as Remaining
 
     columns = (
-        TextColumn("{task.description:>24}"),
+        TextColumn("{task.description:>24}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -34,7 +61,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         def show(stage: str, done: int, total: int) -> None:
             if stage not in bars:
                 progress.start()
-                bars[stage] = progress.add_task(STAGES.get(stage, stage), total=total)
+                bars[stage] = progress.add_task(visible(STAGES.get(stage, stage)), total=total)
             progress.update(bars[stage], completed=done, total=total)
             if done >= total:
                 del bars[stage]
@@ -49,10 +76,9 @@ def progress_of(*columns: "ProgressColumn") -> "Iterator[Progress]":
     A display that was never started prints nothing: rich would end it with an empty line, which would stand before the
     message of an early error.
     """
-    from rich.console import Console
     from rich.progress import Progress
 
-    progress = Progress(*columns, console=Console(stderr=True))
+    progress = Progress(*columns, console=literal_console(stderr=True, highlight=True))
     try:
         yield progress
     finally:
@@ -62,7 +88,6 @@ def progress_of(*columns: "ProgressColumn") -> "Iterator[Progress]":
 
 def print_results(log: Path) -> None:
     """Print the metrics of every agent of an episode log, one table for each condition, on stdout."""
-    from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.eval.episodes.log import read_rows
@@ -70,11 +95,12 @@ def print_results(log: Path) -> None:
     from vssm_gym.eval.metrics.registry import measured
     from vssm_gym.eval.protocols.registry import view_of
 
-    console = Console(highlight=False)
+    console = literal_console()
     all_rows = [measured(row) for row in read_rows(log)]
     for (env, *condition), rows in aggregate.group_rows(all_rows, ("env", "scene", "noise", "physics")).items():
         columns = view_of(env).summary
-        table = Table(title=f"{' · '.join(condition)}; in brackets 95 % intervals", title_justify="left", box=None)
+        title = " · ".join(map(shortened, condition))
+        table = Table(title=f"{title}; in brackets 95 % intervals", title_justify="left", box=None)
         table.add_column("agent", no_wrap=True)
         for name in ("runs", *columns, "failed"):
             table.add_column(name, justify="right", no_wrap=True)
@@ -93,4 +119,4 @@ def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> N
     protocol = protocol_of(env)
     for scene in scenes:
         if notice := protocol.notice(protocol.load(scene)):
-            print(f"warning: {scene_name(scene)}: {notice}", file=sys.stderr)
+            say(f"warning: {scene_name(scene)}: {notice}", error=True)
