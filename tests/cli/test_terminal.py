@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rich.table import Table
 
 from tests.helpers.ansi import pixels
+from vssm_gym.cli.shared.console import literal_console, say
 from vssm_gym.cli.shared.terminal import split_keys
 from vssm_gym.viz.terminal import NO_READING, depth_picture, half_blocks, side_by_side
 
@@ -75,3 +77,21 @@ def test_pictures_side_by_side_fit_and_keep_their_shape(sizes, columns, rows):
 )
 def test_keys_have_names(typed, keys):
     assert split_keys(typed) == keys
+
+
+def test_a_line_that_is_said_is_one_line_of_visible_characters(capsys):
+    """A name can neither move the cursor, nor begin a line that looks like another message, nor set a title."""
+    say("oak\nerror: none\x1b[2J", "[bold]x[/] :smile:", 7)
+    say("warning: \x1b]0;title\x07", error=True)
+    said, warned = capsys.readouterr()
+    assert said == "oak\\nerror: none\\x1b[2J\n[bold]x[/] :smile:\n7\n"
+    assert warned == "warning: \\x1b]0;title\\x07\n"
+
+
+def test_a_table_shows_names_as_they_are(capsys):
+    table = Table("[red]agent", title="[/] :smile:\x1b[2J")
+    table.add_row("[bold]x[/bold] \x9b2J\u202e")
+    literal_console(width=60).print(table)
+    said = capsys.readouterr().out
+    for text in ("[red]agent", r"[/] :smile:\x1b[2J", r"[bold]x[/bold] \x9b2J\u202e"):
+        assert text in said

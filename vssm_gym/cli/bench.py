@@ -1,10 +1,11 @@
 """Run ``vssm-gym bench``: measure speed and tracking accuracy on this machine."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+
+from vssm_gym.cli.shared.console import literal_console, say
 
 Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"]
 DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40}
@@ -47,8 +48,6 @@ def bench(
         seed: seed of the drives.
     """
     import json
-
-    from rich.console import Console
 
     from vssm_gym.cli.shared.console import progress_bars
     from vssm_gym.data.sequences import load_sequence
@@ -98,10 +97,10 @@ def bench(
                 map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
                 result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
                 result["map_hash"] = map_hash(map_file)
-        _show(suite, result, Console())  # before it is written: a full disk costs the file alone
+        _show(suite, result, literal_console())  # before it is written: a full disk costs the file alone
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
-    print(path)
+    say(path)
 
 
 def _on_a_map(
@@ -282,6 +281,6 @@ def _show_slam(table: Any, result: dict[str, Any], console: Any) -> None:
     )
     console.print(table)
     for notice in result["notices"]:
-        print(f"warning: {notice}", file=sys.stderr)
+        say(f"warning: {notice}", error=True)
     if result["missing"]:
         console.print(f"not compared: {result['missing']}", soft_wrap=True)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import literal_console, say
+
 if TYPE_CHECKING:
     from vssm_gym.training.learning_curves import Speed
 
@@ -27,7 +29,6 @@ def curves(
         minutes: end of the axis of minutes, by default that of the longest training.
         seed: seed of the bootstrap resampling behind the intervals.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.training.learning_curves import SUCCESS_LEVELS, write_curves
@@ -41,8 +42,8 @@ def curves(
     for one in found:
         times = [text for i in range(len(SUCCESS_LEVELS)) for text in _times(one, i)]
         table.add_row(one.name, str(one.seeds), *times, one.last.text())
-    Console(highlight=False).print(table)
-    print(out)
+    literal_console().print(table)
+    say(out)
 
 
 def _times(one: "Speed", i: int) -> tuple[str, str]:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from vssm_gym.cli.shared.console import say
+
 
 def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, seed: int = 0) -> None:
     """Record a drive through `oak`, learn its map, run five agents on 10 tasks, and write a report.
@@ -24,4 +26,4 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
     with progress_bars() as progress:
         log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, on_progress=progress)
     print_results(log)
-    print(write_report(out))
+    say(write_report(out))

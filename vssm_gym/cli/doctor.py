@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from vssm_gym.cli.shared.cache import cache_folder
+from vssm_gym.cli.shared.console import literal_console, say
 from vssm_gym.envs.rendering.gl_backends import BACKENDS, TIMEOUT, probe_code, try_python
 
 
@@ -87,14 +88,13 @@ PROBES = (
 
 def doctor() -> int:
     """Check what works on this machine, and say how to get what is missing; exit with 1 if a requirement is."""
-    from rich.console import Console
-    from rich.markup import escape
     from rich.progress import track
     from rich.table import Table
+    from rich.text import Text
 
     findings = [_python(), _cores(), _packages(), _cache()]
     with ThreadPoolExecutor(max_workers=2) as pool:
-        console = Console(stderr=True)
+        console = literal_console(stderr=True)
         probed = track(pool.map(run_probe, PROBES), "probing", len(PROBES), console=console, transient=True)
         findings += probed
 
@@ -102,11 +102,11 @@ def doctor() -> int:
     for finding in findings:
         state = "ok" if finding.ok else "missing" if finding.required else "absent"
         colour = {"ok": "green", "missing": "red", "absent": "yellow"}[state]
-        table.add_row(f"[{colour}]{state}", finding.name, escape(finding.detail))
+        table.add_row(Text(state, style=colour), finding.name, finding.detail)
         if not finding.ok:
-            table.add_row("", "", f"-> {escape(finding.remedy)}")
-    Console().print(table)
-    Console().print("\nOpenGL is optional: the raycast camera, the default, does not use it.")
+            table.add_row("", "", f"-> {finding.remedy}")
+    literal_console().print(table)
+    say("", "OpenGL is optional: the raycast camera, the default, does not use it.")
     return int(any(finding.required and not finding.ok for finding in findings))
 
 

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import literal_console, say
+
 
 def evaluate(
     policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")],
@@ -35,7 +37,6 @@ def evaluate(
         seed: seed of the recorded drive from which the map is learned, and of the imagined episodes.
         video: number of the task to film, from 0; with --resume also for a finished evaluation.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.cli.shared.console import print_notices, progress_bars
@@ -74,9 +75,9 @@ def evaluate(
     for metric in METRICS:
         digits = 1 if metric == "collisions" else 2
         table.add_row(metric, *(means[metric].text(digits) for means in shown.values()))
-    Console(highlight=False).print(table)
+    literal_console().print(table)
     if found.notice:
-        print(f"no imagined episodes: {found.notice}")
+        say(f"no imagined episodes: {found.notice}")
     if video is not None:
         from vssm_gym.training.recording import record_runs
         from vssm_gym.training.video import write_video
@@ -87,5 +88,5 @@ def evaluate(
                 policy, out, scene=scene, task=video, noise=noise, map_file=map, seed=seed, on_progress=progress
             )
             write_video(path, both, progress)
-        print(f"video: {path}")
-    print(f"next: vssm-gym report {out}")
+        say(f"video: {path}")
+    say(f"next: vssm-gym report {out}")

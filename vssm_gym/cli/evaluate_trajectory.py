@@ -2,11 +2,12 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+
+from vssm_gym.cli.shared.console import literal_console
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,7 +34,6 @@ def evaluate_trajectory(
         tolerance: largest difference between the stamps of a pair of poses, seconds.
         json_file: also write every statistic to this file (.json).
     """
-    from rich.console import Console
 
     from vssm_gym.data.trajectories import read_trajectory
     from vssm_gym.errors import InputError
@@ -62,7 +62,7 @@ def evaluate_trajectory(
         content = {"estimate": str(estimate), "truth": str(truth), "alignment": stated, **result}
         with atomic_write(json_file) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n")
-    console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else 120)
+    console = literal_console(soft_wrap=True)
     console.print(
         f"{result['pairs']} pairs of {len(times_est)} estimated and {len(times_true)} true poses, "
         f"stamps within {tolerance:g} s, alignment {stated}"

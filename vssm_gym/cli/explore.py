@@ -1,7 +1,8 @@
 """Run ``vssm-gym explore --scene S --out DIR``: one explorer in one scene, with pictures and a video of the run."""
 
-import sys
 from pathlib import Path
+
+from vssm_gym.cli.shared.console import say
 
 TEST_STARTS = 100  # test tasks of a scene, whose starts can be taken
 FILES = "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json"
@@ -63,9 +64,9 @@ def explore(
     except KeyboardInterrupt:
         for name in FILES:
             if (out / name).exists():
-                print(f"kept: {out / name}", file=sys.stderr)
+                say(f"kept: {out / name}", error=True)
         raise
     covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
-    print(f"{covered}: {row['status'] if row['stopped'] else 'time limit reached'}")
-    print("\n".join(str(out / name) for name in FILES if (out / name).exists()))
-    print(f"next: vssm-gym map export {out / 'map.npz'} --out {out}-map")
+    say(f"{covered}: {row['status'] if row['stopped'] else 'time limit reached'}")
+    say(*(out / name for name in FILES if (out / name).exists()))
+    say(f"next: vssm-gym map export {out / 'map.npz'} --out {out}-map")

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import literal_console, say
+
 FAULTS_FAILED = 1  # exit code: a fault was missed, or believed
 
 
@@ -25,7 +27,6 @@ def slam(
     """
     import json
 
-    from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.cli.shared.console import progress_bars
@@ -53,9 +54,9 @@ def slam(
         outcome = "passed" if row.passed else ", ".join(filter(None, ("missed" if row.missed else "", believed)))
         errors = (f"{100 * row.error_m:.1f}", f"{row.error_stds:.1f}") if row.confident else ("-", "-")
         table.add_row(row.fault, row.place, flagged, *errors, back, outcome)
-    Console().print(table)
+    literal_console().print(table)
     failed = sum(not row.passed for row in rows)
-    print(f"{len(rows) - failed} of {len(rows)} runs passed; {out / 'slam.json'}")
+    say(f"{len(rows) - failed} of {len(rows)} runs passed; {out / 'slam.json'}")
     return FAULTS_FAILED if failed else 0
 
 
@@ -72,7 +73,6 @@ def navigation(out: Path = Path("out/faults"), seed: int = 0) -> int:
     """
     import json
 
-    from rich.console import Console
     from rich.table import Table
 
     from vssm_gym.cli.shared.console import progress_bars
@@ -96,7 +96,7 @@ def navigation(out: Path = Path("out/faults"), seed: int = 0) -> int:
         claim = "none" if not row.claimed else "wrong" if row.wrong else "right"
         after = "-" if row.flagged is None else str(row.flagged)
         table.add_row(row.case, row.agent, after, str(row.silent), f"{row.error:.2f}", claim, row.status)
-    Console().print(table)
+    literal_console().print(table)
     failed = sum(not row.passed for row in rows)
-    print(f"{len(rows) - failed} of {len(rows)} episodes passed; {out / 'navigation.json'}")
+    say(f"{len(rows) - failed} of {len(rows)} episodes passed; {out / 'navigation.json'}")
     return FAULTS_FAILED if failed else 0

@@ -15,6 +15,7 @@ from tyro.conf import FlagCreatePairsOff
 from tyro.extras import SubcommandApp
 
 from vssm_gym.cli.shared.cache import use_compilation_cache
+from vssm_gym.cli.shared.console import say
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.files.atomic import REFUSALS
 from vssm_gym.version import __version__
@@ -56,7 +57,7 @@ INTERRUPTED = 130  # what shells report for Ctrl-C: 128 + SIGINT
 def main() -> int:
     """Run the command that ``sys.argv`` names and return the exit code."""
     if sys.argv[1:] == ["--version"]:
-        print(f"vssm-gym {__version__}")
+        say(f"vssm-gym {__version__}")
         return 0
     use_compilation_cache()
     arguments = sys.argv[1:] or ["--help"]
@@ -69,10 +70,10 @@ def main() -> int:
         result = run()
         sys.stdout.flush()
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", error=True)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("interrupted: what was finished is kept", file=sys.stderr)
+        say("interrupted: what was finished is kept", error=True)
         return INTERRUPTED
     except BrokenPipeError:  # the reader has closed the pipe, as `head -1` does
         _leave_stdout()
@@ -81,7 +82,7 @@ def main() -> int:
         if not isinstance(error, OutputError) and error.errno not in REFUSALS:
             raise
         about = f"{error.filename}: " if error.filename else ""
-        print(f"error: {error if isinstance(error, OutputError) else about + str(error.strerror)}", file=sys.stderr)
+        say(f"error: {error if isinstance(error, OutputError) else about + str(error.strerror)}", error=True)
         _leave_stdout()
         return FAILED
     return result if isinstance(result, int) else 0

@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 
 def build(
     sequence: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")],
@@ -38,7 +40,7 @@ def build(
     print_warnings(damaged)
     voxel_map.save(out)
     size = " x ".join(f"{n * voxel:.1f}" for n in voxel_map.shape)
-    print(f"{size} m in cells of {voxel} m: {out}")
+    say(f"{size} m in cells of {voxel} m: {out}")
 
 
 def export(
@@ -78,5 +80,5 @@ def export(
         write_glb(unfinished / "mesh.glb", mesh)
     share = {name: (grid.cells == value).mean() for name, value in (("free", FREE), ("occupied", OCCUPIED))}
     size = " x ".join(str(n) for n in grid.cells.shape)
-    print(f"{size} cells of {resolution} m, {share['free']:.0%} free, {share['occupied']:.0%} occupied")
-    print(f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles\n{out}")
+    say(f"{size} cells of {resolution} m, {share['free']:.0%} free, {share['occupied']:.0%} occupied")
+    say(f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles", out)

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 
 def merge(
     folders: Annotated[
@@ -20,7 +22,6 @@ def merge(
         folders: the folders of all shards, in any order.
         out: new or empty folder.
     """
-    import sys
 
     from vssm_gym.cli.shared.console import print_results
     from vssm_gym.eval.sweep.merge import merge_sweeps
@@ -28,5 +29,5 @@ def merge(
     merged = merge_sweeps(folders, out)
     print_results(merged.log)
     for notice in merged.notices:
-        print(f"warning: {notice}", file=sys.stderr)
-    print(f"episodes: {merged.log}\nnext: vssm-gym report {out}")
+        say(f"warning: {notice}", error=True)
+    say(f"episodes: {merged.log}", f"next: vssm-gym report {out}")

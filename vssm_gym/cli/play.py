@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 
 def play(
     env: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ENV")] = "PointNav-v0",
@@ -71,4 +73,4 @@ def play(
     finally:
         session.close()
         world.close()
-    print("\n".join(session.summary()))
+    say(*session.summary())

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from vssm_gym.cli.shared.console import say
+
 if TYPE_CHECKING:
     from vssm_gym.envs.sensors import CameraConfig
 
@@ -107,7 +109,7 @@ def record(
             following += (
                 f" --rate {20.0 if rate is None else rate:g} --voxel 0.125 --extent 25 --max-depth 20 --depth stereo"
             )
-    print(f"{frames} frames: {out}\nnext: {following}")
+    say(f"{frames} frames: {out}", f"next: {following}")
 
 
 def camera_of(command: str, size: str) -> "CameraConfig":

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 
 def report(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
@@ -20,4 +22,4 @@ def report(
     """
     from vssm_gym.eval.report.page import write_report
 
-    print(write_report(folder, seed, out))
+    say(write_report(folder, seed, out))

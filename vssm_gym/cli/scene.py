@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 if TYPE_CHECKING:
     from vssm_gym.envs.scenes.apartment import Apartment
 
@@ -29,7 +31,7 @@ def preview(
     check_new_file(out, (".png",))
     apartment = _load(scene)
     _draw(apartment, out, height)
-    print(f"{_summary(apartment)}\n{out}")
+    say(*_summary(apartment), out)
 
 
 def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")], out: Path) -> None:
@@ -71,7 +73,7 @@ def _write(out: Path, make: "Callable[[], Apartment]") -> None:
     summary = _summary(apartment)  # refuses a scene in which the robot fits nowhere, before anything is written
     save_scene(apartment, out)
     _draw(apartment, picture, 720)
-    print(f"{summary}\n{out}\n{picture}\nnext: vssm-gym record --scene {out} --out recording")
+    say(*summary, out, picture, f"next: vssm-gym record --scene {out} --out recording")
 
 
 def _load(scene: str) -> "Apartment":
@@ -94,8 +96,8 @@ def _draw(apartment: "Apartment", path: Path, height: int) -> None:
         Image.fromarray(picture(apartment, height)).save(temporary, format="PNG")
 
 
-def _summary(apartment: "Apartment") -> str:
-    """Describe the contents of a scene and the free space of the robot that drives in it."""
+def _summary(apartment: "Apartment") -> list[str]:
+    """Describe the contents of a scene and the free space of the robot that drives in it, in lines."""
     from vssm_gym.envs.robots import HolonomicRobot
     from vssm_gym.envs.scenes.free_space import FreeSpace
     from vssm_gym.envs.tasks.mazes import ROBOT, is_maze
@@ -119,4 +121,4 @@ def _summary(apartment: "Apartment") -> str:
     ]
     if names := space.cut_off_rooms():
         lines.append(f"cut off from the rest: {', '.join(names)}")
-    return "\n".join(lines + [f"note: {note}" for note in apartment.notes])
+    return lines + [f"note: {note}" for note in apartment.notes]

@@ -1,7 +1,6 @@
 """Run ``vssm-gym slam SEQUENCE --out DIR``: a trajectory and a dense map from an RGB-D recording."""
 
 import contextlib
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -9,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from vssm_gym.cli.shared.console import say
 
 if TYPE_CHECKING:
     from vssm_gym.slam.run import TrackedFrame
@@ -100,22 +101,22 @@ def slam(
     step = stats["latency_ms"].get("whole step")
     speed = f", {step['p50']:.0f} ms a frame (median)" if step else ""
     lost, again = len(stats["lost"]), len(stats["relocalised"])
-    print(f"{stats['frames']} frames, {lost} lost, {again} relocalised{speed}")
+    say(f"{stats['frames']} frames, {lost} lost, {again} relocalised{speed}")
     errors = stats["errors"] or {}
     if "impossible" in errors:
-        print(f"errors against the ground truth cannot be computed: {errors['impossible']}")
+        say(f"errors against the ground truth cannot be computed: {errors['impossible']}")
     elif errors:
         held = ", lost frames at their last pose" if lost else ""
-        print(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{held}")
-    print(out / slam_output.REPORT)
+        say(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{held}")
+    say(out / slam_output.REPORT)
 
 
 def print_warnings(notices: Sequence[str]) -> None:
     """Print the first warnings about the input on stderr, one line each, and the number of further ones."""
     for notice in notices[:WARNINGS]:
-        print(f"warning: {notice}", file=sys.stderr)
+        say(f"warning: {notice}", error=True)
     if len(notices) > WARNINGS:
-        print(f"warning: and {len(notices) - WARNINGS} more like these", file=sys.stderr)
+        say(f"warning: and {len(notices) - WARNINGS} more like these", error=True)
 
 
 @contextlib.contextmanager
@@ -126,11 +127,11 @@ def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["Tracke
     from vssm_gym.cli.shared.console import progress_of
 
     columns = (
-        TextColumn("{task.description:>24}"),
+        TextColumn("{task.description:>24}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     bars: dict[str, TaskID] = {}
     ends, lost = deque([time.perf_counter()], maxlen=RECENT + 1), 0

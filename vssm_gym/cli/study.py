@@ -6,6 +6,8 @@ from typing import Annotated, TypeVar
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 Number = TypeVar("Number", int, float)
 SequenceFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
 
@@ -43,8 +45,8 @@ def map_update(
             study = study_map_update.run(
                 recording, size=parse_size("study", size), frames=frames, voxel=voxel, on_progress=progress
             )
-        print(study.answer)
-        print(write_study(study, out))
+        say(study.answer)
+        say(write_study(study, out))
 
 
 def resolution(
@@ -92,8 +94,8 @@ def resolution(
                 seeds=seeds,
                 on_progress=progress,
             )
-        print(study.answer)
-        print(write_study(study, out))
+        say(study.answer)
+        say(write_study(study, out))
 
 
 def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
@@ -117,8 +119,8 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
     with study_folder("runtime", out):
         with progress_bars() as progress:
             study = study_runtime.run(recording, rate=rate, on_progress=progress)
-        print(study.answer)
-        print(write_study(study, out))
+        say(study.answer)
+        say(write_study(study, out))
 
 
 def calibration(
@@ -156,8 +158,8 @@ def calibration(
     with study_folder("calibration", out):
         with progress_bars() as progress:
             study = study_calibration.run(recordings, options=options, on_progress=progress)
-        print(study.answer)
-        print(write_study(study, out))
+        say(study.answer)
+        say(write_study(study, out))
 
 
 def flight(
@@ -223,8 +225,8 @@ def flight(
                 seeds=seeds,
                 on_progress=progress,
             )
-        print(study.answer)
-        print(write_study(study, out))
+        say(study.answer)
+        say(write_study(study, out))
 
 
 def _distinct(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:

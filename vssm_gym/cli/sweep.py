@@ -5,6 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 
 def sweep(
     config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
@@ -40,4 +42,4 @@ def sweep(
         log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, shard=part, on_progress=progress)
     print_results(log)
     following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} have finished"
-    print(f"episodes: {log}\nnext: vssm-gym {following}")
+    say(f"episodes: {log}", f"next: vssm-gym {following}")

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from vssm_gym.cli.shared.console import say
+
 
 def train(
     config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
@@ -35,7 +37,7 @@ def train(
     if seed is not None:
         check_at_least("train", "seed", seed, 0)
     checked = load_training(config, map_file=map, seed=seed)
-    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}"))
+    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}", markup=False))
     with progress_of(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as progress:
         bar = progress.add_task("compiling", total=1.0)
         if progress.console.is_terminal:  # a person waits for the compiler; a log gets the first line after it
@@ -46,7 +48,7 @@ def train(
             progress.update(bar, completed=done, description=_summary(row))
 
         policy = run_training(checked, out, resume=resume, on_update=show)
-    print(f"progress: {out / PROGRESS}\npolicy: {policy}\nnext: vssm-gym evaluate {policy} --out DIR")
+    say(f"progress: {out / PROGRESS}", f"policy: {policy}", f"next: vssm-gym evaluate {policy} --out DIR")
 
 
 def _summary(row: dict) -> str:

@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.cli.bench import _show
+from vssm_gym.cli.shared.console import literal_console
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
@@ -102,7 +102,7 @@ def test_the_tracker_table_names_every_method(capsys):
         for k, name in enumerate(("astar", "adam"), start=1)
     }
     result = {"scene": "oak", "trials": 9, "share_below_0.1m": 1.0, "rmse_m": {"0.5": 0.01}, "lost_steps": 0.0}
-    _show("tracker", result | {"methods": methods}, Console(width=100))
+    _show("tracker", result | {"methods": methods}, literal_console(width=100))
     shown = capsys.readouterr().out
     assert "adam: RMSE median of 6 drives" in shown
     assert "2.00 cm, 20.0 ms" in shown

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from vssm_gym.viz.text import shortened, visible
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console  # noqa: TID251
     from rich.progress import Progress, ProgressColumn
     from rich.text import Text
 
@@ -28,7 +28,7 @@ def say(*lines: object, error: bool = False) -> None:
 
 def literal_console(**options: Any) -> "Console":
     """Return rich's console for tables; ``[bold]`` and ``:smile:`` in a text are these characters."""
-    from rich.console import Console
+    from rich.console import Console  # noqa: TID251
 
     class LiteralConsole(Console):
         def render_str(self, text: str, **style: Any) -> "Text":
