@@ -15,7 +15,7 @@ RECORDINGS ?=
 CANDIDATES := python3.11 python3.12 python3.13 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow coverage additions faults chaos lint format install clean
+.PHONY: help demo test test-slow coverage additions faults fuzz chaos lint format install clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
@@ -25,6 +25,7 @@ help:
 	@echo "make additions  take out a sensor, a metric, a planner, a robot in turn: the rest must pass"
 	@echo "make faults     faulty images for SLAM and agents; RECORDINGS=DIR adds TUM folders to the simulated walks"
 	@echo "make chaos      kill commands at random moments, fill their disks, start them twice (about half an hour)"
+	@echo "make fuzz       10,000 damaged files for every reader: each is read or refused within bounds (30 min)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
 	@echo "make clean      remove .venv, caches and build products"
@@ -69,6 +70,9 @@ coverage: $(STAMP)
 
 additions: $(STAMP)
 	$(BIN)/python tests/remove_additions.py
+
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz --workers $(WORKERS)
 
 faults: $(STAMP)
 	failed=0; $(BIN)/vssm-gym faults slam $(RECORDINGS) || failed=1; $(BIN)/vssm-gym faults navigation || failed=1; exit $$failed
