@@ -43,8 +43,8 @@ def rows_of(out: Path) -> dict[str, Any]:
 
 
 def without_times(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row without the fields that a clock measured."""
-    return {name: value for name, value in row.items() if name != "latency"}
+    """Return a row without what a clock measured, and the version: a commit made meanwhile changes it."""
+    return {name: value for name, value in row.items() if name not in ("latency", "version")}
 
 
 def digests(out: Path, names: Sequence[str]) -> Kept:

@@ -103,7 +103,7 @@ class Chaos:
         """Start two runs on one folder, the second while the first one runs."""
         out = self._new()
         first = self._start(out)
-        time.sleep(self.rng.uniform(0.0, 0.7) * self.seconds)
+        time.sleep(self.rng.uniform(0.0, 0.3) * self.seconds)
         both = self._start(out), first
         ended = [process.wait() for process in both]
         self.outcome.pairs += 1

@@ -42,7 +42,7 @@ def test_a_run_writes_its_video_pictures_and_map(vssm, tmp_path):
     code, printed, _ = vssm(*asked)
     assert code == 0
     assert {path.name for path in out.iterdir()} == {
-        "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json",
+        "explore.json", "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json",
     }  # fmt: skip
     for name in ("candidates.png", "run.png", "mesh.png"):
         assert str(out / name) in printed
