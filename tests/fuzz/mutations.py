@@ -1,9 +1,9 @@
 """Damage one file of an input: its bytes, its words, its JSON, or the arrays of its ``.npz``; all from one seed."""
 
 import copy
+import gzip
 import io
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +21,17 @@ NASTY = [
 def mutate(folder: Path, rng: np.random.Generator) -> str:
     """Damage one to three times; return which files were damaged and how."""
     said = []
-    for _ in range(int(rng.integers(1, 4))):
+    for _ in range(_pick(rng, (1, 1, 1, 2, 3))):  # one damage is refused late, or not at all
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         if not files:
             break
         path = files[int(rng.integers(len(files)))]
         content = path.read_bytes()
-        ways = ["bytes", "words"]
-        ways += {".json": ["json"] * 4, ".npz": ["npz"] * 4, ".jsonl": ["json"] * 2}.get(path.suffix, ["words"] * 2)
+        ways = ["bytes", "words", *WAYS.get(path.suffix, ["words"] * 2)]
         way = ways[int(rng.integers(len(ways)))]
         try:
-            damaged = {"bytes": _bytes, "words": _words, "json": _json, "npz": _npz}[way](content, rng)
-        except (ValueError, KeyError, OSError, zipfile.BadZipFile, IndexError):  # damaged before: no JSON, no archive
+            damaged = MUTATIONS[way](content, rng)
+        except Exception:  # damaged before: it is no JSON or archive any more, which libraries say in many ways
             damaged = _bytes(content, rng)
         path.write_bytes(damaged)
         said.append(f"{path.relative_to(folder)} ({way})")
@@ -153,3 +152,12 @@ def _npz(content: bytes, rng: np.random.Generator) -> bytes:
     file = io.BytesIO()
     (np.savez_compressed if rng.random() < 0.5 else np.savez)(file, **arrays)
     return file.getvalue()
+
+
+def _gz(content: bytes, rng: np.random.Generator) -> bytes:
+    """Damage what is packed."""
+    return gzip.compress(_pick(rng, (_json, _json, _words))(gzip.decompress(content), rng))
+
+
+MUTATIONS = {"bytes": _bytes, "words": _words, "json": _json, "npz": _npz, "gz": _gz}
+WAYS = {".json": ["json"] * 6, ".npz": ["npz"] * 6, ".jsonl": ["json"] * 4, ".gz": ["gz"] * 6}  # beside bytes and words
