@@ -42,12 +42,10 @@ class Simulation:
         sensor_noise: errors of the camera: ``none``, ``kinect``, ``stereo`` or a :class:`SensorNoise`.
         camera: size and field of view of the images: a :class:`CameraConfig` or a mapping of its fields.
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL. The environment's ``renderer_name`` is recorded
-            with
-            results.
+            with results.
         physics: ``mujoco``.
         sensors: sensors besides the camera: names of :data:`~vssm_gym.envs.sensors.registry.SENSORS`, configurations,
-            or
-            mappings of their fields with ``"sensor": name``.
+            or mappings of their fields with ``"sensor": name``.
         observe_pose: if True, the observation holds the true pose (an oracle's privilege).
         render_mode: ``rgb_array`` or None.
     """

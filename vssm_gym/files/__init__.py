@@ -1,1 +1,1 @@
-"""Write files atomically; read users' files within bounds of size, nesting and unpacking, and judge their numbers."""
+"""Write files atomically; read users' files within bounds of size, nesting and unpacking, and check their numbers."""

@@ -61,7 +61,7 @@ def read_text(path: str | Path, limit: int, expected: str = "a text file") -> st
 def inside(folder: Path, name: str, source: object, field: str) -> Path:
     """Return ``folder / name``; raise InputError for a name that leaves the folder or that no file can have.
 
-    Only the name is judged: a link inside the folder that its owner made is followed.
+    Only the name is checked: a link inside the folder that its owner made is followed.
     """
     path = Path(name)
     if "\0" in name or not name or path.is_absolute() or ".." in path.parts:

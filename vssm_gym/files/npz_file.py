@@ -1,4 +1,4 @@
-"""Read NumPy's ``.npz`` within bounds: every array's type and size is known, and may be judged, before it is unpacked.
+"""Read NumPy's ``.npz`` within bounds: every array's type and size is known, and may be checked, before it is unpacked.
 
 NumPy's own reader trusts what a file declares: 3 MB may unpack to 3 GB, and damage raises errors of many types.
 """

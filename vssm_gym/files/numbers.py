@@ -54,7 +54,7 @@ def whole(value: Any, source: object, field: str, *, least: int, most: int) -> i
 
 
 def as_float32(array: np.ndarray, source: object, field: str, *, positive: bool = False) -> np.ndarray:
-    """Return the array as float32, judged after the cast: what overflows is infinite, what underflows is zero."""
+    """Return the array as float32, checked after the cast: what overflows is infinite, what underflows is zero."""
     kind = "positive finite" if positive else "finite"
     if array.dtype.kind != "f":
         raise InputError(source, field, f"floats; found {array.dtype}")

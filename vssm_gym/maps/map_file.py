@@ -51,7 +51,7 @@ def write(path: str | Path, m: StoredMap, metadata: dict[str, Any]) -> None:
 
 
 def read(path: str | Path) -> StoredMap:
-    """Read and check a map file; sizes and shapes are judged before arrays are unpacked.
+    """Read and check a map file; sizes and shapes are checked before arrays are unpacked.
 
     Raises:
         InputError: the file is missing, truncated, larger than ``MAP_BYTES`` unpacked, of another format or version, or

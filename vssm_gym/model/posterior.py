@@ -170,14 +170,12 @@ def map_entropy(m: VoxelMap) -> float:
     """``H(M) - H(prior) = sum_cells 1/2 log(lambda_0 / lambda)``, nats; 0 for an empty map, negative for others.
 
     Entropy is relative to the prior, ``lambda_0 = PRIOR_OCCUPANCY_STD^-2``, because the absolute entropy of a grid
-    grows
-    with its extent. Unobserved cells, inside the grid or beyond it, contribute nothing, so that a dense and a block-
-    sparse
-    map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72`` nats a cell.
+    grows with its extent. Unobserved cells, inside the grid or beyond it, contribute nothing, so that a dense and a
+    block- sparse map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72``
+    nats a cell.
 
     Only occupancy counts (VSSM-LM): colour is observed in the band around surfaces only, so that its entropy would
-    mostly
-    count the same cells twice, and no planner uses it.
+    mostly count the same cells twice, and no planner uses it.
     """
     precision = np.asarray(m.occupancy_precision)
     prior = np.float32(PRIOR_OCCUPANCY_STD**-2)  # as cells hold it, so that an empty map's entropy is 0

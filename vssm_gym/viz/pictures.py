@@ -48,8 +48,7 @@ def topdown(map: VoxelMap, cut_height: float = CUT_HEIGHT, resolution: float = 0
     """Draw the colours of the map's surfaces from above, without everything over ``cut_height`` (m).
 
     Surfaces at the cut itself are dark, as in an architect's plan; unobserved places are grey. The picture shows the
-    belief
-    that agents plan on, not the scene.
+    belief that agents plan on, not the scene.
     """
     low, high = map.bounds
     n = np.maximum(np.ceil((high - low)[:2] / resolution).astype(int), 1)

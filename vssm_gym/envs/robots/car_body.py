@@ -50,8 +50,7 @@ class CarBody(Protocol):
 
         Args:
             points: ``(speed m/s, steering rad)``, one for each :data:`~vssm_gym.envs.robots.car_noise.TICK`; steering
-                is that
-                of a virtual wheel in the middle of the front axle.
+                is that of a virtual wheel in the middle of the front axle.
             friction: coefficient of tyres on the floor.
 
         Returns:

@@ -76,8 +76,7 @@ def score(info: AlignInfo) -> Float[Array, ""]:
     Chosen on hand-held recordings.
 
     0.4 is the coverage that images of one place still reach when the camera has left the reference view by the most
-    that
-    the filter allows; below it, few pixels could reach a high inlier share by chance.
+    that the filter allows; below it, few pixels could reach a high inlier share by chance.
     """
     return info.inlier_share * jnp.minimum(1.0, info.coverage / FULL_COVERAGE)
 

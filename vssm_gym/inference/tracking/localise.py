@@ -192,8 +192,7 @@ def _without_image(
     """Return the belief without an image. A commanded body follows its commands.
 
     Any other body is believed to leave its last pose at an unknown velocity; its uncertainty grows with time, however
-    many
-    images are taken meanwhile.
+    many images are taken meanwhile.
     """
     if transition.commanded:
         return predicted
