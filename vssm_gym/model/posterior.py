@@ -171,7 +171,7 @@ def map_entropy(m: VoxelMap) -> float:
 
     Entropy is relative to the prior, ``lambda_0 = PRIOR_OCCUPANCY_STD^-2``, because the absolute entropy of a grid
     grows with its extent. Unobserved cells, inside the grid or beyond it, contribute nothing, so that a dense and a
-    block- sparse map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72``
+    block-sparse map of the same images have the same entropy. The constant is ``1/2 log(2 pi e / lambda_0) = 3.72``
     nats a cell.
 
     Only occupancy counts (VSSM-LM): colour is observed in the band around surfaces only, so that its entropy would

@@ -325,7 +325,7 @@ def test_an_error_names_the_file_the_field_and_the_expected_value(
         (b'{"rooms": [', "valid JSON"),
         (b"[1, 2]", "a JSON object"),
         (b"\xff\xfe\x00", "UTF-8"),
-        (b"[" * 100_000, "nested less deeply"),
+        (b"[" * 100_000, "nested at most"),
         (b'{"ceiling_height": NaN}', "finite numbers"),
         (b'{"ceiling_height": 1e999, "name": "x", "rooms": []}', "finite|present|at least"),
     ],

@@ -99,10 +99,10 @@ def test_a_damaged_file_is_refused(tmp_path, changes, message):
     assert message in str(refused.value)
 
 
-@pytest.mark.parametrize("content", [None, "{", "[" * 100_000])
-def test_a_file_that_cannot_be_read_is_refused(tmp_path, content):
+@pytest.mark.parametrize(("content", "field"), [(None, "file"), ("{", "line 1"), ("[" * 100_000, "content")])
+def test_a_file_that_cannot_be_read_is_refused(tmp_path, content, field):
     path = tmp_path / "scenes.json"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(InputError, match="file: expected"):
+    with pytest.raises(InputError, match=f"{field}: expected"):
         frozen_splits(path)
