@@ -87,13 +87,10 @@ def reordered(
     last = order[before - 1]
     apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[last, :3, 3], axis=1)
     apart[len(T_world_cam) - stays + 1 :] = 0.0  # so that enough frames follow
-    if name == "kidnap":
-        away = min(KIDNAP, apart.max())  # a recording of a small space has no place farther than its farthest
-        places = np.flatnonzero(apart >= away)
-        places = places[np.argsort(places < last, kind="stable")]
-    else:
-        away, places = SHOVE, np.flatnonzero(apart[last:] >= SHOVE) + last
-    if not len(places) or away < SHOVE:
+    away = min(KIDNAP if name == "kidnap" else SHOVE, apart.max())  # a small space has no place beyond its farthest
+    places = np.flatnonzero(apart >= away)
+    places = places[np.argsort(places < last, kind="stable")]  # those that follow first
+    if away < SHOVE:
         raise InputError("faults", "recording", f"a camera that moves at least {SHOVE} m away from frame {last}")
     result = order.copy()
     result[before : before + stays] = places[0] + np.arange(stays)

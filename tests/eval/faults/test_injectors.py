@@ -88,6 +88,11 @@ def test_a_kidnap_leads_back_where_nothing_follows():
     np.testing.assert_array_equal(moved[15:19], [0, 1, 2, 3])
 
 
+def test_a_shove_leads_back_where_nothing_follows():
+    moved = reordered("shove", line(23, 0.055), np.arange(20), before=15, during=4)
+    np.testing.assert_array_equal(moved[15:20], [0, 1, 2, 3, 4])
+
+
 def test_a_kidnap_in_a_small_space_leads_to_its_farthest_place():
     moved = reordered("kidnap", line(30, 0.02), np.arange(20), before=5, during=4)
     np.testing.assert_array_equal(moved[5:9], [26, 27, 28, 29])
