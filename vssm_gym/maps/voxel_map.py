@@ -344,8 +344,10 @@ class VoxelMap(eqx.Module):
         if held.stored is not None:
             x, y, z = (BLOCK * b for b in held.blocks)
             prior = cls.prior(held.arrays["origin"], 1.0, (x, y, z), held.slots)
-            own = slice(1, 1 + len(held.stored))
-            device |= {name: getattr(prior, name).at[own].set(device[name]) for name in map_file.BELIEF}
+            for name in map_file.BELIEF:  # in NumPy: JAX would compile anew for each number of stored blocks
+                rows = np.array(getattr(prior, name))
+                rows[1 : 1 + len(held.stored)] = held.arrays[name]
+                device[name] = jnp.asarray(rows)
             table = BlockTable.of(held.blocks, held.slots, held.stored)
         return cls(
             occupancy=device["occupancy"],
