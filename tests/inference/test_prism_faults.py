@@ -231,13 +231,12 @@ def test_noise_in_place_of_an_image() -> None:
 
 
 def test_a_repeated_depth_image() -> None:
-    """A camera that hangs measures nothing new: it is reported, the pose stays, and its spread grows."""
-    state, infos = walked(WALKED)
-    before, stood, spread = copy(state).map, np.asarray(infos[-1].belief.mean.T_world_body), 0.0
+    """A moving camera whose image hangs measures nothing new: it is reported, and the pose's spread grows."""
+    state, _ = walked(WALKED)
+    before, spread = copy(state).map, 0.0
     for _ in range(5):
         state, info = step(state, image(WALKED))
         assert info.status == REPEATED
-        np.testing.assert_array_equal(np.asarray(info.belief.mean.T_world_body), stood)
         assert spread < (spread := float(jnp.trace(info.belief.covariance[:3, :3])))
     assert same_map(state.map, before)
     back_on_the_walk(state, WALKED + 1)

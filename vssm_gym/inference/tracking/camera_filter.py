@@ -66,6 +66,7 @@ class TrackingConfig:
     min_reading: float = 0.05  # share of the pixels that have depth; an image with fewer has no reading
     min_score: float = 0.6  # of :func:`alignment.score`
     max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
+    repeated_displacement: float = 0.5  # pixels: a camera that is predicted to move by more repeats no depth image
     max_surprise: float = 12.0  # stds of the predicted pose: beyond them the camera jumped and the prior is wrong
     confirmation: ConfirmationConfig | None = field(
         default_factory=ConfirmationConfig
@@ -115,7 +116,7 @@ class Tracked(eqx.Module):
     fit_quality: AlignInfo
     accepted: Bool[Array, ""]
     expected: Bool[Array, ""]  # the step is no larger than the belief before it foresees
-    repeated: Bool[Array, ""]  # the depth image is that of the last accepted image, bit for bit
+    repeated: Bool[Array, ""]  # the depth image is that of the last accepted image, bit for bit, of a camera that moves
 
 
 # For a body whose commands are known. Three degrees of freedom and a known command suffice where six and constant
@@ -236,8 +237,10 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         accepted &= colour_confirms(
             T, starts, expected, reference, image, rig.camera, config.align, config.confirmation
         )
-    # A standing camera with noise repeats no image; where the commands are known, a blocked robot may see the same.
+    # A camera that moves repeats no image; one that stands may, where images have no noise. Where the commands are
+    # known, a blocked robot may see the same.
     repeated = jnp.all(image.depth == past.image.depth) & (not transition.commanded)
+    repeated &= _displacement(past.belief, predicted, image, rig) > config.repeated_displacement
     accepted &= ~repeated
     accepted &= jnp.all(jnp.isfinite(both.covariance))
     noise_scale = past.noise_scale
@@ -260,6 +263,15 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         expected,
         repeated,
     )
+
+
+def _displacement(before: GaussianBelief, predicted: GaussianBelief, image: RGBD, rig: Rig) -> Float[Array, ""]:
+    """``f (|v| / depth + |w|)``: about how far a step shifts the pixels of an image at its mean depth, pixels."""
+    pose = predicted.manifold.pose
+    T_before_after = inverse(pose(before.mean) @ rig.T_body_cam) @ pose(predicted.mean) @ rig.T_body_cam
+    twist = se3_log(T_before_after)
+    depth = jnp.sum(jnp.where(image.hit, image.depth, 0.0)) / jnp.maximum(jnp.sum(image.hit), 1)
+    return rig.camera.fx * (jnp.linalg.norm(twist[:3]) / jnp.maximum(depth, 0.1) + jnp.linalg.norm(twist[3:]))
 
 
 def _start(

@@ -84,7 +84,10 @@ def localise(
         if found is not None:
             clock("recover", found.past.belief)
             return found
-    belief = clock("recover", _without_image(past, tracked.predicted, transition, rig, config, lost))
+    if repeated:  # the camera goes on unseen, at its velocity
+        belief = tracked.predicted
+    else:
+        belief = clock("recover", _without_image(past, tracked.predicted, transition, rig, config, lost))
     status = Status.REPEATED if repeated else Status.LOST if has_depth else Status.NO_READING
     now = Past(belief, jnp.zeros_like(tracked.laplace), process_noise.full(), past.image, past.T_world_cam)
     return Located(status, now, tracked.gain, tracked.fit_quality)
