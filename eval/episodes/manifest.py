@@ -30,8 +30,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
         raise InputError(path, "file", f"the JSON that a sweep wrote; found {manifest!r:.80}")
     if missing := set(FIELDS) - manifest.keys():
         raise InputError(path, min(missing), "this field")
-    if not isinstance(manifest["config"], dict):
-        raise InputError(path, "config", "the sweep's configuration")
+    for field in ("config", "common", "scene_hashes", "notices"):
+        if not isinstance(manifest.get(field, {}), dict):
+            raise InputError(path, field, f"an object, as a sweep wrote it; found {manifest[field]!r:.80}")
     agents = manifest["config"].get("agents", [])
     if not isinstance(agents, list) or not all(isinstance(agent, str) for agent in agents):
         raise InputError(path, "config.agents", "a list of agents' names")
@@ -46,9 +47,10 @@ def completed(row: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, 
     Fields of the row itself take precedence. The hash of its scene is found by the scene's name.
     """
     config = manifest["config"]
-    only = {field: config[name][0] for field, name in LISTS.items() if len(config.get(name) or ()) == 1}
+    lists = {field: config.get(name) for field, name in LISTS.items()}
+    only = {field: values[0] for field, values in lists.items() if isinstance(values, list) and len(values) == 1}
     whole = {**only, **manifest.get("common", {}), **row}
     hashes = manifest.get("scene_hashes", {})
-    if "scene_hash" not in whole and whole.get("scene") in hashes:
+    if "scene_hash" not in whole and isinstance(whole.get("scene"), str) and whole["scene"] in hashes:
         whole["scene_hash"] = hashes[whole["scene"]]
     return whole

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.episodes.log import FILE, KEY, EpisodeLog, episode_key, read_rows
+from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
 from vssm_gym.eval.episodes.row import FORMAT
 from vssm_gym.eval.sweep.config import expand, load_config
 
@@ -189,3 +190,18 @@ def test_the_episode_seed_depends_on_seed_scene_and_task_only():
     assert len(seeds) == 400
     assert all(0 <= seed < 2**32 for seed in seeds)
     assert episode_seed(3, "a", 7) == episode_seed(3, "a", 7)
+
+
+@pytest.mark.parametrize("field", ["config", "common", "scene_hashes", "notices"])
+@pytest.mark.parametrize("value", [5, 0.1, [1], "x", None])
+def test_a_damaged_manifest_is_refused(tmp_path, field, value):
+    manifest = {"config": {}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {field: value}))
+    with pytest.raises(InputError, match=f"{field}: expected an object"):
+        read_manifest(tmp_path / MANIFEST)
+
+
+@pytest.mark.parametrize("values", [5, {"a": 1}, "oak", [[]], None])
+def test_lists_of_a_manifest_that_are_none_complete_nothing(values):
+    row = {"scene": values, "task": 1}
+    assert completed(row, {"config": {"scenes": values}, "scene_hashes": {"oak": "0"}})["scene"] == values

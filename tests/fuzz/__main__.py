@@ -10,6 +10,7 @@ imports. ``--out`` keeps the inputs of those cases. Linux only: memory is read f
 import argparse
 import contextlib
 import json
+import os
 import queue
 import select
 import shutil
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 SECONDS, MEGABYTES = 10.0, 1000.0  # what a refusal may cost; a file that is read may cost more memory
-PATIENCE = 120.0  # s of wall time until a worker is killed: the machine may be busy
+CPU_PATIENCE, WALL_PATIENCE = 90.0, 600.0  # s until a worker is killed; it may wait for a busy machine, or for ever
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
@@ -90,9 +91,12 @@ class Worker:
         process.stdin.write(json.dumps(question) + "\n")
         process.stdin.flush()
         started = time.monotonic()
-        line = self._line(PATIENCE)
-        if line is not None:
-            return json.loads(line)
+        spent = _cpu_seconds(process.pid)
+        while process.poll() is None and time.monotonic() - started < WALL_PATIENCE:
+            if (line := self._line(1.0)) is not None:
+                return json.loads(line)
+            if _cpu_seconds(process.pid) - spent > CPU_PATIENCE:
+                break
         waited = time.monotonic() - started
         kind = "hang" if process.poll() is None else f"exit {process.returncode}"
         self.close()
@@ -110,6 +114,14 @@ class Worker:
         assert self._process is not None and self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], seconds)
         return (self._process.stdout.readline() or None) if ready else None
+
+
+def _cpu_seconds(pid: int) -> float:
+    """Return the CPU time of a process, s; 0 where it has ended."""
+    with contextlib.suppress(OSError):
+        words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+    return 0.0
 
 
 def run(cases: Iterable[int], seed: int, workers: int, out: Path | None = None) -> Tally:
