@@ -206,7 +206,8 @@ def watched(base: type[vg.Transition], manifold: Manifold) -> tuple[type[vg.Tran
         def __getattribute__(self, name: str) -> Any:
             value = getattr(manifold, name)
             caller = sys._getframe(1).f_globals["__name__"]  # the checker of annotations reads every member
-            return members.recorded(members.manifold, name, value) if caller.startswith("vssm_gym.") else value
+            ours = caller.startswith("vssm_gym.") and not name.startswith("__")
+            return members.recorded(members.manifold, name, value) if ours else value
 
     class Copy(base):  # type: ignore[misc, valid-type]
         """Move as the base does."""

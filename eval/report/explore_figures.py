@@ -135,6 +135,8 @@ def run_picture(row: Row, background: pictures.Background | None) -> bytes:
     axes.plot(*path[0], "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
     axes.plot(*path[-1], "s", color="white", markeredgecolor="black", markersize=5, zorder=6)
     for level, place in row["trace"]["reached"].items():
+        if level not in MARKS:  # of another version, which marked other levels
+            continue
         axes.plot(*place, MARKS[level], color=pictures.GOAL_COLOUR, markeredgecolor="black", markersize=7, zorder=7)
     contacts = np.asarray(row["trace"]["contacts"] or [], dtype=float).reshape(-1, 2)
     axes.plot(*contacts.T, "x", color="red", markersize=5, markeredgewidth=1.2, zorder=8)

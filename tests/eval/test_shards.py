@@ -1,6 +1,7 @@
 """Test shards of a sweep: a partition that keeps pairs together, and a merge that equals the undivided sweep."""
 
 import json
+import re
 import shutil
 
 import hypothesis.strategies as st
@@ -187,6 +188,6 @@ def test_shards_with_learned_maps_by_the_command_line(tmp_path):
         p.name for p in (tmp_path / "whole").iterdir()
     )
     pages = [write_report(tmp_path / out).read_text() for out in ("merged", "whole")]
-    drawn = [[part for part in page.split("'") if part.startswith("data:image/webp")] for page in pages]
+    drawn = [re.findall(r"data:image/webp[^\"']+", page) for page in pages]
     assert drawn[0] == drawn[1]
     assert drawn[0]

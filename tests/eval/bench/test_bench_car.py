@@ -66,7 +66,7 @@ def test_an_arena_without_room_is_refused_before_anything_is_measured(tmp_path):
 def test_the_whole_bench(monkeypatch, tmp_path, capsys):
     """Two steps of each controller, and short windows: every part runs, and is in the table and in the file."""
     monkeypatch.setattr(bench_envs, "WINDOW_SECONDS", 0.05)
-    for few in ("GOALS", "TARGETS"):
+    for few in ("GOALS", "CONTROLLED_TARGETS"):
         monkeypatch.setattr(bench_car, few, 3)
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pybullet" else found(name))
