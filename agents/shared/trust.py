@@ -120,19 +120,23 @@ class JudgedFilter:
         self._images = FrozenImages(filter.transition, dt, config.frozen)
         self._images.reset(observation)
         self._dark = RGBD.from_camera(*(np.zeros_like(observation[name]) for name in ("rgb", "depth")))
-        self._denied: list[np.ndarray] = []  # commands since the image last changed: it shows no motion
+        self._denied: list[np.ndarray] = []  # commands that the belief does not follow, because an image repeated
         self._lost = self._fits = 0
         self._broken = False  # the chain of images
 
     def step(self, command: np.ndarray, observation: Observation) -> Judged:
         """Return the estimate after ``command``, which ``observation`` followed."""
-        liveness = self._images.update(command, observation)
-        self._denied = [*self._denied, command] if self._images.repeats else []
+        liveness, followed = self._images.update(command, observation), False
         if liveness is Liveness.LIVE:
             info = self._advance(command, RGBD.from_camera(observation["rgb"], observation["depth"]))
             status = self._status(info, observation)
+            followed = not info.status.accepted  # without an image, a belief follows the command
         else:
             status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
+        if not self._images.repeats:
+            self._denied = []
+        elif not followed:  # a repeated image that was accepted shows no motion
+            self._denied = [*self._denied, command]
         if liveness is Liveness.FROZEN:
             for denied in self._denied:
                 self._advance(denied, self._dark)

@@ -102,6 +102,15 @@ def test_frozen_images_are_replaced_by_the_commands_that_they_deny():
     assert filter.steps[-1] == ((0.0, 0.0, 0.0), True)
 
 
+def test_the_belief_follows_each_command_once_while_black_images_repeat():
+    """A black image moves the belief by the command, the first four of them; so do the commands that follow."""
+    track = judged(Scripted())
+    commands = [DRIVE, DRIVE, DRIVE, DRIVE, DRIVE, TURN, STAND]
+    outcomes = [track.step(command, image(1, depth=0.0)) for command in commands]
+    assert [one.status for one in outcomes] == [*[NO_READING] * 4, REPEATED, FROZEN, FROZEN]
+    np.testing.assert_allclose(outcomes[-1].belief.mean, [0.8, 0.0, 0.2], atol=1e-5)
+
+
 def test_a_robot_that_was_held_was_where_its_images_said():
     """It turns, the image changes: the commands that moved nothing are not made up for."""
     filter = Scripted(*[OK] * 9)
