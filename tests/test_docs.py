@@ -16,6 +16,7 @@ from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli.main import COMMANDS, build_app
 from vssm_gym.envs.robots.holonomic import NOISE_LEVELS
 from vssm_gym.inference.alignment.adam import AdamConfig
+from vssm_gym.inference.alignment.aliasing import APART, COLOUR_MARGIN, CORRELATION_MARGIN, FARTHEST_SHIFT
 from vssm_gym.inference.alignment.depth_scale import DEPTH_SCALES
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
@@ -215,16 +216,19 @@ STATED = [
     ("I28", "1.5 * 0.04", ConfirmationConfig().min_contrast, 1.5),
     ("I28", ">= 0.85 ", ConfirmationConfig().confirming_correlation, 0.85),
     ("I28", "+ 0.1 ", ConfirmationConfig().colour_margin, 0.1),
-    ("I28", "> 4^2", ConfirmationConfig().max_unconfirmed, 4.0),
+    ("I28", "> 4^2", TrackingConfig().max_unconfirmed, 4.0),
     ("I29", "{0.83, 0.91, 1, 1.1, 1.2}", DEPTH_SCALES, (0.83, 0.91, 1.0, 1.1, 1.2)),
     ("I30", "1 / 0.03^2", RecoveryConfig().max_std, 0.03),
     ("I31", "0.3 m and 0.26 rad", (KeyframeConfig().distance, KeyframeConfig().angle), (0.3, 0.26)),
     ("I32", ">= 0.65", RecoveryConfig().min_score, 0.65),
     ("I32", "min(4, 0.55 contrast", (RecoveryConfig().max_photometric, RecoveryConfig().max_unexplained), (4.0, 0.55)),
     ("I32", "rho >= 0.8,", RecoveryConfig().min_correlation, 0.8),
-    ("I32", "0.1 m or rad", RecoveryConfig().apart, 0.1),
-    ("I32", "c(best) + 0.1", RecoveryConfig().colour_margin, 0.1),
-    ("I36", "100 steps", TRACKER_ADAM.steps, 100),
+    ("I32", "0.1 m or rad", APART, 0.1),
+    ("I32", "c(best) + 0.1", COLOUR_MARGIN, 0.1),
+    ("I33", "c(T) + 0.1", COLOUR_MARGIN, 0.1),
+    ("I33", "rho(T) - 0.02", CORRELATION_MARGIN, 0.02),
+    ("I33", "0.1 <= |s| <= 0.6", (APART, FARTHEST_SHIFT), (0.1, 0.6)),
+    ("I37", "100 steps", TRACKER_ADAM.steps, 100),
     ("T2", "low (3 deg, 0.1 b)", (NOISE_LEVELS["low"].turn, NOISE_LEVELS["low"].step), (math.radians(3.0), 0.02)),
     ("T2", "high (9 deg, 0.3 b)", (NOISE_LEVELS["high"].turn, NOISE_LEVELS["high"].step), (math.radians(9.0), 0.06)),
 ]

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.shared.frozen_images import FrozenConfig, FrozenImages, Liveness
+from vssm_gym.agents.shared.overshoot import Overshoot, OvershootConfig
 from vssm_gym.inference.alignment.residuals import AlignConfig, AlignInfo, score
 from vssm_gym.inference.filter import Filter, FilterInfo
 from vssm_gym.inference.status import Status
@@ -65,6 +66,7 @@ class TrustConfig:
     """Configure which estimates are believed."""
 
     frozen: FrozenConfig = field(default_factory=FrozenConfig)
+    overshoot: OvershootConfig = field(default_factory=OvershootConfig)
     min_reading: float = 0.05  # share of the pixels with depth: fewer fit anywhere
     min_score: float = 0.65  # of the alignment: 0.68 and more at the right place
     # Of the contrast. At the right place 0.1 to 0.7 of exact images and up to 1 of a Kinect's, whose exposure changes.
@@ -119,6 +121,7 @@ class JudgedFilter:
         self.state = state
         self._images = FrozenImages(filter.transition, dt, config.frozen)
         self._images.reset(observation)
+        self._overshoot = Overshoot(filter.transition, dt, config.overshoot)
         self._dark = RGBD.from_camera(*(np.zeros_like(observation[name]) for name in ("rgb", "depth")))
         self._denied: list[np.ndarray] = []  # commands that the belief does not follow, because an image repeated
         self._lost = self._fits = 0
@@ -128,8 +131,13 @@ class JudgedFilter:
         """Return the estimate after ``command``, which ``observation`` followed."""
         liveness, followed = self._images.update(command, observation), False
         if liveness is Liveness.LIVE:
+            before = self._mean()
             info = self._advance(command, RGBD.from_camera(observation["rgb"], observation["depth"]))
             status = self._status(info, observation)
+            if status is Status.OK and self._overshoot.update(before, command, self._mean()):
+                status = Status.OVERSHOOT
+            elif status is Status.RECOVERED:
+                self._overshoot.reset()
             followed = not info.status.accepted  # without an image, a belief follows the command
         else:
             status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
@@ -152,6 +160,11 @@ class JudgedFilter:
     def _advance(self, command: np.ndarray, image: RGBD) -> FilterInfo:
         self.state, info = self._filter.step(self.state, jnp.asarray(command, jnp.float32), image, self._dt)
         return info
+
+    def _mean(self) -> Any:
+        belief = self._filter.posterior(self.state).belief
+        assert isinstance(belief, GaussianBelief)
+        return belief.mean
 
     def _status(self, info: FilterInfo, observation: Observation) -> Status:
         """Judge an image that is not frozen, and its alignment."""

@@ -84,10 +84,13 @@ def train_kept(out: Path) -> Kept:
 
 
 def train_result(out: Path) -> object:
-    """Return the last step, and whether the log goes forward: the rest differs, for episodes begin anew."""
+    """Return whether all steps were made, the log goes forward and a policy is there.
+
+    The rest differs: episodes begin anew, and updates after an interrupted one end at other steps.
+    """
     rows = [json.loads(line) for line in (out / "progress.jsonl").read_text().splitlines()]
     steps = [row["steps"] for row in rows]
-    return steps[-1], steps == sorted(steps), (out / "policy.npz").is_file()
+    return steps[-1] >= TRAIN_STEPS, steps == sorted(steps), (out / "policy.npz").is_file()
 
 
 def explore_kept(out: Path) -> Kept:
@@ -101,6 +104,7 @@ def explore_result(out: Path) -> object:
     return without_times(json.loads((out / "run.json").read_text())), explore_kept(out)
 
 
+TRAIN_STEPS = 40_000
 FEWER = (
     "import vssm_gym.eval.sweep.config as c\nload = c.load_config\n"
     "c.load_config = lambda path: load(path).model_copy(update={'tasks': (0, 1)})\n"
@@ -138,6 +142,7 @@ CONFIGS = {
     "train.yaml": (
         "name: tiny\nenvironment: {id: vssm_gym/WorldModelNav-v0, num_envs: 16, max_episode_steps: 100, goals: 16,\n"
         "  pool: 256}\npolicy: {inputs: [scan, goal], hidden: [16]}\n"
-        "algorithm: {name: ppo, n_steps: 16, batch_size: 128, n_epochs: 2}\nsteps: 40000\n"
+        "algorithm: {name: ppo, n_steps: 16, batch_size: 128, n_epochs: 2}\n"
+        f"steps: {TRAIN_STEPS}\n"
     ),
 }

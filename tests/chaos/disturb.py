@@ -75,7 +75,7 @@ class Chaos:
                     said = ended.lines and ended.lines[-1].startswith("interrupted: ")
                     self.outcome.claim(bool(said) and "Traceback" not in ended.errors, "Ctrl-C is one line", ended)
                 kept = self._check_kept(out, kept)
-                if done == times:
+                if done == times or self._finished(out):
                     break
             self._finish(out, kept)
 
@@ -91,8 +91,9 @@ class Chaos:
                 ended = self._start(out, None if enlarge else int(share * self.largest)).wait()
                 self.outcome.disks += 1
                 self.outcome.claim(ended.code == 1, f"a disk of {share:.0%} of the size ends a run with 1", ended)
-                said = len(ended.lines) == 1 and ended.lines[0].endswith(FULL) and "error: " in ended.errors
-                self.outcome.claim(said, "a full disk is one line", ended)
+                last = ended.lines[-1] if ended.lines else ""
+                said = last.startswith("error: ") and last.endswith(FULL) and "Traceback" not in ended.errors
+                self.outcome.claim(said, "a full disk is one line, after the progress", ended)
                 kept = self.command.kept(out) if out.is_dir() else {}
                 if enlarge:
                     enlarge()
@@ -128,9 +129,13 @@ class Chaos:
         self.outcome.claim(not lost, f"what was finished stays; lost or changed: {lost[:3]}")
         return now
 
+    def _finished(self, out: Path) -> bool:
+        """Return whether the output is whole, although its run was killed: the next run is refused."""
+        return self.command.final is not None and (out / self.command.final).is_file()
+
     def _finish(self, out: Path, kept: dict) -> None:
         """Let a last run end, or be refused because all was finished; then nothing may change any more."""
-        finished = self.command.final is not None and (out / self.command.final).is_file()
+        finished = self._finished(out)
         ended = self._start(out).wait()
         if finished:
             self.outcome.claim(ended.refused_in_one_line, "a finished output is never overwritten", ended)
@@ -138,6 +143,8 @@ class Chaos:
             self.outcome.claim(ended.code == 0, "the next run ends", ended)
         if out.is_dir():
             self._check_kept(out, kept)
-            self.outcome.claim(self.command.result(out) == self.reference, f"{out.name} has the undisturbed results")
+            result = self.command.result(out)
+            differs = "" if result == self.reference else f": {result} and not {self.reference}"[:600]
+            self.outcome.claim(not differs, f"{out.name} has the undisturbed results{differs}")
             self.outcome.claim(not left_over(out), f"no temporary file stays: {left_over(out)[:3]}")
             shutil.rmtree(out)

@@ -16,6 +16,7 @@ class Status(IntEnum):
     REPEATED = 4
     FROZEN = 5
     UNCONFIRMED = 6
+    OVERSHOOT = 7
 
     @property
     def message(self) -> str:
@@ -39,4 +40,5 @@ _MESSAGES = {
     Status.REPEATED: "repeated image: the camera is frozen, or an obstacle holds the robot",
     Status.FROZEN: "frozen images: they repeat although the robot was commanded to turn",
     Status.UNCONFIRMED: "not confirmed: the image fits, but too few have since the robot was lost",
+    Status.OVERSHOOT: "the images show more motion than was commanded: the scale of the depth is wrong",
 }

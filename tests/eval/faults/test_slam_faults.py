@@ -126,12 +126,8 @@ def test_a_faulty_recording_is_the_true_one_outside_the_fault(walk, tmp_path):
         np.testing.assert_allclose(written[k][1], scale * true[place.first + k][1], atol=2e-4)
 
 
-# Four poses are accepted up to 24 cm off before the camera is relocalised (docs/faults.md).
-SHOVED = pytest.param("shove", marks=pytest.mark.xfail(reason="a shove in this walk is believed for four frames"))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", [SHOVED if fault == "shove" else fault for fault in FAULTS])
+@pytest.mark.parametrize("fault", FAULTS)
 def test_a_simulated_walk_with_a_fault(walk, fault):
     row = measure(fault, places_of(walk)[0])
     assert row.passed, row

@@ -259,7 +259,7 @@ def refine(
     start: EmissionScales | None = None,
     on_progress: OnProgress | None = None,
 ) -> tuple[VoxelMap, EmissionScales]:
-    """Refine the map ``m`` (not consumed) by ``config.steps`` steps, with rates falling linearly to zero (eq. I38).
+    """Refine the map ``m`` (not consumed) by ``config.steps`` steps, with rates falling linearly to zero (eq. I39).
 
     Args:
         m: The closed-form map at the views' poses.

@@ -80,7 +80,7 @@ def _all_residuals(m: VoxelMap, views: Views, max_depth: float) -> tuple[np.ndar
 
 
 def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float = MAX_DEPTH) -> HeldOut:
-    """Evaluate ``log p(x | z, M)`` a pixel and errors on views that were not used to make the map (eq. I41).
+    """Evaluate ``log p(x | z, M)`` a pixel and errors on views that were not used to make the map (eq. I42).
 
     Args:
         m: The map.

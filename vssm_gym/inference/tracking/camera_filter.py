@@ -68,6 +68,7 @@ class TrackingConfig:
     max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
     repeated_displacement: float = 0.5  # pixels: a camera that is predicted to move by more repeats no depth image
     max_surprise: float = 12.0  # stds of the predicted pose: beyond them the camera jumped and the prior is wrong
+    max_unconfirmed: float = 4.0  # stds of the predicted pose: a larger step must be confirmed
     confirmation: ConfirmationConfig | None = field(
         default_factory=ConfirmationConfig
     )  # by the colour; None: not needed
@@ -115,7 +116,7 @@ class Tracked(eqx.Module):
     gain: Float[Array, ""]  # of the image: see :mod:`exposure`
     fit_quality: AlignInfo
     accepted: Bool[Array, ""]
-    expected: Bool[Array, ""]  # the step is no larger than the belief before it foresees
+    expected: Bool[Array, ""]  # the step needs no confirmation (eq. I28)
     repeated: Bool[Array, ""]  # the depth image is that of the last accepted image, bit for bit, of a camera that moves
 
 
@@ -229,11 +230,14 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
     accepted = (score(fit_quality) >= config.min_score) & (fit_quality.photometric <= config.max_photometric)
     accepted &= jnp.mean(image.hit) >= config.min_reading
-    surprise = moved @ jnp.linalg.solve(possible.covariance[:p, :p], moved)
+    surprise = _surprise(moved, possible)
     accepted &= surprise <= config.max_surprise**2
-    expected = jnp.ones((), bool)
+    if transition.commanded:
+        back = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T_ref_world @ past.T_world_cam)
+        expected = _surprise(_unobstructed(moved, back, manifold.turns[:p]), possible) <= config.max_unconfirmed**2
+    else:
+        expected = jnp.logical_not(lost) & (surprise <= config.max_unconfirmed**2)
     if config.confirmation is not None:
-        expected = jnp.logical_not(lost) & (surprise <= config.confirmation.max_unconfirmed**2)
         accepted &= colour_confirms(
             T, starts, expected, reference, image, rig.camera, config.align, config.confirmation
         )
@@ -263,6 +267,29 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         expected,
         repeated,
     )
+
+
+def _surprise(moved: Float[Array, "p"], predicted: GaussianBelief) -> Float[Array, ""]:
+    """``e^T P^-1 e``: the squared size of a step away from the predicted pose, in standard deviations."""
+    p = len(moved)
+    return moved @ jnp.linalg.solve(predicted.covariance[:p, :p], moved)
+
+
+def _unobstructed(moved: Float[Array, "p"], back: Float[Array, "p"], turns: Bool[np.ndarray, "p"]) -> Float[Array, "p"]:
+    """Return what no obstacle explains of the step from the predicted pose to the estimate (eq. I28).
+
+    An obstacle stops a body between its last pose and the predicted one, or lets it slide along a wall: the projections
+    of the commanded translation onto all walls fill the sphere with that translation as its diameter.
+
+    Args:
+        moved: from the predicted pose to the estimate, tangent of the predicted pose.
+        back: from the predicted pose to the last one.
+        turns: True for the coordinates that are angles.
+    """
+    turned = moved - jnp.clip(moved, jnp.minimum(back, 0.0), jnp.maximum(back, 0.0))
+    off, radius = jnp.where(turns, 0.0, moved - back / 2), jnp.linalg.norm(jnp.where(turns, 0.0, back)) / 2
+    beyond = jnp.maximum(0.0, 1.0 - radius / jnp.maximum(jnp.linalg.norm(off), 1e-9))
+    return jnp.where(turns, turned, beyond * off)
 
 
 def _displacement(before: GaussianBelief, predicted: GaussianBelief, image: RGBD, rig: Rig) -> Float[Array, ""]:

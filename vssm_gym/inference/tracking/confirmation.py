@@ -17,7 +17,6 @@ from vssm_gym.model.emission import RGBD
 class ConfirmationConfig:
     """Configure which poses the colour must confirm, and how well it must fit."""
 
-    max_unconfirmed: float = 4.0  # stds of the predicted pose: a larger step must be confirmed
     colour_margin: float = 0.1  # stds of the luminance: so much worse than at a start the colour may fit there
     min_correlation: float = 0.7  # of the luminances of image and reference, where
     min_contrast: float = 1.5  # the image's luminance varies by at least so many stds

@@ -67,7 +67,7 @@ class EmissionTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Follow the gradient through the renderer (eq. I36); see :class:`Filter`."""
+        """Follow the gradient through the renderer (eq. I37); see :class:`Filter`."""
         assert state.map is not None
         control, h = checked(self.transition, control), seconds(dt)
         predicted = _predict(self.transition, state.past.belief, control, h)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse
+from vssm_gym.inference.alignment.aliasing import is_unique
 from vssm_gym.inference.alignment.depth_scale import fits_unscaled
 from vssm_gym.inference.alignment.exposure import expose
 from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
@@ -71,7 +72,7 @@ def localise(
     """
     tracked = clock("track", track(given, config))
     past, transition, image, rig, lost = given.past, given.transition, given.image, given.rig, bool(given.lost)
-    if tracked.accepted and (tracked.expected or _at_scale(tracked, given, config)):
+    if tracked.accepted and (tracked.expected or _confirmed(tracked, given, config)):
         if config.exposure:
             image = _expose(image, tracked.gain)
         now = Past(tracked.belief, tracked.laplace, tracked.noise_scale, image, tracked.T_world_cam)
@@ -168,12 +169,14 @@ def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, 
     return control
 
 
-def _at_scale(tracked: Tracked, given: TrackingInput, config: TrackingConfig) -> Bool[Array, ""]:
-    """Return whether the depth of an image that was not expected fits the reference view at no other scale better."""
+def _confirmed(tracked: Tracked, given: TrackingInput, config: TrackingConfig) -> bool:
+    """Return whether an image that was not expected fits its reference view at one scale of its depth and one place."""
     reference, image = given.reference, _expose(given.image, tracked.gain)
     T = inverse(reference.T_world_cam) @ tracked.T_world_cam
-    basis = camera_twists(given.transition.manifold, given.rig)
-    return fits_unscaled(T, basis, reference.image, image, given.rig.camera, config.align, reference.seen)
+    basis, camera = camera_twists(given.transition.manifold, given.rig), given.rig.camera
+    if not fits_unscaled(T, basis, reference.image, image, camera, config.align, reference.seen):
+        return False
+    return bool(is_unique(T, basis, reference.image, image, camera, config.align))
 
 
 def _starts(

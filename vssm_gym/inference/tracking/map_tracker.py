@@ -110,7 +110,7 @@ class MapTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to one rendered from the map at the predicted pose (eq. I33).
+        """Align the image to one rendered from the map at the predicted pose (eq. I34).
 
         Args:
             state: after the last image.
@@ -185,7 +185,7 @@ class FrameTracker:
     def step(
         self, state: TrackerState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
     ) -> tuple[TrackerState, FilterInfo]:
-        """Align the image to the one before (eq. I34); see :class:`Filter`."""
+        """Align the image to the one before (eq. I35); see :class:`Filter`."""
         h, control = seconds(dt), checked(self.transition, control)
         tracked, carried = clock(
             "track",
@@ -224,7 +224,7 @@ class DeadReckoning:
     def step(
         self, state: GaussianBelief, control: Float[Array, "m"], image: RGBD | None, dt: float, clock: Clock = untimed
     ) -> tuple[GaussianBelief, FilterInfo]:
-        """Predict without an image (eq. I35); see :class:`Filter`."""
+        """Predict without an image (eq. I36); see :class:`Filter`."""
         belief = clock("track", _predicted(self.transition, state, checked(self.transition, control), seconds(dt)))
         return belief, FilterInfo(Status.OK, belief)
 

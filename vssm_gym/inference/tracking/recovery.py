@@ -15,6 +15,7 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse, se3_log
 from vssm_gym.inference.alignment import gauss_newton
 from vssm_gym.inference.alignment.agreement import Agreement, agreement, fixes_pose
+from vssm_gym.inference.alignment.aliasing import APART, COLOUR_MARGIN, is_unique
 from vssm_gym.inference.alignment.depth_scale import fits_unscaled
 from vssm_gym.inference.alignment.exposure import expose, gain
 from vssm_gym.inference.alignment.residuals import (
@@ -48,8 +49,6 @@ class RecoveryConfig:
     max_unexplained: float = 0.55  # of the image's contrast: 0.3 to 0.4 at the right place, 0.6 to 1.4 at wrong ones
     min_correlation: float = 0.8  # of the luminances of the image and the map
     max_std: float = 0.03  # m and rad: the image alone must fix every coordinate of the pose to this
-    apart: float = 0.1  # m and rad: poses that differ by more are different places
-    colour_margin: float = 0.1  # stds of the luminance: a place that fits worse by less is as good
 
 
 class Attempt(eqx.Module):
@@ -114,24 +113,26 @@ def recover(
         again = emission.render(m, attempt.T_world_cam, camera, max_depth)
         attempts.append(_align(attempt.T_world_cam, again, image, camera, basis, config))
     every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
-    found = _best(every, config)
+    found = _best(every)
     if found.accepted:
         rendered = emission.render(m, found.T_world_cam, camera, max_depth)
-        unscaled = fits_unscaled(jnp.eye(4), basis, rendered, _expose(image, found.gain), camera, config.align)
-        found = eqx.tree_at(lambda a: a.accepted, found, unscaled)
+        exposed, here = _expose(image, found.gain), jnp.eye(4)
+        unscaled = fits_unscaled(here, basis, rendered, exposed, camera, config.align)
+        unique = is_unique(here, basis, rendered, exposed, camera, config.align)
+        found = eqx.tree_at(lambda a: a.accepted, found, unscaled & unique)
     return found
 
 
 _expose = jax.jit(expose)
 
 
-@partial(jax.jit, static_argnums=1)
-def _best(every: Attempt, config: RecoveryConfig) -> Attempt:
+@jax.jit
+def _best(every: Attempt) -> Attempt:
     """Return the best attempt; it is accepted if no other place fits as well."""
     accepted = every.accepted
     best = jnp.argmax(accepted + jnp.nan_to_num(jax.vmap(score)(every.fit_quality)))
     apart = jax.vmap(se3_log)(inverse(every.T_world_cam[best]) @ every.T_world_cam)
-    elsewhere = jnp.maximum(jnp.linalg.norm(apart[:, :3], axis=1), jnp.linalg.norm(apart[:, 3:], axis=1)) > config.apart
-    rival = accepted & elsewhere & (every.agreement.cost <= every.agreement.cost[best] + config.colour_margin)
+    elsewhere = jnp.maximum(jnp.linalg.norm(apart[:, :3], axis=1), jnp.linalg.norm(apart[:, 3:], axis=1)) > APART
+    rival = accepted & elsewhere & (every.agreement.cost <= every.agreement.cost[best] + COLOUR_MARGIN)
     found = jax.tree.map(lambda leaf: leaf[best], every)
     return eqx.tree_at(lambda a: a.accepted, found, accepted[best] & ~jnp.any(rival))
