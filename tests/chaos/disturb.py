@@ -68,12 +68,13 @@ class Chaos:
                     self.outcome.undisturbed += 1
                     break
                 done += 1
-                number = {130: "INT", -2: "INT", -9: "KILL", -15: "TERM"}.get(ended.code, str(ended.code))
+                number = {130: "INT", -2: "INT", -9: "KILL", -15: "TERM", 143: "TERM"}.get(ended.code, str(ended.code))
                 self.outcome.kills[number] = self.outcome.kills.get(number, 0) + 1
                 self.outcome.claim(number in ("INT", "KILL", "TERM"), "a kill is no error", ended)
-                if ended.code == 130:
+                if ended.code in (130, 143):
                     said = ended.lines and ended.lines[-1].startswith("interrupted: ")
-                    self.outcome.claim(bool(said) and "Traceback" not in ended.errors, "Ctrl-C is one line", ended)
+                    one_line = bool(said) and "Traceback" not in ended.errors
+                    self.outcome.claim(one_line, "an interruption is one line", ended)
                 kept = self._check_kept(out, kept)
                 if done == times or self._finished(out):
                     break

@@ -33,8 +33,8 @@ class Ended:
 
     @property
     def lines(self) -> list[str]:
-        """The lines of the standard error that are neither warnings nor bars of progress."""
-        return [line for line in self.errors.splitlines() if line and not re.match("warning: |.*[━╸╺]", line)]
+        """The lines of the standard error that are neither warnings nor progress."""
+        return [line for line in self.errors.splitlines() if line and not re.match("warning: |progress: ", line)]
 
     @property
     def refused_in_one_line(self) -> bool:

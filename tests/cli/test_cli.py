@@ -473,14 +473,3 @@ def test_an_early_error_stands_alone_on_stderr(vssm, tmp_path):
         assert (code, out) == (main_module.BAD_INPUT, ""), command
         assert err.startswith("error: "), command
         assert err.count("\n") == 1, command
-
-
-def test_a_display_of_progress_that_was_never_started_is_silent(capsys):
-    from vssm_gym.cli.shared.console import progress_bars
-
-    with pytest.raises(InputError), progress_bars():
-        raise InputError("a", "b", "c")
-    assert capsys.readouterr().err == ""
-    with progress_bars() as on_progress:
-        on_progress("map", 1, 2)
-    assert "building the map" in capsys.readouterr().err

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from vssm_gym.cli.shared.console import literal_console, say
+from vssm_gym.cli.shared.interruption import interruptible
 
 Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"]
 DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40}
@@ -14,6 +15,7 @@ FEWEST_CANDIDATES = 5  # of which a rank correlation means something
 DEFAULT_SCENE = {"car": "arena"}  # the others: oak
 
 
+@interruptible("maps/*.npz")
 def bench(
     suite: Annotated[Suite, tyro.conf.Positional] = "speed",
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
@@ -49,7 +51,7 @@ def bench(
     """
     import json
 
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
     from vssm_gym.eval.sweep.config import DEFAULT_VOXEL

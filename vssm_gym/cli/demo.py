@@ -3,8 +3,10 @@
 from pathlib import Path
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 
+@interruptible("episodes.jsonl", "maps/*.npz")
 def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, seed: int = 0) -> None:
     """Record a drive through `oak`, learn its map, run five agents on 10 tasks, and write a report.
 
@@ -17,7 +19,8 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
         seed: seed of the recorded drive from which the map is learned.
     """
     from vssm_gym import eval as evaluation
-    from vssm_gym.cli.shared.console import print_results, progress_bars
+    from vssm_gym.cli.shared.console import print_results
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.eval.report.page import write_report
     from vssm_gym.eval.sweep.config import load_config
     from vssm_gym.eval.sweep.runner import run_sweep

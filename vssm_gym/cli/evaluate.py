@@ -6,8 +6,10 @@ from typing import Annotated
 import tyro
 
 from vssm_gym.cli.shared.console import literal_console, say
+from vssm_gym.cli.shared.interruption import interruptible
 
 
+@interruptible("episodes.jsonl", "maps/*.npz")
 def evaluate(
     policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")],
     out: Path,
@@ -39,7 +41,8 @@ def evaluate(
     """
     from rich.table import Table
 
-    from vssm_gym.cli.shared.console import print_notices, progress_bars
+    from vssm_gym.cli.shared.console import print_notices
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.errors import InputError
     from vssm_gym.files.output_folders import check_at_least
     from vssm_gym.training.evaluation import METRICS, evaluate_policy

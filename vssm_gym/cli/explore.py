@@ -3,11 +3,13 @@
 from pathlib import Path
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 TEST_STARTS = 100  # test tasks of a scene, whose starts can be taken
 FILES = "run.mp4", "candidates.png", "run.png", "mesh.png", "map.npz", "run.json"
 
 
+@interruptible(*FILES)
 def explore(
     scene: str,
     out: Path,
@@ -33,7 +35,8 @@ def explore(
         steps: time limit in steps of 0.2 s.
         seed: seed of the noise and of the agent.
     """
-    from vssm_gym.cli.shared.console import print_notices, progress_bars
+    from vssm_gym.cli.shared.console import print_notices
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.errors import InputError
     from vssm_gym.eval.episodes.identity import ExploreSettings
     from vssm_gym.eval.sweep.config import SweepConfig, check_names
@@ -58,14 +61,8 @@ def explore(
     check_folder(out)
     check_writer("explore")
     print_notices([scene])
-    try:
-        with progress_bars() as progress:
-            row = run(config, out, progress)
-    except KeyboardInterrupt:
-        for name in FILES:
-            if (out / name).exists():
-                say(f"kept: {out / name}", error=True)
-        raise
+    with progress_bars() as progress:
+        row = run(config, out, progress)
     covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
     say(f"{covered}: {row['status'] if row['stopped'] else 'time limit reached'}")
     say(*(out / name for name in FILES if (out / name).exists()))

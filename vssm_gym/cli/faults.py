@@ -6,10 +6,12 @@ from typing import Annotated
 import tyro
 
 from vssm_gym.cli.shared.console import literal_console, say
+from vssm_gym.cli.shared.interruption import interruptible
 
 FAULTS_FAILED = 1  # exit code: a fault was missed, or believed
 
 
+@interruptible()
 def slam(
     sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SEQUENCE ...]")] = (),
     out: Path = Path("out/faults"),
@@ -29,7 +31,7 @@ def slam(
 
     from rich.table import Table
 
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.faults import slam as faulty_slam
     from vssm_gym.files.atomic import atomic_write
@@ -60,6 +62,7 @@ def slam(
     return FAULTS_FAILED if failed else 0
 
 
+@interruptible("maps/*.npz")
 def navigation(out: Path = Path("out/faults"), seed: int = 0) -> int:
     """Run agents that estimate their pose with a camera that fails for a while, or carry them off.
 
@@ -75,7 +78,7 @@ def navigation(out: Path = Path("out/faults"), seed: int = 0) -> int:
 
     from rich.table import Table
 
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.eval.faults import navigation as faulty_navigation
     from vssm_gym.files.atomic import atomic_write
     from vssm_gym.files.output_folders import Owner, check_at_least, owned_folder

@@ -16,6 +16,7 @@ from tyro.extras import SubcommandApp
 
 from vssm_gym.cli.shared.cache import use_compilation_cache
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import termination_as_interrupt
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.files.atomic import REFUSALS
 from vssm_gym.version import __version__
@@ -51,7 +52,6 @@ COMMANDS: dict[str, Any] = {
 DESCRIPTION = "Indoor Gymnasium environments, a spatial world model inferred in real time, and agents that plan in it."
 FAILED = 1  # a file could not be written
 BAD_INPUT = 2  # also what a wrong option exits with
-INTERRUPTED = 130  # what shells report for Ctrl-C: 128 + SIGINT
 
 
 def main() -> int:
@@ -66,15 +66,21 @@ def main() -> int:
     run = build_app(commands, brief=name not in COMMANDS).cli(
         prog="vssm-gym", description=DESCRIPTION, args=arguments, config=(FlagCreatePairsOff,)
     )
+    with termination_as_interrupt() as interrupted:
+        return _report(run, interrupted)
+
+
+def _report(run: Callable[[], Any], interrupted: Callable[[], int]) -> int:
+    """Run a command, print the errors that a user can mend as one line each, and return the exit code."""
     try:
         result = run()
         sys.stdout.flush()
     except InputError as error:
         say(f"error: {error}", error=True)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        say("interrupted: what was finished is kept", error=True)
-        return INTERRUPTED
+    except KeyboardInterrupt as error:
+        say(f"interrupted: {str(error) or 'what was finished is kept'}", error=True)
+        return interrupted()
     except BrokenPipeError:  # the reader has closed the pipe, as `head -1` does
         _leave_stdout()
         return 0

@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 import tyro
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 
+@interruptible()
 def build(
     sequence: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")],
     out: Path,
@@ -22,7 +24,7 @@ def build(
         voxel: edge of a cell, metres.
         poses: camera poses: recorded (ground truth), or estimated by PRISM from the images and commands of a survey.
     """
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.cli.slam import print_warnings
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError

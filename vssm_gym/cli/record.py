@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 if TYPE_CHECKING:
     from vssm_gym.envs.sensors import CameraConfig
@@ -18,6 +19,7 @@ OWNERS = {  # the motions that an option belongs to
 }
 
 
+@interruptible()
 def record(
     scene: str,
     out: Path,
@@ -53,7 +55,8 @@ def record(
         size: WIDTHxHEIGHT of the images.
         seed: seed of the path and of all noise.
     """
-    from vssm_gym.cli.shared.console import print_notices, progress_bars
+    from vssm_gym.cli.shared.console import print_notices
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data import flights, recording
     from vssm_gym.envs.sensors import rgbd_noise
     from vssm_gym.errors import InputError

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 if TYPE_CHECKING:
     from vssm_gym.slam.run import TrackedFrame
@@ -19,6 +20,7 @@ WARNINGS = 5  # printed; stats.json has all
 RECENT = 20  # frames that the displayed frame rate is the mean of
 
 
+@interruptible("trajectory.partial.txt", "trajectory.txt")
 def slam(
     sequence: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")],
     out: Path,
@@ -121,10 +123,10 @@ def print_warnings(notices: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["TrackedFrame"], None]]]:
-    """Yield the callbacks ``on_progress`` and ``on_frame``, which draw bars, frame rate and lost frames on stderr."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+    """Yield the callbacks ``on_progress`` and ``on_frame``, which show frame rate and lost frames on stderr."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
-    from vssm_gym.cli.shared.console import progress_of
+    from vssm_gym.cli.shared.progress import progress_of
 
     columns = (
         TextColumn("{task.description:>24}", markup=False),
@@ -133,22 +135,17 @@ def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["Tracke
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    bars: dict[str, TaskID] = {}
-    ends, lost = deque([time.perf_counter()], maxlen=RECENT + 1), 0
-    with progress_of(*columns) as bar:
+    ends, lost, note = deque([time.perf_counter()], maxlen=RECENT + 1), 0, ""
+    with progress_of(*columns) as show:
 
         def on_progress(stage: str, done: int, total: int) -> None:
-            if stage not in bars:
-                bar.start()
-                bars[stage] = bar.add_task(stage, total=total, note="")
-            bar.update(bars[stage], completed=done)
+            show(stage, done, total, "" if stage == "writing" else note)
 
         def on_frame(frame: "TrackedFrame") -> None:
-            nonlocal lost
+            nonlocal lost, note
             lost += frame.lost
             ends.append(time.perf_counter())
             speed = (len(ends) - 1) / (ends[-1] - ends[0])
-            for task in bars.values():  # there is none before the first frame
-                bar.update(task, note=f"{speed:.1f} frames/s, {lost} lost")
+            note = f"{speed:.1f} frames/s, {lost} lost"
 
         yield on_progress, on_frame

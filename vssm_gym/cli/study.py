@@ -7,11 +7,13 @@ from typing import Annotated, TypeVar
 import tyro
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 Number = TypeVar("Number", int, float)
 SequenceFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")]
 
 
+@interruptible()
 def map_update(
     sequence: SequenceFolder, out: Path, size: str = "160x120", frames: int = 200, voxel: float = 0.05
 ) -> None:
@@ -28,7 +30,7 @@ def map_update(
         voxel: edge of a cell, metres.
     """
     from vssm_gym.cli.shared.arguments import parse_size
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.errors import InputError
     from vssm_gym.eval.studies import map_update as study_map_update
@@ -49,6 +51,7 @@ def map_update(
         say(write_study(study, out))
 
 
+@interruptible()
 def resolution(
     sequence: SequenceFolder,
     out: Path,
@@ -73,7 +76,7 @@ def resolution(
         rate: frames per second at most.
     """
     from vssm_gym.cli.shared.arguments import parse_size
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import resolution as study_resolution
     from vssm_gym.eval.studies.page import study_folder, write_study
@@ -98,6 +101,7 @@ def resolution(
         say(write_study(study, out))
 
 
+@interruptible()
 def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
     """Break down the time of a step into its stages, at several image sizes, cell sizes and extents of the map.
 
@@ -108,7 +112,7 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
         out: folder for the results.
         rate: frames per second at most.
     """
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import runtime as study_runtime
     from vssm_gym.eval.studies.page import study_folder, write_study
@@ -123,6 +127,7 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
         say(write_study(study, out))
 
 
+@interruptible()
 def calibration(
     sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE SEQUENCE ...")],
     out: Path,
@@ -145,7 +150,7 @@ def calibration(
         extent: edge of the cube that is mapped around the first camera, metres.
     """
     from vssm_gym.cli.shared.arguments import parse_size
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies import calibration as study_calibration
     from vssm_gym.eval.studies.page import study_folder, write_study
@@ -162,6 +167,7 @@ def calibration(
         say(write_study(study, out))
 
 
+@interruptible()
 def flight(
     out: Path,
     scene: str = "hall",
@@ -196,7 +202,7 @@ def flight(
         seeds: flights of each kind, each with its own gusts and noise.
     """
     from vssm_gym.cli.shared.arguments import parse_size
-    from vssm_gym.cli.shared.console import progress_bars
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.eval.studies import flight as study_flight
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_at_least, check_folder

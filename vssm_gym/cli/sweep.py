@@ -6,8 +6,10 @@ from typing import Annotated
 import tyro
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
 
 
+@interruptible("episodes.jsonl", "maps/*.npz")
 def sweep(
     config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
     out: Path,
@@ -30,7 +32,8 @@ def sweep(
         shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` joins the parts.
         seed: seed of the recorded drives from which maps are learned; episodes take theirs from the configuration.
     """
-    from vssm_gym.cli.shared.console import print_notices, print_results, progress_bars
+    from vssm_gym.cli.shared.console import print_notices, print_results
+    from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.eval.sweep.config import load_config
     from vssm_gym.eval.sweep.runner import run_sweep
     from vssm_gym.eval.sweep.shards import Shard

@@ -1,13 +1,19 @@
 """Run ``vssm-gym train CONFIG --out DIR``: train a policy in a learned map, or in the simulator."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
+
+if TYPE_CHECKING:
+    from vssm_gym.training.config import TrainingConfig
+    from vssm_gym.training.run import Row
 
 
+@interruptible("checkpoint.pt", "demonstrations.npz", "policy.npz")
 def train(
     config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
     out: Path,
@@ -17,8 +23,8 @@ def train(
 ) -> None:
     """Train a policy; OUT gets policy.npz, checkpoint.pt, progress.jsonl and logs for TensorBoard.
 
-    Interrupt at any time: progress is kept, and --resume continues. To evaluate the policy, run
-    `vssm-gym evaluate`, or name it in a sweep as "policy:OUT/policy.npz".
+    Interrupt at any time: progress is kept, and --resume continues. Return and success are shown when enough episodes
+    have ended. To evaluate the policy, run `vssm-gym evaluate`, or name it in a sweep as "policy:OUT/policy.npz".
 
     Args:
         config: YAML with name, environment, policy, algorithm, steps [minutes, seed]; eval/configs/ppo_oak.yaml is one.
@@ -29,7 +35,7 @@ def train(
     """
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from vssm_gym.cli.shared.console import progress_of
+    from vssm_gym.cli.shared.progress import progress_of
     from vssm_gym.files.output_folders import check_at_least
     from vssm_gym.training.config import load_training
     from vssm_gym.training.train import PROGRESS, run_training
@@ -37,20 +43,39 @@ def train(
     if seed is not None:
         check_at_least("train", "seed", seed, 0)
     checked = load_training(config, map_file=map, seed=seed)
-    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.description}", markup=False))
-    with progress_of(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as progress:
-        bar = progress.add_task("compiling", total=1.0)
-        if progress.console.is_terminal:  # a person waits for the compiler; a log gets the first line after it
-            progress.start()
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}", markup=False))
+    last: Row = {}
+    with progress_of(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as show:
+        show("training", 0.0, 1.0, "building and compiling")
 
-        def show(row: dict, done: float) -> None:
-            progress.start()
-            progress.update(bar, completed=done, description=_summary(row))
+        def on_update(row: Row, done: float) -> None:
+            last.update(row)
+            show("training", done, 1.0, _summary(row, checked))
 
-        policy = run_training(checked, out, resume=resume, on_update=show)
-    say(f"progress: {out / PROGRESS}", f"policy: {policy}", f"next: vssm-gym evaluate {policy} --out DIR")
+        policy = run_training(checked, out, resume=resume, on_update=on_update)
+    if last:
+        say(_times(last))
+    say(f"log: {out / PROGRESS}", f"policy: {policy}", f"next: vssm-gym evaluate {policy} --out DIR")
 
 
-def _summary(row: dict) -> str:
+def _summary(row: "Row", config: "TrainingConfig") -> str:
+    """Return steps, mean return and success; before enough episodes, how many the means need."""
+    from vssm_gym.training.run import ENOUGH_EPISODES, first_round
+
     text = f"{row['steps']:,} steps"
-    return text if row["success"] is None else f"{text}, return {row['return']:.2f}, success {row['success']:.0%}"
+    if row["enough"]:
+        return f"{text}, return {row['return']:.2f}, success {row['success']:.0%}"
+    if config.algorithm.name == "bc":
+        return text  # it counts no episodes
+    ended = f"{row['episodes']} episode{'s' * (row['episodes'] != 1)} ended"
+    return f"{text}, {ended}; success needs {ENOUGH_EPISODES} and {first_round(config):,} steps of this run"
+
+
+def _times(row: "Row") -> str:
+    """Return how long a training took, the building of the environment and compilation apart from the rest."""
+    stepping = row["seconds"] - row["preparing"]
+    rate = f"{row['steps'] / stepping:,.0f} steps/s" if stepping > 0.0 else "no step"
+    return (
+        f"trained {row['seconds']:.1f} s: {row['preparing']:.1f} s building and compiling, "
+        f"{stepping:.1f} s stepping and learning ({rate})"
+    )

@@ -96,10 +96,12 @@ def collect(run: Run, vectors: np.ndarray, actions: np.ndarray) -> tuple[np.ndar
         seen_by.append(seen[drives])
         done.append(action[drives])
         seen, _, ended, _ = env.step(action)
+        run.stepped()
         if ended.any():
             experts.begin(view.shown, ended)
         steps += n
         run.report({"steps": steps, "episodes": 0, "return": None, "length": None, "success": None}, lambda: None)
+    run.stepped()  # an earlier session may have collected all
     env.close()
     return np.concatenate(seen_by), np.concatenate(done)
 

@@ -22,7 +22,10 @@ POLICY = "policy.npz"
 PROGRESS_BYTES = 64 << 20  # a row every five seconds for 20 days
 ROW_SECONDS, CHECKPOINT_SECONDS = 5.0, 60.0  # s between lines of the log, and between checkpoints
 
-Row = dict[str, Any]  # of progress.jsonl: seconds, steps, episodes, return, length, success
+ENOUGH_EPISODES = 100  # that means are taken over before they are shown: success is then known to 0.05 (one std)
+
+# Of progress.jsonl: seconds, of those preparing, steps, episodes, return, length, success, and whether they are enough
+Row = dict[str, Any]
 OnUpdate = Callable[[Row, float], None]  # a row, and the fraction of the training that is done
 
 
@@ -42,7 +45,9 @@ class Run:
         self._manifest, self._log, self._on_update = manifest, log, on_update
         self.interrupted = interrupted
         self.steps = 0  # of all robots together
-        self._began = time.monotonic()
+        self.preparing = 0.0  # s of building and compiling, in all sessions
+        self._began = self._session_began = time.monotonic()
+        self._session_steps, self._stepped = 0, False
         self._row_at = self._kept_at = 0.0
 
     @property
@@ -61,10 +66,17 @@ class Run:
 
     def resume(self, steps: int, seconds: float) -> None:
         """Continue from a checkpoint; drop what was logged after it."""
-        self.steps = steps
+        self.steps = self._session_steps = steps
         self._began -= seconds
         self._row_at = self._kept_at = self.seconds
-        self._log.drop_after(steps)
+        kept = self._log.drop_after(steps)
+        self.preparing += kept[-1].get("preparing", 0.0) if kept else 0.0
+
+    def stepped(self) -> None:
+        """Note that all robots have stepped; before the first time, they were built and their step was compiled."""
+        if not self._stepped:
+            self.preparing += time.monotonic() - self._session_began
+            self._stepped = True
 
     def fraction_done(self) -> float:
         """Return the fraction of the training that is done, in [0, 1]."""
@@ -77,10 +89,10 @@ class Run:
         return self.interrupted() or (minutes is not None and self.seconds >= 60.0 * minutes)
 
     def report(self, row: Row, keep: Callable[[], None]) -> None:
-        """Log and report an update, and from time to time call ``keep()``, which writes a checkpoint."""
-        self.steps = row["steps"]
-        row = {"seconds": round(self.seconds, 2), **row}
-        self._on_update(row, self.fraction_done())
+        """Log an update, report it once the robots have stepped, and sometimes call ``keep()``: write a checkpoint."""
+        row = self._completed(row)
+        if self._stepped:
+            self._on_update(row, self.fraction_done())
         due = self.seconds - self._kept_at >= CHECKPOINT_SECONDS
         if due or self.seconds - self._row_at >= ROW_SECONDS:
             self._log.append(row)
@@ -93,9 +105,20 @@ class Run:
         """Write the last row and the last checkpoint of this session."""
         self.steps = row["steps"]
         keep()
-        row = {"seconds": round(self.seconds, 2), **row}
+        row = self._completed(row)
         self._log.append(row)
         self._on_update(row, self.fraction_done())
+
+    def _completed(self, row: Row) -> Row:
+        """Complete a row with the clock, and with whether its means are over enough episodes of this session.
+
+        In its first steps only short episodes have ended, and nearly all of those succeeded.
+        """
+        self.steps = row["steps"]
+        whole_round = self.steps - self._session_steps >= first_round(self.config)
+        enough = row["success"] is not None and row["episodes"] >= ENOUGH_EPISODES and whole_round
+        clock = {"seconds": round(self.seconds, 2), "preparing": round(self.preparing, 2)}
+        return {**clock, **row, "enough": enough}
 
     def write_policy(self, layers: tuple[tuple[np.ndarray, np.ndarray], ...], squash: str) -> None:
         """Write the present network to ``policy.npz``."""
@@ -135,16 +158,22 @@ class ProgressLog:
         """Add a line."""
         self._file.append(json.dumps(row, allow_nan=False).encode() + b"\n", sync=True)
 
-    def drop_after(self, steps: int) -> None:
-        """Drop lines after ``steps``, and an unfinished last line; what is kept is not written again."""
-        kept = sum(row["steps"] <= steps for row in read_progress(self._path))  # the first ones: steps only grow
-        self._file.truncate(sum(map(len, self._path.read_bytes().splitlines(keepends=True)[:kept])))
+    def drop_after(self, steps: int) -> list[Row]:
+        """Drop lines after ``steps``, and an unfinished last line; return the others, which are not written again."""
+        kept = [row for row in read_progress(self._path) if row["steps"] <= steps]  # the first ones: steps only grow
+        self._file.truncate(sum(map(len, self._path.read_bytes().splitlines(keepends=True)[: len(kept)])))
+        return kept
 
     def __enter__(self) -> "ProgressLog":
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._file.close()
+
+
+def first_round(config: TrainingConfig) -> int:
+    """Return the steps of all robots together after which each has had the time for a whole episode."""
+    return config.environment.num_envs * config.environment.max_episode_steps
 
 
 def read_progress(path: Path) -> list[Row]:
@@ -160,7 +189,7 @@ def read_progress(path: Path) -> list[Row]:
 
 @contextlib.contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Defer the first Ctrl-C in this context; the value is a function that returns whether there was one."""
+    """Defer the first Ctrl-C, in a command also SIGTERM; the value is a function that returns whether there was one."""
     seen: list[int] = []
 
     def remember(number: int, frame: FrameType | None) -> None:

@@ -2,7 +2,8 @@
 
 The folder holds ``training.json`` (configuration, hashes, versions), ``progress.jsonl`` (one line every few seconds and
 at every checkpoint), ``checkpoint.pt`` (for ``--resume``), ``policy.npz`` (for agents) and ``logs``. Seconds count
-the whole training, the environment's construction and compilation included.
+the whole training; those of the environment's construction and compilation, until the first step has ended, are stated
+as ``preparing`` too.
 """
 
 import importlib.metadata
@@ -90,7 +91,7 @@ def _reinforce(run: Run) -> None:
         save_checkpoint(checkpoint, model, run.seconds)
 
     try:
-        learn(model, config.steps, lambda now: run.report(_row(now), keep), run.over)
+        learn(model, config.steps, lambda now: run.report(_row(now), keep), run.over, run.stepped)
         run.end(_row(training_progress(model)), keep)
     finally:
         model.logger.close()

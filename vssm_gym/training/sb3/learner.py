@@ -107,27 +107,37 @@ def make_model(
 class _Watch(BaseCallback):
     """Report between updates, and end the training there, so that no rollout is discarded."""
 
-    def __init__(self, on_update: Callable[[TrainingProgress], None], stop: Callable[[], bool]) -> None:
+    def __init__(
+        self, on_update: Callable[[TrainingProgress], None], stop: Callable[[], bool], stepped: Callable[[], None]
+    ) -> None:
         super().__init__()
-        self._on_update, self._stop, self._between = on_update, stop, True
+        self._on_update, self._stop, self._stepped, self._between = on_update, stop, stepped, True
 
     def _on_rollout_start(self) -> None:
         self._between = True
         self._on_update(training_progress(self.model))
 
     def _on_step(self) -> bool:
+        self._stepped()
         goes_on = not (self._between and self._stop())
         self._between = False
         return goes_on
 
 
 def learn(
-    model: BaseAlgorithm, steps: int, on_update: Callable[[TrainingProgress], None], stop: Callable[[], bool]
+    model: BaseAlgorithm,
+    steps: int,
+    on_update: Callable[[TrainingProgress], None],
+    stop: Callable[[], bool],
+    stepped: Callable[[], None],
 ) -> None:
-    """Train until ``steps`` in all, or until ``stop()`` is true; call ``on_update`` after every update."""
+    """Train until ``steps`` in all, or until ``stop()`` is true.
+
+    Call ``stepped`` after every step of all robots, and ``on_update`` after every update.
+    """
     left = steps - model.num_timesteps
     if left > 0 and not stop():
-        model.learn(left, callback=_Watch(on_update, stop), reset_num_timesteps=False, log_interval=1)
+        model.learn(left, callback=_Watch(on_update, stop, stepped), reset_num_timesteps=False, log_interval=1)
 
 
 def training_progress(model: BaseAlgorithm) -> TrainingProgress:
