@@ -90,6 +90,10 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     assert latency["track"]["p50"] + latency["map"]["p50"] <= 1.2 * latency["whole step"]["p50"]
     assert latency["whole step"]["p50"] <= latency["whole step"]["p95"] <= latency["whole step"]["max"]
     assert "recover" not in latency
+    kept = stats["real_time"]
+    assert kept["period_s"] == pytest.approx(0.1) and kept["frames"] == latency["whole step"]["n"]
+    assert kept["factor"] > kept["factor_with_compiling"] > 0.0 and 0.0 <= kept["within_period"] <= 1.0
+    assert f"{kept['factor']:.2f} x real time, {kept['within_period']:.0%} of the frames within" in printed
     assert stats["notices"] == stats["relocalised"] == []
     assert stats["calibration"] is None  # too few frames that have a true velocity
     assert stats["version"]

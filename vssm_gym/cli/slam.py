@@ -104,6 +104,11 @@ def slam(
     speed = f", {step['p50']:.0f} ms a frame (median)" if step else ""
     lost, again = len(stats["lost"]), len(stats["relocalised"])
     say(f"{stats['frames']} frames, {lost} lost, {again} relocalised{speed}")
+    if kept := stats["real_time"]:
+        say(
+            f"{kept['factor']:.2f} x real time, {kept['within_period']:.0%} of the frames within the camera's "
+            f"{1e3 * kept['period_s']:.0f} ms; with compilation {kept['factor_with_compiling']:.2f} x"
+        )
     errors = stats["errors"] or {}
     if "impossible" in errors:
         say(f"errors against the ground truth cannot be computed: {errors['impossible']}")

@@ -24,6 +24,7 @@ from vssm_gym.inference.status import Status
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES
+from vssm_gym.slam.real_time import real_time
 from vssm_gym.slam.report import page
 from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame, run_slam
 from vssm_gym.slam.states import Truth, calibration_summary
@@ -162,6 +163,7 @@ def summarise(
         "lost": [{"index": f.index, "time": f.time, "status": f.status.message} for f in frames if f.lost],
         "relocalised": [{"index": f.index, "time": f.time} for f in frames if f.status is Status.RECOVERED],
         "fit_median": {name: float(np.median(values)) if values else None for name, values in fits.items()},
+        "real_time": real_time(frames),
         "latency_ms": latency(frames),
         "latency_note": LATENCY_NOTE,
         "compiling_s": [f.step_s for f in frames if not f.warm and (f.stages or f.status is Status.OK)],
