@@ -3,14 +3,17 @@
 import errno
 import json
 import pickle
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import two_rooms
+from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli import doctor as doctor_module
 from vssm_gym.cli import main as main_module
 from vssm_gym.cli.doctor import Probe, run_probe
@@ -283,20 +286,70 @@ def test_doctor_reports_and_fails_only_for_what_is_required(vssm, monkeypatch):
     monkeypatch.setattr(doctor_module, "PROBES", (works, optional))
     code, out, _ = vssm("doctor")
     assert code == 0
-    assert "no display" in out
+    assert "is installed, but does not work here" in out and "no display" not in out
     assert "-> a monitor" in out
 
     monkeypatch.setattr(doctor_module, "PROBES", (works, absent))
     code, out, _ = vssm("doctor")
     assert code == 1
-    assert "missing" in out
+    assert "missing" in out and "is not installed" in out
     assert "-> apt-get install [it]" in out
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import no_such_library_anywhere",
+        "raise AttributeError(\"'NoneType' object has no attribute 'glGetError'\")",
+        "import os; os.abort()",
+        "import sys; sys.exit('a library says: Error 7')",
+        "def f(): f()\nf()",
+    ],
+)
+def test_doctor_shows_no_text_of_an_exception(vssm, monkeypatch, code):
+    """A failure is one line in our words, and one line that says what to do."""
+    monkeypatch.setattr(doctor_module, "PROBES", (Probe("a thing", code, "get it", required=False),))
+    monkeypatch.setattr(doctor_module, "EXTRAS", {})
+    _, out, _ = vssm("doctor")
+    lines = out.splitlines()
+    (i,) = (i for i, line in enumerate(lines) if "a thing" in line)
+    assert re.fullmatch(r"absent +a thing +is (not installed|installed, but does not work here) *", lines[i])
+    assert lines[i + 1].strip() == "-> get it"
+    assert not re.search(r"Error|Traceback|Exception", out)
+
+
+def test_doctor_knows_every_extra():
+    """The extras are those of pyproject.toml, each with all of its packages."""
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+    declared = project["optional-dependencies"]
+    assert set(doctor_module.EXTRAS) == set(declared)
+    name = lambda text: re.split(r"[^A-Za-z0-9_.-]", text)[0]
+    for one, packages in declared.items():
+        assert sorted(map(name, doctor_module.requirements(one))) == sorted(map(name, packages)), one
+
+
+def test_doctor_says_how_to_get_an_absent_extra(monkeypatch):
+    monkeypatch.setattr(
+        doctor_module.importlib.metadata, "requires", lambda _: ["numpy>=2", 'no-such-thing>=1; extra == "rl"']
+    )
+    finding = doctor_module.extra("rl")
+    assert not finding.ok and not finding.required
+    assert (finding.detail, finding.remedy) == ("not installed: no-such-thing", 'pip install "vssm-gym[rl]"')
+
+
+def test_doctor_without_an_installed_distribution_says_so(monkeypatch):
+    def absent(_: str) -> list[str]:
+        raise doctor_module.importlib.metadata.PackageNotFoundError("vssm-gym")
+
+    monkeypatch.setattr(doctor_module.importlib.metadata, "requires", absent)
+    finding = doctor_module._packages()
+    assert not finding.ok and finding.required and "pip install -e ." in finding.remedy
 
 
 def test_a_probe_survives_a_crash_and_a_hang(monkeypatch):
     crash = run_probe(Probe("crash", "import os; os.abort()", ""))
     assert not crash.ok
-    assert "-6" in crash.detail
+    assert crash.detail == "is installed, but does not work here"
     monkeypatch.setattr(doctor_module, "TIMEOUT", 0.2)
     hang = run_probe(Probe("hang", "import time; time.sleep(30)", ""))
     assert not hang.ok

@@ -72,16 +72,22 @@ assert data.qpos[2] < 1
 print("simulates")
 """
 
+EXTRAS = {  # of pyproject.toml, and what they are for
+    "rl": "train policies",
+    "bullet": "the PyBullet simulator",
+    "viz": "live viewer, videos",
+    "dev": "tests and checks",
+}
 PROBES = (
-    Probe("JAX", JAX, "pip install jax"),
-    Probe("numba", NUMBA, "pip install numba"),
+    Probe("JAX", JAX, "pip install --force-reinstall jax jaxlib"),
+    Probe("numba", NUMBA, "pip install --force-reinstall numba llvmlite"),
     Probe(
         "Embree (laser scans, coverage)",
         EMBREE,
         "pip install embreex, where it has a wheel; without it MuJoCo traces the rays, several times slower",
         required=False,
     ),
-    Probe("MuJoCo (physics)", PHYSICS, "pip install mujoco"),
+    Probe("MuJoCo (physics)", PHYSICS, "pip install --force-reinstall mujoco"),
     *(Probe(backend.title, probe_code(backend), backend.remedy, required=False) for backend in BACKENDS),
 )
 
@@ -92,7 +98,7 @@ def doctor() -> int:
     from rich.table import Table
     from rich.text import Text
 
-    findings = [_python(), _cores(), _packages(), _cache()]
+    findings = [_python(), _cores(), _packages(), *map(extra, EXTRAS), _cache()]
     with ThreadPoolExecutor(max_workers=2) as pool:
         console = literal_console(stderr=True)
         probed = track(pool.map(run_probe, PROBES), "probing", len(PROBES), console=console, transient=True)
@@ -111,9 +117,16 @@ def doctor() -> int:
 
 
 def run_probe(probe: Probe) -> Finding:
-    """Run one probe in a process of its own; the last line that it wrote explains a failure."""
+    """Run one probe in a process of its own; a failure is stated in our words, never as the text of an exception."""
     ok, detail = try_python(probe.code, TIMEOUT)
-    return Finding(probe.name, ok, detail, probe.remedy, probe.required)
+    return Finding(probe.name, ok, detail if ok else _reason(detail), probe.remedy, probe.required)
+
+
+def _reason(detail: str) -> str:
+    """Say why a probe failed, from the last line that it wrote."""
+    if detail.startswith("no answer in"):
+        return detail
+    return "is not installed" if detail.startswith("ModuleNotFoundError:") else "is installed, but does not work here"
 
 
 def _python() -> Finding:
@@ -128,17 +141,43 @@ def _cores() -> Finding:
 
 def _packages() -> Finding:
     """Return the versions of the dependencies that the installed distribution declares."""
-    declared = importlib.metadata.requires("vssm-gym") or []
+    versions, absent = _installed("")
+    detail = "not installed as a distribution" if not versions else ", ".join(versions)
+    if not versions:
+        return Finding("packages", False, detail, "pip install -e . in the checkout", True)
+    detail += f"; not installed: {', '.join(absent)}" if absent else ""
+    return Finding("packages", not absent, detail, f"pip install {' '.join(absent)}", True)
+
+
+def extra(name: str) -> Finding:
+    """Return the versions of the packages of an extra, which is optional."""
+    versions, absent = _installed(name)
+    detail = f"{', '.join(versions)}; " * bool(versions) + f"not installed: {', '.join(absent)}" * bool(absent)
+    title = f"extra {name} ({EXTRAS[name]})"
+    return Finding(title, not absent, detail.removesuffix("; "), f'pip install "vssm-gym[{name}]"', False)
+
+
+def requirements(extra: str = "") -> list[str]:
+    """Return the requirements that the installed distribution declares, or those of an extra; none without it."""
+    try:
+        declared = importlib.metadata.requires("vssm-gym") or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    found = [re.search(r"""extra == ["']([^"']+)["']""", text) for text in declared]
+    return [text for text, marker in zip(declared, found, strict=True) if (marker[1] if marker else "") == extra]
+
+
+def _installed(extra: str) -> tuple[list[str], list[str]]:
+    """Return names with versions of the requirements that are installed, and the names of the others."""
     versions, absent = [], []
-    for requirement in (text for text in declared if "extra ==" not in text):
+    for requirement in requirements(extra):
         name = re.split(r"[^A-Za-z0-9_.-]", requirement)[0]
         try:
             versions.append(f"{name} {importlib.metadata.version(name)}")
         except importlib.metadata.PackageNotFoundError:
-            if ";" not in requirement:  # a requirement with a marker is for some platforms only, and has its own probe
+            if extra or ";" not in requirement:  # one with another marker is for some platforms, and has its own probe
                 absent.append(name)
-    detail = ", ".join(versions) + (f"; not installed: {', '.join(absent)}" if absent else "")
-    return Finding("packages", not absent, detail, f"pip install {' '.join(absent)}", True)
+    return versions, absent
 
 
 def _cache() -> Finding:
@@ -148,6 +187,7 @@ def _cache() -> Finding:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        return Finding("cache", False, f"{folder}: {error.strerror}", "set XDG_CACHE_HOME to a writable folder", False)
+    except OSError:
+        remedy = "set XDG_CACHE_HOME to a folder that can be written"
+        return Finding("cache", False, f"{folder} cannot be written", remedy, False)
     return Finding("cache", True, f"{folder} is writable", "", False)
