@@ -26,7 +26,9 @@ from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.shards import Shard
-from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, owned_folder
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.output_folders import ADVICE, Owner, check_at_least, check_folder, owned_folder
+from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map, map_hash
 from vssm_gym.version import package_version
@@ -40,6 +42,7 @@ def run_sweep(
     workers: int = 2,
     seed: int = 0,
     shard: Shard | None = None,
+    map_file: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> Path:
     """Run the episodes of a configuration that are not yet in ``out/episodes.jsonl``.
@@ -54,6 +57,7 @@ def run_sweep(
         workers: processes.
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
+        map_file: a map for the agents of a configuration of one scene, which is copied; None: maps are learned.
         on_progress: called with ("recording" | "map" | "episodes", done, total).
 
     Returns:
@@ -72,12 +76,16 @@ def run_sweep(
     if shard is not None:
         episodes = shard.part(episodes)
     manifest = _manifest(config, apartments, seed, len(episodes), shard)
-    owner = Owner("sweep", MANIFEST, manifest, identity=("config_hash", "shard"), resumed=(FILE,))
+    if map_file is not None:
+        manifest["map_hash"] = _given_map_hash(config, map_file)
+    owner = Owner("sweep", MANIFEST, manifest, identity=("map_hash", "config_hash", "shard"), resumed=(FILE,))
     with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
         done = {episode_key(row) for row in log.rows}
         todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
         for scene in dict.fromkeys(episode.condition.scene for episode in todo):
             batch = [episode for episode in todo if episode.condition.scene == scene]
+            if map_file is not None:
+                _copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
             jobs = _jobs(batch, scene, out, config, manifest, on_progress)
             worker.release_memory()
             _run(jobs, log, workers, len(episodes), on_progress)
@@ -130,9 +138,12 @@ def _jobs(
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{SWEPT_ENVIRONMENTS[env].robot}.json"
         protocol_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
     if any(agent_type(episode.agent).needs_map for episode in episodes):
-        map_file = ensure_map(
-            scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, on_progress=on_progress
-        )
+        if "map_hash" in manifest:
+            map_file = out / "maps" / f"{scene_name(scene)}.npz"
+        else:
+            map_file = ensure_map(
+                scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, on_progress=on_progress
+            )
     with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
     maps = {agent: with_map if agent_type(agent).needs_map else without for agent in config.agents}
     signature = apartment.content_hash(), manifest["config_hash"], package_version()
@@ -146,6 +157,27 @@ def _jobs(
         )
         for episode in episodes
     ]
+
+
+def _given_map_hash(config: SweepConfig, map_file: Path) -> str:
+    """Return the hash of a map that agents are given; raise :class:`InputError` where it cannot be theirs."""
+    if len(config.scenes) != 1:
+        raise InputError("sweep", "map", f"a configuration of one scene; found {len(config.scenes)}")
+    if "sequence" in read_metadata(map_file):
+        expected = "a map in the scene's frame, of `vssm-gym map build`; this one is in its first camera's frame"
+        raise InputError(map_file, "frame", expected)
+    return map_hash(map_file)
+
+
+def _copy_map(source: Path, target: Path) -> None:
+    """Copy a map into the folder, so that reports and resumed runs find it; the same one may be there."""
+    if target.is_file() and map_hash(target) == map_hash(source):
+        return
+    if target.exists():
+        raise InputError(target, "file", f"a copy of {source}; it differs ({ADVICE})")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(target) as temporary:
+        temporary.write_bytes(source.read_bytes())
 
 
 def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | None:

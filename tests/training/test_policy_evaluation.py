@@ -12,7 +12,11 @@ from vssm_gym.agents.policy import policy_file
 from vssm_gym.envs.pointnav import POINTNAV_REWARD
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.envs.tasks.navigation import load
+from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import read_rows
+from vssm_gym.eval.sweep.config import SweepConfig
+from vssm_gym.eval.sweep.runner import run_sweep
+from vssm_gym.slam.map_building import map_hash
 from vssm_gym.training.evaluation import METRICS, evaluate_policy, files_of
 from vssm_gym.training.imagined_episodes import STEPS, imagine, real_return
 
@@ -63,3 +67,33 @@ def test_the_gap_is_imagined_minus_simulated(tmp_path):
         assert found.real[metric].mean == pytest.approx(here)
         assert found.gap[metric].mean == pytest.approx(there - here)
         assert stored["gap"][metric][0] == pytest.approx(found.gap[metric].mean)
+
+    # A given map is that of the agents and of imagination: nothing is recorded, and the same map gives the same rows.
+    given, again = tmp_path / "given.npz", tmp_path / "again"
+    given.write_bytes(map_file.read_bytes())
+    same = evaluate_policy(file, again, scene=scene, tasks=4, map_file=given)
+    assert same == found and not (again / "recordings").exists()
+    assert files_of(again, scene)[1].read_bytes() == given.read_bytes()
+    hashes = {row["map_hash"] for row in read_rows(again / "episodes.jsonl")}
+    assert hashes == {map_hash(given)} == {json.loads((again / "evaluation.json").read_text())["map"]}
+    assert evaluate_policy(file, again, scene=scene, tasks=4, map_file=given, resume=True) == found
+    room().save(tmp_path / "room.npz")
+    for other in (tmp_path / "room.npz", None):
+        with pytest.raises(InputError, match=r"map_hash: expected .* another sweep belongs into another folder"):
+            evaluate_policy(file, again, scene=scene, tasks=4, map_file=other, resume=True)
+
+
+def test_a_map_that_the_agent_cannot_use_is_refused(tmp_path):
+    """No file, or a map in its first camera's frame: nothing runs and nothing is written."""
+    file, out, scene = tmp_path / "straight.npz", tmp_path / "out", str(tmp_path / "rooms.json")
+    policy_file.save(file, straight())
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    room().save(tmp_path / "walk.npz", sequence="walk")
+    for given, message in ((tmp_path / "none.npz", "an existing map file"), (tmp_path / "walk.npz", "frame: expected")):
+        with pytest.raises(InputError, match=message):
+            evaluate_policy(file, out, scene=scene, tasks=1, map_file=given)
+    assert not out.exists()
+    config = SweepConfig(scenes=(scene, "oak"), agents=("oracle",), tasks=(0,))
+    with pytest.raises(InputError, match="map: expected a configuration of one scene; found 2"):
+        run_sweep(config, out, map_file=tmp_path / "walk.npz")
+    assert not out.exists()

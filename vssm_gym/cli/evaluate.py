@@ -33,10 +33,11 @@ def evaluate(
         scene: built-in name or path of a scene file.
         tasks: number of the scene's test tasks.
         noise: execution noise: none, low, mid or high.
-        map: map file for the imagined episodes; by default the map that the sweep learns for its agents.
+        map: map file in which the policy's agent tracks its pose and in which the tasks are imagined, such as the one
+            trained in; by default one is learned from a recorded drive.
         resume: continue the same evaluation in OUT.
         workers: number of processes that run episodes.
-        seed: seed of the recorded drive from which the map is learned, and of the imagined episodes.
+        seed: seed of the imagined episodes, and of the recorded drive where a map is learned.
         video: number of the task to film, from 0; with --resume also for a finished evaluation.
     """
     from rich.table import Table
@@ -87,9 +88,7 @@ def evaluate(
 
         path = out / f"task-{video}.mp4"
         with progress_bars() as progress:
-            both = record_runs(
-                policy, out, scene=scene, task=video, noise=noise, map_file=map, seed=seed, on_progress=progress
-            )
+            both = record_runs(policy, out, scene=scene, task=video, noise=noise, seed=seed, on_progress=progress)
             write_video(path, both, progress)
         say(f"video: {path}")
     say(f"next: vssm-gym report {out}")

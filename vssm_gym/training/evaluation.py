@@ -14,10 +14,10 @@ from vssm_gym.eval.episodes.identity import scene_name
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.aggregate import Interval
-from vssm_gym.eval.sweep.config import SweepConfig, check_names
+from vssm_gym.eval.sweep.config import DEFAULT_VOXEL, SweepConfig, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.output_folders import ADVICE
+from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import map_hash
 from vssm_gym.training.imagined_episodes import imagine, real_return
@@ -66,27 +66,26 @@ def evaluate_policy(
         scene: built-in name or path of a scene file.
         tasks: the first so many test tasks.
         noise: of execution.
-        map_file: to imagine in, such as the one trained in; None: the map of the sweep's agents.
+        map_file: for the agents and for imagination, such as the one trained in; None: it is learned from a drive.
         resume: continue.
         workers: processes.
-        seed: of the drive that the map is learned from, and of imagination.
+        seed: of the drive that a map is learned from, and of imagination.
         on_progress: called as by :func:`vssm_gym.eval.sweep.runner.run_sweep`.
 
     Raises:
-        InputError: as :func:`run_sweep`, for a file that is not a policy, or where the folder holds an evaluation in
-            another map.
+        InputError: as :func:`run_sweep`, for a file that is not a policy or a map, or where the folder holds an
+            evaluation in another map.
     """
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
-    config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)))
+    voxel = DEFAULT_VOXEL if map_file is None else round(float(VoxelMap.load(map_file).voxel_size), 6)
+    config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)), voxel=voxel)
     check_names(config, "evaluate")
-    imagined_in = map_hash(map_file) if map_file is not None and map_file.is_file() else None
-    _check_map(out / FILE, imagined_in)
-    log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, on_progress=on_progress)
+    log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, map_file=map_file, on_progress=on_progress)
     rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
-    task_file, given_map = files_of(out, scene)
+    task_file, agents_map = files_of(out, scene)
     set_ = load(task_file).tasks[:tasks]
     try:
-        found = imagine(policy_file.load(str(policy)), map_file or given_map, set_, noise, seed)
+        found = imagine(policy_file.load(str(policy)), agents_map, set_, noise, seed)
     except InputError as error:
         evaluation = Evaluation(policy_file.agent_label(agent), _means(rows), None, None, str(error))
     else:
@@ -96,22 +95,9 @@ def evaluate_policy(
         gap = {metric: aggregate.paired_difference(pairs, metric, "imagined", "real", by="world") for metric in METRICS}
         evaluation = Evaluation(rows[0]["agent"], _means(rows), _means(imagined), gap, "")
     with atomic_write(out / FILE) as temporary:
-        stored = _plain(evaluation) | {"map": imagined_in}
+        stored = _plain(evaluation) | {"map": map_hash(agents_map)}
         temporary.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
     return evaluation
-
-
-def _check_map(path: Path, imagined_in: str | None) -> None:
-    """Raise :class:`InputError` where an earlier evaluation in the folder imagined in another map."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8")).get("map", imagined_in)
-    except FileNotFoundError:
-        return
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(path, "file", f"the JSON that an evaluation wrote ({ADVICE})") from error
-    if found != imagined_in:
-        expected = f"{imagined_in}, the hash of --map; found {found}: another map belongs into another folder"
-        raise InputError(path, "map", f"{expected} ({ADVICE})")
 
 
 def files_of(out: Path, scene: str) -> tuple[Path, Path]:

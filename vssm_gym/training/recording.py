@@ -106,7 +106,6 @@ def record_runs(
     scene: str,
     task: int,
     noise: str = "low",
-    map_file: Path | None = None,
     seed: int = 0,
     on_progress: OnProgress | None = None,
 ) -> PolicyRuns:
@@ -118,20 +117,19 @@ def record_runs(
         scene: built-in name or path of a scene file.
         task: number of the test task.
         noise: of execution.
-        map_file: to imagine in; None: the map of the sweep's agents.
         seed: of imagination.
         on_progress: called with ("driving" | "imagining", done, total).
 
     Raises:
         InputError: a task that does not fit the map.
     """
-    task_file, given_map = files_of(out, scene)
+    task_file, agents_map = files_of(out, scene)
     wanted = load(task_file).tasks[task]
     # First the run that may be refused
-    imagined = _imagined(policy, map_file or given_map, wanted, noise, seed + task, on_progress)
+    imagined = _imagined(policy, agents_map, wanted, noise, seed + task, on_progress)
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=(task,))
-    real = _real(config, task_file, VoxelMap.load(given_map), on_progress)
+    real = _real(config, task_file, VoxelMap.load(agents_map), on_progress)
     radius = policy_file.load(str(policy)).spec.success_radius
     return PolicyRuns(policy_file.agent_label(agent), scene_name(scene), wanted, radius, real, imagined)
 
