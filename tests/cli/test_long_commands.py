@@ -19,6 +19,8 @@ from vssm_gym.envs.scenes.scene import save_scene
 
 PATIENCE = 600.0  # s until a line of progress, and from the kill to the end; a busy machine compiles for minutes
 OFTEN = "import vssm_gym.cli.shared.progress as p\np.LOG_SECONDS = 0.1\n"
+# A suite that runs in the background of a shell inherits an ignored Ctrl-C
+HEARD = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
 RUN = "import sys\nfrom vssm_gym.cli.main import main\nif __name__ == '__main__':\n    sys.exit(main())"
 NOTHING = "nothing of this run is kept; start it again with: "
 CONFIGS = {
@@ -92,11 +94,9 @@ def test_a_long_command_shows_progress_and_says_how_to_go_on(inputs, tmp_path, n
     arguments, log = [word.format(inputs, tmp_path / "out") for word in words.split()], tmp_path / "log"
     with log.open("w") as file:
         process = subprocess.Popen(
-            [sys.executable, "-c", OFTEN + RUN, *arguments],
+            [sys.executable, "-c", OFTEN + HEARD + RUN, *arguments],
             env=os.environ | {"PYTHONPATH": str(CHECKOUT)},
             start_new_session=True,
-            # A suite that runs in the background of a shell inherits an ignored Ctrl-C
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
             stdout=file,
             stderr=file,
         )

@@ -18,12 +18,14 @@ from tests.chaos.disks import largest_file
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import features
+from vssm_gym.cli.train import _summary, _times
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.training import run as run_module
 from vssm_gym.training.config import EnvironmentSettings, TrainingConfig, load_training, training_hash
 from vssm_gym.training.environment import BODY, PolicyView, commands, make_observing
-from vssm_gym.training.run import ProgressLog, deferred_interrupt, read_progress
+from vssm_gym.training.run import ENOUGH_EPISODES, ProgressLog, Run, deferred_interrupt, first_round, read_progress
 from vssm_gym.training.train import run_training
 
 CONFIGS = CHECKOUT / "eval" / "configs"
@@ -224,7 +226,7 @@ def test_a_run_is_resumed_where_it_was(corridor, tmp_path, algorithm, frames):
     shape = {"policy": {"hidden": [8], "inputs": ["scan", "goal"], "frames": frames}, "algorithm": algorithm}
     path = run_training(config(**shape), tmp_path / "run")
     rows = read_progress(tmp_path / "run" / "progress.jsonl")
-    assert rows[-1]["steps"] == 64 and rows[-1]["seconds"] > 0.0
+    assert rows[-1]["steps"] == 64 and rows[-1]["seconds"] > rows[-1]["preparing"] > 0.0
     policy = policy_file.load(path)
     assert policy.spec.trained["steps"] == 64 and policy.spec.frames == frames
 
@@ -264,6 +266,75 @@ def test_ctrl_c_keeps_the_training_and_resume_completes_it(corridor, tmp_path):
     assert again[: len(rows)] == rows and again[-1]["steps"] >= 160
     assert again[-1]["seconds"] > rows[-1]["seconds"]
     assert json.loads((tmp_path / "training.json").read_text())["world_hash"] == "0" * 16
+
+
+# what is shown of a training
+
+
+def running(path: Path, heard: list[dict[str, Any]], **changes: Any) -> Run:
+    """Return a training of 4 robots with episodes of 12 steps whose updates are heard."""
+    where = {"map": "unread.npz", "num_envs": 4, "max_episode_steps": 12}
+    manifest = {"config_hash": "", "world_hash": "", "version": ""}
+    log = ProgressLog(path / "progress.jsonl")
+    return Run(
+        config(environment=where, **changes), path, manifest, log, lambda: False, lambda row, _: heard.append(row)
+    )
+
+
+def update(steps: int, episodes: int) -> dict[str, Any]:
+    return {"steps": steps, "episodes": episodes, "return": 1.0, "length": 3.0, "success": 1.0}
+
+
+def test_success_is_enough_after_100_episodes_and_a_round_of_all_robots(tmp_path):
+    """The first episodes are short ones; a resumed training begins with such episodes again."""
+    heard: list[dict[str, Any]] = []
+    run = running(tmp_path, heard)
+    assert first_round(run.config) == 48
+    run.stepped()
+    for steps, episodes in ((44, 400), (48, 99), (48, ENOUGH_EPISODES)):
+        run.report(update(steps, episodes), lambda: None)
+    assert [row["enough"] for row in heard] == [False, False, True]
+    again = running(tmp_path, heard)
+    again.resume(48, 5.0)
+    again.stepped()
+    for steps in (92, 96):
+        again.report(update(steps, 500), lambda: None)
+    assert [row["enough"] for row in heard[3:]] == [False, True]
+
+
+def test_the_command_shows_no_success_of_a_handful_of_episodes(tmp_path):
+    few, one, enough = update(44, 7), update(12, 1), update(9600, 500)
+    shown = [_summary(row | {"enough": row is enough}, running(tmp_path, []).config) for row in (few, one, enough)]
+    assert shown == [
+        "44 steps, 7 episodes ended; success needs 100 and 48 steps of this run",
+        "12 steps, 1 episode ended; success needs 100 and 48 steps of this run",
+        "9,600 steps, return 1.00, success 100%",
+    ]
+
+
+def test_building_and_compiling_are_timed_apart(tmp_path, monkeypatch):
+    """Two sessions: 20 + 5 s until the first step, 70 + 10 s afterwards."""
+    now, heard = [1000.0], list[dict[str, Any]]()
+    monkeypatch.setattr(run_module.time, "monotonic", lambda: now[0])
+    run = running(tmp_path, heard)
+    now[0] += 20.0
+    run.report(update(0, 0), lambda: None)
+    assert heard == []  # the robots have not stepped
+    run.stepped()
+    now[0] += 70.0
+    run.stepped()
+    run.end(update(640, 0), lambda: None)
+    assert (heard[-1]["seconds"], heard[-1]["preparing"]) == (90.0, 20.0)
+
+    again = running(tmp_path, heard)
+    again.resume(640, 90.0)
+    now[0] += 5.0
+    again.stepped()
+    now[0] += 10.0
+    again.end(update(800, 0), lambda: None)
+    assert (heard[-1]["seconds"], heard[-1]["preparing"]) == (105.0, 25.0)
+    shown = "trained 105.0 s: 25.0 s building and compiling, 80.0 s stepping and learning (10 steps/s)"
+    assert _times(heard[-1]) == shown
 
 
 class Bomb:
