@@ -96,7 +96,7 @@ FOLDERS = {
         ["rendering"],
         ["physics"],
         ["sensors"],
-        ["tasks"],
+        ["tasks", "conventions"],
         [""],
         ["world_model"],
     ],

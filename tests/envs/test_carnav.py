@@ -81,7 +81,8 @@ def test_observations_are_of_their_space(targets, images):
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert set(observation) == ({"rgb", "depth", "goal"} if images else {"goal"})  # and so no pose
-    assert set(info) == {"T_world_cam", "K", "collision", "collisions", "control", "task", "start_pose"}
+    task_entries = {"distance_to_goal", "path_length", "success", "spl", "task", "start_pose"}
+    assert set(info) == {"T_world_cam", "K", "collision", "collisions", "control"} | task_entries
     np.testing.assert_allclose(observation["goal"], info["task"].goal, rtol=1e-6)
     np.testing.assert_allclose(info["start_pose"], info["task"].start, atol=1e-6)
     observation, *_, info = env.step(act(9.0, -9.0))
@@ -377,7 +378,7 @@ def test_bullet_passes_gymnasiums_checker():
         ({"targets": "lines"}, "targets", "'poses'"),
         ({"control": "jerk"}, "control", "'acceleration'"),
         ({"chain": 1}, "chain", "True or False"),
-        ({"images": "no"}, "images", "True or False"),
+        ({"images": "no"}, "images", "rgb, depth, depth_image"),
         ({"observe_pose": None}, "observe_pose", "True or False"),
         ({"reward": "money"}, "reward", "'sparse'"),
         ({"renderer": "oil"}, "renderer", "'raycast'"),

@@ -1,6 +1,7 @@
 """Test every registered environment: both checkers, seeds, pickling, videos, workers, documentation."""
 
 import pickle
+import re
 import warnings
 
 import gymnasium as gym
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from tests.envs.conventions.drawn_actions import drawn_action, zero_action
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.errors import InputError
@@ -26,14 +28,10 @@ def rollout(env: gym.Env, seed: int, steps: int = 8) -> list[bytes]:
     """Return all outputs of the environment, in steps of random actions."""
     observation, info = env.reset(seed=seed)
     rng, said = np.random.default_rng(0), []
-    low, high = env.action_space.low, env.action_space.high
     for _ in range(steps):
         said += [observation[key].tobytes() for key in sorted(observation)]
         said += [np.asarray(info[key]).tobytes() for key in ALWAYS]
-        action = rng.uniform(low, high).astype(np.float32)
-        if "Flight" not in env.spec.id:
-            action[-1] = 0.0  # no stop
-        observation, reward, terminated, truncated, info = env.step(action)
+        observation, reward, terminated, truncated, info = env.step(drawn_action(env, rng))
         said.append(repr((float(reward), bool(terminated), bool(truncated))).encode())
         if terminated or truncated:
             break
@@ -88,8 +86,7 @@ def test_the_same_seed_gives_the_same_bytes(name):
 def test_a_pickled_environment_goes_on(name):
     env = make(name).unwrapped
     env.reset(seed=1)
-    action = 0.3 * env.action_space.high
-    action[-1] = 0.0
+    action = drawn_action(env, np.random.default_rng(0))
     env.step(action)
     copy = pickle.loads(pickle.dumps(env))
     for _ in range(3):
@@ -105,7 +102,7 @@ def test_observations_and_infos_are_as_documented(name):
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert "start_pose" in info
-    observation, _, _, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    observation, _, _, _, info = env.step(zero_action(env.action_space))
     assert env.observation_space.contains(observation)
     assert set(ALWAYS) <= set(info)
     assert not any("pose" in key for key in observation) or name == "vssm_gym/Explore-v0"
@@ -144,7 +141,7 @@ def test_a_video_of_it_can_be_recorded(name, tmp_path):
     env.reset(seed=0)
     done = False
     while not done:
-        _, _, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
+        _, _, terminated, truncated, _ = env.step(zero_action(env.action_space))
         done = terminated or truncated
     env.close()
     (video,) = tmp_path.glob("*.mp4")
@@ -155,7 +152,7 @@ def test_a_video_of_it_can_be_recorded(name, tmp_path):
 def test_it_has_a_page_with_its_tables(name):
     page = CHECKOUT / "docs" / "envs" / f"{ENVIRONMENTS[name].vector.rpartition(':')[2]}.md"
     text = page.read_text()
-    assert f"`{name}`" in text.splitlines()[0]
+    assert re.search(rf"^#+ `{name}`$", text, re.MULTILINE)
     for table in ("Observation", "Action", "`info`"):
         assert f"{table}" in text, table
     assert "../images/" in text
@@ -176,7 +173,7 @@ def ends_now(env: gym.Env) -> None:
 @pytest.mark.parametrize("name", ENDED_BY_ACTIONS)
 def test_no_step_before_a_reset_nor_after_an_episode(name):
     env = make(name).unwrapped
-    action = np.zeros(env.action_space.shape, np.float32)
+    action = zero_action(env.action_space)
     with pytest.raises(gym.error.ResetNeeded):
         env.step(action)
     env.reset(seed=0)
@@ -195,7 +192,7 @@ def test_a_vector_environment_goes_on_after_an_episode(name):
     small = {} if "LidarMaze" in name else {"camera": {"width": 32, "height": 24}}
     vector = gym.make_vec(name, num_envs=1, **small)
     vector.reset(seed=0)
-    actions = np.zeros(vector.action_space.shape, np.float32)
+    actions = zero_action(vector.action_space)
     ends_now(vector.envs[0])
     assert vector.step(actions)[2].all()
     _, reward, terminated, _, _ = vector.step(actions)  # NEXT_STEP: this is the reset
@@ -206,7 +203,7 @@ def test_a_vector_environment_goes_on_after_an_episode(name):
 
 @pytest.mark.parametrize("name", IDS)
 def test_an_unknown_keyword_names_the_environment_and_its_keywords(name):
-    title = name.removeprefix("vssm_gym/").removesuffix("-v0")
+    title = ENVIRONMENTS[name].env.rpartition(":")[2].removesuffix("Env")
     for build in (gym.make, gym.make_vec):
         expected = rf"^{title}: foo: expected one of its keywords: scene, .*render_mode"
         with pytest.raises(InputError, match=expected) as error:

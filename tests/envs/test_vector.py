@@ -29,6 +29,8 @@ def make_vec(name: str, num_envs: int = N, **keywords) -> gym.vector.VectorEnv:
 
 
 def random_actions(env: gym.vector.VectorEnv, rng: np.random.Generator, stops: bool = False) -> np.ndarray:
+    if isinstance(env.single_action_space, gym.spaces.Discrete):
+        return rng.integers(env.single_action_space.n, size=env.num_envs)
     low, high = env.action_space.low, env.action_space.high
     actions = rng.uniform(low, high).astype(np.float32)
     if env.spec.id != "vssm_gym/Flight-v0":

@@ -13,6 +13,15 @@ import gymnasium as gym
 import numpy as np
 import shapely
 
+from vssm_gym.envs.conventions.actions import Actions
+from vssm_gym.envs.conventions.relative_goal import (
+    GOAL_FORMS,
+    GoalForm,
+    is_reckoned,
+    relative_goal,
+    sensed_pose,
+    with_relative_goal,
+)
 from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.physics import MujocoCar
 from vssm_gym.envs.rendering.car_picture import draw_run
@@ -25,7 +34,7 @@ from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, rgbd_n
 from vssm_gym.envs.sensors.base import GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
-from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.rgbd import RGBDSensor, parse_images
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
@@ -33,7 +42,7 @@ from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.car import TARGETS, CarTask, CarTaskSampler, Targets
 from vssm_gym.envs.tasks.rewards import DenseReward
-from vssm_gym.envs.validation import check_options, choose, parse_action
+from vssm_gym.envs.validation import check_options, choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
@@ -54,10 +63,14 @@ class CarNavEnv(PhasedEnv):
         physics: ``mujoco``, or ``bullet`` where PyBullet is installed.
         targets: ``poses`` (x, y, heading) or ``points`` (x, y).
         control: the action's first number: ``speed``, m/s, or ``acceleration``, m/s^2.
+        actions: ``metric`` (SI units) or ``normalized`` (in [-1, 1]).
+        goal: ``map``: the goal in the map; ``sensed`` or ``true``: its distance and bearing from the pose that GPS and
+            compass sense, or from the true pose (:mod:`vssm_gym.envs.conventions.relative_goal`).
         chain: if True, an episode begins where the one before has ended, speed and contact included.
         sensors: sensors besides the camera, as in PointNav: names, configurations or mappings.
         observe_pose: if True, the observation holds the true pose (an oracle's privilege).
-        images: if True, it holds ``rgb`` and ``depth``; otherwise nothing is rendered.
+        images: the images of the observation: some of ``rgb``, ``depth`` and ``depth_image``; True for the first two.
+            Without any, nothing is rendered.
         reward: ``dense`` (metres gained along free space, costs of steps and collisions, a success reward) or
             ``sparse``.
         render_mode: ``rgb_array`` or None.
@@ -75,10 +88,12 @@ class CarNavEnv(PhasedEnv):
         physics: str = "mujoco",
         targets: Targets = "poses",
         control: Literal["speed", "acceleration"] = "speed",
+        actions: Literal["metric", "normalized"] = "metric",
+        goal: GoalForm = "map",
         chain: bool = False,
         sensors: Sequence[str | SensorConfig | Mapping[str, Any]] = (),
         observe_pose: bool = False,
-        images: bool = True,
+        images: bool | Sequence[str] = True,
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
     ) -> None:
@@ -86,33 +101,44 @@ class CarNavEnv(PhasedEnv):
         choose("CarNav", "physics", physics, PHYSICS)
         choose("CarNav", "targets", targets, TARGETS)
         choose("CarNav", "control", control, ("speed", "acceleration"))
+        choose("CarNav", "actions", actions, ("metric", "normalized"))
+        choose("CarNav", "goal", goal, GOAL_FORMS)
         choose("CarNav", "reward", reward, ("dense", "sparse"))
         choose("CarNav", "render_mode", render_mode, (None, "rgb_array"))
-        for field, value in (("chain", chain), ("observe_pose", observe_pose), ("images", images)):
+        for field, value in (("chain", chain), ("observe_pose", observe_pose)):
             if not isinstance(value, bool):
                 raise InputError("CarNav", field, f"True or False; found {value!r:.80}")
         self.noise, self.car, self.physics = car_noise(noise), Car(), physics
-        self.targets, self.control, self.chain = targets, control, chain
+        shown = (("rgb", "depth") if images else ()) if isinstance(images, bool) else parse_images("CarNav", images)
+        self.targets, self.control, self.chain, self.goal = targets, control, chain, goal
         self.reward, self.render_mode = reward, render_mode
         self.apartment: Apartment = load_scene(scene)
         carried, seen = parse_sensors("CarNav", sensors), rgbd_noise.sensor_noise(sensor_noise)
         shared = SharedRenderer.of(self.apartment, camera_config(camera), renderer)
-        self.camera, self._images = shared.camera, images
+        self.camera, self._images = shared.camera, bool(shown)
         self._K = self.camera.K
-        self.renderer_name = shared.name if images else "none"
-        mounted: list[Sensor[GroundBody]] = [RGBDSensor(shared, seen)] if images else []
+        self.renderer_name = shared.name if shown else "none"
+        camera_sensor = RGBDSensor(shared, seen, scaled="depth_image" in shown)
+        mounted: list[Sensor[GroundBody]] = [camera_sensor] if shown else []
         mounted += [config.mount(shared) for config in carried]
         far = np.array([MAX_COORDINATE, MAX_COORDINATE, np.pi], np.float32)
-        goal = far if targets == "poses" else far[:2]
+        farthest = far if targets == "poses" else far[:2]
         oracle: list[Sensor[GroundBody]] = [PoseSensor()] if observe_pose else []
-        told = TaskObservation("goal", gym.spaces.Box(-goal, goal), self._goal)
+        told = TaskObservation("goal", gym.spaces.Box(-farthest, farthest), self._goal)
         self.sensors = SensorSuite("CarNav", [*mounted, told, *oracle])
+        self.sensors.hide(*(key for key in camera_sensor.spaces if key not in shown))
         self.parallel = self.sensors.parallel
         self.sampler = CarTaskSampler.of(self.apartment, self.car)
         self.body = _make_body(physics, self.apartment, self.car)
         self.body.reads_contacts = self.sensors.reads_contacts
-        self._goal_distance = self.sampler.goal_distance() if reward == "dense" else None
-        self.action_space, self.observation_space = self._action_space(), gym.spaces.Dict(self.sensors.spaces())
+        self._goal_distance = self.sampler.goal_distance()
+        self._actions = Actions(actions, (control, "steering"), self._bounds())
+        self.action_space = self._actions.space
+        observed = gym.spaces.Dict(self.sensors.spaces())
+        if goal == "sensed" and is_reckoned(observed):
+            expected = 'sensors=["gps_compass"] with "sensed": commands of a car on tyres cannot be reckoned with'
+            raise InputError("CarNav", "goal", expected)
+        self.observation_space = observed if goal == "map" else with_relative_goal(observed)
 
         self.task: CarTask | None = None
         self.path_length = 0.0  # m driven in this episode
@@ -124,7 +150,9 @@ class CarNavEnv(PhasedEnv):
         self._planar: PlanarPose = np.zeros(3)
         self._body: GroundBody | None = None  # the car as it is, for the sensors
         self._path: list[np.ndarray] = []
-        self._potential = 0.0  # m, dense reward only
+        self._start: PlanarPose = np.zeros(3)
+        self._to_goal = self._shortest = 0.0  # m along free space: now, and at the start
+        self._potential = 0.0  # m, of the dense reward
         self._outcome: tuple[float, bool, dict[str, Any]] = (0.0, False, {})  # reward, terminated, info
         self._plan: TopDown | None = None
 
@@ -183,20 +211,20 @@ class CarNavEnv(PhasedEnv):
         self.path_length, self.collisions, self._path = 0.0, 0, [self._planar[:2]]
         self._body = None
         self.sensors.begin(self._carrier)
-        if self._goal_distance is not None:
-            self._goal_distance.aim(np.array(self.task.goal[:2]))
-            self._potential = self._cost_to_go(math.inf)
-        info = self._info(np.zeros(2)) | {"task": self.task, "start_pose": self._planar.copy()}
+        self._start = self._planar.copy()
+        self._goal_distance.aim(np.array(self.task.goal[:2]))
+        self._to_goal = self._shortest = self._goal_distance(self._planar[:2])
+        self._potential = self._cost_to_go(math.inf)
+        info = self._info(np.zeros(2), False) | {"task": self.task, "start_pose": self._planar.copy()}
         self._outcome = 0.0, False, info
 
     def advance(self, action: np.ndarray) -> None:
         """Carry out ``(speed or acceleration, steering)`` for ``car.dt`` s, clipped to the limits."""
         assert self.task is not None and self._actuators is not None  # step makes sure of it
-        values = parse_action(action, (self.control, "steering"))
+        values, _ = self._actions.parse(action)
         before, was = self._speed, self._planar
         if self.control == "acceleration":
-            push = min(max(values[0], -self.car.max_acceleration), self.car.max_acceleration)
-            values[0] = before + push * self.car.dt
+            values[0] = before + values[0] * self.car.dt
         command = self.car.clip(values)
         self._speed = float(command[0])
         ramp = np.array([before if self.control == "acceleration" else self._speed, self._speed])
@@ -212,11 +240,11 @@ class CarNavEnv(PhasedEnv):
         if self.control == "acceleration":
             command[0] = (self._speed - before) / self.car.dt
         reached, lost = self.task.reached(self._planar), not (self.body.upright() and self._on_floor())
-        info = self._info(command)
+        reward = self._reward(reached and not lost)
+        info = self._info(command, reached and not lost)
         if reached or lost:
-            info["success"] = reached and not lost
             info["reason"] = "overturned or off the floor" if lost else "reached"
-        self._outcome = self._reward(reached and not lost), reached or lost, info
+        self._outcome = reward, reached or lost, info
 
     def sense(self) -> None:
         """Let the sensors measure."""
@@ -227,7 +255,12 @@ class CarNavEnv(PhasedEnv):
         assert self.task is not None
         self.sense()
         reward, terminated, info = self._outcome
-        return self.sensors.observation(), reward, terminated, False, info
+        observation = self.sensors.observation()
+        if self.goal != "map":
+            sensed = self.goal == "sensed"
+            pose = sensed_pose(observation, self._start, self._start) if sensed else self._planar
+            observation = relative_goal(observation, pose)
+        return observation, reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """Return the camera's image, if there are images, beside the plan: uint8 ``(360, width, 3)``.
@@ -250,18 +283,23 @@ class CarNavEnv(PhasedEnv):
         super().close()
         self.body.close()
 
-    def _action_space(self) -> gym.spaces.Box:
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
         speed, steering = self.car.limits
-        high = np.array([speed if self.control == "speed" else self.car.max_acceleration, steering], np.float32)
-        return gym.spaces.Box(-high, high)
+        high = np.array([speed if self.control == "speed" else self.car.max_acceleration, steering])
+        return -high, high
 
     def _goal(self) -> np.ndarray:
         """Return the goal, as observed."""
         assert self.task is not None
         return np.array(self.task.goal, dtype=np.float32)
 
-    def _info(self, control: np.ndarray) -> dict[str, Any]:
+    def _info(self, control: np.ndarray, success: bool) -> dict[str, Any]:
+        efficiency = 1.0 if self.path_length <= self._shortest else self._shortest / self.path_length
         return {
+            "distance_to_goal": self._to_goal,
+            "path_length": self.path_length,
+            "success": success,
+            "spl": efficiency if success else 0.0,
             "T_world_cam": self.T_world_cam,
             "K": self._K.copy(),
             "collision": bool(self.collided_with),
@@ -294,18 +332,22 @@ class CarNavEnv(PhasedEnv):
 
     def _cost_to_go(self, otherwise: float) -> float:
         """``d(x, y) + alignment |heading error|``, m, d along free space; ``otherwise`` where d is not known."""
-        assert self.task is not None and self._goal_distance is not None
+        assert self.task is not None
         distance = self._goal_distance(self._planar[:2])
-        return distance + CARNAV_REWARD.alignment * self.task.turn(self._planar) if np.isfinite(distance) else otherwise
+        if not np.isfinite(distance):
+            return otherwise
+        self._to_goal = distance
+        return distance + CARNAV_REWARD.alignment * self.task.turn(self._planar)
 
     def _reward(self, success: bool) -> float:
+        """Update the cost-to-go, and return the reward of this step."""
         prize = CARNAV_REWARD.success if success else 0.0
-        if self._goal_distance is None:
-            return prize
         # Pressed against an obstacle the axle may be off the grid of free positions: it gains nothing until it is back.
         now = self._cost_to_go(self._potential)
         gained = self._potential - now if np.isfinite(self._potential) else 0.0
         self._potential = now
+        if self.reward == "sparse":
+            return prize
         weights = CARNAV_REWARD
         return gained - weights.step_cost - weights.collision_cost * bool(self.collided_with) + prize
 

@@ -13,6 +13,7 @@ from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.rendering.topdown import PICTURE, beside_plan
 from vssm_gym.envs.sensors.task_observation import TaskObservation
+from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix
 
 GOAL_HEADINGS = 8  # directions, evenly spread, in which a goal image may look
@@ -31,6 +32,8 @@ class ImageNavEnv(PhasedEnv):
     metadata = PointNavEnv.metadata
 
     def __init__(self, scene: Any = "oak", **navigation: Any) -> None:
+        if "goal" in navigation:
+            raise InputError("ImageNav", "goal", "no such keyword here: the goal is an image")
         self.navigation = PointNavEnv(scene, **navigation)
         self.render_mode, self.parallel = self.navigation.render_mode, self.navigation.parallel
         self.simulation, self.renderer_name = self.navigation.simulation, self.navigation.renderer_name

@@ -11,6 +11,15 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.conventions.relative_goal import (
+    GOAL_FORMS,
+    GoalForm,
+    is_reckoned,
+    reckoned,
+    relative_goal,
+    sensed_pose,
+    with_relative_goal,
+)
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.sensors.task_observation import TaskObservation
@@ -33,6 +42,8 @@ class PointNavEnv(PhasedEnv):
             ``reset(options={"task": task})`` comes before both.
         end_on: ``stop``: the episode ends at the agent's stop, where success is evaluated; ``reach``: it ends on
             arrival and ``stop`` means nothing (for training only: it rewards a lost robot).
+        goal: ``map``: the goal's (x, y) in the map; ``sensed``: its distance and bearing from the pose that the robot
+            senses (:mod:`vssm_gym.envs.conventions.relative_goal`); ``true``: from the true pose.
         reward: ``dense`` (metres gained along free space, a cost a step, a success reward) or ``sparse`` (success).
         simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
             :class:`~vssm_gym.envs.simulation.Simulation`.
@@ -47,13 +58,15 @@ class PointNavEnv(PhasedEnv):
         *,
         tasks: TaskSet | None = None,
         end_on: Literal["stop", "reach"] = "stop",
+        goal: GoalForm = "map",
         reward: Literal["dense", "sparse"] = "dense",
         **simulation: Any,
     ) -> None:
         choose("PointNav", "end_on", end_on, ("stop", "reach"))
+        choose("PointNav", "goal", goal, GOAL_FORMS)
         choose("PointNav", "reward", reward, ("dense", "sparse"))
         self.simulation = Simulation(scene, **simulation)
-        self.end_on, self.reward, self.render_mode = end_on, reward, self.simulation.render_mode
+        self.end_on, self.goal, self.reward, self.render_mode = end_on, goal, reward, self.simulation.render_mode
         self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
         self.camera, self.noise = self.simulation.camera, self.simulation.noise
         self.renderer_name = self.simulation.renderer.name
@@ -64,14 +77,17 @@ class PointNavEnv(PhasedEnv):
             kept = "tasks are drawn from the largest connected part"
             warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
         self.tasks = None if tasks is None else checked_set("PointNav", tasks, self.apartment)
-        self._goal_distance = self.simulation.scene_cache.goal_distance() if reward == "dense" else None
-        self.action_space = self.simulation.action_space()
-        goal = gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (2,), np.float32)
-        self.simulation.sensors.add(TaskObservation("goal", goal, self._goal))
-        self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
+        self._goal_distance = self.simulation.scene_cache.goal_distance()
+        self.action_space = self.simulation.action_space(stops=end_on == "stop")
+        point = gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (2,), np.float32)
+        self.simulation.sensors.add(TaskObservation("goal", point, self._goal))
+        seen = gym.spaces.Dict(self.simulation.sensors.spaces())
+        self.observation_space = seen if goal == "map" else with_relative_goal(seen)
 
         self.task: Task | None = None
-        self._to_goal = np.inf  # m along free space, dense reward only
+        self._to_goal = np.inf  # m along free space
+        self._reckons = goal == "sensed" and is_reckoned(seen)
+        self._start = self._reckoned = np.zeros(3)  # the pose at the start, and that after the commands so far
         self._outcome: tuple[float, bool, dict[str, Any]] = (0.0, False, {})  # reward, terminated, info
 
     @property
@@ -95,10 +111,10 @@ class PointNavEnv(PhasedEnv):
         self.task = self._next_task() if task is None else self._checked(task)
         start = np.asarray(self.task.start, dtype=np.float64)
         self.simulation.place(start)
-        if self._goal_distance is not None:
-            self._goal_distance.aim(np.asarray(self.task.goal))
-            self._to_goal = self._goal_distance(self.planar[:2])
-        info = self.simulation.info(self.simulation.rest, collision=False)
+        self._start = self._reckoned = start
+        self._goal_distance.aim(np.asarray(self.task.goal))
+        self._to_goal = self._goal_distance(self.planar[:2])
+        info = self.simulation.info(self.simulation.rest, collision=False) | self._progress(False)
         self._outcome = 0.0, False, info | {"task": self.task, "start_pose": start}
 
     def advance(self, action: np.ndarray) -> None:
@@ -113,12 +129,13 @@ class PointNavEnv(PhasedEnv):
             command, collision = self.simulation.rest, False
         else:
             collision = self.simulation.drive(command)
+        if self._reckons:
+            self._reckoned = reckoned(self._reckoned, command, self.robot)
         arrived = bool(np.hypot(*(self.planar[:2] - self.task.goal)) <= self.success_radius)
         terminated = stop if self.end_on == "stop" else arrived
-        info = self.simulation.info(command, collision)
-        if terminated:
-            info["success"] = arrived
-        self._outcome = self._reward(terminated and arrived), terminated, info
+        reward = self._reward(terminated and arrived)
+        info = self.simulation.info(command, collision) | self._progress(terminated and arrived)
+        self._outcome = reward, terminated, info
 
     def sense(self) -> None:
         """Take the image."""
@@ -128,7 +145,12 @@ class PointNavEnv(PhasedEnv):
         """Return observation, reward, terminated, truncated (always False: a wrapper counts steps) and info."""
         assert self.task is not None
         reward, terminated, info = self._outcome
-        return self.simulation.observation(), reward, terminated, False, info
+        observation = self.simulation.observation()
+        if self.goal != "map" and "goal" in observation:  # ImageNav removes it
+            sensed = self.goal == "sensed"
+            pose = sensed_pose(observation, self._start, self._reckoned) if sensed else self.planar
+            observation = relative_goal(observation, pose)
+        return observation, reward, terminated, False, info
 
     def render(self) -> np.ndarray | None:
         """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
@@ -151,12 +173,19 @@ class PointNavEnv(PhasedEnv):
         self.sampler.validate(task)
         return task
 
+    def _progress(self, success: bool) -> dict[str, Any]:
+        """Return the entries of ``info`` about the task; ``spl`` is eq. T31 of this episode, 0 until its success."""
+        assert self.task is not None
+        driven, shortest = self.path_length, self.task.geodesic
+        efficiency = 1.0 if driven <= shortest else shortest / driven
+        spl = efficiency if success else 0.0
+        return {"distance_to_goal": self._to_goal, "path_length": driven, "success": success, "spl": spl}
+
     def _reward(self, success: bool) -> float:
+        """Update the distance to the goal, and return the reward of this step."""
         prize = POINTNAV_REWARD.success if success else 0.0
-        if self._goal_distance is None:
-            return prize
         now = self._goal_distance(self.planar[:2])
         # Squeezed between obstacles a robot may be off the grid of free positions: it gains nothing until it is back.
         gained = self._to_goal - now if np.isfinite(now) and np.isfinite(self._to_goal) else 0.0
         self._to_goal = now if np.isfinite(now) else self._to_goal
-        return gained - POINTNAV_REWARD.step_cost + prize
+        return prize if self.reward == "sparse" else gained - POINTNAV_REWARD.step_cost + prize

@@ -4,7 +4,9 @@ A row names modules by strings, because importing ``vssm_gym`` must load none of
 import the evaluation that runs in them.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import gymnasium as gym
 
@@ -19,6 +21,7 @@ class EnvironmentSpec:
         vector: ``module:factory`` of many environments at once.
         max_episode_steps: steps after which an episode is truncated (``gym.make(..., max_episode_steps=N)`` overrides
             it); None where the environment ends each episode by itself.
+        keywords: keywords of the constructor that differ from its defaults.
         robot: the robot that an agent must be made for (:mod:`vssm_gym.agents.base`).
         task: the task that an agent must be made for.
         physics: simulators that a sweep may choose from.
@@ -32,12 +35,23 @@ class EnvironmentSpec:
     env: str
     vector: str
     max_episode_steps: int | None
+    keywords: Mapping[str, Any] = field(default_factory=dict)
     robot: str = ""
     task: str = ""
     physics: tuple[str, ...] = ()
     protocol: str | None = None
     view: str | None = None
 
+
+# PointNav as most policies want it: a goal seen from the robot, small images of bytes, actions in [-1, 1].
+_POLICY = {
+    "camera": {"width": 64, "height": 48},
+    "images": ("depth_image",),
+    "sensors": ("gps_compass",),
+    "goal": "sensed",
+    "actions": "normalized",
+    "end_on": "reach",
+}
 
 _ROWS = (
     EnvironmentSpec(
@@ -50,6 +64,20 @@ _ROWS = (
         physics=("mujoco",),
         protocol="vssm_gym.eval.protocols.pointnav",
         view="vssm_gym.eval.report.view:POINTNAV_VIEW",
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/PointNavGPS-v0",
+        env="vssm_gym.envs.pointnav:PointNavEnv",
+        vector="vssm_gym.envs.vector:pointnav",
+        max_episode_steps=500,
+        keywords=_POLICY,
+    ),
+    EnvironmentSpec(
+        id="vssm_gym/PointNavDiscrete-v0",
+        env="vssm_gym.envs.pointnav:PointNavEnv",
+        vector="vssm_gym.envs.vector:pointnav",
+        max_episode_steps=500,
+        keywords=_POLICY | {"actions": "discrete"},
     ),
     EnvironmentSpec(
         id="vssm_gym/ImageNav-v0",
@@ -121,4 +149,5 @@ def register() -> None:
                 entry_point=spec.env,
                 vector_entry_point=spec.vector,
                 max_episode_steps=spec.max_episode_steps,
+                kwargs=dict(spec.keywords),
             )

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorObservationWrapper
 from gymnasium.vector.utils import batch_space
 
-from vssm_gym.envs.wrappers import Observation
+from vssm_gym.envs.conventions.relative_goal import Observation
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH, scan_of
 

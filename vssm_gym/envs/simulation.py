@@ -11,6 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.conventions.actions import ACTION_FORMS, ActionForm, Actions
 from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.robots import ExecutionNoise
@@ -20,13 +21,13 @@ from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, rgbd_n
 from vssm_gym.envs.sensors.base import NO_CONTACTS, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.registry import parse_sensors
-from vssm_gym.envs.sensors.rgbd import RGBDSensor
+from vssm_gym.envs.sensors.rgbd import RGBDSensor, parse_images
 from vssm_gym.envs.sensors.rgbd_noise import SensorNoise
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.scene_cache import SceneCache
-from vssm_gym.envs.validation import choose, parse_action
+from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 
@@ -47,6 +48,9 @@ class Simulation:
         sensors: sensors besides the camera: names of :data:`~vssm_gym.envs.sensors.registry.SENSORS`, configurations,
             or mappings of their fields with ``"sensor": name``.
         observe_pose: if True, the observation holds the true pose (an oracle's privilege).
+        images: the images of the observation: some of ``rgb``, ``depth`` and ``depth_image``.
+        actions: ``metric`` (SI units), ``normalized`` (in [-1, 1]) or ``discrete`` (forward, left, right); see
+            :mod:`vssm_gym.envs.conventions.actions`.
         render_mode: ``rgb_array`` or None.
     """
 
@@ -61,12 +65,16 @@ class Simulation:
         physics: str = "mujoco",
         sensors: Sequence[str | SensorConfig | Mapping[str, Any]] = (),
         observe_pose: bool = False,
+        images: Sequence[str] = ("rgb", "depth"),
+        actions: ActionForm = "metric",
         render_mode: str | None = None,
     ) -> None:
         choose("environment", "robot", robot, tuple(ROBOTS))
         choose("environment", "renderer", renderer, RENDERERS)
         choose("environment", "physics", physics, ("mujoco",))
         choose("environment", "render_mode", render_mode, (None, "rgb_array"))
+        choose("environment", "actions", actions, ACTION_FORMS)
+        shown = parse_images("environment", images)
         if not isinstance(observe_pose, bool):
             raise InputError("environment", "observe_pose", f"True or False; found {observe_pose!r:.80}")
         self.robot, self.render_mode = ROBOTS[robot](), render_mode
@@ -78,13 +86,15 @@ class Simulation:
         self.world = FloorWorld(self.apartment, self.robot)
         mounted: list[Sensor[GroundBody]] = [config.mount(self.renderer) for config in carried]
         oracle = [PoseSensor()] if observe_pose else []
-        self.sensors = SensorSuite("environment", [RGBDSensor(self.renderer, seen), *mounted, *oracle])
+        camera_sensor = RGBDSensor(self.renderer, seen, scaled="depth_image" in shown)
+        self.sensors = SensorSuite("environment", [camera_sensor, *mounted, *oracle])
+        self.sensors.hide(*(key for key in camera_sensor.spaces if key not in shown))
         self.world.reads_contacts = self.sensors.reads_contacts
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
         self._K, self._T_body_cam = self.camera.K, self.robot.T_body_cam
-        self._named, self._bounds = (*self.robot.commands, "stop"), self.robot.bounds  # of an action
+        self._form, self._actions = actions, self._actions_of(actions, stops=True)
         self._body: GroundBody | None = None  # the robot as it is, for the sensors
         self._plan: TopDown | None = None
 
@@ -93,10 +103,17 @@ class Simulation:
         """Return True if several environments may sense at once, in threads of one process."""
         return self.sensors.parallel
 
-    def action_space(self) -> gym.spaces.Box:
-        """Return the space of the robot's commands, such as ``(turn, o, s)``, and ``stop``, which is true above 0.5."""
-        low, high = self.robot.bounds
-        return gym.spaces.Box(np.array([*low, 0.0], np.float32), np.array([*high, 1.0], np.float32))
+    def action_space(self, stops: bool = True) -> gym.spaces.Space[Any]:
+        """Return the space of the robot's commands, such as ``(turn, o, s)``, and of ``stop``.
+
+        Where ``stops`` is False, only metric actions have a ``stop``, which then means nothing.
+        """
+        self._actions = self._actions_of(self._form, stops)
+        return self._actions.space
+
+    def _actions_of(self, form: ActionForm, stops: bool) -> Actions:
+        robot = self.robot
+        return Actions(form, robot.commands, robot.bounds, robot.moves, stop=stops or form == "metric")
 
     @property
     def rest(self) -> np.ndarray:
@@ -146,12 +163,11 @@ class Simulation:
         return collision
 
     def parse(self, action: Any) -> tuple[np.ndarray, bool]:
-        """Return the command clipped to the robot's limits, and whether ``stop`` is above 0.5.
+        """Return the command within the robot's limits, and True if the action is a stop.
 
-        Raises :class:`InputError` for anything but finite numbers, one for each of the commands and ``stop``.
+        Raises :class:`InputError` for anything but an action of the space, apart from its bounds.
         """
-        values = parse_action(action, self._named)
-        return np.clip(values[:-1], *self._bounds), bool(values[-1] > 0.5)
+        return self._actions.parse(action)
 
     def sense(self) -> None:
         """Let the sensors measure, once after every motion however often it is called."""

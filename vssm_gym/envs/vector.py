@@ -107,12 +107,7 @@ class PhasedVectorEnv(VectorEnv):
         self._check_open()
         if not self._begun.all():
             raise gym.error.ResetNeeded("call reset before step")
-        batch = np.asarray(actions)
-        if batch.shape != self.action_space.shape or batch.dtype.kind not in "fiu" or not np.isfinite(batch).all():
-            expected = (
-                f"finite numbers of shape {self.action_space.shape}; found {batch.dtype} {batch.shape}, {actions!r:.80}"
-            )
-            raise InputError("step", "actions", expected)
+        batch = self._checked(actions)
         restarted = self._ended.copy()
         for i, (env, action) in enumerate(zip(self.envs, batch, strict=True)):
             if restarted[i]:
@@ -125,6 +120,18 @@ class PhasedVectorEnv(VectorEnv):
         truncated |= (self._steps >= self.max_episode_steps) & (self.max_episode_steps > 0) & ~restarted
         self._ended = terminated | truncated
         return observation, rewards, terminated, truncated, infos
+
+    def _checked(self, actions: Any) -> np.ndarray:
+        batch, space = np.asarray(actions), self.single_action_space
+        if isinstance(space, gym.spaces.Discrete):
+            expected = f"whole numbers from 0 to {space.n - 1}"
+            valid = batch.dtype.kind in "iu" and bool(((batch >= 0) & (batch < space.n)).all())
+        else:
+            expected, valid = "finite numbers", batch.dtype.kind in "fiu" and bool(np.isfinite(batch).all())
+        if not valid or batch.shape != self.action_space.shape:
+            found = f"found {batch.dtype} {batch.shape}, {actions!r:.80}"
+            raise InputError("step", "actions", f"{expected} of shape {self.action_space.shape}; {found}")
+        return batch
 
     def render(self) -> tuple[Any, ...] | None:
         """Return every environment's picture."""

@@ -9,16 +9,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorObservationWrapper, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
+from vssm_gym.envs.conventions.relative_goal import Observation, is_reckoned, reckoned, relative_goal, sensed_pose
+from vssm_gym.envs.sensors.depth_image import POLICY_MAX_DEPTH
 from vssm_gym.envs.wrappers import (
-    POLICY_MAX_DEPTH,
-    Observation,
     checked_max_depth,
     depth_only,
     normalized_depth,
-    reckoned,
-    relative_goal,
     with_normalized_depth,
-    with_relative_goal,
+    with_sensed_goal,
     without_colour,
 )
 from vssm_gym.errors import InputError
@@ -52,36 +50,42 @@ class NormalizedDepth(VectorObservationWrapper):
 
 
 class RelativeGoal(VectorWrapper):
-    """Observe ``goal`` as ``(distance, cos(bearing), sin(bearing))`` from the observed or dead-reckoned poses."""
+    """Observe ``goal`` by distance and bearing from the observed, sensed or dead-reckoned poses."""
 
     def __init__(self, env: VectorEnv) -> None:
         super().__init__(env)
         if env.metadata.get("autoreset_mode") not in (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED):
             found = f"found {env.metadata.get('autoreset_mode')}"
             raise InputError("RelativeGoal", "env", f"one that resets in the next step, or not by itself; {found}")
-        self.single_observation_space = with_relative_goal(env.single_observation_space, env.single_action_space)
+        self.single_observation_space = with_sensed_goal(env.single_observation_space, env.single_action_space)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._believed = np.zeros((self.num_envs, 3))
+        self._reckons = is_reckoned(self.single_observation_space)
+        self._start, self._believed = np.zeros((2, self.num_envs, 3))
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Start episodes: of all environments, or of those in ``options["reset_mask"]``."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        self._start(infos)
-        return relative_goal(observations, self._believed), infos
+        self._begin(infos)
+        return self._shown(observations), infos
 
     def step(self, actions: Any) -> tuple[Observation, Any, Any, Any, dict[str, Any]]:
         """Carry out ``actions``; environments whose episode had ended begin at their new start."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
-        if "pose" not in observations:
-            for i in np.flatnonzero(~self._start(infos)):
+        begun = self._begin(infos)
+        if self._reckons:
+            for i in np.flatnonzero(~begun):
                 self._believed[i] = reckoned(self._believed[i], infos["control"][i])
-        return relative_goal(observations, self._believed), rewards, terminations, truncations, infos
+        return self._shown(observations), rewards, terminations, truncations, infos
 
-    def _start(self, infos: dict[str, Any]) -> np.ndarray:
+    def _shown(self, observations: Observation) -> Observation:
+        return relative_goal(observations, sensed_pose(observations, self._start, self._believed))
+
+    def _begin(self, infos: dict[str, Any]) -> np.ndarray:
         """Set the pose estimates of the environments that have just been reset to their known starts.
 
         Return which, a mask.
         """
         begun = infos.get("_start_pose", np.zeros(self.num_envs, bool))
-        self._believed[begun] = np.asarray(infos["start_pose"], np.float64)[begun] if begun.any() else 0.0
+        if begun.any():
+            self._start[begun] = self._believed[begun] = np.asarray(infos["start_pose"], np.float64)[begun]
         return begun

@@ -1,7 +1,7 @@
 """Wrap one environment so that it observes what policies need (:mod:`.vector_wrappers` wraps many).
 
-``depth_only``, ``normalized_depth`` and ``relative_goal`` below transform an observation. They act on the last axes, so
-that the classes of this module (for ``gym.make``) and those for ``gym.make_vec`` share them.
+``depth_only``, ``normalized_depth`` and ``relative_goal`` transform an observation. They act on the last axes, so that
+the classes of this module (for ``gym.make``), those for ``gym.make_vec`` and the environments' own keywords share them.
 """
 
 from typing import Any
@@ -9,16 +9,16 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.envs.robots import ExecutionNoise, execute
-from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
+from vssm_gym.envs.conventions.relative_goal import (
+    Observation,
+    is_reckoned,
+    reckoned,
+    relative_goal,
+    sensed_pose,
+    with_relative_goal,
+)
+from vssm_gym.envs.sensors.depth_image import POLICY_MAX_DEPTH, normalized
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.axes import PlanarPose
-
-POLICY_MAX_DEPTH = 5.0  # m: across most rooms; a policy needs no distinction beyond
-MAX_GOAL_DISTANCE = 2.0 * MAX_COORDINATE * np.sqrt(2.0)  # m
-_EXACT = ExecutionNoise(0.0, 0.0)  # no execution noise
-
-Observation = dict[str, np.ndarray]
 
 
 class DepthOnly(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -54,35 +54,39 @@ class NormalizedDepth(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
 
 
 class RelativeGoal(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Observe ``goal`` as ``(distance, cos(bearing), sin(bearing))``, m, relative to the robot's pose estimate.
+    """Observe ``goal`` by distance and bearing from the robot (:mod:`vssm_gym.envs.conventions.relative_goal`).
 
-    The estimate is the observed pose, if there is one (``observe_pose=True``). Otherwise it is dead reckoning: the
-    known start and the robot's own commands, as if they had been executed exactly. It drifts; the true pose is never
-    used.
+    The robot's pose is the observed one, if there is one (``observe_pose=True``), else that of GPS and compass, if it
+    carries them. Otherwise it is dead reckoning: the known start and the robot's own commands, as if they had been
+    executed exactly. It drifts; the true pose is never used.
 
     Args:
-        env: an environment that observes ``goal``, and either observes ``pose`` or takes PointNav's ``(turn, o, s,
-            stop)``.
+        env: an environment that observes ``goal`` in the map, and observes ``pose``, observes ``gps`` and ``compass``,
+            or takes PointNav's ``(turn, o, s, stop)``.
     """
 
     def __init__(self, env: gym.Env) -> None:
         gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self.observation_space = with_relative_goal(env.observation_space, env.action_space)
-        self._believed = np.zeros(3)
+        self.observation_space = with_sensed_goal(env.observation_space, env.action_space)
+        self._reckons = is_reckoned(self.observation_space)
+        self._start = self._believed = np.zeros(3)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; the estimate is the known start."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._believed = np.asarray(info["start_pose"], dtype=np.float64)
-        return relative_goal(observation, self._believed), info
+        self._start = self._believed = np.asarray(info["start_pose"], dtype=np.float64)
+        return self._shown(observation), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Carry out ``action`` and update the estimate by it."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if "pose" not in observation:
+        if self._reckons:
             self._believed = reckoned(self._believed, info["control"])
-        return relative_goal(observation, self._believed), reward, terminated, truncated, info
+        return self._shown(observation), reward, terminated, truncated, info
+
+    def _shown(self, observation: Observation) -> Observation:
+        return relative_goal(observation, sensed_pose(observation, self._start, self._believed))
 
 
 def depth_only(observation: Observation) -> Observation:
@@ -92,21 +96,7 @@ def depth_only(observation: Observation) -> Observation:
 
 def normalized_depth(observation: Observation, max_depth: float) -> Observation:
     """Return the observation with ``depth`` in [0, 1], 0 = no reading, in images ``(*batch, height, width)``."""
-    return observation | {"depth": np.minimum(observation["depth"] / np.float32(max_depth), np.float32(1.0))}
-
-
-def relative_goal(observation: Observation, believed: np.ndarray) -> Observation:
-    """Return the observation with ``goal (*batch, 3)`` relative to the observed pose, or to ``believed``."""
-    pose = np.asarray(observation.get("pose", believed), dtype=np.float64)
-    away = observation["goal"].astype(np.float64) - pose[..., :2]
-    bearing = np.arctan2(away[..., 1], away[..., 0]) - pose[..., 2]
-    goal = np.stack([np.linalg.norm(away, axis=-1), np.cos(bearing), np.sin(bearing)], axis=-1)
-    return observation | {"goal": goal.astype(np.float32)}
-
-
-def reckoned(believed: PlanarPose, control: np.ndarray) -> PlanarPose:
-    """Return the pose after ``control`` (turn, o, s) from ``believed`` without noise and obstacles."""
-    return execute(believed, control, _EXACT, np.random.default_rng(0))
+    return observation | {"depth": normalized(observation["depth"], max_depth)}
 
 
 def without_colour(space: gym.Space) -> gym.spaces.Dict:
@@ -121,16 +111,13 @@ def with_normalized_depth(space: gym.Space) -> gym.spaces.Dict:
     return gym.spaces.Dict(dict(found) | {"depth": gym.spaces.Box(0.0, 1.0, found["depth"].shape, np.float32)})
 
 
-def with_relative_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.Dict:
-    """Return the space of :func:`relative_goal`; raise InputError for commands that cannot be dead-reckoned."""
-    found = _observed(space, "goal", "RelativeGoal")
-    if found["goal"].shape != (2,):
-        raise InputError("RelativeGoal", "goal", f"a point (x, y); found shape {found['goal'].shape}")
-    if "pose" not in found.spaces and action_space.shape != (4,):
-        expected = f"an observed pose, or commands (turn, o, s, stop) to reckon with; found actions {action_space}"
+def with_sensed_goal(space: gym.Space, action_space: gym.Space) -> gym.spaces.Dict:
+    """Return the space of :class:`RelativeGoal`; raise InputError for commands that cannot be dead-reckoned."""
+    found = with_relative_goal(space)
+    if is_reckoned(found) and action_space.shape != (4,):
+        expected = f"an observed pose, GPS, or commands (turn, o, s, stop) to reckon with; found actions {action_space}"
         raise InputError("RelativeGoal", "env", expected)
-    low, high = np.array([0.0, -1.0, -1.0], np.float32), np.array([MAX_GOAL_DISTANCE, 1.0, 1.0], np.float32)
-    return gym.spaces.Dict(dict(found) | {"goal": gym.spaces.Box(low, high)})
+    return found
 
 
 def checked_max_depth(max_depth: float) -> float:

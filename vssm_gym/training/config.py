@@ -10,11 +10,14 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from vssm_gym.errors import InputError
 from vssm_gym.files.yaml_file import as_tuple, distinct, read_yaml
 
-WORLD_MODEL, SIMULATOR = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"
+WORLD_MODEL, SIMULATOR, SENSED = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0", "vssm_gym/PointNavGPS-v0"
 # Keywords that training sets itself
 FIXED = (
+    "actions",
     "camera",
     "end_on",
+    "goal",
+    "images",
     "max_depth",
     "observation",
     "observe_pose",
@@ -24,6 +27,7 @@ FIXED = (
     "tasks",
 )
 
+TrainedId = Literal["vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0", "vssm_gym/PointNavGPS-v0"]
 Whole = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -48,9 +52,9 @@ class EnvironmentSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
 
-    id: Literal["vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0"] = "vssm_gym/WorldModelNav-v0"
+    id: TrainedId = "vssm_gym/WorldModelNav-v0"
     map: str | None = None  # of WorldModelNav
-    scene: str | None = None  # of PointNav
+    scene: str | None = None  # of the others
     num_envs: Whole = 256
     max_episode_steps: Whole = 300
     contact_cost: Annotated[float, Field(ge=0.0)] = 0.0  # of a step in contact, on top of the environment's reward
@@ -153,8 +157,10 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
         raise InputError(path, "environment.id", f"{WORLD_MODEL}: the expert plans in its map")
     if where.id == WORLD_MODEL and map_file is None:
         raise InputError(path, "environment.map", "a map file, here or as --map; `vssm-gym map build` makes one")
-    if where.id == SIMULATOR and where.scene is None:
+    if where.id != WORLD_MODEL and where.scene is None:
         raise InputError(path, "environment.scene", "a scene")
+    if where.id == SENSED and (unseen := sorted(set(config.policy.inputs) - {"scan", "goal"})):
+        raise InputError(path, "policy.inputs", f"scan and goal; {SENSED} does not observe {unseen[0]!r}")
     if map_file is not None:
         where = where.model_copy(update={"map": str(map_file.resolve())})
     changes: dict[str, Any] = {"environment": where} | ({} if seed is None else {"seed": seed})

@@ -1,8 +1,8 @@
 """Build the vector environment of a training: observations as feature vectors, actions in [-1, 1], no stop.
 
-It is imagined (WorldModelNav) or simulated (PointNav, wrapped to observe the same), by the configuration. Episodes end
-on arrival: a policy that may stop by chance would end nearly all of its first episodes at once, and learn nothing. On
-the robot the agent stops by its estimate (:mod:`vssm_gym.agents.policy.agent`).
+It is imagined (WorldModelNav) or simulated (PointNav, wrapped to observe the same, or PointNavGPS), by the
+configuration. Episodes end on arrival: a policy that may stop by chance would end nearly all of its first episodes at
+once, and learn nothing. On the robot the agent stops by its estimate (:mod:`vssm_gym.agents.policy.agent`).
 """
 
 from collections.abc import Sequence
@@ -18,6 +18,7 @@ from gymnasium.vector.utils import batch_space
 
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.agents.policy.features import features, size_of
+from vssm_gym.envs.conventions.actions import from_unit
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scan_wrapper import VectorScanObservation
 from vssm_gym.envs.scenes.scene import load_scene
@@ -29,7 +30,7 @@ from vssm_gym.envs.world_model.motion import estimated_pose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH
 from vssm_gym.slam.map_building import map_hash
-from vssm_gym.training.config import WORLD_MODEL, EnvironmentSettings
+from vssm_gym.training.config import SENSED, WORLD_MODEL, EnvironmentSettings
 
 SCAN_CAMERA = CameraConfig(BEAMS, 1)  # of PointNav: its pixels are the rays of a scan
 
@@ -92,7 +93,7 @@ class PolicyView(VectorWrapper):
 
 def commands(actions: np.ndarray) -> np.ndarray:
     """Convert actions ``(n, 3)`` in [-1, 1] to commands ``(n, 4)`` float32 (turn, o, s, stop = 0)."""
-    driven = BODY.low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (BODY.high - BODY.low)
+    driven = from_unit(np.asarray(actions), BODY.low, BODY.high)
     return np.concatenate([driven, np.zeros((len(driven), 1))], axis=-1).astype(np.float32)
 
 
@@ -106,16 +107,22 @@ def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...], see
 
 
 def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
-    """Make the environment with observations ``scan, goal, pose`` and SI commands; ``more`` are its keywords."""
+    """Make the environment with observations ``scan, goal`` and, but for PointNavGPS, ``pose``, and SI commands.
+
+    ``more`` are its keywords.
+    """
     shared = {"num_envs": settings.num_envs, "max_episode_steps": settings.max_episode_steps, "end_on": "reach"}
     keywords: dict[str, Any] = shared | more | settings.keywords
     # YAML has lists only, the constructors take tuples
     keywords = {name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()}
     if settings.id == WORLD_MODEL:
         return gym.make_vec(settings.id, map=settings.map, **keywords)
+    keywords |= {"scene": settings.scene, "camera": SCAN_CAMERA}
+    if settings.id == SENSED:  # its goal is relative already
+        return VectorScanObservation(gym.make_vec(settings.id, images=("depth",), actions="metric", **keywords))
     spread = keywords.pop("pose_std", (0.0, 0.0, 0.0))
     try:
-        env = gym.make_vec(settings.id, scene=settings.scene, camera=SCAN_CAMERA, observe_pose=True, **keywords)
+        env = gym.make_vec(settings.id, observe_pose=True, **keywords)
     except TypeError as error:
         raise InputError(settings.id, "keywords", f"those of the environment ({error})") from error
     return VectorScanObservation(RelativeGoal(EstimatedPose(env, spread)))

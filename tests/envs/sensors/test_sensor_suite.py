@@ -35,7 +35,7 @@ def loaded(path: str) -> Any:
 TAKE_SENSORS = [
     name
     for name, spec in ENVIRONMENTS.items()
-    if hasattr(loaded(spec.env), "passes_to") and "sensors" in keywords_of(loaded(spec.env))
+    if hasattr(loaded(spec.env), "passes_to") and "sensors" in keywords_of(loaded(spec.env)) and not spec.keywords
 ]
 WORLDS = [(name, {}) for name in TAKE_SENSORS] + [("vssm_gym/CarNav-v0", {"physics": "bullet"})]
 IDS = ["-".join([name.split("/")[1], *more.values()]) for name, more in WORLDS]

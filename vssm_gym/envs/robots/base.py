@@ -57,6 +57,10 @@ class Robot(Protocol):
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lowest and the highest command; float64, one number for each name."""
 
+    @property
+    def moves(self) -> tuple[np.ndarray, ...]:
+        """Return the commands of the discrete actions: forward, turn left, turn right."""
+
     def parse_noise(self, level: str | Mapping[str, Any] | Any) -> Any:
         """Return the execution noise of a level's name, of a mapping of its fields, or the noise itself."""
 

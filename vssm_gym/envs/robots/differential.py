@@ -61,6 +61,7 @@ class DifferentialRobot:
     camera_height: float = 0.4  # m above the floor
     track: float = 0.16  # m between the wheels
     max_travel: float = 0.16  # m a step, |left|, |right| <= max_travel
+    spot_turn: float = math.radians(11.5)  # rad, of a discrete action: the holonomic robot's largest turn
     dt: float = 0.2  # s
 
     commands: ClassVar[tuple[str, ...]] = ("left", "right")
@@ -79,6 +80,13 @@ class DifferentialRobot:
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lowest and the highest ``(left, right)``, m; float64 ``(2,)``."""
         return -self.limits, self.limits
+
+    @property
+    def moves(self) -> tuple[np.ndarray, ...]:
+        """Return the commands ``(left, right)`` of the discrete actions: forward, and turns on the spot."""
+        wheel = 0.5 * self.track * self.spot_turn
+        turn = np.array([-wheel, wheel])
+        return self.limits, turn, -turn
 
     @property
     def T_body_cam(self) -> Matrix4:

@@ -49,6 +49,12 @@ class HolonomicRobot:
         return np.array([-self.max_turn, -self.max_offset, 0.0]), self.limits
 
     @property
+    def moves(self) -> tuple[np.ndarray, ...]:
+        """Return the commands ``(turn, o, s)`` of the discrete actions at their limits: forward, left, right."""
+        turn = np.array([self.max_turn, 0.0, 0.0])
+        return np.array([0.0, 0.0, self.max_step]), turn, -turn
+
+    @property
     def T_body_cam(self) -> Matrix4:
         """Return the constant transform from camera to body (origin on the floor below the axis).
 

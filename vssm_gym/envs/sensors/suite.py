@@ -24,6 +24,7 @@ class SensorSuite(Generic[Body]):
         self._source = source
         self._sensors: list[Sensor[Body]] = []
         self._readings: dict[str, np.ndarray] | None = None  # at the robot's present pose
+        self._hidden: frozenset[str] = frozenset()  # keys that are measured and not observed
         for sensor in sensors:
             self.add(sensor)
 
@@ -32,7 +33,7 @@ class SensorSuite(Generic[Body]):
 
     def add(self, sensor: Sensor[Body]) -> None:
         """Add a sensor; raise :class:`InputError` where one of its keys is taken."""
-        if taken := sorted(set(sensor.spaces) & set(self.spaces())):
+        if taken := sorted(set(sensor.spaces) & set(self._measured())):
             expected = f"sensors without a key in common; {', '.join(map(repr, taken))} would be measured twice"
             raise InputError(self._source, "sensors", expected)
         self._sensors.append(sensor)
@@ -41,8 +42,15 @@ class SensorSuite(Generic[Body]):
         """Remove the sensor of ``key``."""
         self._sensors = [sensor for sensor in self._sensors if key not in sensor.spaces]
 
+    def hide(self, *keys: str) -> None:
+        """Leave readings out of the observation; :meth:`reading` still returns them."""
+        self._hidden |= frozenset(keys)
+
     def spaces(self) -> dict[str, gym.Space[Any]]:
         """Return the spaces of :meth:`observation`."""
+        return {key: space for key, space in self._measured().items() if key not in self._hidden}
+
+    def _measured(self) -> dict[str, gym.Space[Any]]:
         return {key: space for sensor in self._sensors for key, space in sensor.spaces.items()}
 
     @property
@@ -88,6 +96,6 @@ class SensorSuite(Generic[Body]):
         return self._readings[key]
 
     def observation(self) -> dict[str, np.ndarray]:
-        """Return copies of the latest readings of all sensors."""
+        """Return copies of the latest readings of all sensors, without the hidden ones."""
         assert self._readings is not None
-        return {key: value.copy() for key, value in self._readings.items()}
+        return {key: value.copy() for key, value in self._readings.items() if key not in self._hidden}

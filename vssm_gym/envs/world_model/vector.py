@@ -15,13 +15,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from vssm_gym.envs.conventions.relative_goal import MAX_GOAL_DISTANCE
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.validation import check_options, choose, vector_seeds
 from vssm_gym.envs.world_model.batch_slices import BatchSlices
 from vssm_gym.envs.world_model.config import SOURCE, Imagination
 from vssm_gym.envs.world_model.picture import PlanPicture
 from vssm_gym.envs.world_model.world import build_world, robot_of
-from vssm_gym.envs.wrappers import MAX_GOAL_DISTANCE
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.scan import BEAMS
