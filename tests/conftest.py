@@ -3,7 +3,6 @@
 This file runs before any test module, so what it sets in the environment is seen by JAX, numba and by spawned workers.
 The order matters: libraries read the thread counts when they load, and only what is imported after the hook is checked.
 """
-# ruff: noqa: E402
 
 import os
 import sys
@@ -17,13 +16,11 @@ if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
         os.environ.setdefault(variable, share)
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from vssm_gym.cli.shared.cache import use_compilation_cache
-
 # One compilation of a function serves both xdist workers, the processes that tests start, the slow tests and every
 # later run. Tests compile hundreds of small functions: they are kept too.
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-use_compilation_cache()
 
+import vssm_gym  # noqa: F401, I001  (first: it turns the cache on before JAX reads its settings)
 import jax
 import pytest
 from hypothesis import HealthCheck, Phase, settings

@@ -17,6 +17,7 @@ import pytest
 from setuptools import find_packages
 
 import vssm_gym
+from vssm_gym.compilation_cache import SETTINGS
 from vssm_gym.geometry.camera import Camera
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -122,9 +123,39 @@ def test_gymnasium_imports_the_package_that_an_id_names():
 
 
 def test_compiled_functions_are_kept_between_runs():
-    """JAX reads the folder from the environment at import, and ignores a later setting."""
+    """JAX reads the folder from the environment at its import."""
     assert jax.config.jax_compilation_cache_dir == os.environ["JAX_COMPILATION_CACHE_DIR"]
     assert jax.config.jax_enable_compilation_cache
+
+
+CACHE = "import jax; print(jax.config.jax_compilation_cache_dir)"
+CACHE_VARIABLES = ("JAX_COMPILATION_CACHE_DIR", *SETTINGS)
+
+
+@pytest.mark.parametrize("code", [f"import vssm_gym; {CACHE}", f"import jax, vssm_gym; {CACHE}"])
+def test_importing_the_package_turns_the_compilation_cache_on(code, tmp_path):
+    """Whichever is imported first."""
+    said = printed(code, XDG_CACHE_HOME=str(tmp_path))
+    assert said.startswith(str(tmp_path / "vssm_gym" / "jax"))
+
+
+def test_a_configured_cache_stays_as_it_is(tmp_path):
+    assert printed(f"import vssm_gym; {CACHE}", JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == str(tmp_path)
+    configured = f"import jax; jax.config.update('jax_compilation_cache_dir', '/theirs'); import vssm_gym; {CACHE}"
+    assert printed(configured) == "/theirs"
+
+
+def test_there_is_no_cache_where_no_folder_can_be_written(tmp_path):
+    (tmp_path / "vssm_gym").write_text("a file where the folder would be")
+    assert printed(f"import vssm_gym; {CACHE}", XDG_CACHE_HOME=str(tmp_path)) == "None"
+
+
+def printed(code: str, **variables: str) -> str:
+    """Return what a new process prints, without the variables of the cache of this one."""
+    kept = {name: value for name, value in os.environ.items() if name not in CACHE_VARIABLES}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=kept | variables)
+    return done.stdout.strip()
 
 
 def test_annotated_shapes_are_checked_here():

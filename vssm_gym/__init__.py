@@ -1,7 +1,8 @@
 """vssm_gym: indoor Gymnasium environments, a spatial world model inferred in real time, and agents that plan in it.
 
-Importing the package registers its environments (``gymnasium.make("vssm_gym/PointNav-v0")``) and nothing else: every
-public name of :data:`PUBLIC` is imported from its module when it is first used, and JAX and MuJoCo with it.
+Importing the package registers its environments (``gymnasium.make("vssm_gym/PointNav-v0")``) and turns on JAX's cache
+of compiled functions (:mod:`vssm_gym.compilation_cache`). Every public name of :data:`PUBLIC` is imported from its
+module when it is first used, and JAX and MuJoCo with it.
 
     import vssm_gym as vg
 
@@ -14,6 +15,7 @@ public name of :data:`PUBLIC` is imported from its module when it is first used,
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from vssm_gym.compilation_cache import use_compilation_cache
 from vssm_gym.envs.registration import register
 from vssm_gym.version import __version__
 
@@ -128,3 +130,4 @@ PUBLIC: dict[str, str] = {
 __all__ = ["__version__", *PUBLIC]
 
 register()
+use_compilation_cache()

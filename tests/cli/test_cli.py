@@ -17,7 +17,7 @@ from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli import doctor as doctor_module
 from vssm_gym.cli import main as main_module
 from vssm_gym.cli.doctor import Probe, run_probe
-from vssm_gym.cli.shared.cache import cache_folder
+from vssm_gym.compilation_cache import cache_folder
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
 from vssm_gym.errors import InputError, OutputError
 

@@ -9,8 +9,8 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from vssm_gym.cli.shared.cache import cache_folder
 from vssm_gym.cli.shared.console import literal_console, say
+from vssm_gym.compilation_cache import cache_folder
 from vssm_gym.envs.rendering.gl_backends import BACKENDS, TIMEOUT, probe_code, try_python
 
 

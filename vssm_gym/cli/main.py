@@ -14,7 +14,6 @@ from typing import Any
 from tyro.conf import FlagCreatePairsOff
 from tyro.extras import SubcommandApp
 
-from vssm_gym.cli.shared.cache import use_compilation_cache
 from vssm_gym.cli.shared.console import say
 from vssm_gym.cli.shared.interruption import termination_as_interrupt
 from vssm_gym.errors import InputError, OutputError
@@ -59,7 +58,6 @@ def main() -> int:
     if sys.argv[1:] == ["--version"]:
         say(f"vssm-gym {__version__}")
         return 0
-    use_compilation_cache()
     arguments = sys.argv[1:] or ["--help"]
     name = arguments[0]
     commands = {name: COMMANDS[name]} if name in COMMANDS else COMMANDS
