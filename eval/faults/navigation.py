@@ -60,7 +60,7 @@ CASES = (
 # agent -> environment, episodes of each case, step of the first faulty image
 RUNS = {
     "astar": ("vssm_gym/PointNav-v0", 3, 10),
-    "no_map": ("vssm_gym/PointNav-v0", 1, 10),
+    "no_map": ("vssm_gym/PointNav-v0", 2, 10),
     "vi_mpc_estimated_pose": ("vssm_gym/CarNav-v0", 1, 10),
     "frontier_gain_estimated_pose": ("vssm_gym/Explore-v0", 1, 50),
 }
