@@ -48,7 +48,7 @@ def train(
     with progress_of(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as show:
         show("training", 0.0, 1.0, "building and compiling")
 
-        def on_update(row: Row, done: float) -> None:
+        def on_update(row: "Row", done: float) -> None:
             last.update(row)
             show("training", done, 1.0, _summary(row, checked))
 
