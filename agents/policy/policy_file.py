@@ -27,6 +27,7 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.npz_file import StoredArrays, open_npz
 from vssm_gym.files.numbers import as_float32
+from vssm_gym.files.shipped import POLICIES, beside, or_shipped, shipped
 
 POLICY_FORMAT, POLICY_VERSION = "vssm_gym.Policy", 1
 PREFIX = "policy:"  # of agents' names that are a policy's file
@@ -131,10 +132,13 @@ def agent_label(agent: str) -> str:
 
 
 def policy_at(agent: str, folder: Path) -> str:
-    """Return ``policy:PATH`` with a relative path taken from ``folder``; another agent's name as it is."""
+    """Return ``policy:PATH`` with a relative path taken from ``folder``, and the name of a shipped policy as its path.
+
+    Another agent's name is returned as it is.
+    """
     if not agent.startswith(PREFIX):
         return agent
-    return PREFIX + str((folder / agent.removeprefix(PREFIX)).resolve())
+    return PREFIX + str(beside(agent.removeprefix(PREFIX), folder, POLICIES).resolve())
 
 
 @lru_cache(maxsize=64)
@@ -143,7 +147,8 @@ def _read(path: str) -> tuple[Policy, str]:
 
 
 def _parsed(path: str | Path) -> tuple[Policy, str]:
-    expected = "a policy file (.npz); `vssm-gym train` makes one"
+    path = shipped(path, POLICIES)
+    expected = f"a policy file (.npz); `vssm-gym train` makes one{or_shipped(POLICIES)}"
     data = read_bytes(path, POLICY_BYTES, expected)
     with open_npz(io.BytesIO(data), path, POLICY_BYTES, expected) as stored:
         header = stored.read_json("header", path)

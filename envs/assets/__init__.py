@@ -1,1 +1,1 @@
-"""Hold the built-in apartments and frozen tasks."""
+"""Hold the built-in apartments, frozen tasks, a learned map and trained policies."""

@@ -17,6 +17,7 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import open_file
 from vssm_gym.files.npz_file import StoredArrays, open_npz
 from vssm_gym.files.numbers import as_float32, whole
+from vssm_gym.files.shipped import MAPS, or_shipped, shipped
 from vssm_gym.maps.block_table import BLOCK, CELLS
 
 FORMAT, DENSE, SPARSE = "vssm_gym.VoxelMap", 1, 2
@@ -83,9 +84,11 @@ def read(path: str | Path) -> StoredMap:
 
 def _opened(path: str | Path) -> AbstractContextManager[StoredArrays]:
     """Open a file of this package; its arrays are unpacked on demand."""
-    if not Path(path).is_file():
-        found = "; this is a folder" if Path(path).is_dir() else ""
-        raise InputError(path, "file", f"an existing map file (.npz); `vssm-gym map build` makes one{found}")
+    path = shipped(path, MAPS)
+    if not path.is_file():
+        found = "; this is a folder" if path.is_dir() else ""
+        wanted = f"an existing map file (.npz); `vssm-gym map build` makes one{or_shipped(MAPS)}"
+        raise InputError(path, "file", wanted + found)
     return open_npz(open_file(path), path, MAP_BYTES, "a whole vssm_gym map; it cannot be read")
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from vssm_gym.errors import InputError
+from vssm_gym.files.shipped import MAPS, beside, shipped
 from vssm_gym.files.yaml_file import as_tuple, distinct, read_yaml
 
 WORLD_MODEL, SIMULATOR, SENSED = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0", "vssm_gym/PointNavGPS-v0"
@@ -152,7 +153,7 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
     if map_file is not None and where.id != WORLD_MODEL:
         raise InputError(path, "map", f"no --map: {where.id} has a scene")
     if map_file is None and where.map is not None:
-        map_file = path.parent / where.map
+        map_file = beside(where.map, path.parent, MAPS)
     if config.algorithm.name == "bc" and where.id != WORLD_MODEL:
         raise InputError(path, "environment.id", f"{WORLD_MODEL}: the expert plans in its map")
     if where.id == WORLD_MODEL and map_file is None:
@@ -162,7 +163,7 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
     if where.id == SENSED and (unseen := sorted(set(config.policy.inputs) - {"scan", "goal"})):
         raise InputError(path, "policy.inputs", f"scan and goal; {SENSED} does not observe {unseen[0]!r}")
     if map_file is not None:
-        where = where.model_copy(update={"map": str(map_file.resolve())})
+        where = where.model_copy(update={"map": str(shipped(map_file, MAPS).resolve())})
     changes: dict[str, Any] = {"environment": where} | ({} if seed is None else {"seed": seed})
     return config.model_copy(update=changes)
 
