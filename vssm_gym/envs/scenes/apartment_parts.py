@@ -78,7 +78,7 @@ class Room(StrictModel):
     name: str = Field(min_length=1)
     kind: str = Field(min_length=1)
     polygon: tuple[XY, ...] = Field(min_length=3, max_length=MOST_CORNERS)
-    floor: Material
+    floor: Material = Material(color=(0.72, 0.56, 0.4), texture="planks")
 
     @model_validator(mode="after")
     def _simple(self) -> Self:
@@ -86,6 +86,9 @@ class Room(StrictModel):
         if not shape.is_valid or shape.area <= 0:
             raise InputError("room", "polygon", f"a simple polygon: {shapely.is_valid_reason(shape)}")
         return self
+
+
+PAINTED = Material(color=(0.9, 0.88, 0.82), texture="plaster", scale=2.0)  # a wall whose material is not stated
 
 
 class Wall(StrictModel):
@@ -100,8 +103,8 @@ class Wall(StrictModel):
     thickness: Positive
     height: Positive
     base: Coordinate = 0.0
-    front: Material
-    back: Material
+    front: Material = PAINTED
+    back: Material = PAINTED
 
     @property
     def length(self) -> float:

@@ -1,0 +1,31 @@
+"""Drive an apartment with an agent that plans in a learned map, and write what it did as an animated picture.
+
+    python examples/drive.py [AGENT]        # astar (default), or policy:oak, a trained policy that comes with the package
+
+The map of ``oak`` comes with the package too, so that nothing is recorded, learned or trained here.
+"""
+
+import sys
+
+import gymnasium as gym
+from PIL import Image
+
+import vssm_gym as vg
+
+agent = vg.make_agent(sys.argv[1] if len(sys.argv) > 1 else "astar")
+env = gym.make("vssm_gym/PointNav-v0", scene="oak", noise="mid", render_mode="rgb_array")
+observation, info = env.reset(seed=4)
+agent.reset(vg.agent_context(env, info, vg.VoxelMap.load("oak")), observation, seed=0)
+
+frames, over = [env.render()], False
+while not over:
+    decision = agent.act(observation)  # of the images and its own commands; it never gets info
+    observation, reward, terminated, truncated, info = env.step(decision.action)
+    frames.append(env.render())
+    over = terminated or truncated
+
+print(decision.status)
+print(f"success {info['success']}, SPL {info['spl']:.2f}, {info['path_length']:.1f} m, {len(frames) - 1} steps")
+first, *rest = (Image.fromarray(frame) for frame in frames)
+first.save("drive.gif", save_all=True, append_images=rest, duration=200, loop=0)
+print("drive.gif")
