@@ -51,11 +51,12 @@ class ExploreEnv(PhasedEnv):
             raise InputError("Explore", "finish", f"a share above 0; found {finish!r}")
         self.simulation = Simulation(scene, observe_pose=observe_pose, **simulation)
         self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
-        self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
-        self.camera, self.noise = self.simulation.camera, self.simulation.noise
+        self.robot = self.simulation.robot
         self.renderer_name = self.simulation.renderer.name
         self.parallel = self.simulation.parallel
-        self.coverage = Coverage(self.simulation.scene_cache.observable, self.simulation.renderer.config.hfov)
+        if self.simulation.varies("camera_height"):
+            raise InputError("Explore", "randomize", "no camera_height: what can be seen at all depends on it")
+        self._adopt()
         self.action_space = self.simulation.action_space()
         self.observation_space = gym.spaces.Dict(self.simulation.sensors.spaces())
         self._outcome: tuple[float, bool, dict[str, Any]] | None = None  # reward, terminated, info
@@ -72,6 +73,8 @@ class ExploreEnv(PhasedEnv):
         """
         given = check_options(options, "start").get("start")
         self.simulation.seed(seed)
+        if self.simulation.vary():
+            self._adopt()
         start = self._start(given)
         self.simulation.place(start)
         self.coverage.reset()
@@ -104,6 +107,12 @@ class ExploreEnv(PhasedEnv):
     def render(self) -> np.ndarray | None:
         """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture()
+
+    def _adopt(self) -> None:
+        """Take scene, camera and noise of the simulation, which may vary from episode to episode."""
+        simulation = self.simulation
+        self.apartment, self.camera, self.noise = simulation.apartment, simulation.camera, simulation.noise
+        self.coverage = Coverage(simulation.scene_cache.observable, simulation.hfov)
 
     def _info(self, command: np.ndarray, collision: bool) -> dict[str, Any]:
         driven = {"coverage": self.coverage.fraction, "path_length": self.simulation.path_length}

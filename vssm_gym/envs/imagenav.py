@@ -14,7 +14,6 @@ from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.rendering.topdown import PICTURE, beside_plan
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.transforms import planar_to_matrix
 
 GOAL_HEADINGS = 8  # directions, evenly spread, in which a goal image may look
 OPEN_DEPTH = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place
@@ -82,14 +81,14 @@ class ImageNavEnv(PhasedEnv):
 
         Where none is open (a niche), take the one with the largest median depth.
         """
-        task, renderer = self.navigation.task, self.simulation.renderer
+        task = self.navigation.task
         assert task is not None
         spread = 2.0 * np.pi * np.arange(GOAL_HEADINGS) / GOAL_HEADINGS
         drawn = np.random.default_rng([task.id, *np.frombuffer(np.array(task.goal).tobytes(), np.uint32)])
         views = []
         for heading in drawn.uniform(0.0, 2.0 * np.pi) + drawn.permutation(spread):
             pose = np.array([*task.goal, heading])
-            rgb, depth = renderer.render(planar_to_matrix(pose) @ self.navigation.robot.T_body_cam)
+            rgb, depth = self.simulation.view_from(pose)
             views.append((float(np.median(depth)), rgb))
             if views[-1][0] >= OPEN_DEPTH:
                 return rgb

@@ -67,17 +67,17 @@ class PointNavEnv(PhasedEnv):
         choose("PointNav", "reward", reward, ("dense", "sparse"))
         self.simulation = Simulation(scene, **simulation)
         self.end_on, self.goal, self.reward, self.render_mode = end_on, goal, reward, self.simulation.render_mode
-        self.apartment, self.robot = self.simulation.apartment, self.simulation.robot
-        self.camera, self.noise = self.simulation.camera, self.simulation.noise
+        self.robot = self.simulation.robot
         self.renderer_name = self.simulation.renderer.name
         self.parallel = self.simulation.parallel
         self.success_radius = SUCCESS * self.robot.body_length
-        self.sampler = self.simulation.scene_cache.sampler
+        self._adopt()
         if names := self.sampler.space.cut_off_rooms():
             kept = "tasks are drawn from the largest connected part"
             warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
         self.tasks = None if tasks is None else checked_set("PointNav", tasks, self.apartment)
-        self._goal_distance = self.simulation.scene_cache.goal_distance()
+        if tasks is not None and self.simulation.scenes > 1:
+            raise InputError("PointNav", "tasks", "no tasks of one scene where the scene varies")
         self.action_space = self.simulation.action_space(stops=end_on == "stop")
         point = gym.spaces.Box(-MAX_COORDINATE, MAX_COORDINATE, (2,), np.float32)
         self.simulation.sensors.add(TaskObservation("goal", point, self._goal))
@@ -108,6 +108,8 @@ class PointNavEnv(PhasedEnv):
         """
         task = check_options(options, "task").get("task")
         self.simulation.seed(seed)
+        if self.simulation.vary():
+            self._adopt()
         self.task = self._next_task() if task is None else self._checked(task)
         start = np.asarray(self.task.start, dtype=np.float64)
         self.simulation.place(start)
@@ -155,6 +157,13 @@ class PointNavEnv(PhasedEnv):
     def render(self) -> np.ndarray | None:
         """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
         return self.simulation.picture(None if self.task is None else np.asarray(self.task.goal), self.success_radius)
+
+    def _adopt(self) -> None:
+        """Take scene, camera and noise of the simulation, which may vary from episode to episode."""
+        simulation = self.simulation
+        self.apartment, self.camera, self.noise = simulation.apartment, simulation.camera, simulation.noise
+        self.sampler = simulation.scene_cache.sampler
+        self._goal_distance = simulation.scene_cache.goal_distance()
 
     def _goal(self) -> np.ndarray:
         """Return the goal, as observed."""

@@ -6,17 +6,25 @@ goals, rewards and terminations of its own. Moving and sensing are separate: ima
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.conventions.actions import ACTION_FORMS, ActionForm, Actions
+from vssm_gym.envs.conventions.randomization import STREAM as RANDOMIZATION
+from vssm_gym.envs.conventions.randomization import (
+    Randomization,
+    between_noises,
+    light_table,
+    parse_randomization,
+)
 from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
 from vssm_gym.envs.robots import ExecutionNoise
+from vssm_gym.envs.robots.base import camera_ahead
 from vssm_gym.envs.robots.registry import ROBOTS
-from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, rgbd_noise
 from vssm_gym.envs.sensors.base import NO_CONTACTS, GroundBody, Sensor, SensorConfig
 from vssm_gym.envs.sensors.pose import PoseSensor
@@ -30,6 +38,16 @@ from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.transforms import planar_to_matrix
+
+
+class Stage(NamedTuple):
+    """Hold what a simulation needs of one scene."""
+
+    renderer: SharedRenderer
+    scene_cache: SceneCache
+    world: FloorWorld
+    mounted: list[Sensor[GroundBody]]  # sensors besides the camera
 
 
 class Simulation:
@@ -49,6 +67,7 @@ class Simulation:
             or mappings of their fields with ``"sensor": name``.
         observe_pose: if True, the observation holds the true pose (an oracle's privilege).
         images: the images of the observation: some of ``rgb``, ``depth`` and ``depth_image``.
+        randomize: what varies between episodes: a :class:`Randomization` or a mapping of its fields.
         actions: ``metric`` (SI units), ``normalized`` (in [-1, 1]) or ``discrete`` (forward, left, right); see
             :mod:`vssm_gym.envs.conventions.actions`.
         render_mode: ``rgb_array`` or None.
@@ -67,6 +86,7 @@ class Simulation:
         observe_pose: bool = False,
         images: Sequence[str] = ("rgb", "depth"),
         actions: ActionForm = "metric",
+        randomize: Randomization | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
         choose("environment", "robot", robot, tuple(ROBOTS))
@@ -79,16 +99,20 @@ class Simulation:
             raise InputError("environment", "observe_pose", f"True or False; found {observe_pose!r:.80}")
         self.robot, self.render_mode = ROBOTS[robot](), render_mode
         self.noise = self.robot.parse_noise(noise)
-        carried, seen = parse_sensors("environment", sensors), rgbd_noise.sensor_noise(sensor_noise)
-        self.renderer = SharedRenderer.of(load_scene(scene), camera_config(camera), renderer)
-        self.scene_cache = SceneCache.of(self.renderer, self.robot)
-        self.apartment, self.camera = self.renderer.apartment, self.renderer.camera
-        self.world = FloorWorld(self.apartment, self.robot)
-        mounted: list[Sensor[GroundBody]] = [config.mount(self.renderer) for config in carried]
+        self._carried, seen = parse_sensors("environment", sensors), rgbd_noise.sensor_noise(sensor_noise)
+        self._random = parse_randomization(randomize)
+        self._noises = self._random.noises(self.robot.parse_noise)
+        self._check_random(renderer)
+        apartments = [load_scene(one) for one in self._random.scene or (scene,)]
+        self._config, self._backend = camera_config(camera), renderer
+        self._stages: list[Apartment | Stage] = list(apartments)  # built at the first episode that needs them
+        stage = self._stage(0)
+        self.renderer, self.scene_cache, self.world, self._mounted = stage
+        self.apartment, self.camera, self.hfov = self.renderer.apartment, self.renderer.camera, self._config.hfov
         oracle = [PoseSensor()] if observe_pose else []
-        camera_sensor = RGBDSensor(self.renderer, seen, scaled="depth_image" in shown)
-        self.sensors = SensorSuite("environment", [camera_sensor, *mounted, *oracle])
-        self.sensors.hide(*(key for key in camera_sensor.spaces if key not in shown))
+        self._rgbd = RGBDSensor(self.renderer, seen, scaled="depth_image" in shown)
+        self.sensors = SensorSuite("environment", [self._rgbd, *self._mounted, *oracle])
+        self.sensors.hide(*(key for key in self._rgbd.spaces if key not in shown))
         self.world.reads_contacts = self.sensors.reads_contacts
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
@@ -97,6 +121,11 @@ class Simulation:
         self._form, self._actions = actions, self._actions_of(actions, stops=True)
         self._body: GroundBody | None = None  # the robot as it is, for the sensors
         self._plan: TopDown | None = None
+
+    @property
+    def scenes(self) -> int:
+        """Return the number of scenes that episodes are drawn from."""
+        return len(self._stages)
 
     @property
     def parallel(self) -> bool:
@@ -141,8 +170,63 @@ class Simulation:
     def seed(self, seed: int | None) -> None:
         """Restart all streams by a seed; without one they continue, or start from fresh entropy the first time."""
         if seed is not None or not self.streams:
-            self.streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams))
+            self.streams = seeded_streams(seed, (*STREAMS, *self.sensors.streams, RANDOMIZATION))
             self.sensors.seed(self.streams)
+
+    def varies(self, field: str) -> bool:
+        """Return True if a field of :class:`Randomization` varies from episode to episode."""
+        return bool(getattr(self._random, field))
+
+    def vary(self) -> bool:
+        """Draw scene, noise and camera of the next episode; return False where nothing varies."""
+        if self._random == Randomization():
+            return False
+        drawn = self._random.draw(self.streams[RANDOMIZATION])
+        if drawn.scene is not None:
+            self._enter(drawn.scene)
+        if drawn.noise is not None and self._noises is not None:
+            self.noise = between_noises(*self._noises, drawn.noise)
+        if drawn.camera_height is not None:
+            self._T_body_cam = camera_ahead(drawn.camera_height)
+        self._rgbd.look(self.renderer, drawn.hfov, None if drawn.light is None else light_table(drawn.light))
+        self.camera, self._K = self._rgbd.camera, self._rgbd.camera.K
+        self.hfov = self._config.hfov if drawn.hfov is None else drawn.hfov
+        return True
+
+    def view_from(self, planar: PlanarPose) -> tuple[np.ndarray, np.ndarray]:
+        """Return the exact image that the robot's camera would take at ``(x, y, heading)``: colour, and depth in m."""
+        return self._rgbd.render(planar_to_matrix(planar) @ self._T_body_cam)
+
+    def _stage(self, number: int) -> "Stage":
+        """Return what the simulation needs of a scene, which is built once."""
+        one = self._stages[number]
+        if not isinstance(one, Stage):
+            shared = SharedRenderer.of(one, self._config, self._backend)
+            mounted: list[Sensor[GroundBody]] = [config.mount(shared) for config in self._carried]
+            one = Stage(shared, SceneCache.of(shared, self.robot), FloorWorld(one, self.robot), mounted)
+            self._stages[number] = one
+        return one
+
+    def _enter(self, number: int) -> None:
+        """Continue in another scene: streams and noise stay, sensors are mounted there."""
+        stage = self._stage(number)
+        if stage.world is self.world:
+            return
+        self.sensors.exchange(self._mounted, stage.mounted)
+        stage.world.reads_contacts = self.world.reads_contacts
+        self.renderer, self.scene_cache, self.world, self._mounted = stage
+        self.apartment, self._plan = self.renderer.apartment, None
+        for sensor in self._mounted:
+            sensor.seed(self.streams[sensor.stream])
+
+    def _check_random(self, renderer: str) -> None:
+        """Raise :class:`InputError` for a range that the robot or the renderer cannot have."""
+        height, random = self.robot.height, self._random
+        if random.camera_height is not None and random.camera_height[1] > height:
+            expected = f"heights within the robot, up to {height} m; found {list(random.camera_height)}"
+            raise InputError("randomize", "camera_height", expected)
+        if random.hfov is not None and renderer != "raycast":
+            raise InputError("randomize", "hfov", f"renderer='raycast'; {renderer!r} has one field of view")
 
     def place(self, start: PlanarPose) -> None:
         """Start an episode with the robot at ``(x, y, heading)``, m and rad."""

@@ -3,6 +3,7 @@
 Equal inputs give equal bytes.
 """
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,8 +29,17 @@ class RaycastCamera:
     def __init__(self, boxes: Sequence[SolidBox], camera: Camera) -> None:
         if not boxes:
             raise InputError("camera", "boxes", "at least one box to see; found none")
-        self.camera = camera
         self._frames, self._looks = box_frames(boxes), looks_of(boxes)
+        self._set(camera)
+
+    def with_intrinsics(self, camera: Camera) -> "RaycastCamera":
+        """Return a camera of other intrinsics that shares the scene's tables."""
+        other = copy.copy(self)
+        other._set(camera)
+        return other
+
+    def _set(self, camera: Camera) -> None:
+        self.camera = camera
         K = np.asarray(camera.K, dtype=np.float64)
         self._intrinsics = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
         fx, fy, cx, cy = self._intrinsics

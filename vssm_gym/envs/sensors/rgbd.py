@@ -12,10 +12,13 @@ import numpy as np
 
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.sensors.base import HasCamera
+from vssm_gym.envs.sensors.camera import SceneCamera
 from vssm_gym.envs.sensors.depth_image import depth_image
 from vssm_gym.envs.sensors.rgbd_noise import NoisySensor, SensorNoise
 from vssm_gym.envs.sensors.shared_renderer import SharedRenderer
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import Matrix4
+from vssm_gym.geometry.camera import Camera
 
 IMAGES = ("rgb", "depth", "depth_image")
 
@@ -53,11 +56,33 @@ class RGBDSensor:
         if scaled:
             self.spaces["depth_image"] = gym.spaces.Box(0, 255, (*size, 1), np.uint8)
         self.parallel = renderer.parallel
+        self._eye: SharedRenderer | SceneCamera = renderer
+        self._light: np.ndarray | None = None  # the byte of each byte, where the light is not the scene's own
         self._sensor: NoisySensor | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """Return the present intrinsics."""
+        return self._eye.camera
+
+    def look(self, renderer: SharedRenderer, hfov: float | None = None, light: np.ndarray | None = None) -> None:
+        """Take the images from now on in another scene, with another field of view (rad) or under another light.
+
+        ``light`` is a table of bytes; None, for both, is the scene's own.
+        """
+        self.renderer, self._light = renderer, light
+        self._eye = renderer if hfov is None else renderer.with_hfov(hfov)
+        if self._sensor is not None:
+            self._sensor.set_camera(self.camera)
+
+    def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
+        """Return the exact image at a camera pose, as it is now: uint8 ``(H, W, 3)``, and z-depth in m."""
+        rgb, depth = self._eye.render(T_world_cam)
+        return rgb if self._light is None else self._light[rgb], depth
 
     def seed(self, rng: np.random.Generator) -> None:
         """Restart the camera with this stream."""
-        self._sensor = NoisySensor(self.noise, self.renderer.camera, rng)
+        self._sensor = NoisySensor(self.noise, self.camera, rng)
 
     def begin(self, body: HasCamera) -> None:
         """Do nothing: exposure and stream continue."""
@@ -65,5 +90,5 @@ class RGBDSensor:
     def measure(self, body: HasCamera) -> dict[str, np.ndarray]:
         """Take the image, ``body.dt`` s after the one before."""
         assert self._sensor is not None
-        rgb, depth = self._sensor(*self.renderer.render(body.T_world_cam), body.dt)
+        rgb, depth = self._sensor(*self.render(body.T_world_cam), body.dt)
         return {"rgb": rgb, "depth": depth} | ({"depth_image": depth_image(depth)} if self._scaled else {})

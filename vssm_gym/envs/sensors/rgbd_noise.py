@@ -134,10 +134,14 @@ class NoisySensor:
         self.noise = noise
         self._rng = rng
         self._log_gain = noise.exposure * float(rng.standard_normal())
+        self.set_camera(camera)
+
+    def set_camera(self, camera: Camera) -> None:
+        """Measure images of these intrinsics from now on; exposure and stream continue."""
         (self._fx, _, cx), (_, self._fy, cy), _ = camera.K
         self._x, self._y = (np.arange(camera.width) - cx) / self._fx, (np.arange(camera.height) - cy) / self._fy
         self._pixel = 1.0 / self._fx  # tangent
-        self._taps = _smoothing(noise.correlation / self._pixel)
+        self._taps = _smoothing(self.noise.correlation / self._pixel)
 
     def __call__(
         self, rgb: UInt8[np.ndarray, "height width 3"], depth: Float[np.ndarray, "height width"], dt: float

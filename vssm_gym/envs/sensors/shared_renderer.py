@@ -7,6 +7,7 @@ made one after another, render from the same tables.
 
 import threading
 import weakref
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -75,6 +76,11 @@ class SharedRenderer:
     def tracer(self) -> Tracer:
         """Return the ray tracer that finds the first box along each ray."""
         return make_tracer(FloorWorld(self.apartment, HolonomicRobot()))  # the robot is transparent
+
+    def with_hfov(self, hfov: float) -> SceneCamera:
+        """Return a camera of another field of view that shares this one's tables; ``raycast`` only."""
+        assert isinstance(self._scene_camera, RaycastCamera)
+        return self._scene_camera.with_intrinsics(replace(self.config, hfov=hfov).intrinsics())
 
     def render(self, T_world_cam: Matrix4) -> tuple[np.ndarray, np.ndarray]:
         """Return the exact image at a camera pose: uint8 ``(H, W, 3)`` and z-depth float32 ``(H, W)``, m, 0 = none."""

@@ -38,6 +38,11 @@ class SensorSuite(Generic[Body]):
             raise InputError(self._source, "sensors", expected)
         self._sensors.append(sensor)
 
+    def exchange(self, old: Sequence[Sensor[Body]], new: Sequence[Sensor[Body]]) -> None:
+        """Put each sensor of ``new`` in the place of the one of ``old``, which has the same keys."""
+        other = {id(was): now for was, now in zip(old, new, strict=True)}
+        self._sensors = [other.get(id(sensor), sensor) for sensor in self._sensors]
+
     def remove(self, key: str) -> None:
         """Remove the sensor of ``key``."""
         self._sensors = [sensor for sensor in self._sensors if key not in sensor.spaces]
