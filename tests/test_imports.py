@@ -74,7 +74,7 @@ FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout
 # belongs to "", the files at the folder's top.
 FOLDERS = {
     "files": [
-        ["atomic", "bounded"],
+        ["atomic", "bounded", "shipped"],
         ["json_file", "line_file", "numbers"],
         ["npz_file", "yaml_file", "output_folders"],
     ],
