@@ -1,6 +1,6 @@
 """Drive an apartment with an agent that plans in a learned map, and write what it did as an animated picture.
 
-    python examples/drive.py [AGENT]        # astar (default), or policy:oak, a trained policy that comes with the package
+    python examples/drive.py [AGENT]    # astar (default), or policy:oak, a trained policy that comes with the package
 
 The map of ``oak`` comes with the package too, so that nothing is recorded, learned or trained here.
 """

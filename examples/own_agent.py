@@ -53,7 +53,10 @@ HOME = {  # docs/scenes.md lists all fields
     "format": 1,
     "name": "studio",
     "rooms": [{"name": "studio", "kind": "living", "polygon": CORNERS, "floor": {"texture": "planks"}}],
-    "walls": [{"start": a, "end": b, "thickness": 0.1, "height": 2.5} for a, b in zip(CORNERS, CORNERS[1:] + CORNERS[:1], strict=True)],
+    "walls": [
+        {"start": a, "end": b, "thickness": 0.1, "height": 2.5}
+        for a, b in zip(CORNERS, CORNERS[1:] + CORNERS[:1], strict=True)
+    ],
     "ceiling_height": 2.5,
     "doors": [],
     "furniture": [

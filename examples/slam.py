@@ -40,7 +40,7 @@ for k in range(0, len(sequence.frames), 2):
     std = np.sqrt(np.diag(info.belief.covariance)[:3])
     print(f"{times[k] - times[0]:6.2f} s  {info.status.message:4}  stds {np.round(100 * std, 1)} cm")
 
-taken = times[:: 2][: len(T_world_cam)]
+taken = times[::2][: len(T_world_cam)]
 vg.write_trajectory("trajectory.txt", taken, np.array(T_world_cam))
 prism.posterior(state).save("map.npz")
 print("trajectory.txt, map.npz")
