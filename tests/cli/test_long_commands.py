@@ -57,7 +57,11 @@ COMMANDS = {
         NOTHING,
     ),
     "faults": ("faults slam --out {1}", "progress: (working|SLAM with faults)", NOTHING),
-    "study": ("study runtime {0}/walk --out {1}", r"progress: (working|.*: \d+ of \d+, )", NOTHING),
+    "study": (
+        "study resolution {0}/walk --voxels 0.1 --render-widths 80 --seeds 1 --size 80x60 --out {1}",
+        r"progress: (working|.*: \d+ of \d+, )",
+        NOTHING,
+    ),
     "bench": ("bench tracker --scene {0}/rooms.json --out {1}", "progress: driving and recording: ", NOTHING),
 }
 NEEDS = {"train": "stable_baselines3", "explore": "imageio_ffmpeg"}
@@ -86,7 +90,7 @@ def wait_for(process: subprocess.Popen, log: Path, pattern: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_long_command_shows_progress_and_says_how_to_go_on(inputs, tmp_path, name):
-    """Commands are killed by SIGTERM, as schedulers do, and every other one by Ctrl-C."""
+    """Commands and their workers are killed by SIGTERM, as schedulers do, and every other one by Ctrl-C."""
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     number = (signal.SIGTERM, signal.SIGINT)[list(COMMANDS).index(name) % 2]
@@ -102,7 +106,7 @@ def test_a_long_command_shows_progress_and_says_how_to_go_on(inputs, tmp_path, n
         )
     try:
         wait_for(process, log, shown)
-        process.send_signal(number)
+        os.killpg(process.pid, number)
         code = process.wait(PATIENCE)
     finally:
         if process.poll() is None:
