@@ -6,6 +6,7 @@ from pathlib import Path
 from vssm_gym.eval.metrics.aggregate import group_rows
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import car_figures, car_tables, summary, tables
+from vssm_gym.eval.report.ranking import Ranking, by_metric, paired_difference
 from vssm_gym.eval.report.value_figures import ValuePainter
 from vssm_gym.eval.report.view import Mark, Plan, View, learned
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -49,9 +50,18 @@ CAR_VIEW = View(
     template="car.html.j2",
     conditions=("physics", "renderer", "robot", "noise", "sensor_noise"),
     measures=car_tables.CAR,
+    ranking=Ranking(
+        by_metric("reached", "the highest proportion of targets reached", " %"),
+        by_metric("seconds_driven", "the fastest", " s"),
+        paired_difference("reached"),
+        "paired difference in points of %",
+        paired_difference("seconds_driven"),
+        "paired difference in seconds",
+        ("seconds_driven", "collided", "control_p95_ms"),
+    ),
     summary=SUMMARY,
-    headline=lambda rows, seed: tables.headline(rows, seed, car_tables.CAR, car_tables.pooled(rows)),
-    comparison=car_tables.simulators,
+    headline=lambda rows, seed, reference: tables.headline(rows, seed, car_tables.CAR, car_tables.pooled(rows)),
+    comparison=lambda rows, seed, reference: car_tables.simulators(rows, seed),
     curves_by=lambda rows: [name for name in tables.grouping(rows) if name not in ("scene", "agent")],
     curves=car_figures.curves,
     plans=_plans,

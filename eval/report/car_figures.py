@@ -104,7 +104,7 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         axes.grid(alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
     order = [agent for agent in figures.colours(rows) if agent in key]
-    figure.legend([key[a] for a in order], order, loc="outside lower center", ncols=7, frameon=False, fontsize=9)
+    figure.legend([key[a] for a in order], order, **figures.key_of(order))
     return pictures.svg(figure)
 
 

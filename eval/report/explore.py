@@ -9,7 +9,7 @@ from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, KNOWN, ONE_STEP, Ax
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import explore_figures, explore_tables, summary
 from vssm_gym.eval.report.explore_tables import PointComparison, Rival
-from vssm_gym.eval.report.tables import reference_agent
+from vssm_gym.eval.report.ranking import Ranking, by_median, by_metric, paired_difference, paired_ratio
 from vssm_gym.eval.report.view import Mark, Plan, View, map_file
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
@@ -70,9 +70,9 @@ class Headline:
     unknown_entropy: Mapping[str, list[str]] | None = None
 
 
-def headline(rows: Sequence[Row], seed: int) -> Headline:
+def headline(rows: Sequence[Row], seed: int, reference: str | None) -> Headline:
     """Compare the reference with the frontier baselines, and find the scenes where it is not the best."""
-    table, reference = explore_tables.headline(rows, seed), reference_agent(rows)
+    table = explore_tables.headline(rows, seed)
     if not reference:
         return Headline(table)
     baselines = [name for name in explore_tables.others(rows, reference) if name.startswith(FRONTIER)]
@@ -130,9 +130,8 @@ class Comparison:
     by_time: AtEqual | None = None
 
 
-def comparison(rows: Sequence[Row], seed: int) -> Comparison:
+def comparison(rows: Sequence[Row], seed: int, reference: str | None) -> Comparison:
     """Compare agents scene by scene, at equal path length and time, and by their curves."""
-    reference = reference_agent(rows)
     reached, coverage = svg_image(explore_figures.reached(rows)), svg_image(explore_figures.scenes(rows, seed))
     if not reference:
         return Comparison(reached, coverage)
@@ -197,6 +196,15 @@ EXPLORE_VIEW = View(
     template="explore.html.j2",
     conditions=("renderer", "robot", "noise", "sensor_noise"),
     measures=explore_tables.EXPLORE,
+    ranking=Ranking(
+        by_median(COVERAGE_GOAL),
+        by_metric("coverage_percent", "the one with the highest coverage", " %"),
+        paired_ratio(COVERAGE_GOAL),
+        "paired ratio of path lengths",
+        paired_difference("coverage_percent"),
+        "paired difference in points of %",
+        ("coverage_percent", "collided", "decision_p95_ms"),
+    ),
     summary=SUMMARY,
     headline=headline,
     comparison=comparison,

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from vssm_gym.eval.metrics.aggregate import group_rows
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, COVERAGE_LEVELS, mean_curve
 from vssm_gym.eval.metrics.metric import Row
-from vssm_gym.eval.report.figures import colours
+from vssm_gym.eval.report.figures import colours, key_of
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 
@@ -105,7 +105,7 @@ def _plain(axes: Axes) -> None:
 
 
 def _key(figure: Figure, axes: Axes) -> None:
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=7, frameon=False, fontsize=9)
+    figure.legend(*axes.get_legend_handles_labels(), **key_of(axes.get_legend_handles_labels()[1]))
 
 
 def plan_of(m: VoxelMap) -> pictures.Background:

@@ -1,6 +1,7 @@
 """Draw the figures of a report: curves over all episodes, and single runs on the learned map."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -11,6 +12,7 @@ from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.viz import pictures
 
+KEY_CHARACTERS = 150  # of a legend's line across a figure
 GROUPS = ("scene", "noise", "physics", "agent")  # runs are chosen from each of these in turn
 # The palette of Okabe and Ito (2008), which colour-blind readers can distinguish.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -39,8 +41,15 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
     for axes in (success, cdf, growth):
         axes.grid(alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(*success.get_legend_handles_labels(), loc="outside lower center", ncols=7, frameon=False, fontsize=9)
+    figure.legend(*success.get_legend_handles_labels(), **key_of(list(colours(rows))))
     return pictures.svg(figure)
+
+
+def key_of(names: Sequence[str]) -> dict[str, Any]:
+    """Return options of a figure's legend below its panels, with as many names in a line as fit."""
+    longest = max(map(len, names), default=1)
+    columns = max(1, min(7, int(KEY_CHARACTERS / (min(longest, pictures.LONGEST_IN_FIGURE) + 7))))
+    return {"loc": "outside lower center", "ncols": columns, "frameon": False, "fontsize": 9}
 
 
 def _success_by_length(axes: Axes, rows: Sequence[Row], agent: str, colour: str, seed: int) -> None:

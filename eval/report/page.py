@@ -1,4 +1,4 @@
-"""Write the report of a sweep as one self-contained HTML page: headline, failures first, tables, curves, runs."""
+"""Write the report of a sweep as one self-contained HTML page: summary, failures first, tables, curves, runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from vssm_gym.eval.metrics.aggregate import group_rows
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
-from vssm_gym.eval.report import figures, tables
+from vssm_gym.eval.report import figures, ranking, tables
 from vssm_gym.eval.report.view import Mark, View, map_file
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import check_file
@@ -46,7 +46,8 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
     rows = [measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
-    page = _page(view, rows, manifest, folder, seed)
+    reference = tables.reference_agent(rows)
+    page = _page(view, _best_first(view, rows), reference, manifest, folder, seed)
     with atomic_write(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return target
@@ -68,29 +69,39 @@ def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list
     )
 
 
-def _page(view: View, rows: Sequence[Row], manifest: dict[str, Any], folder: Path, seed: int) -> str:
+def _best_first(view: View, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Sort the agents of each condition by the view's ranking; all else keeps its order."""
+    rank = {agent: i for i, agent in enumerate(view.ranking.order(rows))}
+    groups = group_rows(rows, [name for name in tables.BY if name != "agent"]).values()
+    return [row for members in groups for row in sorted(members, key=lambda row: rank[str(row["agent"])])]
+
+
+def _page(
+    view: View, rows: Sequence[Row], reference: str | None, manifest: dict[str, Any], folder: Path, seed: int
+) -> str:
     files = {row["scene"]: map_file(folder / "maps", f"{row['scene']}.npz") for row in rows}
     maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path is not None}
     backgrounds = view.backgrounds(maps, folder, rows)
-    reference = tables.reference_agent(rows)
     successes = None
     if any(row.get("trace") for row in rows):
         successes = _runs(view, figures.choose_successes(rows, SUCCESSES_DRAWN), backgrounds)
     return render(
         view.template,
+        environment=_environment(manifest, folder).partition("/")[2],
         scenes=list(files),
-        agents=manifest["config"]["agents"],
+        agents=view.ranking.order(rows),
+        summary=ranking.summarise(view.ranking, rows, seed),
         known=_facts(view, rows, manifest),
         unfinished=len(rows) < manifest["episodes"],
         notices={scene: notice for scene, notice in manifest.get("notices", {}).items() if notice},
-        headline=view.headline(rows, seed),
+        headline=view.headline(rows, seed, reference),
         config=manifest["config"],
         failures=_failures(view, rows, backgrounds),
         directions=view.measures.directions(tables.known(rows, view.measures)),
         results=tables.results(rows, seed, view.measures),
         reference=reference,
         differences=tables.differences(rows, reference, seed, view.measures) if reference else None,
-        comparison=view.comparison(rows, seed),
+        comparison=view.comparison(rows, seed, reference),
         curves=[
             (group, svg_image(view.curves(members, seed)))
             for group, members in group_rows(rows, view.curves_by(rows)).items()
@@ -108,6 +119,7 @@ def _facts(view: View, rows: Sequence[Row], manifest: dict[str, Any]) -> dict[st
     finished = f"{len(rows)} of {manifest['episodes']}" if len(rows) <= manifest["episodes"] else str(len(rows))
     return {
         "episodes": [finished],
+        "scenes": list(dict.fromkeys(row["scene"] for row in rows)),
         "configuration": [manifest["config_hash"]],
         "version": sorted({row["version"] for row in rows if row.get("version")}),
         "environment": config["env"],

@@ -77,10 +77,8 @@ BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "agent")
 
 
 def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Return the condition columns that vary over rows, and always scene, noise and agent."""
-    return tuple(
-        name for name in BY if name in ("scene", "noise", "agent") or len({str(row[name]) for row in rows}) > 1
-    )
+    """Return the condition columns that vary over rows, and always scene and agent."""
+    return tuple(name for name in BY if name in ("scene", "agent") or len({str(row[name]) for row in rows}) > 1)
 
 
 def results(
@@ -120,7 +118,10 @@ def headline(rows: Sequence[Row], seed: int, measures: Measures, by: Sequence[st
 
 
 def reference_agent(rows: Sequence[Row]) -> str | None:
-    """Return the agent that others are compared with: ``astar``, or the first; None with one agent."""
+    """Return the agent that others are compared with: ``astar``, or the first; None with one agent.
+
+    Rows are in the order of the configuration: a comparison with whichever agent did best would flatter it.
+    """
     agents = list(dict.fromkeys(str(row["agent"]) for row in rows))
     if len(agents) < 2:
         return None
@@ -164,7 +165,10 @@ def kind(reason: str) -> str:
 
 
 def failure_counts(rows: Sequence[Row]) -> Table:
-    """Count each agent's failures by kind, and its episodes with a collision where rows have that field."""
+    """Count each agent's failures by kind, and its episodes with a collision where rows have that field.
+
+    Groups without any are left out.
+    """
     by = grouping(rows)
     kinds = sorted({kind(row["failure"]) for row in rows if row["failure"]})
     collided = ["collided"] if any(row.get("collided") for row in rows) else []
@@ -173,6 +177,8 @@ def failure_counts(rows: Sequence[Row]) -> Table:
         counts = Counter(kind(row["failure"]) for row in members if row["failure"])
         failed = f"{counts.total()} of {len(members)}"
         counts.update({name: sum(bool(row[name]) for row in members) for name in collided})
+        if not counts.total():
+            continue
         lines.append([*group, failed, *(str(counts[name]) if counts[name] else "" for name in (*kinds, *collided))])
     header = [*(name.replace("_", " ") for name in by), "failed", *kinds, *collided]
     return Table(header, lines, len(by))
@@ -194,4 +200,4 @@ def failure_list(rows: Sequence[Row]) -> Table:
         for row in failed
     ]
     header = [*(name.replace("_", " ") for name in by), "task", "seed", "reason", "steps", *ends.values()]
-    return Table(header, lines, len(by) + 3)
+    return Table(header, lines, len(by) + 3, sentences=("reason",))

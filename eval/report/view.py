@@ -8,10 +8,11 @@ from typing import Any
 
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import figures, summary, tables
+from vssm_gym.eval.report.ranking import Ranking, by_metric, paired_difference
 from vssm_gym.eval.report.summary import Column
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
-from vssm_gym.viz.html import Image
+from vssm_gym.viz.html import Image, Table
 
 LONGEST_FILE_NAME = 255  # bytes: a system call with a longer one fails
 
@@ -28,9 +29,11 @@ class View:
         values: further values that the template names.
         conditions: lists of the configuration that the page's header shows.
         measures: the metrics of the tables.
+        ranking: by what agents are ordered, and which of the best one's metrics the page's tiles show.
         summary: headings and functions of the columns of the table that a sweep prints, one line an agent.
-        headline: what the page opens with: a table, or what else the template shows there.
-        comparison: what the template shows after the agents' differences.
+        headline: what follows the tiles: a table, or what else the template shows there; from the rows, the seed of the
+            resampling and the agent that others are compared with (None with one agent).
+        comparison: what the template shows after the agents' differences, from the same.
         curves_by: fields with one figure of curves for each combination of values.
         curves: that figure as SVG.
         plans: what is drawn from the learned maps, by scene, or from maps in the sweep's folder.
@@ -46,9 +49,10 @@ class View:
     template: str
     conditions: tuple[str, ...]
     measures: tables.Measures
+    ranking: Ranking
     summary: Mapping[str, Column]
-    headline: Callable[[Sequence[Row], int], Any]
-    comparison: Callable[[Sequence[Row], int], Any]
+    headline: Callable[[Sequence[Row], int, str | None], Any]
+    comparison: Callable[[Sequence[Row], int, str | None], Any]
     curves_by: Callable[[Sequence[Row]], Sequence[str]]
     curves: Callable[[Sequence[Row], int], bytes]
     plans: Callable[[Sequence[Row], Mapping[str, VoxelMap], Path], Any]
@@ -84,6 +88,15 @@ def learned(
     return lambda maps, folder, rows: {scene: pictures.topdown(m, cut_height) for scene, m in maps.items()}
 
 
+def _headline(rows: Sequence[Row], seed: int, reference: str | None) -> Table | None:
+    """Return the table of conditions; None with one, whose metrics the ranking and the results show."""
+    del reference
+    by = tables.grouping(rows)
+    if len({tuple(str(row[name]) for name in by[:-1]) for row in rows}) < 2:
+        return None
+    return tables.headline(rows, seed, tables.POINTNAV, by)
+
+
 SUMMARY = {
     "SPL": summary.mean("spl"),
     "success": summary.mean("success"),
@@ -94,9 +107,18 @@ POINTNAV_VIEW = View(
     template="pointnav.html.j2",
     conditions=("renderer", "robot", "noise", "sensor_noise"),
     measures=tables.POINTNAV,
+    ranking=Ranking(
+        by_metric("spl", "the highest SPL"),
+        by_metric("success", "the one with the highest success rate"),
+        paired_difference("spl"),
+        "paired difference of SPL",
+        paired_difference("success"),
+        "paired difference of success",
+        ("success", "collision_rate", "location_error_mean"),
+    ),
     summary=SUMMARY,
-    headline=lambda rows, seed: tables.headline(rows, seed, tables.POINTNAV, tables.grouping(rows)),
-    comparison=lambda rows, seed: None,
+    headline=_headline,
+    comparison=lambda rows, seed, reference: None,
     curves_by=lambda rows: tables.grouping(rows)[:-1],
     curves=figures.curves,
     plans=lambda rows, maps, folder: None,

@@ -14,7 +14,8 @@ from tests.helpers.paths import CHECKOUT
 from tests.viz.hostile_text import LONG, MARKUP, OTHER, Structure
 from vssm_gym.viz import html, pictures
 
-TEMPLATES = sorted((CHECKOUT / "vssm_gym" / "viz" / "templates").glob("*"))
+FOLDER = CHECKOUT / "vssm_gym" / "viz" / "templates"
+TEMPLATES = sorted(FOLDER.glob("*.html.j2"))
 MODULES = [path for folder in ("vssm_gym", "agents", "eval") for path in (CHECKOUT / folder).rglob("*.py")]
 FOREIGN = {"html", "jinja2", "markupsafe"}
 TAG = re.compile(r"</?(a|br|code|details|div|figcaption|figure|h[1-6]|head|html|i|img|li|p|pre|script|span|style|"
@@ -40,7 +41,8 @@ def printed():
         '{% from "macros.html.j2" import listed %}<p class="{{ listed([x, x]) }}">{{ listed([x, x]) }}</p>',
         '{% from "macros.html.j2" import facts %}{{ facts({x: [x]}) }}',
         '{% from "macros.html.j2" import marks %}<p>{{ marks([(x, "good"), (x, "")]) }}</p>',
-        '{% from "macros.html.j2" import table %}{{ table({"header": [x], "lines": [[x, x]], "numbers_from": 1}) }}',
+        '{% from "macros.html.j2" import table %}'
+        '{{ table({"header": [x, x], "lines": [[x, x], [x, x]], "numbers_from": 1, "sentences": [x]}) }}',
     ],
 )
 def test_a_text_is_no_markup_wherever_it_is_printed(printed, source, text):
@@ -78,9 +80,8 @@ def test_a_picture_is_the_only_link(printed):
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
 def test_templates_neither_trust_a_text_nor_hold_a_script(path):
     text = path.read_text()
-    assert path.name.endswith(".html.j2")
     assert not re.search(
-        r"\|\s*safe\b|autoescape|<script|\bon\w+=|href=|javascript:|<iframe|<object|<embed|<link", text
+        r"\|\s*safe\b|autoescape|<script|\bon\w+=|href=(?!\"#[a-z]+\")|javascript:|<iframe|<object|<embed|<link", text
     )
     assert re.findall(r"\bsrc=\S*", text) in (
         [],
@@ -94,9 +95,7 @@ def test_templates_neither_trust_a_text_nor_hold_a_script(path):
 
 def test_pages_forbid_scripts_and_loads_themselves():
     """Should an escape ever be missing, a browser still runs nothing and asks no server."""
-    policy = re.search(
-        r'Content-Security-Policy" content="([^"]*)"', (TEMPLATES[0].parent / "base.html.j2").read_text()
-    )
+    policy = re.search(r'Content-Security-Policy" content="([^"{]*)', (FOLDER / "base.html.j2").read_text())
     assert policy is not None
     rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
     assert rules == {"default-src": "'none'", "img-src": "data:", "style-src": "'unsafe-inline'"}

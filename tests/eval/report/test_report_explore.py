@@ -16,6 +16,7 @@ from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.report import explore_figures, explore_tables
 from vssm_gym.eval.report.explore import EXPLORE_VIEW
 from vssm_gym.eval.report.page import write_report
+from vssm_gym.eval.report.tables import reference_agent
 from vssm_gym.viz import pictures
 from vssm_gym.viz.html import render
 
@@ -87,14 +88,14 @@ def table(text, heading):
 def test_the_page_opens_with_path_lengths_and_their_ratios_over_all_scenes(page):
     shown = Page(page)
     assert shown.open == []
-    assert all(link.startswith("data:") for link in shown.links)
-    head = {line["agent"]: line for line in table(page, "m to 90 %")}
+    assert all(link.startswith(("data:", "#")) for link in shown.links)
+    head, more = ({line["agent"]: line for line in table(page, name)} for name in ("m to 50 %", "navigation success %"))
     assert (head["mi_explorer"]["runs"], head["mi_explorer"]["scenes"]) == ("8", "2")
     assert head["mi_explorer"]["m to 90 %"] == "11.2 [10.1, 12.1]"  # medians: of all, of either scene
     assert head["random_walk"]["covered 90 %"].startswith("50.0 [")
     assert head["random_walk"]["m to 90 %"] == "never [60.0, never]"  # half of them did not
-    assert head["random_walk"]["navigation success %"] == "50 [50, 50]"
-    assert head["mi_explorer"]["collided %"].startswith("12.5 [")
+    assert more["random_walk"]["navigation success %"] == "50 [50, 50]"
+    assert more["mi_explorer"]["collided %"].startswith("12.5 [")
     ratios = {line["ratio of path lengths"]: line for line in table(page, "ratio of path lengths")}
     nearest = ratios["mi_explorer / frontier_nearest"]
     oak = np.exp(np.mean([np.log((10.0 + 0.1 * t) / (20.0 + 0.1 * t)) for t in range(4)]))
@@ -121,12 +122,12 @@ def test_scenes_where_the_first_agent_is_not_the_best_are_named(page):
 
 
 def headline(rows):
-    found = EXPLORE_VIEW.headline([measured(row) for row in rows], 0)
+    found = EXPLORE_VIEW.headline([measured(row) for row in rows], 0, reference_agent(rows))
     return one_line(render("explore_headline.html.j2", headline=found, **EXPLORE_VIEW.values))
 
 
 def comparison(rows):
-    found = EXPLORE_VIEW.comparison([measured(row) for row in rows], 0)
+    found = EXPLORE_VIEW.comparison([measured(row) for row in rows], 0, reference_agent(rows))
     return one_line(render("explore_comparison.html.j2", comparison=found, **EXPLORE_VIEW.values))
 
 
