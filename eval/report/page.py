@@ -69,7 +69,7 @@ def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list
     )
 
 
-def _best_first(view: View, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _best_first(view: View, rows: Sequence[Row]) -> list[Row]:
     """Sort the agents of each condition by the view's ranking; all else keeps its order."""
     rank = {agent: i for i, agent in enumerate(view.ranking.order(rows))}
     groups = group_rows(rows, [name for name in tables.BY if name != "agent"]).values()
