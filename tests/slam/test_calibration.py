@@ -10,7 +10,7 @@ from scipy.stats import kstest
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp
-from vssm_gym.slam.calibration import Calibration, cross_fitted, figure, fit_scale, nees, pose_residuals, whiten
+from vssm_gym.slam.calibration import Calibration, cross_fitted, fit_scale, nees, pose_residuals, whiten
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -128,12 +128,3 @@ def test_an_invalid_covariance_is_refused(bad: float) -> None:
         whiten(np.ones((3, 6)), S)
     with pytest.raises(InputError, match="at least one frame"):
         cross_fitted({"alone": Calibration(np.ones((4, 6)))})
-
-
-def test_the_figure_is_drawn() -> None:
-    rng = np.random.default_rng(3)
-    S = covariances(rng, 50)
-    drawn = figure({"first": Calibration.of(samples(rng, S), S), "second": Calibration(np.zeros((5, 6)))}, "raw")
-    text = drawn.decode()
-    assert text.startswith(("<svg", "<?xml"))
-    assert "whitened residual" in text or "<path" in text

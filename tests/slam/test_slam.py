@@ -105,8 +105,10 @@ def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tm
     assert f"{stats['errors']['ate_translation_se3']['rmse']:.6f}" in table
 
     page = (out / "report.html").read_text()
-    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
-    assert page.count('<img src="data:image/') == 7
+    assert not re.search(r"""(src|href)=["'](?!data:|#)""", page)
+    assert page.count('<img src="data:image/') == 8
+    assert page.count("<script>") == page.count("script-src 'sha256-") == page.count("<canvas ") == 1
+    assert len(page) < 5e6
     assert "No frame was lost" in page
     assert "Damaged input" not in page
     assert f"{100 * stats['errors']['ate_translation_se3']['rmse']:.2f} cm" in page

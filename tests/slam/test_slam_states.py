@@ -141,9 +141,8 @@ def test_no_text_of_a_run_becomes_markup(long_sequence, monkeypatch):
     monkeypatch.setattr(slam_report.figures, "views", lambda run: (b"a picture", [(0, 0.01, 0.9)]))
     monkeypatch.setattr(slam_report.figures, "path", lambda *_: (b"a picture", 10.0))
     for module, names in (
-        (slam_report.figures, ("slices", "fit", "latency")),
+        (slam_report.figures, ("slices", "fit", "latency", "calibration_curves")),
         (slam_states, ("velocity", "pose_std")),
-        (slam_report.calibration, ("figure",)),
     ):
         for name in names:
             monkeypatch.setattr(module, name, lambda *_: b"a picture")

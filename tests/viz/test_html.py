@@ -1,6 +1,8 @@
 """Pages: templates alone make markup, and what they print is escaped, visible and of limited length."""
 
 import ast
+import base64
+import hashlib
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -79,7 +81,7 @@ def test_a_picture_is_the_only_link(printed):
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
 def test_templates_neither_trust_a_text_nor_hold_a_script(path):
-    text = path.read_text()
+    text = path.read_text().replace("<script>{{ surface_script.text }}</script>", "")  # its digest is in the policy
     assert not re.search(
         r"\|\s*safe\b|autoescape|<script|\bon\w+=|href=(?!\"#[a-z]+\")|javascript:|<iframe|<object|<embed|<link", text
     )
@@ -99,6 +101,36 @@ def test_pages_forbid_scripts_and_loads_themselves():
     assert policy is not None
     rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
     assert rules == {"default-src": "'none'", "img-src": "data:", "style-src": "'unsafe-inline'"}
+
+
+def test_a_script_is_allowed_by_its_digest_alone_and_asks_nothing():
+    """The digest in the policy is that of the element's text; the script loads nothing and makes no markup."""
+    page = html._environment().from_string('{% extends "slam.html.j2" %}{% block body %}{% endblock %}')
+    script = html.script("surface.js")
+    shown = page.render(surface=True, surface_script=script, sequence="x")
+    digest = base64.b64encode(hashlib.sha256((FOLDER / "surface.js").read_bytes()).digest()).decode()
+    assert f"style-src 'unsafe-inline'; script-src 'sha256-{digest}'\">" in shown
+    without = page.render(surface=None, surface_script=script, sequence="x")
+    assert "script-src" not in without
+    assert script.text == (FOLDER / "surface.js").read_text()
+    assert "</" not in script.text and "<!--" not in script.text  # nothing that ends the element
+    for call in (
+        "innerHTML",
+        "document.write",
+        "eval",
+        "Function(",
+        "fetch",
+        "XMLHttpRequest",
+        "import",
+        "://",
+        "open(",
+    ):
+        assert call not in script.text, call
+    assert len(script.text) < 12_000
+    assert {path.suffix for path in FOLDER.iterdir()} == {".j2", ".css", ".js"}
+    assert [path.name for path in FOLDER.glob("*.js")] == ["surface.js"]
+    style = (FOLDER / "page.css").read_text()
+    assert "url(" not in style and "@import" not in style and "</" not in style
 
 
 def markup_in(source: str) -> list[str]:

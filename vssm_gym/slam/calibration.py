@@ -17,15 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.viz import pictures
 
-AXES = ("x", "y", "z", "about x", "about y", "about z")
 NOMINAL_LEVELS = (0.5, 0.9, 0.95, 0.99)  # probabilities of the regions whose coverage is measured
 
 
@@ -126,36 +123,3 @@ def cross_fitted(sequences: Mapping[str, Calibration]) -> dict[str, Calibration]
     """Scale each sequence by the factor fitted on the *other* sequences."""
     scale = {name: fit_scale({other: c for other, c in sequences.items() if other != name}) for name in sequences}
     return {name: c.scaled(scale[name]) for name, c in sequences.items()}
-
-
-def figure(sequences: Mapping[str, Calibration], note: str = "") -> bytes:
-    """Draw whitened residuals of each axis beside a standard normal, and the calibration curves, as SVG.
-
-    Args:
-        sequences: one curve each; the histograms are over the residuals of all.
-        note: scale of the covariances, for the title.
-    """
-    dimension = next(iter(sequences.values())).dimension
-    names = AXES if dimension == len(AXES) else tuple(f"axis {i}" for i in range(dimension))
-    picture = Figure(figsize=(11.5, 3.8), layout="constrained")
-    left, right = picture.subplots(1, 2, width_ratios=[1.6, 1.0])
-    w = np.linspace(-5.0, 5.0, 201)
-    left.fill_between(w, norm.pdf(w), color="0.85", label="calibrated")
-    every = np.concatenate([c.whitened for c in sequences.values()])
-    edges = np.linspace(-5.0, 5.0, 61)
-    for i, name in enumerate(names):
-        density, _ = np.histogram(np.clip(every[:, i], -4.999, 4.999), edges, density=True)
-        left.stairs(density, edges, label=name, linewidth=1.1, color=f"C{i}")
-    left.set(xlabel="whitened residual (beyond 5: in the last bin)", ylabel="density", title="residuals by axis")
-    right.plot([0, 1], [0, 1], color="0.7", linewidth=1.0)
-    for i, (name, calibration) in enumerate(sequences.items()):
-        right.plot(*calibration.curve(), label=name, linewidth=1.3, color=f"C{i % 10}")
-    right.set(xlabel="predicted cumulative probability", ylabel="observed share", xlim=(0, 1), ylim=(0, 1))
-    right.set(title="above the diagonal: pessimistic", aspect="equal")
-    for axes in (left, right):
-        axes.grid(alpha=0.3, linewidth=0.5)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(fontsize=8, frameon=False)
-    if note:
-        picture.suptitle(note, fontsize=10)
-    return pictures.svg(picture)

@@ -1,5 +1,6 @@
 """Draw the figures of a SLAM report: trajectory, slices through the map, rendered and observed images, fit, latency."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -18,9 +19,13 @@ from vssm_gym.inference.tracking.camera_filter import TrackingConfig
 from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model import emission
+from vssm_gym.slam.calibration import Calibration, fit_scale
 from vssm_gym.slam.run import SlamRun, TrackedFrame
 from vssm_gym.slam.states import Truth, tidy
-from vssm_gym.viz import pictures
+from vssm_gym.slam.verdict import CALIBRATED
+from vssm_gym.viz import pictures, surface_view
+from vssm_gym.viz.html import Data, Image, webp_image
+from vssm_gym.viz.mesh import Mesh
 
 OBSERVED_COLOUR = "#0072b2"
 SLICE_MARGIN = 0.4  # m around the content of a slice
@@ -28,6 +33,7 @@ SHOWN_FRAMES = 5  # frames whose images are shown beside the map's, spread over 
 SLICE_PIXELS = 420  # of a slice along its longer edge, at most
 STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9"}
 ELLIPSES = 25  # drawn along a path
+CALIBRATION_COLOURS = ("#0072b2", "#d55e00")  # of pose and velocity
 REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 
 
@@ -127,6 +133,55 @@ def _ellipse(centre: np.ndarray, covariance: np.ndarray, magnified: float) -> El
     return Ellipse(
         (centre[0], centre[1]), width, height, angle=angle, fill=False, color=colour, alpha=0.5, linewidth=0.8
     )
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Hold the view of a surface with the camera's paths: the data of its script, and a still picture."""
+
+    data: Data
+    still: Image
+    has_truth: bool
+    faces: int  # that are shown
+
+
+def surface(run: SlamRun, mesh: Mesh, display: Display) -> Surface | None:
+    """Prepare the surface of the map with the estimated and the true path; None where the map has no surface."""
+    if len(mesh.faces) == 0:
+        return None
+    shown = surface_view.moved(surface_view.decimated(mesh), display.T_display_world)
+    poses = display.T_display_world @ run.poses
+    estimate = surface_view.path_segments(poses[:, :3, 3])
+    size = surface_view.CAMERA_SIZE * surface_view.extent(shown, estimate)[1]
+    truth = np.zeros((0, 2, 3)) if display.truth is None else surface_view.path_segments(display.truth)
+    drawn = np.concatenate([estimate, surface_view.camera_segments(poses, size)])
+    block, still = surface_view.prepared(shown, drawn, truth, surface_view.facing(poses))
+    return Surface(Data(block), webp_image(still), display.truth is not None, len(shown.faces))
+
+
+def calibration_curves(states: Mapping[str, Calibration]) -> bytes:
+    """Draw the calibration curves of the states, as the filter gives them and rescaled, as SVG.
+
+    Left, the proportion of frames up to each predicted probability; right, the NEES of each frame over the dimension.
+    """
+    figure = Figure(figsize=(11.5, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
+    left.plot([0, 1], [0, 1], color="0.7", linewidth=1.0, label="calibrated")
+    right.axhline(1.0, color="0.7", linewidth=1.0)
+    right.axhspan(*CALIBRATED, color="0.93", linewidth=0)
+    for colour, (name, found) in zip(CALIBRATION_COLOURS, states.items(), strict=False):
+        rescaled = found.scaled(fit_scale({name: found}))
+        left.plot(*found.curve(), color=colour, linewidth=1.5, label=name)
+        left.plot(*rescaled.curve(), color=colour, linewidth=1.0, linestyle="--", label=f"{name}, rescaled")
+        right.plot(np.maximum(found.nees / found.dimension, 1e-3), color=colour, linewidth=1.0, label=name)
+    left.set(xlabel="predicted probability", ylabel="observed proportion", xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    left.set_title("above the diagonal: pessimistic", fontsize=10)
+    right.set(xlabel="frame with a true state", ylabel="NEES / dimension", yscale="log")
+    right.set_title("1 on average if calibrated; grey: within a factor of two", fontsize=10)
+    left.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    for axes in (left, right):
+        tidy(axes)
+    return pictures.svg(figure)
 
 
 def slices(run: SlamRun, display: Display, counted: float) -> bytes:

@@ -1,4 +1,4 @@
-"""Collect the page of a SLAM run: lost frames, trajectory, errors, rendered and observed images, map, fit, latency."""
+"""Collect the page of a SLAM run: summary, surface and trajectory, errors, images, map, uncertainty, fit, latency."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,10 +10,10 @@ from vssm_gym.inference.mapping.map_update import MapUpdateConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.camera_filter import TrackingConfig
 from vssm_gym.maps.voxel_map import OBSERVATION_STD
-from vssm_gym.slam import calibration, figures, states
+from vssm_gym.slam import calibration, figures, states, verdict
 from vssm_gym.slam.run import SlamRun
 from vssm_gym.slam.states import Truth
-from vssm_gym.viz.html import Table, render, svg_image, webp_image
+from vssm_gym.viz.html import Table, render, script, svg_image, webp_image
 from vssm_gym.viz.mesh import Mesh
 
 ERRORS = (
@@ -47,10 +47,18 @@ def page(
     display = figures.Display.of(run, sequence, truth)
     view_picture, view_numbers = figures.views(run)
     path_picture, magnified = figures.path(run, display)
+    alignment = None if truth is None else verdict.Alignment.of(run, truth)
+    errors = stats["errors"]
     outside = 1.0 - (stats["fit_median"]["in_grid"] or 0.0)
     return render(
         "slam.html.j2",
         sequence=stats["sequence"],
+        tiles=verdict.tiles(run, stats, alignment),
+        ate=_centimetres(errors["ate_translation_se3"]["rmse"]) if errors and "pairs" in errors else None,
+        loose=_loose(alignment),
+        wrong=verdict.warnings_of(stats["calibration"]),
+        surface=figures.surface(run, mesh, display),
+        surface_script=script("surface.js"),
         known=_facts(stats),
         outside=f"{outside:.0%}" if outside > OUTSIDE_GRID else None,
         forgotten=f"{stats['map']['blocks_forgotten']:,}" if stats["map"]["blocks_forgotten"] else None,
@@ -61,7 +69,7 @@ def page(
             "magnified": None if magnified == 1.0 else f"{magnified:g}",
             "picture": svg_image(path_picture),
         },
-        errors=_errors(stats["errors"]),
+        errors=_errors(errors),
         in_band=_in_band(stats["calibration"]),
         velocity=webp_image(states.velocity(run, truth)),
         pose_std=webp_image(states.pose_std(run)),
@@ -83,27 +91,29 @@ def page(
 
 def _facts(stats: dict[str, Any]) -> dict[str, tuple[str]]:
     """Return what stands under the heading: names, and one value of each."""
-    step = stats["latency_ms"].get("whole step")
     facts = {
         "frames": f"{stats['frames']} of {stats['frames_recorded']} recorded",
-        "lost": str(len(stats["lost"])),
-        "relocalised": str(len(stats["relocalised"])),
         "recording": f"{stats['sequence_s']:.1f} s",
         "run": f"{stats['run_s']:.1f} s",
         "images": stats["config"]["size"],
         "rate": f"{stats['config']['rate']:g} Hz at most",
         "method": stats["config"]["method"],
-        "voxel": f"{stats['map']['voxel']:g} m",
-        "grid": " x ".join(f"{stats['map']['voxel'] * n:.3g}" for n in stats["map"]["shape"]) + " m",
         "solver": stats["config"]["solver"],
         "version": stats["version"],
     }
-    if step is not None:
-        facts["step, median"] = f"{step['p50']:.1f} ms"
-        facts["95 %"] = f"{step['p95']:.1f} ms"
-    if stats["errors"] and "pairs" in stats["errors"]:
-        facts["ATE after SE(3)"] = f"{100.0 * stats['errors']['ate_translation_se3']['rmse']:.2f} cm"
     return {name: (value,) for name, value in facts.items()}
+
+
+def _centimetres(metres: float) -> str:
+    return f"{100.0 * metres:.2f} cm"
+
+
+def _loose(alignment: verdict.Alignment | None) -> dict[str, str] | None:
+    """Return the numbers of the warning about an alignment that the positions do not determine."""
+    if alignment is None or not alignment.is_loose:
+        return None
+    angle, spread = f"{np.degrees(alignment.angle):.0f}", _centimetres(alignment.spread)
+    return {"angle": angle, "spread": spread, "error": _centimetres(alignment.error)}
 
 
 def _lost(run: SlamRun) -> dict[str, Any]:
@@ -122,7 +132,9 @@ def _lost(run: SlamRun) -> dict[str, Any]:
         "lost": sum(frame.lost for frame in run.frames),
         "again": sum(frame.status is Status.RECOVERED for frame in run.frames),
         "frames": len(run.frames),
-        "table": Table(["frame", "time, s", "status", "inliers", "coverage", "photometric"], lines, 3),
+        "table": Table(
+            ["frame", "time, s", "status", "inliers", "coverage", "photometric"], lines, 3, sentences=("status",)
+        ),
     }
 
 
@@ -148,7 +160,7 @@ def _errors(errors: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def _in_band(found: dict[str, Any] | None) -> dict[str, str] | None:
-    """Return the share of frames whose true velocity lies in its band, as text, per axis."""
+    """Return the proportion of frames whose true velocity lies in its band, as text, per axis."""
     if not found or "velocity" not in found:
         return None
     shares = found["velocity"]["share_in_band"]
@@ -160,8 +172,6 @@ def _calibration(run: SlamRun, truth: Truth | None, found: dict[str, Any] | None
     if truth is None or not found:
         return None
     raw = states.calibrations(run, truth)
-    scale = {name: calibration.fit_scale({name: c}) for name, c in raw.items()}
-    every = raw | {f"{name}, x {scale[name]:.3g}": c.scaled(scale[name]) for name, c in raw.items()}
     lines = [
         [
             name,
@@ -170,14 +180,13 @@ def _calibration(run: SlamRun, truth: Truth | None, found: dict[str, Any] | None
             f"{values['nees']:.1f}",
             f"{values['nees_over_dimension']:.2f}",
             *(f"{values[f'share_within_{p}']:.0%}" for p in (50, 90, 95, 99)),
+            f"{c.scaled(calibration.fit_scale({name: c})).summary()['share_within_95']:.0%}",
         ]
-        for name, c, values in ((name, c, c.summary()) for name, c in every.items())
+        for name, c, values in ((name, c, c.summary()) for name, c in raw.items())
     ]
     header = ["state", "frames", "dimension", "mean NEES", "NEES / dimension"]
-    header += [f"in {p} %" for p in (50, 90, 95, 99)]
-    drawn = {name: calibration.figure({name: c}, f"covariances of the {name}") for name, c in every.items()}
-    pictures = {name: svg_image(content) for name, content in drawn.items()}
-    return {"table": Table(header, lines, 1), "pictures": pictures}
+    header += [*(f"in {p} %" for p in (50, 90, 95, 99)), "in 95 %, rescaled"]
+    return {"table": Table(header, lines, 1), "picture": svg_image(figures.calibration_curves(raw))}
 
 
 def _view_table(numbers: list[tuple[int, float, float]]) -> Table:

@@ -103,9 +103,16 @@ def script(name: str) -> Script:
     return Script(Markup(loader.get_source(_environment(), name)[0]))
 
 
-def binary(content: bytes) -> Markup:
-    """Return data for a script as a ``data:`` URL. Base64 holds no character to escape."""
-    return Markup(f"data:application/octet-stream;base64,{base64.b64encode(content).decode('ascii')}")
+@dataclass(frozen=True)
+class Data:
+    """Hold data that a script of the page reads."""
+
+    content: bytes
+
+    @property
+    def url(self) -> Markup:
+        """The data as a ``data:`` URL. Base64 holds no character to escape."""
+        return Markup(f"data:application/octet-stream;base64,{base64.b64encode(self.content).decode('ascii')}")
 
 
 def render(template: str, /, **values: Any) -> str:

@@ -7,6 +7,7 @@ above ``cut`` is left out, as in an architect's model: near walls would hide the
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -25,6 +26,19 @@ SMOOTH = 2  # supersampling factor
 _MARGIN = 0.02  # of the longer side, around what is drawn
 
 
+@dataclass(frozen=True)
+class View:
+    """Hold a parallel projection: ``[u v]^T = scale ([right; down] p - first)``, pixels."""
+
+    axes: Float[np.ndarray, "3 3"]  # rows: right, down, ahead
+    first: Float[np.ndarray, "2"]  # m, of the picture's upper left corner
+    scale: float  # pixels a metre
+
+    def pixels(self, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 2"]:
+        """Project points to u (right) and v (down)."""
+        return (points @ self.axes[:2].T - self.first) * self.scale
+
+
 def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = MESH_CUT) -> UInt8[np.ndarray, "height width 3"]:
     """Draw the mesh in its colours on pale grey, the longer side of its floor across the picture.
 
@@ -36,12 +50,27 @@ def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = MESH_CUT) -> UInt8[
     Returns:
         RGB; one empty row where nothing of the mesh is below ``cut``.
     """
+    return mesh_view(mesh, width, cut)[1]
+
+
+def mesh_view(
+    mesh: Mesh, width: int, cut: float, facing: Float[np.ndarray, "2"] | None = None
+) -> tuple[View, UInt8[np.ndarray, "height width 3"]]:
+    """Draw as :func:`mesh_picture`, along the horizontal direction ``facing`` if given.
+
+    Returns:
+        The projection, and the picture.
+    """
     low = mesh.vertices[:, 2] < cut
     faces = mesh.faces[low[mesh.faces].any(axis=1)]
     if len(faces) == 0:
-        return np.full((1, width, 3), PAPER, np.uint8)
+        return View(np.eye(3), np.zeros(2), 1.0), np.full((1, width, 3), PAPER, np.uint8)
     used = np.unique(faces)
-    right, ahead = _level_axes(mesh.vertices[used, :2].astype(np.float64))
+    if facing is None:
+        right, ahead = _level_axes(mesh.vertices[used, :2].astype(np.float64))
+    else:
+        x, y = facing / np.linalg.norm(facing)
+        right, ahead = np.array([y, -x, 0.0]), np.array([x, y, 0.0])
     up = np.array([0.0, 0.0, 1.0])
     view = np.stack(
         [
@@ -56,13 +85,14 @@ def mesh_picture(mesh: Mesh, width: int = 1400, cut: float = MESH_CUT) -> UInt8[
     scale = SMOOTH * width / float(last[0] - first[0] + 2.0 * margin)
     height = SMOOTH * math.ceil(scale * float(last[1] - first[1] + 2.0 * margin) / SMOOTH)
     points[:, :2] = (points[:, :2] - first + margin) * scale
+    shown = View(view, first - margin, scale / SMOOTH)
     light = np.array(LIGHT) @ np.stack([right, ahead, up])
     lit = np.maximum(_normals(mesh) @ (light / np.linalg.norm(light)), 0.0)
     rgb = mesh.colours * (MESH_AMBIENT + (1.0 - MESH_AMBIENT) * lit)[:, None]
     image = np.full((height, SMOOTH * width, 3), float(PAPER))
     _draw(points, mesh.vertices[:, 2].astype(np.float64), rgb, faces.astype(np.int64), cut, image)
     reduced = image.reshape(height // SMOOTH, SMOOTH, width, SMOOTH, 3).mean(axis=(1, 3))
-    return np.rint(reduced).astype(np.uint8)
+    return shown, np.rint(reduced).astype(np.uint8)
 
 
 def _level_axes(xy: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
