@@ -48,10 +48,11 @@ def test_a_covariance_is_named_when_it_is_wrong_by_more_than_a_factor_of_two(rat
 def kinds(statuses, ratio):
     """Return the kind of each tile of a run with these statuses and a pose NEES / dimension."""
     frames = [SimpleNamespace(lost=not status.accepted, status=status) for status in statuses]
-    run = SimpleNamespace(frames=frames, times=0.1 * np.arange(len(frames)))
+    run = SimpleNamespace(frames=frames)
     stats = {
         "errors": None,
         "calibration": {"pose": {"nees_over_dimension": ratio}},
+        "real_time": {"factor": 0.8, "period_s": 0.1},
         "latency_ms": {"whole step": {"p50": 20.0, "p95": 30.0}},
         "map": {"voxel": 0.05, "shape": [64, 64, 32]},
     }
@@ -65,4 +66,5 @@ def test_a_relocalised_frame_is_no_failure_and_a_wrong_covariance_is_not_green()
     lost = kinds([Status.OK, Status.LOST, Status.RECOVERED], 12.0)
     assert (lost["frames tracked"].value, lost["frames tracked"].kind) == ("2", "bad")
     assert (lost["pose NEES / dimension"].kind, lost["pose NEES / dimension"].note) == ("warn", "overconfident")
-    assert lost["step, median"].value == "20.0 ms" and "every 100 ms" in lost["step, median"].note
+    assert (lost["real-time factor"].value, lost["real-time factor"].kind) == ("0.80", "warn")
+    assert lost["real-time factor"].note == "step 20.0 ms, 95 %: 30; an image every 100 ms"

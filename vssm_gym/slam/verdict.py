@@ -87,11 +87,11 @@ def tiles(run: SlamRun, stats: dict[str, Any], alignment: Alignment | None) -> l
         ratio = calibration["nees_over_dimension"]
         note = bias(ratio) or "covariance of about the right size"
         shown.append(Tile("pose NEES / dimension", f"{ratio:.3g}", note, "warn" if bias(ratio) else "good"))
-    step = stats["latency_ms"].get("whole step")
-    if step is not None:
-        period = 1e3 * float(np.median(np.diff(run.times))) if n > 1 else math.inf
-        note = f"95 %: {step['p95']:.0f} ms; an image every {period:.0f} ms" if math.isfinite(period) else ""
-        shown.append(Tile("step, median", f"{step['p50']:.1f} ms", note, "warn" if step["p50"] > period else ""))
+    speed, step = stats["real_time"], stats["latency_ms"].get("whole step")
+    if speed is not None and step is not None:
+        note = f"step {step['p50']:.1f} ms, 95 %: {step['p95']:.0f}; an image every {1e3 * speed['period_s']:.0f} ms"
+        late = "warn" if speed["factor"] < 1.0 else ""
+        shown.append(Tile("real-time factor", f"{speed['factor']:.2f}", note, late))
     shape = " x ".join(f"{stats['map']['voxel'] * cells:.3g}" for cells in stats["map"]["shape"])
     shown.append(Tile("voxel", f"{100.0 * stats['map']['voxel']:.3g} cm", f"grid {shape} m"))
     return shown
