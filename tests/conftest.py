@@ -15,6 +15,7 @@ if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
         os.environ.setdefault(variable, share)
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # windows are drawn, and seen nowhere
 
 # One compilation of a function serves both xdist workers, the processes that tests start, the slow tests and every
 # later run. Tests compile hundreds of small functions: they are kept too.

@@ -65,7 +65,19 @@ for _module in ("slam", "eval", "training", "cli"):
 ALLOWED["cli"] |= {"compilation_cache"}  # doctor says where it is
 ALLOWED["__init__"] = set(ALLOWED)  # it offers the public names, each imported at its first use
 
-ONE_IMPORTER = {"mujoco", "embreex", "casadi", "pybullet", "torch", "ray", "open3d", "rerun", "jinja2", "markupsafe"}
+ONE_IMPORTER = {
+    "mujoco",
+    "embreex",
+    "casadi",
+    "pybullet",
+    "torch",
+    "ray",
+    "open3d",
+    "rerun",
+    "pygame",
+    "jinja2",
+    "markupsafe",
+}
 ONE_PLACE = ("envs.physics", "training.sb3")  # folders that exist for one such library and count as one importer
 TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package
 FOREIGN_NAMES = {"agents", "eval", "envs"}  # top-level folders of this checkout, not packages of their own

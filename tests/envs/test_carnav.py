@@ -362,6 +362,7 @@ def test_a_pickled_environment_goes_on_to_the_byte():
 
 
 def test_bullet_passes_gymnasiums_checker():
+    pytest.importorskip("pygame", reason="the checker opens a window: the human extra is not installed")
     pytest.importorskip("pybullet", reason="the bullet extra is not installed")
     from gymnasium.utils.env_checker import check_env
 
@@ -382,7 +383,8 @@ def test_bullet_passes_gymnasiums_checker():
         ({"observe_pose": None}, "observe_pose", "True or False"),
         ({"reward": "money"}, "reward", "'sparse'"),
         ({"renderer": "oil"}, "renderer", "'raycast'"),
-        ({"render_mode": "human"}, "render_mode", "'rgb_array'"),
+        ({"render_mode": "ansi"}, "render_mode", "'human', 'rgb_array'"),
+        ({"captions": 1}, "captions", "True or False"),
         ({"camera": {"width": 1}}, "width", "pixels"),
         ({"scene": "no such place"}, "scene", "arena"),
     ],

@@ -40,6 +40,7 @@ def rollout(env: gym.Env, seed: int, steps: int = 8) -> list[bytes]:
 
 @pytest.mark.parametrize("name", IDS)
 def test_gymnasium_accepts_it(name):
+    pytest.importorskip("pygame", reason="the checker opens a window: the human extra is not installed")
     env = make(name, render_mode="rgb_array").unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -47,6 +48,48 @@ def test_gymnasium_accepts_it(name):
         warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
         check_env(env, skip_render_check=False)
     env.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_captions_lie_below_the_picture(name):
+    """Observations and pictures are the same with and without them; all pictures of an episode have one size."""
+    plain, written = (make(name, render_mode="rgb_array", captions=captions) for captions in (False, True))
+    (one, _), (other, _) = (env.reset(seed=0) for env in (plain, written))
+    sizes = set()
+    action = zero_action(plain.action_space)
+    for _ in range(3):
+        for key in one:
+            np.testing.assert_array_equal(one[key], other[key])
+        picture, frame = plain.render(), written.render()
+        np.testing.assert_array_equal(frame[: len(picture)], picture)
+        strip = frame[len(picture) :]
+        assert len(np.unique(strip.reshape(-1, 3), axis=0)) > 10  # letters have soft edges
+        sizes.add(frame.shape)
+        one, other = plain.step(action)[0], written.step(action)[0]
+    assert len(sizes) == 1
+    total = written.unwrapped.tally
+    assert total.steps == 3 and total.total != 0.0
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_escape_closes_the_window_and_ends_the_program(name, monkeypatch):
+    pygame = pytest.importorskip("pygame", reason="the human extra is not installed")
+    monkeypatch.setattr("vssm_gym.envs.rendering.window.time.sleep", lambda seconds: None)
+    env = make(name, render_mode="human")
+    assert not pygame.display.get_init()  # it opens with the first picture
+    env.reset(seed=0)
+    written = make(name, render_mode="rgb_array", captions=True)
+    written.reset(seed=0)
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    np.testing.assert_array_equal(shown, written.render())
+    action = zero_action(env.action_space)
+    env.step(action)
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+    with pytest.raises(SystemExit) as ended:
+        env.step(action)
+    assert ended.value.code == 0 and not pygame.display.get_init()
+    with pytest.raises(gym.error.ClosedEnvironmentError):
+        env.step(action)
 
 
 @pytest.mark.parametrize("name", IDS)

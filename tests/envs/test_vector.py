@@ -182,6 +182,30 @@ def test_all_environments_can_be_rendered():
     env.close()
 
 
+def test_each_environments_captions_count_its_own_episode():
+    env = make_vec("vssm_gym/PointNav-v0", render_mode="rgb_array", captions=True)
+    env.reset(seed=0)
+    actions = np.zeros(env.action_space.shape, np.float32)
+    rewards = env.step(actions)[1] + env.step(actions)[1]
+    assert [one.tally.steps for one in env.envs] == [2] * N
+    np.testing.assert_allclose([one.tally.total for one in env.envs], rewards)
+    actions[0, -1] = 1.0  # it stops, and begins anew in the step after
+    env.step(actions)
+    assert env.envs[0].tally.event == "failure" and env.envs[1].tally.event == ""
+    env.step(actions)
+    assert [one.tally.steps for one in env.envs] == [0] + [4] * (N - 1)
+    mask = np.arange(N) == 1
+    env.reset(options={"reset_mask": mask})
+    assert [one.tally.steps for one in env.envs] == [0, 0] + [4] * (N - 2)
+    assert env.render()[0].shape == (360 + 44, 480 + 360, 3)
+    env.close()
+
+
+def test_a_window_shows_one_environment_only():
+    with pytest.raises(InputError, match="make_vec: render_mode: expected 'rgb_array' or None: a window shows one"):
+        make_vec("vssm_gym/PointNav-v0", render_mode="human")
+
+
 @pytest.mark.parametrize(
     ("break_it", "field"),
     [

@@ -24,8 +24,10 @@ from vssm_gym.envs.conventions.relative_goal import (
 )
 from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.physics import MujocoCar
+from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.rendering.car_picture import draw_run
-from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.rendering.frames import Frames
+from vssm_gym.envs.rendering.topdown import PICTURE, PLAN_GOAL, PLAN_PATH, PLAN_ROBOT, TopDown, at_height
 from vssm_gym.envs.robots.car_body import PHYSICS, CarBody
 from vssm_gym.envs.robots.car_noise import CarActuators, CarNoise, car_noise
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
@@ -46,6 +48,7 @@ from vssm_gym.envs.validation import check_options, choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import Matrix4, PlanarPose
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
+from vssm_gym.geometry.transforms import wrap_angle
 
 # In metres gained, as those of PointNav.
 CARNAV_REWARD = DenseReward(step_cost=0.005, success=2.5, collision_cost=0.05, alignment=0.1)
@@ -73,10 +76,11 @@ class CarNavEnv(PhasedEnv):
             Without any, nothing is rendered.
         reward: ``dense`` (metres gained along free space, costs of steps and collisions, a success reward) or
             ``sparse``.
-        render_mode: ``rgb_array`` or None.
+        render_mode: ``rgb_array``, ``human`` (a window) or None.
+        captions: if True, a strip of text lies below each picture; a window always shows it.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012  (Gymnasium's own declaration)
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
         self,
@@ -96,6 +100,7 @@ class CarNavEnv(PhasedEnv):
         images: bool | Sequence[str] = True,
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
+        captions: bool = False,
     ) -> None:
         choose("CarNav", "renderer", renderer, RENDERERS)
         choose("CarNav", "physics", physics, PHYSICS)
@@ -104,14 +109,13 @@ class CarNavEnv(PhasedEnv):
         choose("CarNav", "actions", actions, ("metric", "normalized"))
         choose("CarNav", "goal", goal, GOAL_FORMS)
         choose("CarNav", "reward", reward, ("dense", "sparse"))
-        choose("CarNav", "render_mode", render_mode, (None, "rgb_array"))
         for field, value in (("chain", chain), ("observe_pose", observe_pose)):
             if not isinstance(value, bool):
                 raise InputError("CarNav", field, f"True or False; found {value!r:.80}")
         self.noise, self.car, self.physics = car_noise(noise), Car(), physics
         shown = (("rgb", "depth") if images else ()) if isinstance(images, bool) else parse_images("CarNav", images)
         self.targets, self.control, self.chain, self.goal = targets, control, chain, goal
-        self.reward, self.render_mode = reward, render_mode
+        self.reward, self.frames, self.render_mode = reward, Frames("CarNav", render_mode, captions), render_mode
         self.apartment: Apartment = load_scene(scene)
         carried, seen = parse_sensors("CarNav", sensors), rgbd_noise.sensor_noise(sensor_noise)
         shared = SharedRenderer.of(self.apartment, camera_config(camera), renderer)
@@ -262,21 +266,27 @@ class CarNavEnv(PhasedEnv):
             observation = relative_goal(observation, pose)
         return observation, reward, terminated, False, info
 
-    def render(self) -> np.ndarray | None:
-        """Return the camera's image, if there are images, beside the plan: uint8 ``(360, width, 3)``.
-
-        None without render_mode.
-        """
-        if self.render_mode is None or self.task is None:
-            return None
+    def panels(self) -> list[Panel]:
+        """Return the camera's image, if there are images, and the plan, 360 pixels high."""
+        assert self.task is not None
         if self._plan is None:
             self._plan = TopDown(self.apartment.boxes(), PICTURE, PICTURE)
         path, goal = np.array(self._path), np.array(self.task.goal)
         plan = draw_run(self._plan, path, self.car, self._planar, goal, GOAL_RADIUS)
-        if not self._images:
-            return plan
-        self.sense()
-        return beside_plan(self.sensors.reading("rgb"), plan)
+        panels = [Panel(plan, "plan", {"path": PLAN_PATH, "car": PLAN_ROBOT, "target": PLAN_GOAL})]
+        if self._images:
+            self.sense()
+            panels.insert(0, Panel(at_height(self.sensors.reading("rgb"), PICTURE), "camera"))
+        return panels
+
+    def captions(self) -> list[Caption]:
+        """Return the straight distance to the target, and the turn that is left where the target has a heading."""
+        assert self.task is not None
+        goal = np.array(self.task.goal)
+        captions = [Caption("target", f"{np.hypot(*(self._planar[:2] - goal[:2])):.2f} m")]
+        if self.targets == "poses":
+            captions.append(Caption("turn", f"{math.degrees(wrap_angle(goal[2] - self._planar[2])):+.0f}°"))
+        return captions
 
     def close(self) -> None:
         """Free the simulator."""

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.envs.phased import PhasedEnv, Report
+from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.coverage import Coverage
 from vssm_gym.envs.tasks.navigation import BORDER_MARGIN
@@ -35,7 +36,7 @@ class ExploreEnv(PhasedEnv):
     """
 
     passes_to = Simulation
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
         self,
@@ -50,8 +51,8 @@ class ExploreEnv(PhasedEnv):
         if not (isinstance(finish, int | float) and finish > 0.0):
             raise InputError("Explore", "finish", f"a share above 0; found {finish!r}")
         self.simulation = Simulation(scene, observe_pose=observe_pose, **simulation)
-        self.reward, self.finish, self.render_mode = reward, float(finish), self.simulation.render_mode
-        self.robot = self.simulation.robot
+        self.reward, self.finish, self.robot = reward, float(finish), self.simulation.robot
+        self.frames, self.render_mode = self.simulation.frames, self.simulation.frames.mode
         self.renderer_name = self.simulation.renderer.name
         self.parallel = self.simulation.parallel
         if self.simulation.varies("camera_height"):
@@ -104,9 +105,13 @@ class ExploreEnv(PhasedEnv):
         reward, terminated, info = self._outcome
         return self.simulation.observation(), reward, terminated, False, info
 
-    def render(self) -> np.ndarray | None:
-        """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
-        return self.simulation.picture()
+    def panels(self) -> list[Panel]:
+        """Return the camera's image and the plan with the path so far, 360 pixels high."""
+        return self.simulation.panels()
+
+    def captions(self) -> list[Caption]:
+        """Return the coverage."""
+        return [Caption("coverage", f"{self.coverage.fraction:.1%}")]
 
     def _adopt(self) -> None:
         """Take scene, camera and noise of the simulation, which may vary from episode to episode."""

@@ -15,7 +15,17 @@ from jaxtyping import Float
 from vssm_gym.envs.flight_body import FlightBody, FlightNoise, FlightState, flight_noise, fly
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.physics import FlightWorld
-from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.rendering.captions import Caption, Panel
+from vssm_gym.envs.rendering.frames import Frames
+from vssm_gym.envs.rendering.topdown import (
+    PICTURE,
+    PLAN_GOAL,
+    PLAN_PATH,
+    PLAN_REFERENCE,
+    PLAN_ROBOT,
+    TopDown,
+    at_height,
+)
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
@@ -48,6 +58,7 @@ SLOWEST, FASTEST = 0.2, 20.0  # m/s, range of the keyword; a flight that needs t
 LONGEST_FLIGHT = 600.0  # s, most of a reference, and so of an episode
 STRAYED = 2.0  # m from the reference, at which the flight is given up
 EARNING_DISTANCE = 1.0  # m from the reference, beyond which a step earns nothing
+REFERENCE_POINTS = 512  # of the line that a picture shows
 CRASH_COST = 5.0  # cost of a collision, in the dense reward
 HOVERING = np.concatenate([-np.array(GRAVITY), np.zeros(3)])  # the command that hovers
 
@@ -71,10 +82,11 @@ class FlightEnv(PhasedEnv):
         speed: its peak, m/s, 0.2 to 20 as far as the rotors allow, or None: drawn from DRAWN_SPEEDS.
         yaw: ``forward``: the nose points along the motion; ``constant``.
         reward: ``dense`` (nearness to the reference) or ``sparse`` (1 for a flight completed).
-        render_mode: ``rgb_array`` or None.
+        render_mode: ``rgb_array``, ``human`` (a window) or None.
+        captions: if True, a strip of text lies below each picture; a window always shows it.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own declaration)
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
         self,
@@ -91,12 +103,12 @@ class FlightEnv(PhasedEnv):
         yaw: Yaw = "forward",
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
+        captions: bool = False,
     ) -> None:
         choose("Flight", "renderer", renderer, RENDERERS)
         choose("Flight", "flight", flight, (None, *CURVES))
         choose("Flight", "yaw", yaw, ("forward", "constant"))
         choose("Flight", "reward", reward, ("dense", "sparse"))
-        choose("Flight", "render_mode", render_mode, (None, "rgb_array"))
         if speed is not None and not (_number(speed) and SLOWEST <= speed <= FASTEST):
             raise InputError("Flight", "speed", f"{SLOWEST:g} to {FASTEST:g} m/s, or None; found {speed!r:.80}")
         if not (_number(rate) and 5.0 <= rate <= 100.0):
@@ -106,7 +118,7 @@ class FlightEnv(PhasedEnv):
             imu.imu_noise(imu_noise),
             rgbd_noise.sensor_noise(sensor_noise),
         )
-        self.reward, self.render_mode = reward, render_mode
+        self.reward, self.frames, self.render_mode = reward, Frames("Flight", render_mode, captions), render_mode
         self.flight, self.speed, self.yaw = flight, speed, yaw
         self.apartment: Apartment = load_scene(scene)
         self.body, self.dt = FlightBody(), 1.0 / rate
@@ -212,17 +224,27 @@ class FlightEnv(PhasedEnv):
             reward = self.dt * max(0.0, 1.0 - error / EARNING_DISTANCE) - CRASH_COST * self._collision
         return self.sensors.observation(), reward, terminated, False, info
 
-    def render(self) -> np.ndarray | None:
-        """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
-        if self.render_mode is None or self.task is None:
-            return None
+    def panels(self) -> list[Panel]:
+        """Return the camera's image and the plan with the reference and the path so far, 360 pixels high."""
+        assert self.task is not None
         if self._plan is None:
             self._plan = TopDown(self.world.boxes, PICTURE, PICTURE)
         self.sense()
         planar = matrix_to_planar(self.state.T_world_body)
         goal = self.task.at(np.array([self.time])).position[0, :2]
-        plan = self._plan.draw(np.array(self._path)[:, :2], planar, self.body.radius, goal, 0.5 * EARNING_DISTANCE)
-        return beside_plan(self.sensors.reading("rgb"), plan)
+        ahead = self.task.at(np.linspace(0.0, self.task.duration, REFERENCE_POINTS)).position[:, :2]
+        path, reach = np.array(self._path)[:, :2], 0.5 * EARNING_DISTANCE
+        plan = self._plan.draw(path, planar, self.body.radius, goal, reach, ahead)
+        legend = {"reference": PLAN_REFERENCE, "reference now": PLAN_GOAL, "path": PLAN_PATH, "body": PLAN_ROBOT}
+        return [Panel(at_height(self.sensors.reading("rgb"), PICTURE), "camera"), Panel(plan, "plan", legend)]
+
+    def captions(self) -> list[Caption]:
+        """Return time, height and the distance to the present position of the reference."""
+        return [
+            Caption("time", f"{self.time:.2f} s"),
+            Caption("height", f"{self.state.position[2]:.2f} m"),
+            Caption("error", f"{self.tracking_error():.2f} m"),
+        ]
 
     def tracking_error(self) -> float:
         """Return the distance to the present position of the reference, m."""

@@ -11,7 +11,8 @@ import numpy as np
 
 from vssm_gym.envs.phased import PhasedEnv, Report
 from vssm_gym.envs.pointnav import PointNavEnv
-from vssm_gym.envs.rendering.topdown import PICTURE, beside_plan
+from vssm_gym.envs.rendering.captions import Caption, Panel
+from vssm_gym.envs.rendering.topdown import PICTURE, at_height
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.errors import InputError
 
@@ -34,7 +35,8 @@ class ImageNavEnv(PhasedEnv):
         if "goal" in navigation:
             raise InputError("ImageNav", "goal", "no such keyword here: the goal is an image")
         self.navigation = PointNavEnv(scene, **navigation)
-        self.render_mode, self.parallel = self.navigation.render_mode, self.navigation.parallel
+        self.frames, self.render_mode = self.navigation.frames, self.navigation.render_mode
+        self.parallel = self.navigation.parallel
         self.simulation, self.renderer_name = self.navigation.simulation, self.navigation.renderer_name
         self.success_radius = self.navigation.success_radius
         self.action_space = self.navigation.action_space
@@ -62,13 +64,14 @@ class ImageNavEnv(PhasedEnv):
         """Return what PointNav reports, with the goal's image in place of its position."""
         return self.navigation.report()
 
-    def render(self) -> np.ndarray | None:
-        """Return the camera's image, the goal's and the plan, side by side: uint8 ``(360, width, 3)``."""
-        picture = self.navigation.render()
-        if picture is None or self._goal_rgb is None:
-            return picture
-        plan = picture[:, -PICTURE:]
-        return np.concatenate([picture[:, :-PICTURE], beside_plan(self._goal_rgb, plan)], axis=1)
+    def panels(self) -> list[Panel]:
+        """Return the camera's image, the goal's and the plan, 360 pixels high."""
+        camera, plan = self.navigation.panels()
+        return [camera, Panel(at_height(self._goal(), PICTURE), "image of the goal"), plan]
+
+    def captions(self) -> list[Caption]:
+        """Return the straight distance to the goal."""
+        return self.navigation.captions()
 
     def _goal(self) -> np.ndarray:
         """Return the goal's image, rendered once an episode."""

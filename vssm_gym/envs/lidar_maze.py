@@ -16,7 +16,9 @@ from PIL import Image, ImageDraw
 from vssm_gym.envs.maze_noise import motion_noise, range_noise
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.physics.planar import clearance, slide
-from vssm_gym.envs.rendering.topdown import TopDown
+from vssm_gym.envs.rendering.captions import Caption, Panel
+from vssm_gym.envs.rendering.frames import Frames
+from vssm_gym.envs.rendering.topdown import PLAN_LEGEND, TopDown
 from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.sensors.base import HasPlanar, Sensor
@@ -55,11 +57,12 @@ class LidarMazeEnv(PhasedEnv):
         end_on: ``stop``: the episode ends at the agent's stop, where success is evaluated; ``reach``: it ends when the
             task is done and ``stop`` means nothing.
         reward: ``dense`` (metres gained, a cost a step, a success reward) or ``sparse`` (success).
-        render_mode: ``rgb_array`` or None.
+        render_mode: ``rgb_array``, ``human`` (a window) or None.
+        captions: if True, a strip of text lies below each picture; a window always shows it.
     """
 
     parallel = True
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
         self,
@@ -73,15 +76,16 @@ class LidarMazeEnv(PhasedEnv):
         end_on: Literal["stop", "reach"] = "stop",
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
+        captions: bool = False,
     ) -> None:
         choose("LidarMaze", "task", task, ("navigate", "explore"))
         choose("LidarMaze", "end_on", end_on, ("stop", "reach"))
         choose("LidarMaze", "reward", reward, ("dense", "sparse"))
-        choose("LidarMaze", "render_mode", render_mode, (None, "rgb_array"))
         if isinstance(beams, bool) or not isinstance(beams, int) or not 1 <= beams <= 4096:
             raise InputError("LidarMaze", "beams", f"1 to 4096 readings a scan, not {beams!r}")
         self.noise = motion_noise(noise)
-        self.end_on, self.reward, self.render_mode = end_on, reward, render_mode
+        self.frames, self.render_mode = Frames("LidarMaze", render_mode, captions), render_mode
+        self.end_on, self.reward = end_on, reward
         self.maze = load_maze(scene)
         self.robot, self.beams = ROBOT, beams
         self.success_radius = SUCCESS * self.robot.body_length
@@ -161,10 +165,9 @@ class LidarMazeEnv(PhasedEnv):
         reward, terminated, info = self._outcome
         return self.sensors.observation(), reward, terminated, False, info
 
-    def render(self) -> np.ndarray | None:
+    def panels(self) -> list[Panel]:
         """Return the plan with path, robot, goal region and the latest scan around the true pose: ``(480, 480, 3)``."""
-        if self.render_mode is None or self.task is None:
-            return None
+        assert self.task is not None
         if self._plan is None:
             self._plan = TopDown(self.maze.apartment.boxes(), MAZE_PICTURE, MAZE_PICTURE, margin=0.02)
         goal = np.asarray(self.task.goal) if isinstance(self.objective, Approach) else None
@@ -177,7 +180,15 @@ class LidarMazeEnv(PhasedEnv):
         pen = ImageDraw.Draw(image)
         for column, row in self._plan.pixels(ends[ranges > 0.0]):
             pen.ellipse((column - 2.0, row - 2.0, column + 2.0, row + 2.0), fill=_RAY)
-        return np.asarray(image)
+        legend = {name: colour for name, colour in PLAN_LEGEND.items() if name != "goal" or goal is not None}
+        return [Panel(np.asarray(image), "plan", legend | {"scan": _RAY})]
+
+    def captions(self) -> list[Caption]:
+        """Return the straight distance to the goal, or the share of tiles visited."""
+        assert self.task is not None
+        if isinstance(self.objective, MazeCoverage):
+            return [Caption("coverage", f"{self.objective.ratio:.1%}")]
+        return [Caption("goal", f"{math.hypot(*(self.planar[:2] - self.task.goal)):.2f} m")]
 
     def _goal(self) -> np.ndarray:
         """Return the goal, as observed."""

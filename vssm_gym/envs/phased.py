@@ -16,6 +16,8 @@ from typing import Any, ClassVar, Self
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.rendering.captions import Caption, Panel, Tally
+from vssm_gym.envs.rendering.frames import Frames
 from vssm_gym.errors import InputError
 
 Report = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
@@ -29,6 +31,8 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
 
     passes_to: ClassVar[type | None] = None  # the class whose keywords the constructor accepts besides its own
     parallel: bool = False  # True if several environments may sense at once, in threads of one process
+    frames: Frames  # set by the constructor
+    tally: Tally | None = None  # of the episode under way; None before the first one
     _closed: bool = False
     _running: bool = False  # True from a reset to the step that ends the episode
 
@@ -58,6 +62,14 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
     def report(self) -> Report:
         """Return observation, reward, terminated, truncated and info of the last reset or step."""
 
+    @abc.abstractmethod
+    def panels(self) -> list[Panel]:
+        """Return the images of a picture, from left to right."""
+
+    @abc.abstractmethod
+    def captions(self) -> list[Caption]:
+        """Return the captions of this environment, which follow those of steps and rewards."""
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -67,7 +79,9 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         self.begin(seed, options)
         self.sense()
         observation, *_, info = self.report()
-        self._running = True
+        self._running, self.tally = True, Tally()
+        if self.render_mode == "human":
+            self.render()
         return observation, info
 
     def step(self, action: np.ndarray) -> Report:
@@ -75,15 +89,34 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         self._check_open()
         if not self._running:
             raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
+        assert self.tally is not None
         self.advance(action)
         self.sense()
         observation, reward, terminated, truncated, info = self.report()
-        self._running = not (terminated or truncated)
+        self._running, self.tally = not (terminated or truncated), self.tally.after(reward, info)
+        if self.render_mode == "human":
+            self.render()
         return observation, reward, terminated, truncated, info
 
+    def render(self) -> np.ndarray | None:
+        """Return the picture of the present state, uint8 ``(height, width, 3)``; in mode ``human`` show it instead.
+
+        Returns None before the first reset and without ``render_mode``.
+        """
+        self._check_open()
+        if self.render_mode is None or self.tally is None:
+            return None
+        title, captions = type(self).__name__.removesuffix("Env"), self.tally.captions(self.captions())
+        try:
+            return self.frames.render(self.panels(), captions, title, self.metadata["render_fps"])
+        except SystemExit:  # the user has closed the window
+            self.close()
+            raise
+
     def close(self) -> None:
-        """Free what the environment holds; it cannot be reset or stepped afterwards."""
+        """Free what the environment holds; it cannot be reset, stepped or rendered afterwards."""
         self._closed = True
+        self.frames.close()
 
     def _check_open(self) -> None:
         if self._closed:

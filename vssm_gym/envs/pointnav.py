@@ -21,6 +21,7 @@ from vssm_gym.envs.conventions.relative_goal import (
     with_relative_goal,
 )
 from vssm_gym.envs.phased import PhasedEnv
+from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.simulation import Simulation
@@ -50,7 +51,7 @@ class PointNavEnv(PhasedEnv):
     """
 
     passes_to = Simulation
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
         self,
@@ -66,8 +67,8 @@ class PointNavEnv(PhasedEnv):
         choose("PointNav", "goal", goal, GOAL_FORMS)
         choose("PointNav", "reward", reward, ("dense", "sparse"))
         self.simulation = Simulation(scene, **simulation)
-        self.end_on, self.goal, self.reward, self.render_mode = end_on, goal, reward, self.simulation.render_mode
-        self.robot = self.simulation.robot
+        self.end_on, self.goal, self.reward, self.robot = end_on, goal, reward, self.simulation.robot
+        self.frames, self.render_mode = self.simulation.frames, self.simulation.frames.mode
         self.renderer_name = self.simulation.renderer.name
         self.parallel = self.simulation.parallel
         self.success_radius = SUCCESS * self.robot.body_length
@@ -154,9 +155,15 @@ class PointNavEnv(PhasedEnv):
             observation = relative_goal(observation, pose)
         return observation, reward, terminated, False, info
 
-    def render(self) -> np.ndarray | None:
-        """Return the camera's image beside the plan with the path so far: uint8 ``(360, width, 3)``."""
-        return self.simulation.picture(None if self.task is None else np.asarray(self.task.goal), self.success_radius)
+    def panels(self) -> list[Panel]:
+        """Return the camera's image and the plan with the path so far, 360 pixels high."""
+        assert self.task is not None
+        return self.simulation.panels(np.asarray(self.task.goal), self.success_radius)
+
+    def captions(self) -> list[Caption]:
+        """Return the straight distance to the goal."""
+        assert self.task is not None
+        return [Caption("goal", f"{np.hypot(*(self.planar[:2] - self.task.goal)):.2f} m")]
 
     def _adopt(self) -> None:
         """Take scene, camera and noise of the simulation, which may vary from episode to episode."""

@@ -20,7 +20,9 @@ from vssm_gym.envs.conventions.randomization import (
     parse_randomization,
 )
 from vssm_gym.envs.physics import FloorWorld
-from vssm_gym.envs.rendering.topdown import PICTURE, TopDown, beside_plan
+from vssm_gym.envs.rendering.captions import Panel
+from vssm_gym.envs.rendering.frames import Frames
+from vssm_gym.envs.rendering.topdown import PICTURE, PLAN_LEGEND, TopDown, at_height
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.robots.base import camera_ahead
 from vssm_gym.envs.robots.registry import ROBOTS
@@ -70,7 +72,8 @@ class Simulation:
         randomize: what varies between episodes: a :class:`Randomization` or a mapping of its fields.
         actions: ``metric`` (SI units), ``normalized`` (in [-1, 1]) or ``discrete`` (forward, left, right); see
             :mod:`vssm_gym.envs.conventions.actions`.
-        render_mode: ``rgb_array`` or None.
+        render_mode: ``rgb_array``, ``human`` (a window) or None.
+        captions: if True, a strip of text lies below each picture; a window always shows it.
     """
 
     def __init__(
@@ -88,16 +91,16 @@ class Simulation:
         actions: ActionForm = "metric",
         randomize: Randomization | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        captions: bool = False,
     ) -> None:
         choose("environment", "robot", robot, tuple(ROBOTS))
         choose("environment", "renderer", renderer, RENDERERS)
         choose("environment", "physics", physics, ("mujoco",))
-        choose("environment", "render_mode", render_mode, (None, "rgb_array"))
         choose("environment", "actions", actions, ACTION_FORMS)
         shown = parse_images("environment", images)
         if not isinstance(observe_pose, bool):
             raise InputError("environment", "observe_pose", f"True or False; found {observe_pose!r:.80}")
-        self.robot, self.render_mode = ROBOTS[robot](), render_mode
+        self.robot, self.frames = ROBOTS[robot](), Frames("environment", render_mode, captions)
         self.noise = self.robot.parse_noise(noise)
         self._carried, seen = parse_sensors("environment", sensors), rgbd_noise.sensor_noise(sensor_noise)
         self._random = parse_randomization(randomize)
@@ -266,15 +269,11 @@ class Simulation:
         """Return the entries of ``info`` that all environments share; agents never see them."""
         return {"T_world_cam": self.T_world_cam, "K": self._K.copy(), "collision": collision, "control": command}
 
-    def picture(self, goal: np.ndarray | None = None, goal_radius: float = 0.0) -> np.ndarray | None:
-        """Return the camera's image beside the plan with the path so far, uint8 ``(360, width, 3)``.
-
-        None without render_mode.
-        """
-        if self.render_mode is None or not self.path:
-            return None
+    def panels(self, goal: np.ndarray | None = None, goal_radius: float = 0.0) -> list[Panel]:
+        """Return the camera's image and the plan with the path so far, 360 pixels high."""
         if self._plan is None:
             self._plan = TopDown(self.renderer.boxes, PICTURE, PICTURE)
         self.sense()
         plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
-        return beside_plan(self.sensors.reading("rgb"), plan)
+        legend = {name: colour for name, colour in PLAN_LEGEND.items() if name != "goal" or goal is not None}
+        return [Panel(at_height(self.sensors.reading("rgb"), PICTURE), "camera"), Panel(plan, "plan", legend)]

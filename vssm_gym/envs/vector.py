@@ -20,6 +20,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.registration import ENVIRONMENTS
+from vssm_gym.envs.rendering.captions import Tally
 from vssm_gym.envs.validation import vector_seeds
 from vssm_gym.errors import InputError
 
@@ -47,6 +48,9 @@ class PhasedVectorEnv(VectorEnv):
         threads: int | None = None,
         **keywords: Any,
     ) -> None:
+        if keywords.get("render_mode") == "human":
+            expected = "'rgb_array' or None: a window shows one environment, of gym.make"
+            raise InputError("make_vec", "render_mode", expected)
         if num_envs < 1:
             raise InputError("make_vec", "num_envs", f"at least 1; found {num_envs!r}")
         if max_episode_steps != -1 and not _whole(max_episode_steps):
@@ -93,6 +97,7 @@ class PhasedVectorEnv(VectorEnv):
             raise gym.error.ResetNeeded("the first reset is one of all environments: reset_mask comes later")
         for i in np.flatnonzero(mask):
             self.envs[i].begin(seeds[i], options or None)
+            self.envs[i].tally = None
             self._begun[i] = True
         self._steps[mask], self._ended[mask] = 0, False
         observation, _, _, _, infos = self._gather(mask)
@@ -112,7 +117,7 @@ class PhasedVectorEnv(VectorEnv):
         for i, (env, action) in enumerate(zip(self.envs, batch, strict=True)):
             if restarted[i]:
                 env.begin()
-                self._steps[i] = 0
+                self._steps[i], env.tally = 0, None
             else:
                 env.advance(action)
                 self._steps[i] += 1
@@ -171,7 +176,9 @@ class PhasedVectorEnv(VectorEnv):
         reports = [env.report() for env in self.envs]
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(fresh):
-            infos = self._add_info(infos, reports[i][4], int(i))
+            env, (_, reward, _, _, info) = self.envs[i], reports[i]
+            env.tally = Tally() if env.tally is None else env.tally.after(reward, info)
+            infos = self._add_info(infos, info, int(i))
         empty: Any = create_empty_array(self.single_observation_space, self.num_envs)
         observation = concatenate(self.single_observation_space, [report[0] for report in reports], empty)
         rewards = np.array([report[1] for report in reports], dtype=np.float64)

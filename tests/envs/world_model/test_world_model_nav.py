@@ -26,6 +26,7 @@ EXACT: dict[str, Any] = {"noise": "none", "pose_std": (0.0, 0.0, 0.0)}
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["holonomic", "car"])
 def test_both_checkers_accept_it(robot):
+    pytest.importorskip("pygame", reason="the checker opens a window: the human extra is not installed")
     theirs = pytest.importorskip("stable_baselines3.common.env_checker", reason="the rl extra is not installed")
     env = make(robot=robot, render_mode="rgb_array").unwrapped
     with warnings.catch_warnings():

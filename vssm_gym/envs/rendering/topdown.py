@@ -16,6 +16,8 @@ FLATTEST = 2  # width over height of a camera's picture at most
 ZOOM = 2  # pictures are drawn this many times larger, then reduced, for smooth edges
 _INK = {"wall": (58, 60, 66), "door": (176, 126, 74), "window": (150, 190, 220)}  # RGB
 PLAN_PATH, PLAN_ROBOT, PLAN_GOAL = (214, 60, 48), (24, 92, 196), (28, 150, 72)  # RGB
+PLAN_REFERENCE = (150, 206, 170)  # RGB of a path to follow
+PLAN_LEGEND = {"path": PLAN_PATH, "robot": PLAN_ROBOT, "goal": PLAN_GOAL}
 
 
 class TopDown:
@@ -62,8 +64,11 @@ class TopDown:
         robot_radius: float,
         goal: np.ndarray | None = None,
         goal_radius: float = 0.0,
+        reference: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the plan with the path ``(n, 2)``, the robot with its direction of view, and a goal's disc, if any.
+
+        ``reference`` ``(m, 2)`` is a path to follow, which is drawn below the others.
 
         Returns:
             uint8 ``(height, width, 3)``.
@@ -71,6 +76,9 @@ class TopDown:
         width, height = self._size
         image = Image.fromarray(self.background).resize((width * ZOOM, height * ZOOM), Image.Resampling.NEAREST)
         pen = ImageDraw.Draw(image)
+        if reference is not None:
+            line = [tuple(p) for p in self.pixels(reference) * ZOOM]
+            pen.line(line, fill=PLAN_REFERENCE, width=2 * ZOOM, joint="curve")
         if goal is not None:
             goal_at, radius = self.pixels(goal) * ZOOM, goal_radius * self._scale * ZOOM
             pen.ellipse(_circle(goal_at, radius), outline=PLAN_GOAL, width=2 * ZOOM)
@@ -84,17 +92,16 @@ class TopDown:
         return np.asarray(image.resize((width, height), Image.Resampling.BOX))
 
 
-def beside_plan(rgb: np.ndarray, plan: np.ndarray) -> np.ndarray:
-    """Put a camera's image ``(H, W, 3)`` to the left of a plan, both uint8, at the plan's height.
+def at_height(rgb: np.ndarray, height: int) -> np.ndarray:
+    """Return a camera's image, uint8 ``(H, W, 3)``, at another height.
 
     Pixels are repeated, not smoothed: the picture shows what the agent sees. An image flatter than ``FLATTEST`` is
     stretched vertically: a scan of one row would be invisible otherwise.
     """
-    height = len(plan)
     width = min(height * rgb.shape[1] // rgb.shape[0], FLATTEST * height)
     rows = (np.arange(height) * rgb.shape[0]) // height
     columns = (np.arange(width) * rgb.shape[1]) // width
-    return np.concatenate([rgb[rows[:, None], columns[None]], plan], axis=1)
+    return rgb[rows[:, None], columns[None]]
 
 
 def _corners(box: SolidBox) -> np.ndarray:

@@ -14,7 +14,7 @@ from vssm_gym.geometry.scan import MAX_DEPTH
 
 SOURCE = "WorldModelNav"
 # Keywords of the constructors that are not fields of Imagination
-OWN = ("map", "render_mode")
+OWN = ("map", "render_mode", "captions")
 CHOICES: dict[str, tuple[str, ...]] = {
     "robot": ("holonomic", "car"),
     "observation": ("scan", "depth", "rgbd"),

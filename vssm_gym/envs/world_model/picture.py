@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from vssm_gym.envs.rendering.captions import Panel
 from vssm_gym.envs.rendering.topdown import PICTURE
 from vssm_gym.envs.world_model.collision_map import CollisionMap
 
 MAP_FREE, MAP_BLOCKED, MAP_UNKNOWN = (255, 255, 255), (60, 60, 70), (190, 190, 195)  # RGB
 MAP_PATH, MAP_ROBOT, MAP_GOAL = (200, 60, 50), (40, 90, 200), (70, 170, 90)  # RGB
+MAP_LEGEND = {"path": MAP_PATH, "robot": MAP_ROBOT, "goal": MAP_GOAL, "blocked": MAP_BLOCKED, "unobserved": MAP_UNKNOWN}
 DRAWN_POSITIONS = 1000  # positions of a path that are drawn
 
 
@@ -36,9 +38,9 @@ class PlanPicture:
         for i in which:
             self._paths[i] = []
 
-    def draw(self, planar: np.ndarray, goals: np.ndarray, reach: float, radius: float) -> tuple[np.ndarray, ...]:
-        """Draw one picture a robot, uint8 ``(360, width, 3)``."""
-        pictures = []
+    def draw(self, planar: np.ndarray, goals: np.ndarray, reach: float, radius: float) -> list[Panel]:
+        """Draw one plan a robot, uint8 ``(360, width, 3)``."""
+        plans = []
         for path, pose, goal in zip(self._paths, planar, goals, strict=True):
             path.append(pose[:2])
             del path[:-DRAWN_POSITIONS]
@@ -49,8 +51,8 @@ class PlanPicture:
             self._disc(picture, pose[:2], radius, MAP_ROBOT)
             ahead = pose[:2] + radius * np.array([np.cos(pose[2]), np.sin(pose[2])])
             self._disc(picture, ahead, 0.5 * radius, MAP_ROBOT)
-            pictures.append(picture)
-        return tuple(pictures)
+            plans.append(Panel(picture, "map", MAP_LEGEND))
+        return plans
 
     def _disc(self, picture: np.ndarray, xy: np.ndarray, radius: float, colour: tuple[int, int, int]) -> None:
         picture[(self._x - xy[0]) ** 2 + (self._y - xy[1]) ** 2 <= max(radius, self._metres) ** 2] = colour

@@ -5,7 +5,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.rendering.frames import Frames
 from vssm_gym.envs.validation import check_options
+from vssm_gym.envs.world_model.config import SOURCE
 from vssm_gym.envs.world_model.vector import WorldModelVectorEnv
 from vssm_gym.errors import InputError
 
@@ -13,11 +15,13 @@ from vssm_gym.errors import InputError
 class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
     """Imagine one robot; keywords are those of :class:`~vssm_gym.envs.world_model.vector.WorldModelVectorEnv`."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
-    def __init__(self, map: Any = None, render_mode: str | None = None, **keywords: Any) -> None:
-        self.vector = WorldModelVectorEnv(map, 1, -1, render_mode, **keywords)
-        self.render_mode = render_mode
+    def __init__(
+        self, map: Any = None, render_mode: str | None = None, captions: bool = False, **keywords: Any
+    ) -> None:
+        self.frames, self.render_mode = Frames(SOURCE, render_mode, captions), render_mode
+        self.vector = WorldModelVectorEnv(map, 1, -1, render_mode and "rgb_array", **keywords)
         self.action_space = self.vector.single_action_space
         self.observation_space = self.vector.single_observation_space
         self.success_radius, self.robot = self.vector.success_radius, self.vector.robot
@@ -35,6 +39,8 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
         super().reset(seed=seed)
         observation, infos = self.vector.reset(seed=seed, options=check_options(options, "task"))
         self._running = True
+        if self.render_mode == "human":
+            self.render()
         return _first(observation), _info(infos) | _still(self.vector)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -49,16 +55,29 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
             ) from None
         observation, reward, terminated, truncated, infos = self.vector.step(batch)
         self._running = not (terminated[0] or truncated[0])
+        if self.render_mode == "human":
+            self.render()
         return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _info(infos)
 
     def close(self) -> None:
         """Free the batch; the environment cannot be reset or stepped afterwards."""
         self.vector.close()
+        self.frames.close()
 
     def render(self) -> np.ndarray | None:
-        """Draw the robot on the belief's floor plan; return None without ``render_mode``."""
-        pictures = self.vector.render()
-        return None if pictures is None else pictures[0]
+        """Draw the robot on the belief's floor plan, uint8 ``(height, width, 3)``; in mode ``human`` show it instead.
+
+        Returns None before the first reset and without ``render_mode``.
+        """
+        plans = [] if self.render_mode is None else self.vector.plans()
+        if not plans:
+            return None
+        ((plan, captions),) = plans
+        try:
+            return self.frames.render([plan], captions, SOURCE, self.metadata["render_fps"])
+        except SystemExit:  # the user has closed the window
+            self.close()
+            raise
 
 
 def _first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

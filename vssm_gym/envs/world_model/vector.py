@@ -16,6 +16,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from vssm_gym.envs.conventions.relative_goal import MAX_GOAL_DISTANCE
+from vssm_gym.envs.rendering.captions import Caption, Panel, Tally
+from vssm_gym.envs.rendering.frames import Frames
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
 from vssm_gym.envs.validation import check_options, choose, vector_seeds
 from vssm_gym.envs.world_model.batch_slices import BatchSlices
@@ -35,6 +37,7 @@ class WorldModelVectorEnv(VectorEnv):
         num_envs: number of robots.
         max_episode_steps: steps after which an episode is truncated; -1 for none.
         render_mode: ``rgb_array`` or None.
+        captions: if True, a strip of text lies below each picture.
         keywords: of :class:`~vssm_gym.envs.world_model.config.Imagination`.
     """
 
@@ -50,6 +53,7 @@ class WorldModelVectorEnv(VectorEnv):
         num_envs: int = 1,
         max_episode_steps: int = -1,
         render_mode: str | None = None,
+        captions: bool = False,
         **keywords: Any,
     ) -> None:
         choose(SOURCE, "render_mode", render_mode, (None, "rgb_array"))
@@ -59,7 +63,9 @@ class WorldModelVectorEnv(VectorEnv):
                 raise InputError("make_vec", name, f"a whole number, at least 1; found {value!r:.80}")
         self.imagination, self.robot = config, robot_of(config)
         self.world = build_world(map, config, self.robot, max_episode_steps)
-        self.num_envs, self.render_mode, self.max_episode_steps = num_envs, render_mode, max_episode_steps
+        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.frames, self.render_mode = Frames(SOURCE, render_mode, captions), render_mode
+        self._tallies = [Tally()] * num_envs
         self.success_radius = round(float(self.world.rules.success_radius), 6)
         self.single_action_space, self.single_observation_space = _action_space(self.robot), _observation_space(config)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -89,6 +95,7 @@ class WorldModelVectorEnv(VectorEnv):
         self._seed(seed, mask)
         shown = self._batch.restart(mask, tasks)
         self._begun = True
+        self._count(mask)
         if self._picture is not None:
             self._picture.forget(np.flatnonzero(mask))
         return self._observation(shown), self._start_infos(mask)
@@ -123,6 +130,7 @@ class WorldModelVectorEnv(VectorEnv):
             if self._picture is not None:
                 self._picture.forget(np.flatnonzero(begun))
         reward = outcome.reward.astype(np.float64)
+        self._count(begun, outcome)
         return self._observation(outcome.observation), reward, terminated, outcome.truncated, infos
 
     @property
@@ -136,12 +144,20 @@ class WorldModelVectorEnv(VectorEnv):
         return np.asarray(self.world.goal_distances.goals)[np.asarray(self.world.pool.goal)[self._batch.state.task]]
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Draw each robot on the belief's floor plan, uint8 ``(360, width, 3)``; None without ``render_mode``."""
-        if self.render_mode is None or not self._begun:
-            return None
+        """Draw each robot on the belief's floor plan, uint8 ``(height, width, 3)``; None without ``render_mode``."""
+        plans = [] if self.render_mode is None else self.plans()
+        return tuple(self.frames.picture([plan], captions) for plan, captions in plans) or None
+
+    def plans(self) -> list[tuple[Panel, list[Caption]]]:
+        """Draw each robot on the belief's floor plan, with its captions; none before the first reset."""
+        if not self._begun:
+            return []
         if self._picture is None:
             self._picture = PlanPicture(self.world.collision_map, self.num_envs)
-        return self._picture.draw(self.planar, self.goals, self.success_radius, _radius(self.robot))
+        plans = self._picture.draw(self.planar, self.goals, self.success_radius, _radius(self.robot))
+        away = np.hypot(*(self.planar[:, :2] - self.goals).T)
+        rows = zip(plans, self._tallies, away, strict=True)
+        return [(plan, tally.captions([Caption("goal", f"{metres:.2f} m")])) for plan, tally, metres in rows]
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Return the attribute ``name``, which is the same for every robot, once a robot."""
@@ -155,6 +171,18 @@ class WorldModelVectorEnv(VectorEnv):
     def set_attr(self, name: str, values: Any) -> None:
         """Raise :class:`InputError`: the robots of one world share all attributes."""
         raise InputError("set_attr", name, "keywords at construction: the robots share one world")
+
+    def _count(self, begun: np.ndarray, outcome: Any = None) -> None:
+        """Count a step of every robot, but for those whose episode has begun; only for pictures."""
+        if self.render_mode is None:
+            return
+        for i in range(self.num_envs):
+            if begun[i]:
+                self._tallies[i] = Tally()
+            elif outcome is not None:
+                info = {"collision": outcome.collision[i]}
+                info |= {"success": outcome.success[i]} if outcome.terminated[i] else {}
+                self._tallies[i] = self._tallies[i].after(float(outcome.reward[i]), info)
 
     def _observation(self, shown: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         space: Any = self.single_observation_space
