@@ -19,6 +19,7 @@ env = gym.make_vec(
     "vssm_gym/WorldModelNav-v0", map="oak", num_envs=256, noise="mid", end_on="reach", render_mode="rgb_array"
 )
 observations, infos = env.reset(seed=0)
+env.step(np.zeros((env.num_envs, 4), np.float32))  # compiled here, or read from the cache
 
 ended, arrived, began = 0, 0, time.perf_counter()
 for _ in range(200):

@@ -19,7 +19,7 @@ from vssm_gym.data.sequences import FrameReader
 
 folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp()) / "walk"
 if len(sys.argv) < 2:
-    record_handheld("oak", folder, metres=2.0, seed=0)
+    record_handheld("oak", folder, metres=1.0, seed=0)
 
 sequence = vg.load_sequence(folder)
 reader = FrameReader(sequence, (80, 60))  # images of this size
