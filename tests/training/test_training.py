@@ -156,6 +156,11 @@ BASE = "name: a\nsteps: 10\nalgorithm: {name: ppo}\n"
         (BASE.replace("ppo", "dqn") + "environment: {map: m.npz}\n", "algorithm: expected"),
         (BASE.replace("{name: ppo}", "{name: ppo, tau: 1}") + "environment: {map: m.npz}\n", "algorithm.ppo.tau"),
         (BASE.replace("ppo", "bc") + "environment: {id: vssm_gym/PointNav-v0, scene: oak}\n", "the expert plans"),
+        (BASE + "environment: {id: vssm_gym/PointNavGPS-v0, scene: oak}\n", "policy.inputs: expected scan and goal"),
+        (
+            BASE + "environment: {id: vssm_gym/PointNavGPS-v0, scene: oak, images: []}\n",
+            "no 'images': training sets it",
+        ),
     ],
 )
 def test_a_bad_configuration_is_one_clear_line(tmp_path, text, message):
@@ -182,6 +187,19 @@ def test_a_missing_map_is_refused_before_anything_is_written(tmp_path):
 
 
 # the environment
+
+
+def test_a_training_without_a_map_observes_what_the_training_in_a_map_does():
+    """Apart from the pose: PointNavGPS gives the scan and the goal of a wrapped PointNav with an observed pose."""
+    shared = {"scene": "fern", "num_envs": 2, "noise": "mid", "max_episode_steps": 20}
+    gps = make_observing(EnvironmentSettings(id="vssm_gym/PointNavGPS-v0", **shared))
+    exact = make_observing(EnvironmentSettings(id="vssm_gym/PointNav-v0", **shared))
+    seen, expected = gps.reset(seed=3)[0], exact.reset(seed=3)[0]
+    for _ in range(4):
+        np.testing.assert_array_equal(seen["scan"], expected["scan"])
+        np.testing.assert_allclose(seen["goal"], expected["goal"], atol=1e-4)
+        driven = commands(np.array([[0.2, 0.0, 1.0], [-1.0, 0.5, 0.0]]))
+        seen, expected = gps.step(driven)[0], exact.step(driven)[0]
 
 
 def test_actions_span_the_robots_commands():
