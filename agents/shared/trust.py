@@ -72,6 +72,8 @@ class TrustConfig:
     # Of the contrast. At the right place 0.1 to 0.7 of exact images and up to 1 of a Kinect's, whose exposure changes.
     max_unexplained: float = 1.0
     max_photometric: float = 4.0
+    # m and rad: std of the motion that no image showed, beyond which a chain of images is broken
+    most_unseen: tuple[float, float] = (0.1, 0.06)
     confirm: int = 3  # images in a row that fit, after which a robot that was lost believes its estimate again
 
 
@@ -97,7 +99,8 @@ class JudgedFilter:
     """Run a filter on a robot's images, and judge each of its estimates.
 
     While images are frozen the filter gets none, and its belief follows the commands. A filter that compares an image
-    with the one before cannot tell where the robot is once two of them do not fit: it is never believed again.
+    with the one before cannot tell where the robot is once two of them do not fit, or once it has moved too far without
+    an image (``TrustConfig.most_unseen``): it is never believed again.
 
     Args:
         filter: of the pose; its controls are the robot's commands.
@@ -126,6 +129,7 @@ class JudgedFilter:
         self._denied: list[np.ndarray] = []  # commands that the belief does not follow, because an image repeated
         self._lost = self._fits = 0
         self._broken = False  # the chain of images
+        self._unseen = np.zeros(2)  # variances of the motion that no image showed, m^2 and rad^2
 
     def step(self, command: np.ndarray, observation: Observation) -> Judged:
         """Return the estimate after ``command``, which ``observation`` followed."""
@@ -139,6 +143,8 @@ class JudgedFilter:
             elif status is Status.RECOVERED:
                 self._overshoot.reset()
             followed = not info.status.accepted  # without an image, a belief follows the command
+            if followed:
+                self._count_unseen(before, command)
         else:
             status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
         if not self._images.repeats:
@@ -147,6 +153,7 @@ class JudgedFilter:
             self._denied = [*self._denied, command]
         if liveness is Liveness.FROZEN:
             for denied in self._denied:
+                self._count_unseen(self._mean(), denied)
                 self._advance(denied, self._dark)
             self._denied = []
         self._fits = self._fits + 1 if status.accepted else 0
@@ -165,6 +172,16 @@ class JudgedFilter:
         belief = self._filter.posterior(self.state).belief
         assert isinstance(belief, GaussianBelief)
         return belief.mean
+
+    def _count_unseen(self, before: Any, command: np.ndarray) -> None:
+        """Add the noise of a command whose motion no image shows; break the chain where that is too much."""
+        manifold, control = self._filter.transition.manifold, jnp.asarray(command, jnp.float32)
+        p = manifold.twists.shape[1]
+        variances = np.diag(self._filter.transition.noise_covariance(before, control, self._dt))[:p]
+        turns = manifold.turns[:p]
+        if np.any(command):
+            self._unseen += (variances[~turns].sum(), variances[turns].sum())
+        self._broken |= self._chained and bool(np.any(self._unseen > np.square(self._config.most_unseen)))
 
     def _status(self, info: FilterInfo, observation: Observation) -> Status:
         """Judge an image that is not frozen, and its alignment."""

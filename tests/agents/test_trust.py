@@ -51,6 +51,12 @@ class Scripted:
         return planar_belief(jnp.asarray(state, jnp.float32), 1e-4 * jnp.eye(3))
 
 
+class ShortOfDepth(Scripted):
+    """Follow the command where the script has no reading, at the noise level low."""
+
+    transition = Planar(MotionNoise(np.radians(3.0), 0.02))
+
+
 def image(seed: int, depth: float = 1.0) -> dict[str, np.ndarray]:
     """Return an image of grey noise in front of a wall."""
     rng = np.random.default_rng(seed)
@@ -81,6 +87,15 @@ def test_an_image_that_the_map_does_not_explain_does_not_fit(photometric, inlier
 def test_a_chain_of_images_that_broke_is_not_believed_again():
     track = judged(Scripted(LOST, *[OK] * 9), chained=True)
     assert [track.step(DRIVE, image(k)).lost for k in range(1, 9)] == list(range(1, 9))
+
+
+@pytest.mark.parametrize(("command", "steps", "broken"), [(TURN, 1, False), (TURN, 2, True), (DRIVE, 4, False)])
+def test_a_chain_of_images_survives_little_motion_without_them(command, steps, broken):
+    """At low noise a turn has a standard deviation of 3 degrees, a drive one of 2 cm."""
+    track = JudgedFilter(ShortOfDepth(*[NO_READING] * steps, *[OK] * 9), np.zeros(3), 0.2, image(0), chained=True)
+    for k in range(1, steps + 6):
+        last = track.step(command, image(k))
+    assert (last.lost > 0) == broken
 
 
 def test_a_dark_image_is_no_reading():
