@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vssm_gym.agents.policy.policy_file import agent_label, label, policy_at
+from vssm_gym.agents.registry import make_agent
 from vssm_gym.errors import InputError
-from vssm_gym.files.shipped import ASSETS, MAPS, beside, names, shipped
+from vssm_gym.files.shipped import ASSETS, MAPS, POLICIES, beside, names, shipped
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.planners import plan
 
-SIZES = {MAPS: 2_000_000}
+SIZES = {MAPS: 2_000_000, POLICIES: 300_000}
 
 
 @pytest.mark.parametrize("folder", SIZES)
@@ -42,6 +44,13 @@ def test_a_path_in_a_file_is_taken_from_its_folder(tmp_path):
 def test_an_unknown_name_says_which_there_are():
     with pytest.raises(InputError, match="comes with the package: oak"):
         VoxelMap.load("nowhere")
+
+
+@pytest.mark.parametrize("name", names(POLICIES))
+def test_a_policy_is_an_agent_by_its_name(name, tmp_path):
+    agent = make_agent(f"policy:{name}")
+    assert agent.needs_map
+    assert agent_label(policy_at(f"policy:{name}", tmp_path)) == label(ASSETS / "policies" / f"{name}.npz")
 
 
 def test_the_map_of_oak_shows_its_rooms():
