@@ -57,7 +57,7 @@ class Tile:
     value: str
     note: str
     kind: str = ""
-    is_word: bool = False  # set smaller: a name is longer than a number
+    is_word: bool = False  # twice as wide: a name is longer than a number
 
 
 @dataclass(frozen=True)
