@@ -61,7 +61,9 @@ class FrozenImages:
 
     def update(self, command: np.ndarray, observation: Mapping[str, np.ndarray]) -> Liveness:
         """Judge the image that followed ``command``."""
-        if not all(np.array_equal(old, observation[name]) for old, name in zip(self._image, IMAGE, strict=True)):
+        # Depth may be NaN where there is no reading, and NaN repeats, too.
+        repeats = (np.array_equal(old, observation[name], True) for old, name in zip(self._image, IMAGE, strict=True))
+        if not all(repeats):
             self.reset(observation)
             return Liveness.LIVE
         held, unturned = self._still(command)

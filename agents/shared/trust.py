@@ -185,7 +185,8 @@ class JudgedFilter:
 
     def _status(self, info: FilterInfo, observation: Observation) -> Status:
         """Judge an image that is not frozen, and its alignment."""
-        if float(np.mean(observation["depth"] > 0.0)) < self._config.min_reading:
+        depth = observation["depth"]
+        if float(np.mean(np.isfinite(depth) & (depth > 0.0))) < self._config.min_reading:
             return Status.NO_READING
         self._broken |= self._chained and info.status is Status.LOST
         if info.status.accepted and info.fit_quality is not None and not self._fits_well(info.fit_quality, observation):

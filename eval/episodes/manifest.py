@@ -6,7 +6,8 @@ from typing import Any
 
 from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
-from vssm_gym.files.json_file import read_json
+from vssm_gym.files.json_file import LARGEST_WHOLE, read_json
+from vssm_gym.files.numbers import whole
 
 MANIFEST = "sweep.json"
 FIELDS = ("config", "config_hash", "version", "seed", "episodes")
@@ -30,9 +31,17 @@ def read_manifest(path: Path) -> dict[str, Any]:
         raise InputError(path, "file", f"the JSON that a sweep wrote; found {manifest!r:.80}")
     if missing := set(FIELDS) - manifest.keys():
         raise InputError(path, min(missing), "this field")
+    for field in ("config_hash", "version"):
+        if not isinstance(manifest[field], str):
+            raise InputError(path, field, f"a text, as a sweep wrote it; found {manifest[field]!r:.80}")
+    whole(manifest["episodes"], path, "episodes", least=0, most=LARGEST_WHOLE - 1)
     for field in ("config", "common", "scene_hashes", "notices"):
         if not isinstance(manifest.get(field, {}), dict):
             raise InputError(path, field, f"an object, as a sweep wrote it; found {manifest[field]!r:.80}")
+    for field in ("scene_hashes", "notices"):
+        for name, value in manifest.get(field, {}).items():
+            if not isinstance(value, str):
+                raise InputError(path, f"{field}.{name}", f"a text, as a sweep wrote it; found {value!r:.80}")
     agents = manifest["config"].get("agents", [])
     if not isinstance(agents, list) or not all(isinstance(agent, str) for agent in agents):
         raise InputError(path, "config.agents", "a list of agents' names")
@@ -49,8 +58,8 @@ def completed(row: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, 
     config = manifest["config"]
     lists = {field: config.get(name) for field, name in LISTS.items()}
     only = {field: values[0] for field, values in lists.items() if isinstance(values, list) and len(values) == 1}
-    whole = {**only, **manifest.get("common", {}), **row}
+    complete = {**only, **manifest.get("common", {}), **row}
     hashes = manifest.get("scene_hashes", {})
-    if "scene_hash" not in whole and isinstance(whole.get("scene"), str) and whole["scene"] in hashes:
-        whole["scene_hash"] = hashes[whole["scene"]]
-    return whole
+    if "scene_hash" not in complete and isinstance(complete.get("scene"), str) and complete["scene"] in hashes:
+        complete["scene_hash"] = hashes[complete["scene"]]
+    return complete

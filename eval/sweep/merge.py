@@ -11,9 +11,11 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, episode_key, line_of, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
 from vssm_gym.files.atomic import TEMPORARY
+from vssm_gym.files.numbers import whole
 from vssm_gym.files.output_folders import check_new_folder, whole_folder
 
 TASKS, MAPS = "tasks", "maps"
+MOST_SHARDS = 100_000
 FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, besides its log and manifest
 
 
@@ -51,8 +53,8 @@ def merge_sweeps(folders: Sequence[Path], out: Path) -> Merged:
         for folder in FOLDERS:
             _copy([shard / folder for shard, _ in shards], unfinished / folder)
         (unfinished / FILE).write_bytes(b"".join(map(line_of, rows)))
-        whole = {name: value for name, value in shards[0][1].items() if name != "shard"} | {"episodes": len(rows)}
-        (unfinished / MANIFEST).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+        merged = {name: value for name, value in shards[0][1].items() if name != "shard"} | {"episodes": len(rows)}
+        (unfinished / MANIFEST).write_text(json.dumps(merged, indent=1) + "\n", encoding="utf-8")
     return Merged(out / FILE, tuple(_notices(shards)))
 
 
@@ -67,6 +69,8 @@ def _ordered(folders: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
         shard = manifest.get("shard")
         if not isinstance(shard, dict) or not {"index", "of"} <= shard.keys():
             raise InputError(folder / MANIFEST, "shard", "a shard's folder; `vssm-gym sweep --shard I/N` makes one")
+        of = whole(shard["of"], folder / MANIFEST, "shard.of", least=1, most=MOST_SHARDS)
+        whole(shard["index"], folder / MANIFEST, "shard.index", least=1, most=of)
         first = first or manifest
         if (manifest["config_hash"], shard["of"]) != (first["config_hash"], first["shard"]["of"]):
             expected = f"{first['config_hash']} in {first['shard']['of']} shards, as {folders[0]}"

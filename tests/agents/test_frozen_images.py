@@ -49,6 +49,16 @@ def test_a_robot_that_should_drive_may_be_held():
     assert images.update(STAND, image(1)) is LIVE
 
 
+def test_pixels_without_a_reading_repeat_too():
+    """Depth is NaN there, and NaN is not equal to itself."""
+    images, blind = watch(), image()
+    blind["depth"][0, 0] = np.nan
+    images.reset(blind)
+    assert [images.update(TURN, {name: np.array(value) for name, value in blind.items()}) for _ in range(4)][
+        -1
+    ] is FROZEN
+
+
 def test_what_noise_may_have_cancelled_is_no_evidence():
     """At high noise a tenth of the turns is not carried out: it takes more of them than at low noise."""
     steps = []

@@ -98,8 +98,9 @@ def test_a_chain_of_images_survives_little_motion_without_them(command, steps, b
     assert (last.lost > 0) == broken
 
 
-def test_a_dark_image_is_no_reading():
-    assert judged(Scripted(OK)).step(DRIVE, image(1, depth=0.0)).status is NO_READING
+@pytest.mark.parametrize("depth", [0.0, np.nan, np.inf])
+def test_a_dark_image_is_no_reading(depth):
+    assert judged(Scripted(OK)).step(DRIVE, image(1, depth=depth)).status is NO_READING
 
 
 def test_frozen_images_are_replaced_by_the_commands_that_they_deny():

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from vssm_gym.data import trajectories
 from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line, velocities, write_trajectory
 from vssm_gym.errors import InputError
 
@@ -92,6 +93,16 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             read_trajectory(bad)
         assert caught.value.source == str(bad)
+
+
+def test_lines_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text("0 0 0 0 0 0 0 1\n" * 3)
+    assert len(read_trajectory(path)[0]) == 3
+    path.write_text("\n" * 4)
+    monkeypatch.setattr(trajectories, "TRAJECTORY_LINES", 3)
+    with pytest.raises(InputError, match="lines: expected at most 3"):
+        read_trajectory(path)
 
 
 @given(st.integers(0, 2**32 - 1))

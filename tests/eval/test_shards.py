@@ -126,6 +126,15 @@ def refused(folders, out, message):
     assert sorted(out.parent.iterdir()) == before  # nothing half written
 
 
+@pytest.mark.parametrize(
+    ("index", "of", "field"), [(1, "3", "of"), (1, 10**18, "of"), ([1], 3, "index"), (4, 3, "index")]
+)
+def test_a_shard_of_no_number_is_refused(tmp_path, index, of, field):
+    manifest = {"config": {}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {"shard": {"index": index, "of": of}}))
+    refused([tmp_path], tmp_path / "out", f"shard.{field}: expected a whole number from 1 to ")
+
+
 def test_an_incomplete_set_of_shards_is_refused(sweep, tmp_path):
     first, second, third = (sweep / f"part-{i}" for i in (1, 2, 3))
     out = tmp_path / "merged"

@@ -201,6 +201,24 @@ def test_a_damaged_manifest_is_refused(tmp_path, field, value):
         read_manifest(tmp_path / MANIFEST)
 
 
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("episodes", {"episodes": "1"}),
+        ("episodes", {"episodes": -1}),
+        ("version", {"version": 2}),
+        ("config_hash", {"config_hash": [1]}),
+        ("notices.oak", {"notices": {"oak": [1]}}),
+        ("scene_hashes.oak", {"scene_hashes": {"oak": {}}}),
+    ],
+)
+def test_a_value_of_another_type_in_a_manifest_is_refused(tmp_path, field, change):
+    manifest = {"config": {}, "config_hash": "", "version": "", "seed": 0, "episodes": 1}
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest | change))
+    with pytest.raises(InputError, match=f"{field}: expected a"):
+        read_manifest(tmp_path / MANIFEST)
+
+
 @pytest.mark.parametrize("values", [5, {"a": 1}, "oak", [[]], None])
 def test_lists_of_a_manifest_that_are_none_complete_nothing(values):
     row = {"scene": values, "task": 1}

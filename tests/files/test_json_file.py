@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
 from vssm_gym.files import json_file
-from vssm_gym.files.json_file import JSON_DEPTH, LARGEST_WHOLE, parse_json, read_json, read_json_line
+from vssm_gym.files.json_file import JSON_DEPTH, LARGEST_WHOLE, parse_json, parse_json_lines, read_json, read_json_line
 
 texts = st.text(st.characters(codec="utf-8"))  # a lone surrogate has no UTF-8
 plain = st.recursive(
@@ -75,3 +75,11 @@ def test_lines_are_found_and_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(json_file, "LINES_BYTES", 20)
     with pytest.raises(InputError, match="20 in all"):
         read_json_line(path, 9)
+
+
+def test_rows_are_numbered_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = b'{"a": 0}\r\n{"a": 1}\n{"a": 2}'
+    assert list(parse_json_lines(content, "log", "a row")) == [(1, {"a": 0}), (2, {"a": 1}), (3, {"a": 2})]
+    monkeypatch.setattr(json_file, "ROWS", 1)
+    with pytest.raises(InputError, match="log: lines: expected at most 1"):
+        list(parse_json_lines(content, "log", "a row"))

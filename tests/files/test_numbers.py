@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
+from vssm_gym.files import bounded, numbers
 from vssm_gym.files.numbers import LARGEST_NUMBER, as_float32, floats, read_table, whole
 
 
@@ -73,3 +74,27 @@ def test_tables_hold_finite_numbers_in_columns(tmp_path: Path, text: str) -> Non
 def test_an_empty_table_has_no_lines(tmp_path: Path, text: str) -> None:
     (tmp_path / "table.txt").write_text(text)
     assert read_table(tmp_path / "table.txt", "numbers", columns=7).shape == (0, 7)
+
+
+@pytest.mark.parametrize(
+    ("module", "bound", "said"),
+    [
+        (numbers, "TABLE_LINES", "at most 2 of them"),
+        (numbers, "TABLE_NUMBERS", "at most 2 numbers"),
+        (bounded, "LINE_BYTES", "at most 2 bytes in each"),
+    ],
+)
+def test_a_table_is_bounded_by_what_it_takes_as_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, bound: str, said: str
+) -> None:
+    """Text of two bytes a number takes four times as much when it is read."""
+    path = tmp_path / "table.txt"
+    path.write_text("0 1\n" * 3)
+    assert read_table(path, "numbers").shape == (3, 2)
+    monkeypatch.setattr(module, bound, 2)
+    with pytest.raises(InputError, match=said):
+        read_table(path, "numbers")
+    path.write_text("# 0\n" * 3)  # comments are lines, too
+    if bound != "TABLE_NUMBERS":
+        with pytest.raises(InputError, match=said):
+            read_table(path, "numbers")

@@ -195,6 +195,11 @@ def broken(folder: Path, what: str) -> list[Path]:
         progress.write_text(texts[what])
     elif what == "no progress":
         progress.unlink()
+    elif what == "algorithm":
+        manifest = json.loads((one / "training.json").read_text())
+        manifest["config"]["algorithm"] = "ppo"
+        (one / "training.json").write_text(json.dumps(manifest))
+        progress.write_text("")
     elif what == "manifest":
         (one / "training.json").write_text('{"config": 3}')
     return [one]
@@ -206,6 +211,7 @@ def broken(folder: Path, what: str) -> list[Path]:
         ("missing", "nowhere: folder: expected a folder of `vssm-gym train`, which has a training.json"),
         ("other", "sweep: folder: expected a folder of `vssm-gym train`"),
         ("manifest", "training.json: file: expected the JSON that `vssm-gym train` wrote"),
+        ("algorithm", "training.json: file: expected the JSON that `vssm-gym train` wrote"),
         ("no progress", "progress.jsonl: file: expected the progress of a training"),
         ("empty", "two lines with a success rate at least, written after a first episode of all robots has ended (100"),
         ("early", "found 1"),

@@ -1,5 +1,6 @@
 """Read and write trajectories of T_world_cam: TUM text (``t x y z qx qy qz qw``) and EuRoC csv (``t[ns] p q_wxyz``)."""
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,10 +9,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.bounded import read_text
+from vssm_gym.files.bounded import check_lines, read_bytes
 from vssm_gym.files.numbers import LARGEST_NUMBER
 
-TRAJECTORY_BYTES = 64 << 20  # of an index or a trajectory: 800,000 poses
+TRAJECTORY_BYTES = 64 << 20  # of an index or a trajectory
+TRAJECTORY_LINES = 800_000
 LATEST = 1e19  # the largest stamp; those of EuRoC are nanoseconds since 1970, 1e18 of them
 
 
@@ -19,12 +21,17 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield number and text of the lines that are neither blank nor comments.
 
     Raises:
-        InputError: the file is not text.
+        InputError: the file is not text, or is larger than any recording's.
     """
-    for number, line in enumerate(read_text(path, TRAJECTORY_BYTES, "text").splitlines(), start=1):
-        text = line.strip()
-        if text and not text.startswith("#"):
-            yield number, text
+    content = read_bytes(path, TRAJECTORY_BYTES, "text")
+    check_lines(content, TRAJECTORY_LINES, path)
+    try:
+        for number, line in enumerate(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8"), start=1):
+            text = line.strip()
+            if text and not text.startswith("#"):
+                yield number, text
+    except UnicodeDecodeError as error:
+        raise InputError(path, "file", "text, in UTF-8") from error
 
 
 def read_trajectory(path: str | Path) -> tuple[np.ndarray, np.ndarray]:

@@ -1,11 +1,14 @@
 """Read the content of users' files: ordinary files only, of a known size, inside the folder that they belong to."""
 
+import io
 import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
 
 from vssm_gym.errors import InputError
+
+LINE_BYTES = 100_000  # of a line of numbers or names
 
 
 def open_file(path: str | Path, expected: str = "a readable file") -> BinaryIO:
@@ -56,6 +59,17 @@ def read_text(path: str | Path, limit: int, expected: str = "a text file") -> st
         return read_bytes(path, limit, expected).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(path, "file", f"{expected}, in UTF-8") from error
+
+
+def check_lines(content: bytes, most: int, source: object) -> None:
+    """Raise InputError for content with more than ``most`` lines, or with one of more than ``LINE_BYTES`` bytes.
+
+    As Python objects a line takes up to a hundred times its bytes, so that a bound of the file's size is not enough.
+    """
+    if max(content.count(b"\n"), content.count(b"\r")) > most:
+        raise InputError(source, "lines", f"at most {most:,} of them")
+    if max(map(len, io.BytesIO(content)), default=0) > LINE_BYTES:
+        raise InputError(source, "lines", f"at most {LINE_BYTES:,} bytes in each of them")
 
 
 def inside(folder: Path, name: str, source: object, field: str) -> Path:

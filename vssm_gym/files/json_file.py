@@ -1,6 +1,7 @@
 """Read JSON and lines of JSON within bounds of size, nesting and numbers."""
 
 import gzip
+import io
 import json
 import math
 import zlib
@@ -14,6 +15,7 @@ from vssm_gym.files.bounded import open_file, read_bytes
 JSON_BYTES = 16 << 20  # as Python objects up to 30 times as much; the largest ProcTHOR house has 0.1 MB
 LINES_BYTES = 512 << 20  # unpacked, up to the line that is asked for; all 10,000 ProcTHOR houses of a split have 0.4 GB
 LINES = 1_000_000  # of a JSONL file, up to the line that is asked for
+ROWS = 500_000  # of a JSONL file that is read whole; a log of 200,000 episodes is the largest
 JSON_DEPTH = 100  # nested lists and objects; the formats read here nest 12 deep at most
 LARGEST_WHOLE = 2**63  # a larger whole number fits no array
 
@@ -45,7 +47,9 @@ def read_json_line(path: Path, line: int) -> Any:
 
 def parse_json_lines(content: bytes, source: object, what: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield number, counted from 1, and object of each line; ``what`` a line holds is named in errors."""
-    for number, line in enumerate(content.splitlines(), start=1):
+    if content.count(b"\n") > ROWS:
+        raise InputError(source, "lines", f"at most {ROWS:,} of them")
+    for number, line in enumerate(io.BytesIO(content), start=1):
         try:
             value = parse_json(line, source)
         except InputError as error:

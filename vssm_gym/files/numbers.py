@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.files.bounded import read_bytes
+from vssm_gym.files.bounded import check_lines, read_bytes
 
 LARGEST_NUMBER = 1e12  # no length, angle, time, focal length or coefficient is larger; its square still fits float32
-TABLE_BYTES = 500_000_000  # of a table of numbers as text: an hour of IMU readings at 1 kHz
+TABLE_BYTES = 400_000_000  # of a table of numbers as text: an hour of IMU readings at 1 kHz, as the next two
+TABLE_LINES = 4_000_000
+TABLE_NUMBERS = 30_000_000
 
 
 def floats(
@@ -82,15 +84,20 @@ def read_table(path: Path, expected: str, *, columns: int | None = None, limit: 
         InputError: the file is missing or too large, or a line is not as expected.
     """
     content = read_bytes(path, limit, expected)
-    if not any(line.strip() and not line.lstrip().startswith(b"#") for line in io.BytesIO(content)):
+    check_lines(content, TABLE_LINES, path)
+    first = next((line for line in io.BytesIO(content) if line.split(b"#")[0].strip()), None)
+    if first is None:
         return np.zeros((0, columns or 1))
+    numbers = len(first.split(b"#")[0].split()) * (content.count(b"\n") + 1)
+    if numbers > TABLE_NUMBERS:
+        raise InputError(path, "lines", f"{expected}: at most {TABLE_NUMBERS:,} numbers; it has up to {numbers:,}")
     try:
         table = np.loadtxt(io.BytesIO(content), ndmin=2, encoding="utf-8")
     except ValueError as error:
         raise InputError(path, "lines", f"{expected}: numbers only ({error})") from error
     if columns is not None and table.size and table.shape[1] != columns:
         raise InputError(path, "lines", f"{expected}: {columns} numbers; found {table.shape[1]}")
-    if not (np.abs(table) <= LARGEST_NUMBER).all():
+    if table.size and not (table.min() >= -LARGEST_NUMBER and table.max() <= LARGEST_NUMBER):  # false for NaN
         row = int(np.argwhere(~(np.abs(table) <= LARGEST_NUMBER))[0, 0])
         raise InputError(path, "lines", f"{expected}: finite numbers; row {row} of the table has another")
     return table.reshape(-1, columns) if columns is not None else table

@@ -16,6 +16,7 @@ from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.errors import InputError
+from vssm_gym.files.bounded import open_file
 from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
@@ -216,7 +217,8 @@ def ensure_map(
 
 def map_hash(map_file: Path) -> str:
     """Return 16 hex digits of a map file's SHA-256, by which results name the map."""
-    return hashlib.sha256(map_file.read_bytes()).hexdigest()[:16]
+    with open_file(map_file, "a map") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def _check_origin(path: Path, what: str, found: dict[str, Any], wanted: dict[str, Any]) -> None:

@@ -129,6 +129,7 @@ def read_training(folder: Path) -> Training:
         config, world = dict(stored["config"]), stored["world_hash"]
         name, number = str(config["name"]), int(config.pop("seed"))
         where = dict(config["environment"])
+        algorithm = str(config["algorithm"]["name"])
         whole = int(where["num_envs"]) * int(where["max_episode_steps"])
     except InputError:
         raise
@@ -139,7 +140,7 @@ def read_training(folder: Path) -> Training:
     if len(lines) < 2:
         since = f"a first episode of all robots has ended ({whole:,} steps)"
         expected = f"two lines with a success rate at least, written after {since}; found {len(lines)}"
-        if config.get("algorithm", {}).get("name") == "bc":
+        if algorithm == "bc":
             expected = "a training that drives while it learns; cloning (bc) has no success rate until it is evaluated"
         raise InputError(folder / PROGRESS, "success", expected)
     seconds, steps, success, returns = (
