@@ -16,7 +16,6 @@ from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.errors import InputError
-from vssm_gym.files.bounded import open_file
 from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
@@ -217,7 +216,7 @@ def ensure_map(
 
 def map_hash(map_file: Path) -> str:
     """Return 16 hex digits of a map file's SHA-256, by which results name the map."""
-    with open_file(map_file, "a map") as file:
+    with map_file.open("rb") as file:  # not as a whole: any size may be given
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
