@@ -172,3 +172,32 @@ def test_a_file_replaces_neither_an_input_nor_another_kind(tmp_path: Path) -> No
         with pytest.raises(InputError, match="a new file: this one is never overwritten"):
             check_new_file(path)
     assert walk.read_text() == "poses"
+
+
+@pytest.mark.parametrize("name", ["sweep.json", ".lock"])
+@pytest.mark.parametrize("kind", ["link", "folder"])
+def test_a_manifest_or_lock_that_is_no_file_is_refused(tmp_path: Path, name: str, kind: str) -> None:
+    """The file that a link leads to is never overwritten."""
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    out.mkdir()
+    elsewhere.write_text("precious")
+    (out / name).symlink_to(elsewhere) if kind == "link" else (out / name).mkdir()
+    with pytest.raises(InputError, match="file: expected an ordinary file"), owned_folder(out, SWEEP):
+        pass
+    assert elsewhere.read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", [".lock", f".oak.{DEAD}.tmp", "empty"])
+def test_what_would_stop_a_whole_folder_in_the_end_is_refused_at_once(tmp_path: Path, name: str) -> None:
+    out = tmp_path / "drive"
+    out.mkdir()
+    (out / name).touch()
+    with pytest.raises(InputError, match="folder: expected a new or empty folder"), whole_folder(out):
+        raise AssertionError("hours of work")
+    assert (out / name).exists()
+
+
+def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
+    for context in (owned_folder(tmp_path / ("x" * 300), SWEEP), whole_folder(tmp_path / ("x" * 300))):
+        with pytest.raises(InputError, match="folder: expected the name of a folder"), context:
+            pass

@@ -63,7 +63,7 @@ def owned_folder(out: Path, owner: Owner, resume: bool = False) -> Iterator[None
         OutputError: it cannot be written.
     """
     check_folder(out)
-    if not os.path.lexists(out / LOCK):  # of a run that is running, or was killed
+    if not (out / LOCK).is_file() or (out / LOCK).is_symlink():  # of a run that is running, or was killed
         _check_owner(out, owner, resume)
     made = not out.exists()
     with refusals_named(out):
@@ -107,6 +107,12 @@ def whole_folder(out: Path) -> Iterator[Path]:
 
 def check_folder(path: Path) -> None:
     """Raise :class:`InputError` unless ``path`` is a folder that can be written or one that can be made; makes none."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:  # a name that is too long, in a folder that may not be searched
+        raise InputError(path, "folder", f"the name of a folder ({error.strerror})") from error
     nearest = next(p for p in (path.absolute(), *path.absolute().parents) if os.path.lexists(p))
     if not nearest.is_dir():
         raise InputError(path, "folder", f"a folder or the name of a new one; {nearest} is a file")
@@ -117,7 +123,7 @@ def check_folder(path: Path) -> None:
 def check_new_folder(path: Path) -> None:
     """Raise :class:`InputError` unless ``path`` is a folder that can be made, or an empty one; makes none."""
     check_folder(path)
-    held = [one.name for one in path.iterdir() if not _passes(one.name)] if path.is_dir() else []
+    held = [one.name for one in path.iterdir()] if path.is_dir() else []  # any file would stop the rename in the end
     if held:
         expected = f"a new or empty folder: nothing is ever overwritten; it holds {min(held)} ({ADVICE})"
         raise InputError(path, "folder", expected)
@@ -155,10 +161,13 @@ def check_at_least(command: str, field: str, value: int, least: int) -> None:
 
 def _check_owner(out: Path, owner: Owner, resume: bool) -> None:
     """Raise :class:`InputError` where ``out`` holds data that ``owner`` may not write beside."""
+    path = out / owner.manifest
+    for one in (path, out / LOCK):
+        if os.path.lexists(one) and (one.is_symlink() or not one.is_file()):  # a link leads to a file elsewhere
+            raise InputError(one, "file", f"an ordinary file, as a {owner.what} writes it ({ADVICE})")
     held = _data(out, owner.manifest)
     if not held:
         return
-    path = out / owner.manifest
     if not path.is_file():
         expected = f"a new or empty folder, or that of a {owner.what}, which has a {owner.manifest}; it holds {held[0]}"
         raise InputError(out, "folder", f"{expected} ({ADVICE})")
