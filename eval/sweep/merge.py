@@ -15,7 +15,7 @@ from vssm_gym.files.numbers import whole
 from vssm_gym.files.output_folders import check_new_folder, whole_folder
 
 TASKS, MAPS = "tasks", "maps"
-MOST_SHARDS = 100_000
+MOST_SHARDS = 100_000  # of a sweep, whose manifest may state any number
 FOLDERS = (TASKS, MAPS, "recordings", "explored")  # of a sweep, besides its log and manifest
 
 

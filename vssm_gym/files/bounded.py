@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 from vssm_gym.errors import InputError
 
-LINE_BYTES = 100_000  # of a line of numbers or names
+LINE_BYTES = 100_000  # of a line of numbers or names; those of recordings have a few hundred
 
 
 def open_file(path: str | Path, expected: str = "a readable file") -> BinaryIO:

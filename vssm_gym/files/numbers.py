@@ -10,9 +10,9 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import check_lines, read_bytes
 
 LARGEST_NUMBER = 1e12  # no length, angle, time, focal length or coefficient is larger; its square still fits float32
-TABLE_BYTES = 400_000_000  # of a table of numbers as text: an hour of IMU readings at 1 kHz, as the next two
-TABLE_LINES = 4_000_000
-TABLE_NUMBERS = 30_000_000
+TABLE_BYTES = 400_000_000  # of a table of numbers as text: an hour of IMU readings at 1 kHz
+TABLE_LINES = 4_000_000  # that hour has 3.6 million
+TABLE_NUMBERS = 30_000_000  # of a table, as float64 240 MB; that hour has 25 million
 
 
 def floats(
