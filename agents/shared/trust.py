@@ -142,6 +142,8 @@ class JudgedFilter:
                 status = Status.OVERSHOOT
             elif status is Status.RECOVERED:
                 self._overshoot.reset()
+            # The filter may have accepted what is not believed: a chain has then taken a wrong step.
+            self._broken |= self._chained and status in (Status.LOST, Status.OVERSHOOT)
             followed = not info.status.accepted  # without an image, a belief follows the command
             if followed:
                 self._count_unseen(before, command)
@@ -188,7 +190,6 @@ class JudgedFilter:
         depth = observation["depth"]
         if float(np.mean(np.isfinite(depth) & (depth > 0.0))) < self._config.min_reading:
             return Status.NO_READING
-        self._broken |= self._chained and info.status is Status.LOST
         if info.status.accepted and info.fit_quality is not None and not self._fits_well(info.fit_quality, observation):
             return Status.LOST
         return info.status

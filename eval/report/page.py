@@ -43,7 +43,9 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
         check_file(out, (".html",))
     manifest = read_manifest(folder / MANIFEST)
     view: View = view_of(_environment(manifest, folder))
-    rows = [measured(row) for row in _in_config_order(read_rows(folder / FILE), manifest["config"])]
+    rows = read_rows(folder / FILE)
+    _check(manifest["config"], rows, view, folder)
+    rows = [measured(row) for row in _in_config_order(rows, manifest["config"])]
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
     reference = tables.reference_agent(rows)
@@ -54,10 +56,26 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
 
 
 def _environment(manifest: dict[str, Any], folder: Path) -> str:
-    envs = manifest["config"].get("env") or [None]
+    envs = manifest["config"].get("env")
+    envs = envs if isinstance(envs, list) and envs else [None]
     if envs[0] not in SWEPT_ENVIRONMENTS:
         raise InputError(folder / MANIFEST, "config.env", f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {envs[0]!r}")
     return envs[0]
+
+
+def _check(config: dict[str, Any], rows: list[dict[str, Any]], view: View, folder: Path) -> None:
+    """Raise InputError for a configuration that lacks what the page shows, and for rows that are not of it."""
+    lists = {"scenes", "seeds", *view.conditions, *(LISTS[field] for field in ORDERED)}
+    for name in sorted(lists):
+        if not isinstance(config.get(name), list):
+            raise InputError(folder / MANIFEST, f"config.{name}", f"a list; found {config.get(name)!r:.80}")
+    if not isinstance(config.get("voxel"), int | float):
+        raise InputError(folder / MANIFEST, "config.voxel", f"metres; found {config.get('voxel')!r:.80}")
+    for row in rows:
+        for field in ORDERED:
+            if row[field] not in config[LISTS[field]]:
+                expected = f"a value of config.{LISTS[field]} in {MANIFEST}; found {row[field]!r:.80}"
+                raise InputError(folder / FILE, field, expected)
 
 
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:

@@ -28,6 +28,7 @@ from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.shards import Shard
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import ADVICE, Owner, check_at_least, check_folder, owned_folder
+from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map, map_hash
@@ -77,6 +78,7 @@ def run_sweep(
         episodes = shard.part(episodes)
     manifest = _manifest(config, apartments, seed, len(episodes), shard)
     if map_file is not None:
+        map_file = shipped(map_file, MAPS)
         manifest["map_hash"] = _given_map_hash(config, map_file)
     owner = Owner("sweep", MANIFEST, manifest, identity=("map_hash", "config_hash", "shard"), resumed=(FILE,))
     with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:

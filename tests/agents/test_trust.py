@@ -89,6 +89,16 @@ def test_a_chain_of_images_that_broke_is_not_believed_again():
     assert [track.step(DRIVE, image(k)).lost for k in range(1, 9)] == list(range(1, 9))
 
 
+def test_a_chain_with_an_image_that_does_not_fit_is_not_believed_again():
+    """The filter accepted the image, and has taken the step that it showed."""
+    filter = Scripted(*[OK] * 9)
+    track = judged(filter, chained=True)
+    filter.photometric = 9.0
+    assert track.step(DRIVE, image(1)).status is LOST
+    filter.photometric = 0.5
+    assert [track.step(DRIVE, image(k)).lost for k in range(2, 8)] == list(range(2, 8))
+
+
 @pytest.mark.parametrize(("command", "steps", "broken"), [(TURN, 1, False), (TURN, 2, True), (DRIVE, 4, False)])
 def test_a_chain_of_images_survives_little_motion_without_them(command, steps, broken):
     """At low noise a turn has a standard deviation of 3 degrees, a drive one of 2 cm."""

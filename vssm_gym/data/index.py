@@ -22,6 +22,7 @@ T = TypeVar("T")
 Row = tuple[float, list[str]]  # of an index file: its time (s) and all its words
 
 ASSOCIATION_TOLERANCE = 0.02  # s between a colour and a depth image of one frame, or between a frame and its pose
+TRIED_PAIRS = 100  # of an index, to see which image is the depth: all may be missing
 NOTICED_GAP = 0.5  # s between two frames that gives a notice, where it is also five times the median
 
 
@@ -162,7 +163,7 @@ def _associated(root: Path, colour: list[Row], depth: list[Row], notices: list[s
 
 def _depth_comes_first(root: Path, rows: list[Row]) -> bool:
     """Return True if the images named first have one 16-bit channel and those named second are in colour."""
-    for _, words in rows:
+    for _, words in rows[:TRIED_PAIRS]:
         try:
             first, second = (image_mode(inside(root, words[i], root, "images")) for i in (1, 3))
         except InputError:

@@ -17,6 +17,7 @@ from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.errors import InputError
 from vssm_gym.files.output_folders import ADVICE
+from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
@@ -216,7 +217,7 @@ def ensure_map(
 
 def map_hash(map_file: Path) -> str:
     """Return 16 hex digits of a map file's SHA-256, by which results name the map."""
-    with map_file.open("rb") as file:  # not as a whole: any size may be given
+    with shipped(map_file, MAPS).open("rb") as file:  # not as a whole: any size may be given
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 

@@ -24,6 +24,7 @@ from vssm_gym.inference.status import Status
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES
+from vssm_gym.slam.map_building import map_hash
 from vssm_gym.slam.real_time import real_time
 from vssm_gym.slam.report import page
 from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame, run_slam
@@ -80,7 +81,7 @@ def _owner(sequence: Sequence, options: SlamOptions) -> Owner:
     camera = {"K": sequence.camera.K.tolist(), "distortion": sequence.distortion.tolist()}
     config = {"sequence": sequence.root.resolve().name, "stamps": stamps, **camera, **_config(options)}
     if options.map is not None and options.map.is_file():
-        config["map"] = hashlib.sha256(options.map.read_bytes()).hexdigest()[:16]
+        config["map"] = map_hash(options.map)
     hashed = hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
     content = {"config": config, "config_hash": hashed, "version": package_version()}
     return Owner("SLAM run", MANIFEST, content, finished=REPORT)
