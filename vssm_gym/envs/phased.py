@@ -93,7 +93,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         self.advance(action)
         self.sense()
         observation, reward, terminated, truncated, info = self.report()
-        self._running, self.tally = not (terminated or truncated), self.tally.after(reward, info)
+        self._running, self.tally = not (terminated or truncated), self.tally.after(reward, terminated, info)
         if self.render_mode == "human":
             self.render()
         return observation, reward, terminated, truncated, info

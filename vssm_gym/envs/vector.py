@@ -176,8 +176,8 @@ class PhasedVectorEnv(VectorEnv):
         reports = [env.report() for env in self.envs]
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(fresh):
-            env, (_, reward, _, _, info) = self.envs[i], reports[i]
-            env.tally = Tally() if env.tally is None else env.tally.after(reward, info)
+            env, (_, reward, terminal, _, info) = self.envs[i], reports[i]
+            env.tally = Tally() if env.tally is None else env.tally.after(reward, terminal, info)
             infos = self._add_info(infos, info, int(i))
         empty: Any = create_empty_array(self.single_observation_space, self.num_envs)
         observation = concatenate(self.single_observation_space, [report[0] for report in reports], empty)

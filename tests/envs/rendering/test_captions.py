@@ -19,12 +19,12 @@ def written(strip: np.ndarray) -> np.ndarray:
 
 
 def test_a_tally_counts_steps_rewards_and_the_last_event():
-    tally = Tally().after(0.5, {"collision": True})
+    tally = Tally().after(0.5, False, {"collision": True, "success": False})
     assert (tally.steps, tally.reward, tally.total, tally.event) == (1, 0.5, 0.5, "collision")
-    tally = tally.after(-0.25, {"collision": False})
+    tally = tally.after(-0.25, False, {"collision": False})
     assert (tally.steps, tally.reward, tally.total, tally.event) == (2, -0.25, 0.25, "")
-    assert tally.after(0.0, {"collision": True, "success": False}).event == "failure"
-    assert tally.after(0.0, {"collision": False, "success": True}).event == "success"
+    assert tally.after(0.0, True, {"collision": True, "success": False}).event == "failure"
+    assert tally.after(0.0, True, {"collision": False, "success": True}).event == "success"
     shown = tally.captions([Caption("goal", "1.00 m")])
     assert [(caption.label, caption.value) for caption in shown] == [
         ("step", "2"),

@@ -48,11 +48,11 @@ class Tally:
     total: float = 0.0  # return: the sum of the rewards so far
     event: str = ""  # of the last step: "collision", "success" or "failure"
 
-    def after(self, reward: float, info: dict[str, Any]) -> "Tally":
-        """Add one step."""
+    def after(self, reward: float, terminated: bool, info: dict[str, Any]) -> "Tally":
+        """Add one step; ``info["success"]`` counts where it ends the episode."""
         event = "collision" if info.get("collision") else ""
-        if info.get("success") is not None:
-            event = "success" if info["success"] else "failure"
+        if terminated:
+            event = "success" if info.get("success") else "failure"
         return replace(self, steps=self.steps + 1, reward=reward, total=self.total + reward, event=event)
 
     def captions(self, own: Sequence[Caption]) -> list[Caption]:

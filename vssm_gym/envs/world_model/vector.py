@@ -180,9 +180,8 @@ class WorldModelVectorEnv(VectorEnv):
             if begun[i]:
                 self._tallies[i] = Tally()
             elif outcome is not None:
-                info = {"collision": outcome.collision[i]}
-                info |= {"success": outcome.success[i]} if outcome.terminated[i] else {}
-                self._tallies[i] = self._tallies[i].after(float(outcome.reward[i]), info)
+                info = {"collision": outcome.collision[i], "success": outcome.success[i]}
+                self._tallies[i] = self._tallies[i].after(float(outcome.reward[i]), bool(outcome.terminated[i]), info)
 
     def _observation(self, shown: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         space: Any = self.single_observation_space
