@@ -37,6 +37,27 @@ def test_both_checkers_accept_it(robot):
         theirs.check_env(env)
 
 
+def test_captions_count_the_episode_and_keep_the_picture():
+    env, plain = (make(render_mode="rgb_array", captions=captions, **EXACT).unwrapped for captions in (True, False))
+    assert env.render() is None
+    env.reset(seed=0)
+    plain.reset(seed=0)
+    for _ in range(2):
+        reward = env.step(STRAIGHT)[1]
+        plain.step(STRAIGHT)
+    picture = plain.render()
+    np.testing.assert_array_equal(env.render()[: len(picture)], picture)
+    assert len(env.render()) > len(picture) == 360
+    (_, captions), *none = env.vector.plans()
+    shown = {caption.label: caption.value for caption in captions}
+    away = np.hypot(*(env.planar[:2] - env.vector.goals[0]))
+    assert (
+        not none and shown["step"] == "2" and shown["reward"] == f"{reward:+.3f}" and shown["goal"] == f"{away:.2f} m"
+    )
+    env.reset(seed=1)
+    assert env.vector.plans()[0][1][0].value == "0"
+
+
 def test_spaces_are_those_of_the_real_task():
     """Wrappers convert the real task's images to a scan and its goal to the robot's frame."""
     camera = {"width": 64, "height": 48}
