@@ -112,7 +112,7 @@ def test_the_committed_configurations_are_valid(path):
     imagined = "WorldModelNav" in path.read_text()
     found = load_training(path, map_file=Path("oak.npz") if imagined else None, seed=3)
     assert found.seed == 3 and found.policy.hidden == (128, 128)
-    assert found.minutes == {"ppo_oak_few": None, "ppo_pointnav": 10.0}.get(path.stem, 12.0)
+    assert found.minutes == {"ppo_oak_few": None, "ppo_pointnav": 10.0, "ppo_reactive": 10.0}.get(path.stem, 12.0)
 
 
 def test_compared_trainings_differ_in_the_compared_setting_only():
