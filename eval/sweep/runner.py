@@ -8,6 +8,7 @@ explorers write whole files to ``explored/``: the final maps of the first run of
 import hashlib
 import json
 import multiprocessing
+import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -33,6 +34,8 @@ from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map, map_hash
 from vssm_gym.version import package_version
+
+SIGNAL_SECONDS = 0.5  # within which a signal that was sent to a group of processes has reached all of them
 
 
 def run_sweep(
@@ -235,6 +238,7 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_p
                     keep(future)
             raise
         except BrokenProcessPool as error:
+            time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
             expected = "worker processes that live to the end; one was killed, possibly for lack of memory"
             kept = f"{len(log.rows)} of {total} episodes are kept (--resume)"
             raise InputError("sweep", "workers", f"{expected}; {kept}") from error
