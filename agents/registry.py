@@ -84,6 +84,27 @@ def agent_type(name: str) -> type[Agent]:
     return AGENTS[base]
 
 
+def register_agent(kind: type[Agent]) -> type[Agent]:
+    """Add an agent to those of sweeps and commands, under its ``name``; also a decorator.
+
+    Sweeps run in worker processes, which import the program that started them: register at its top level, and start the
+    sweep below ``if __name__ == "__main__"``.
+
+    Args:
+        kind: the agent's class.
+
+    Returns:
+        The class.
+
+    Raises:
+        InputError: another agent has that name.
+    """
+    if AGENTS.setdefault(kind.name, kind) is not kind and AGENTS[kind.name].__qualname__ != kind.__qualname__:
+        raise InputError("register_agent", "name", f"one that no other agent has; found {kind.name!r}")
+    AGENTS[kind.name] = kind
+    return kind
+
+
 def make_agent(name: str) -> Agent:
     """Make an agent by name.
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 import vssm_gym as vg
-from vssm_gym.agents.registry import AGENTS
 
 
+@vg.register_agent
 class DepthFollower:
     """Turn to the goal by dead reckoning, and away from what is near."""
 
@@ -45,8 +45,6 @@ class DepthFollower:
         action = np.array([*self.command, float(arrived)], np.float32)
         return vg.Decision(action, self.pose, "arrived" if arrived else "turning away" if near else "driving")
 
-
-AGENTS[DepthFollower.name] = DepthFollower
 
 CORNERS = [[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [0.0, 4.0]]
 HOME = {  # docs/scenes.md lists all fields

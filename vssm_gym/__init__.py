@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.agents.base import AgentContext as AgentContext
     from vssm_gym.agents.base import Decision as Decision
     from vssm_gym.agents.registry import make_agent as make_agent
+    from vssm_gym.agents.registry import register_agent as register_agent
     from vssm_gym.data.sequences import load_sequence as load_sequence
     from vssm_gym.data.trajectories import write_trajectory as write_trajectory
     from vssm_gym.envs.scenes.scene import load_scene as load_scene
@@ -118,6 +119,7 @@ PUBLIC: dict[str, str] = {
     # environments, agents, evaluation
     "load_scene": "vssm_gym.envs.scenes.scene",
     "make_agent": "vssm_gym.agents.registry",
+    "register_agent": "vssm_gym.agents.registry",
     "AgentContext": "vssm_gym.agents.base",
     "agent_context": "vssm_gym.eval.protocols.agent_context",
     "Decision": "vssm_gym.agents.base",

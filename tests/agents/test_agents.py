@@ -16,6 +16,7 @@ import shapely
 
 from tests.helpers.box_rooms import free_space
 from tests.helpers.planning_worlds import voxel_map
+from vssm_gym.agents import registry
 from vssm_gym.agents.base import ANY_TASK, Agent, AgentContext, Decision
 from vssm_gym.agents.navigation.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
@@ -363,3 +364,21 @@ def test_a_former_name_is_refused_with_the_present_one(former):
 def test_an_unknown_agent_is_refused_and_the_known_ones_are_listed():
     with pytest.raises(InputError, match=r"expected one of astar, .*; found 'nobody'"):
         make_agent("nobody")
+
+
+def test_an_agent_of_a_program_is_registered_by_its_name(monkeypatch):
+    monkeypatch.setattr(registry, "AGENTS", dict(registry.AGENTS))
+
+    class Mine(registry.AGENTS["random"]):
+        name = "mine"
+
+    assert registry.register_agent(Mine) is Mine
+    assert isinstance(registry.make_agent("mine"), Mine)
+    assert registry.register_agent(Mine) is Mine  # a worker process imports the program again
+
+    class Other(registry.AGENTS["random"]):
+        name = "astar"
+
+    with pytest.raises(InputError, match="no other agent"):
+        registry.register_agent(Other)
+    assert registry.AGENTS["astar"] is not Other
