@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.inference.alignment.aliasing import is_unique
+from vssm_gym.inference.alignment.aliasing import APART, is_unique
 from vssm_gym.inference.alignment.depth_scale import fits_unscaled
 from vssm_gym.inference.alignment.exposure import expose
 from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
@@ -170,12 +170,18 @@ def checked(transition: Transition, control: Float[Array, "m"]) -> Float[Array, 
 
 
 def _confirmed(tracked: Tracked, given: TrackingInput, config: TrackingConfig) -> bool:
-    """Return whether an image that was not expected fits its reference view at one scale of its depth and one place."""
+    """Return whether an image that was not expected fits at one scale of its depth and, after a jump, at one place.
+
+    The places that a smaller step could be taken for are further from the prediction than the step itself.
+    """
     reference, image = given.reference, _expose(given.image, tracked.gain)
     T = inverse(reference.T_world_cam) @ tracked.T_world_cam
     basis, camera = camera_twists(given.transition.manifold, given.rig), given.rig.camera
     if not fits_unscaled(T, basis, reference.image, image, camera, config.align, reference.seen):
         return False
+    step = tracked.T_world_cam[:3, 3] - camera_pose(tracked.predicted, given.rig)[:3, 3]
+    if float(jnp.linalg.norm(step)) < APART:
+        return True
     return bool(is_unique(T, basis, reference.image, image, camera, config.align))
 
 
