@@ -158,7 +158,7 @@ ANSWERS = {
     "render a view": "vg.render(",
     "covariance of the belief": "info.belief.covariance",
     "own robot's transition": "class Unicycle(vg.Transition)",
-    "own agent": "class StraightAgent",
+    "own agent": "@vg.register_agent",
     "train a policy": "vssm-gym evaluate",
     "episode log": "`failure`",
     "own apartment": "scene import",

@@ -30,9 +30,10 @@ from vssm_gym.eval.sweep.shards import Shard
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import ADVICE, Owner, check_at_least, check_folder, owned_folder
 from vssm_gym.files.shipped import MAPS, shipped
+from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.map_building import ensure_map, map_hash
+from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.version import package_version
 
 SIGNAL_SECONDS = 0.5  # within which a signal that was sent to a group of processes has reached all of them

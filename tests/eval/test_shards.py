@@ -20,7 +20,7 @@ from vssm_gym.eval.sweep.config import SweepConfig, expand, load_config
 from vssm_gym.eval.sweep.merge import merge_sweeps
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.eval.sweep.shards import Shard
-from vssm_gym.slam.map_building import map_hash
+from vssm_gym.maps.map_file import map_hash
 
 MAZES = """env: vssm_gym/LidarMaze-v0
 robot: disc

@@ -22,7 +22,8 @@ from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import expand, load_config
 from vssm_gym.eval.sweep.runner import MANIFEST, _run, config_hash, run_sweep
-from vssm_gym.slam.map_building import ensure_map, map_hash
+from vssm_gym.maps.map_file import map_hash
+from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.version import package_version
 
 TIMED = ("latency",)  # the only fields that may differ between two runs of one episode

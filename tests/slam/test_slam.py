@@ -29,6 +29,7 @@ from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.geometry.transforms import inverse, transform
 from vssm_gym.inference.prism.filter import Prism
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.slam.output import _content_hash
 from vssm_gym.slam.run import SlamOptions, run_slam
 from vssm_gym.viz import stream
 
@@ -233,6 +234,25 @@ def test_ctrl_c_keeps_the_finished_frames(vssm, recording, tmp_path, monkeypatch
     calls.extend([1, 1])
     assert vssm("slam", recording, "--out", out, "--size", SIZE, *GRID)[0] == 130
     assert len(poses_of(out / "trajectory.partial.txt")[0]) == 2
+
+
+def test_the_folder_of_a_run_belongs_to_everything_that_it_reads(recording, tmp_path):
+    """A copy of a recording may go on; one of the same name and stamps with other content may not."""
+    copy = tmp_path / "elsewhere" / recording.name
+    shutil.copytree(recording, copy)
+    read = load_sequence(recording)
+    assert _content_hash(load_sequence(copy)) == _content_hash(read)
+    image = copy / "rgb" / read.frames[3].rgb.name
+    image.write_bytes(image.read_bytes() + b"x")
+    others = [
+        load_sequence(copy),
+        replace(read, depth_scale=read.depth_scale * 1.1),
+        replace(read, T_body_cam=np.eye(4)),
+        replace(read, truth=None),
+        replace(read, camera=read.camera.resized(40, 30)),
+        replace(read, frames=read.frames[:-1]),
+    ]
+    assert len({_content_hash(sequence) for sequence in [read, *others]}) == len(others) + 1
 
 
 def test_the_readings_outside_a_small_grid_are_counted(recording):

@@ -16,7 +16,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.sweep.config import SweepConfig
 from vssm_gym.eval.sweep.runner import run_sweep
-from vssm_gym.slam.map_building import map_hash
+from vssm_gym.maps.map_file import map_hash
 from vssm_gym.training.evaluation import METRICS, evaluate_policy, files_of
 from vssm_gym.training.imagined_episodes import STEPS, imagine, real_return
 

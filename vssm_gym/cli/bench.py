@@ -57,7 +57,8 @@ def bench(
     from vssm_gym.eval.sweep.config import DEFAULT_VOXEL
     from vssm_gym.files.atomic import atomic_write
     from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, check_new_file, owned_folder
-    from vssm_gym.slam.map_building import ensure_map, map_hash
+    from vssm_gym.maps.map_file import map_hash
+    from vssm_gym.slam.map_building import ensure_map
     from vssm_gym.version import package_version
 
     count = DEFAULT_TRIALS.get(suite, 1) if trials is None else trials

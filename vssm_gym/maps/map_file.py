@@ -4,6 +4,7 @@ Version 1 holds the rows of all blocks of a grid; version 2 holds the stored row
 of their blocks.
 """
 
+import hashlib
 import json
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -149,3 +150,9 @@ def read_header(path: str | Path, formats: set[str]) -> dict[str, Any]:
     if found not in formats:
         raise InputError(path, "format", f"one of {', '.join(sorted(formats))}; found {found!r:.80}")
     return header
+
+
+def map_hash(map_file: Path) -> str:
+    """Return 16 hex digits of a map file's SHA-256, by which results name the map."""
+    with shipped(map_file, MAPS).open("rb") as file:  # not as a whole: any size may be given
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]

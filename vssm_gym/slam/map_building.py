@@ -3,7 +3,6 @@
 The poses are either those recorded with it, as from a motion-capture system, or PRISM's estimates.
 """
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -17,7 +16,6 @@ from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.errors import InputError
 from vssm_gym.files.output_folders import ADVICE
-from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
@@ -213,12 +211,6 @@ def ensure_map(
     map_file.parent.mkdir(parents=True, exist_ok=True)
     voxel_map.save(map_file, **origin, voxel=voxel, poses=poses, package_version=package_version())
     return map_file
-
-
-def map_hash(map_file: Path) -> str:
-    """Return 16 hex digits of a map file's SHA-256, by which results name the map."""
-    with shipped(map_file, MAPS).open("rb") as file:  # not as a whole: any size may be given
-        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def _check_origin(path: Path, what: str, found: dict[str, Any], wanted: dict[str, Any]) -> None:

@@ -21,10 +21,10 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.line_file import LineFile
 from vssm_gym.files.output_folders import Owner, owned_folder
 from vssm_gym.inference.status import Status
+from vssm_gym.maps.map_file import map_hash
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES
-from vssm_gym.slam.map_building import map_hash
 from vssm_gym.slam.real_time import real_time
 from vssm_gym.slam.report import page
 from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame, run_slam
@@ -76,15 +76,37 @@ def process(
 
 
 def _owner(sequence: Sequence, options: SlamOptions) -> Owner:
-    """Return what marks the folder of a run: the sequence, by its name and stamps, and the options."""
-    stamps = hashlib.sha256(np.array([frame.time for frame in sequence.frames]).tobytes()).hexdigest()[:16]
-    camera = {"K": sequence.camera.K.tolist(), "distortion": sequence.distortion.tolist()}
-    config = {"sequence": sequence.root.resolve().name, "stamps": stamps, **camera, **_config(options)}
-    if options.map is not None and options.map.is_file():
+    """Return what marks the folder of a run: the sequence, by its name and all that is read of it, and the options."""
+    config = {"sequence": sequence.root.resolve().name, "content": _content_hash(sequence), **_config(options)}
+    if options.map is not None:
         config["map"] = map_hash(options.map)
     hashed = hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
     content = {"config": config, "config_hash": hashed, "version": package_version()}
     return Owner("SLAM run", MANIFEST, content, finished=REPORT)
+
+
+def _content_hash(sequence: Sequence) -> str:
+    """Return 16 hex digits by which two sequences differ: camera, times, measurements, names and sizes of images.
+
+    The images themselves are not read, which would take as long as a run; a folder may be moved.
+    """
+    camera = sequence.camera
+    content = hashlib.sha256(repr((camera.width, camera.height, sequence.depth_scale)).encode())
+    arrays = [
+        camera.K,
+        sequence.distortion,
+        sequence.T_body_cam,
+        *(sequence.truth or ()),
+        sequence.controls,
+        sequence.imu,
+    ]
+    for array in arrays:
+        content.update(repr(None if array is None else array.shape).encode())
+        content.update(np.asarray([] if array is None else array, np.float64).tobytes())
+    for frame in sequence.frames:
+        files = [(file.name, file.stat().st_size if file.is_file() else None) for file in (frame.rgb, frame.depth)]
+        content.update(repr((frame.time, files)).encode())
+    return content.hexdigest()[:16]
 
 
 def _process(

@@ -29,7 +29,7 @@ from vssm_gym.envs.world_model.config import Imagination, checked_stds
 from vssm_gym.envs.world_model.motion import estimated_pose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, MAX_DEPTH
-from vssm_gym.slam.map_building import map_hash
+from vssm_gym.maps.map_file import map_hash
 from vssm_gym.training.config import SENSED, WORLD_MODEL, EnvironmentSettings
 
 SCAN_CAMERA = CameraConfig(BEAMS, 1)  # of PointNav: its pixels are the rays of a scan

@@ -17,9 +17,9 @@ from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.sweep.config import DEFAULT_VOXEL, SweepConfig, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.map_building import map_hash
 from vssm_gym.training.imagined_episodes import imagine, real_return
 
 FILE = "evaluation.json"
