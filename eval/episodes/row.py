@@ -88,11 +88,11 @@ class EpisodeRow(_Strict):
     end_on: Literal["stop", "reach"] | None = None
     # What was measured
     success: bool
-    failure: str | None = None
+    failure: str | None
+    path_length: Length
     status: str | None = None
     spl: Proportion | None = None
     soft_spl: Proportion | None = None
-    path_length: Length | None = None
     geodesic: Length | None = None
     steps: Count | None = None
     seconds: Length | None = None

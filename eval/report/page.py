@@ -58,8 +58,9 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
 def _environment(manifest: dict[str, Any], folder: Path) -> str:
     envs = manifest["config"].get("env")
     envs = envs if isinstance(envs, list) and envs else [None]
-    if envs[0] not in SWEPT_ENVIRONMENTS:
-        raise InputError(folder / MANIFEST, "config.env", f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {envs[0]!r}")
+    if not isinstance(envs[0], str) or envs[0] not in SWEPT_ENVIRONMENTS:
+        expected = f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {envs[0]!r:.80}"
+        raise InputError(folder / MANIFEST, "config.env", expected)
     return envs[0]
 
 

@@ -34,11 +34,10 @@ def values(field):
 
 rows = st.fixed_dictionaries(
     {name: values(EpisodeRow.model_fields[name]) for name in (*KEY, "scene", "success") if name not in ("task", "seed")}
-    | {"task": st.integers(0, 10**6), "seed": st.integers(0, 2**32)},
+    | {"task": st.integers(0, 10**6), "seed": st.integers(0, 2**32)}
+    | {"failure": st.none() | st.text(max_size=8), "path_length": st.floats(0.0, 1e6)},
     optional={
-        "failure": st.none() | st.text(max_size=8),
         "spl": st.none() | st.floats(0.0, 1.0) | st.integers(0, 1),
-        "path_length": st.none() | st.floats(0.0, 1e6),
         "steps": st.none() | st.integers(0, 10**6),
         "entropy": st.none() | st.floats(-1e9, 1e9),
         "latency": st.dictionaries(

@@ -16,7 +16,8 @@ from vssm_gym.eval.sweep.config import expand, load_config
 
 def row(task):
     names = dict.fromkeys(KEY, "x") | {"scene": "ä\n", "task": task, "seed": 0}
-    return {"format": FORMAT, **names, "success": True, "failure": None, "trace": {"true": [[0.5, float(task)]]}}
+    result = {"success": True, "failure": None, "path_length": 2.5}
+    return {"format": FORMAT, **names, **result, "trace": {"true": [[0.5, float(task)]]}}
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -64,6 +65,10 @@ def test_zeros_that_a_power_cut_leaves_at_the_end_are_dropped(tmp_path):
         ([json.dumps(row(0)), json.dumps({"task": 1})], "line 2: expected one episode as JSON with env, .*no env"),
         ([json.dumps(row(0) | {"steps": 2.5})], "line 1: expected one episode as JSON; steps: a valid integer"),
         ([json.dumps(row(0) | {"format": FORMAT + 1})], f"line 1: expected one episode as JSON; format: {FORMAT}"),
+        (
+            [json.dumps({k: v for k, v in row(0).items() if k != "failure"})],
+            "line 1: expected .*; failure: Field required",
+        ),
         ([json.dumps(row(0) | {"weather": "rain"})], "line 1: expected one episode as JSON; weather: "),
         (["[1]"], "line 1: expected one episode as a JSON object; found ."),
         ([json.dumps(row(0)), json.dumps(row(0))], "line 2: expected each episode once; it repeats line 1"),

@@ -3,6 +3,7 @@
 import gzip
 import json
 import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,9 @@ from vssm_gym.data.trajectories import read_trajectory
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks import navigation
 from vssm_gym.eval.episodes.log import read_rows
+from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep.config import load_config
+from vssm_gym.eval.sweep.merge import merge_sweeps
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.posterior import Posterior
@@ -177,6 +180,23 @@ def _training_folder(folder: Path) -> None:
     (folder / "progress.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
+def _shards(folder: Path) -> None:
+    """Write the two shards of a sweep of four episodes."""
+    source = CHECKOUT / "eval" / "baselines" / "car"
+    manifest = json.loads((source / "sweep.json").read_text())
+    rows = (source / "episodes.jsonl").read_text().splitlines(keepends=True)[:4]
+    for index in (1, 2):
+        shard = folder / f"shard{index}"
+        shard.mkdir()
+        (shard / "episodes.jsonl").write_text("".join(rows[index - 1 :: 2]))
+        (shard / "sweep.json").write_text(json.dumps(manifest | {"episodes": 2, "shard": {"index": index, "of": 2}}))
+
+
+def _merge(folder: Path) -> object:
+    with tempfile.TemporaryDirectory() as scratch:
+        return merge_sweeps([folder / "shard1", folder / "shard2"], Path(scratch) / "whole")
+
+
 SWEEP = (
     "env: vssm_gym/PointNav-v0\nscenes: [oak, elm]\nagents: [astar, random]\nnoise: [low, mid]\ntasks: 20-29\n"
     "seeds: 0\n"
@@ -211,6 +231,8 @@ READERS: dict[str, Reader] = {
     "sweep": Reader(_scene_file("sweep.yaml", SWEEP), lambda d: load_config(d / "sweep.yaml")),
     "training": Reader(_scene_file("training.yaml", TRAINING), lambda d: load_training(d / "training.yaml")),
     "episode log": Reader(_log, lambda d: read_rows(d / "episodes.jsonl")),
+    "report": Reader(_log, lambda d: write_report(d, 0, d / "page.html")),
+    "shards": Reader(_shards, _merge),
     "training folder": Reader(_training_folder, read_training),
 }
 

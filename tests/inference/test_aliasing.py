@@ -50,6 +50,14 @@ def test_a_corner_with_its_colours_is_unique() -> None:
     assert unique(jnp.eye(4), image, image)
 
 
+def test_an_image_without_any_reading_is_not_unique() -> None:
+    """Where nothing can be compared, nothing is confirmed."""
+    image = ROOM.image(CORNER, CAMERA)
+    empty = jax.tree.map(jnp.zeros_like, image)
+    assert not unique(jnp.eye(4), image, empty) and not unique(jnp.eye(4), empty, image)
+    assert not unique(jnp.full((4, 4), jnp.nan), image, image)
+
+
 BACK, TURNS = jnp.array([-0.2, 0.0, -0.3]), np.array([False, False, True])
 
 

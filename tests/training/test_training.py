@@ -433,16 +433,19 @@ def test_a_log_forgets_what_was_not_kept_and_rewrites_nothing(tmp_path):
     path = tmp_path / "log"
     with ProgressLog(path) as log:
         for steps in (10, 20, 30):
-            log.append({"steps": steps})
-        kept = path.read_bytes()[: 2 * len(b'{"steps": 10}\n')]
+            log.append({"steps": steps, "seconds": 1.0})
+        kept = path.read_bytes()[: 2 * len(b'{"steps": 10, "seconds": 1.0}\n')]
         with largest_file(len(kept) - 1):
             log.drop_after(20)
         assert path.read_bytes() == kept
-        log.append({"steps": 25})
+        log.append({"steps": 25, "seconds": 1.0})
     path.write_bytes(path.read_bytes() + b'{"ste')
     with ProgressLog(path) as log:
         log.drop_after(40)
     assert [row["steps"] for row in read_progress(path)] == [10, 20, 25] and path.read_bytes().endswith(b"\n")
+    path.write_bytes(path.read_bytes() + b'{"seconds": 2.0}\n')
+    with ProgressLog(path) as log, pytest.raises(InputError, match=r"line 4: expected numbers as seconds and steps"):
+        log.drop_after(40)
 
 
 def test_a_full_disk_ends_a_training_and_resume_ends_it(corridor, tmp_path):

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -136,7 +136,9 @@ def read_training(folder: Path) -> Training:
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(manifest, "file", "the JSON that `vssm-gym train` wrote") from error
     config["environment"] = {key: value for key, value in where.items() if key not in ("map", "scene")}
-    lines = [line for line in _lines(folder / PROGRESS) if line["steps"] >= whole and line["success"] is not None]
+    lines = [
+        line for line in read_progress(folder / PROGRESS) if line["steps"] >= whole and line["success"] is not None
+    ]
     if len(lines) < 2:
         since = f"a first episode of all robots has ended ({whole:,} steps)"
         expected = f"two lines with a success rate at least, written after {since}; found {len(lines)}"
@@ -148,27 +150,6 @@ def read_training(folder: Path) -> Training:
     )
     of = json.dumps([config, world], sort_keys=True)
     return Training(folder, name, number, of, seconds / 60.0, steps, success, returns)
-
-
-def _lines(path: Path) -> list[dict[str, Any]]:
-    """Read and check all lines of ``progress.jsonl``."""
-    lines = read_progress(path)
-    before = (0.0, 0.0)
-    for number, line in enumerate(lines, 1):
-        if not all(_is_number(line.get(key)) for key in ("seconds", "steps")):
-            raise InputError(path, f"line {number}", "numbers as seconds and steps")
-        unknown = line.get("success") is None and line.get("return") is None
-        if not unknown and not (_is_number(line.get("return")) and _is_number(line.get("success"))):
-            raise InputError(path, f"line {number}", "numbers as success and return, or null as both")
-        now = float(line["seconds"]), float(line["steps"])
-        if now[0] < before[0] or now[1] < before[1]:
-            raise InputError(path, f"line {number}", "seconds and steps that do not fall")
-        before = now
-    return [{"success": None, "return": None, **line} for line in lines]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def grouped(trainings: Sequence[Training]) -> dict[str, list[Training]]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.agents.policy.policy_file import Policy, PolicySpec, save
+from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
 from vssm_gym.files.line_file import LineFile
@@ -180,11 +182,27 @@ def read_progress(path: Path) -> list[Row]:
     """Read the lines of a ``progress.jsonl``; an unfinished last one is left out.
 
     Raises:
-        InputError: no such file, or a line that is no JSON.
+        InputError: no such file, or a line that is no row of progress: JSON with numbers as ``seconds`` and ``steps``,
+            which never fall, and as ``success`` and ``return``, which are null where no episode has ended.
     """
     data = read_bytes(path, PROGRESS_BYTES, "the progress of a training; `vssm-gym train` writes it")
-    lines = parse_json_lines(data[: data.rfind(b"\n") + 1], path, "a row of progress")
-    return [row for _, row in lines]
+    rows: list[Row] = []
+    for number, row in parse_json_lines(data[: data.rfind(b"\n") + 1], path, "a row of progress"):
+        if not all(_is_number(row.get(key)) for key in ("seconds", "steps")):
+            raise InputError(path, f"line {number}", "numbers as seconds and steps")
+        unknown = row.get("success") is None and row.get("return") is None
+        if not unknown and not (_is_number(row.get("return")) and _is_number(row.get("success"))):
+            raise InputError(path, f"line {number}", "numbers as success and return, or null as both")
+        if not _is_number(row.get("preparing", 0.0)):
+            raise InputError(path, f"line {number}", "a number as preparing")
+        if rows and (row["seconds"] < rows[-1]["seconds"] or row["steps"] < rows[-1]["steps"]):
+            raise InputError(path, f"line {number}", "seconds and steps that do not fall")
+        rows.append({"success": None, "return": None, **row})
+    return rows
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @contextlib.contextmanager

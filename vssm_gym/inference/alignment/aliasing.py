@@ -71,4 +71,5 @@ def is_unique(
     cost = jnp.where(lines.share >= MIN_SHARE * here.share, lines.cost, jnp.inf)
     lowest = (cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]) & (np.abs(SHIFTS[1:-1, None]) >= APART)
     as_good = (cost <= here.cost + COLOUR_MARGIN) & (lines.correlation >= here.correlation - CORRELATION_MARGIN)
-    return ~jnp.any(lowest & as_good[1:-1])
+    known = jnp.isfinite(here.cost) & jnp.isfinite(here.correlation)  # no comparison holds with NaN
+    return known & ~jnp.any(lowest & as_good[1:-1])
