@@ -15,7 +15,7 @@ RECORDINGS ?=
 CANDIDATES := python3.11 python3.12 python3.13 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow coverage additions faults fuzz chaos lint format install clean
+.PHONY: help demo test test-slow coverage additions faults fuzz mutants chaos lint format install clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
@@ -26,6 +26,7 @@ help:
 	@echo "make faults     faulty images for SLAM and agents; RECORDINGS=DIR adds TUM folders to the simulated walks"
 	@echo "make chaos      kill commands at random moments, fill their disks, start them twice (about half an hour)"
 	@echo "make fuzz       10,000 damaged files for every reader: each is read or refused within bounds (30 min)"
+	@echo "make mutants    put errors of the science into a copy, one at a time: its tests must fail (about half an hour)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
 	@echo "make clean      remove .venv, caches and build products"
@@ -73,6 +74,9 @@ additions: $(STAMP)
 
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz --workers $(WORKERS)
+
+mutants: $(STAMP)
+	$(BIN)/python -m tests.mutants --workers $(WORKERS)
 
 faults: $(STAMP)
 	failed=0; $(BIN)/vssm-gym faults slam $(RECORDINGS) || failed=1; $(BIN)/vssm-gym faults navigation || failed=1; exit $$failed

@@ -17,6 +17,7 @@ from vssm_gym.inference.alignment.residuals import (
     AlignConfig,
     Term,
     alignment_cost,
+    fit_quality,
     linearise,
     luminance,
     make_observed,
@@ -180,6 +181,39 @@ def test_a_blank_wall_determines_distance_and_tilt_only() -> None:
     assert (values[:3] < 1e-3 * values[3:].min()).all()  # right, down and roll
     np.testing.assert_allclose(np.abs(vectors[[2, 3, 4], :3]).max(), 0.0, atol=1e-2)
     assert slab(np.zeros(3), np.array([[1.0, 0, 0]]), interior)[1] == 1.5
+
+
+def test_the_information_of_a_wall_by_hand() -> None:
+    """``n z z^T / (30 sigma^2)`` of a wall of one colour at 1.5 m, ``sigma = 4 mm + 2.5 mm/m^2 (1.5 m)^2``.
+
+    Each of the ``n`` pixels with a plane, all but the image's rim, measures the distance with the std of one reading,
+    and 30 of them count as one. A pixel at height ``y`` on the wall has the lever arm ``y`` about the x axis.
+    """
+    T_world_ref = camera_pose((0.0, 0.0, 0.0), 0.0)
+    image = Room(((-9.0, -9.0, -9.0), (1.5, 9.0, 9.0))).image(T_world_ref, CAMERA)
+    image = RGBD(image.depth, 0 * image.rgb + 0.5, image.hit, image.known)
+    info = fit_quality(
+        IDENTITY, FREE, make_reference(image, CAMERA, CONFIG), make_observed(image, CAMERA), CAMERA, CONFIG, 0
+    )
+    sigma = 0.004 + 0.0025 * 1.5**2
+    y = 1.5 * (np.arange(1, 47) - CAMERA.cy) / CAMERA.fy
+    across, about = 46 * 62 / (30 * sigma**2), 62 * np.sum(y**2) / (30 * sigma**2)
+    found = np.asarray(info.information, float)
+    assert found[2, 2] == pytest.approx(across, rel=1e-3)  # along the camera's axis
+    assert found[3, 3] == pytest.approx(about, rel=1e-3)  # about the image's horizontal axis
+    np.testing.assert_allclose(found[[0, 1, 5]], 0.0, atol=1e-3 * across)  # along the wall, and about its normal
+
+
+@pytest.mark.parametrize("away", [0.0, 0.01, 0.05, 0.2])
+def test_the_influence_of_a_residual_is_bounded(away: float) -> None:
+    """``w r`` is the residual up to Huber's elbow and the elbow beyond it, times the pixel's share of a datum."""
+    image = ROOM.image(room_pose(np.random.default_rng(2)), CAMERA)
+    for term, share in zip(terms_at(IDENTITY.at[2, 3].set(away), image, image), (1.0, CONFIG.rgb_weight), strict=True):
+        r, influence = np.asarray(term.residual, float), np.asarray(term.weight * term.residual, float)
+        used = np.asarray(term.weight) > 0.0
+        assert used.any()
+        expected = share / CONFIG.pixels_per_datum * np.clip(r, -CONFIG.huber, CONFIG.huber)
+        np.testing.assert_allclose(influence[used], expected[used], rtol=1e-4, atol=1e-6)
 
 
 def test_a_stronger_prior_holds_the_pose_back() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from tests.helpers.prism_room import image, start, step, walked
+from tests.helpers.prism_room import copy, image, start, step, walked
 from vssm_gym.inference.prism import drift
 from vssm_gym.inference.prism.config import HAND_HELD
 from vssm_gym.inference.status import Status
@@ -113,3 +113,21 @@ def test_drift_in_new_space_does_not_depend_on_the_rate() -> None:
     coarse, fine = shares(np.arange(2.0, 25.0, 2.0), 5.0), shares(np.arange(1.0, 25.0, 1.0), 10.0)
     assert coarse.sum() / ALIKE > 1.0
     assert fine.sum() == pytest.approx(coarse.sum(), rel=0.5)
+
+
+def test_a_belief_in_the_world_includes_the_drift() -> None:
+    """The covariance of a step is ``Sigma + Ad^-1 P Ad^-T``, where the image was accepted and where it was not."""
+    state, infos = walked()
+    blind = jax.tree.map(jnp.zeros_like, image(0))
+    lost, blindly = step(copy(state), blind)
+    assert (infos[-1].status, blindly.status) == (Status.OK, Status.NO_READING)
+    for after, info in ((state, infos[-1]), (lost, blindly)):
+        T = np.asarray(after.past.belief.mean.T_world_body, float)
+        back = np.linalg.inv(np.asarray(drift.se3_adjoint(jnp.asarray(T, jnp.float32)), float))
+        carried = back @ np.asarray(after.drift, float) @ back.T
+        covariance = np.asarray(info.belief.covariance, float)
+        grown = covariance - np.asarray(after.past.belief.covariance, float)
+        std = np.sqrt(np.diag(covariance)[:6])
+        np.testing.assert_allclose(grown[:6, :6] / np.outer(std, std), carried / np.outer(std, std), atol=1e-4)
+        assert np.trace(grown[:3, :3]) > 0.0
+        np.testing.assert_array_equal(grown[6:], 0.0)

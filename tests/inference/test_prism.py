@@ -113,6 +113,25 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
     np.testing.assert_allclose(np.asarray(tracked.belief.mean.velocity, float), velocity, atol=2e-3 * scale[6:].max())
 
 
+@pytest.mark.parametrize("axis", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)])
+def test_a_turn_that_nothing_predicts_is_tracked(axis: tuple[int, ...]) -> None:
+    """The images alone turn the start: for a turn of 7 degrees one iteration at full resolution is enough.
+
+    From the predicted pose, which knows nothing of the turn, one iteration leaves an error of degrees.
+    """
+    state, T = start(), true_pose(0)
+    T[:3, :3] = T[:3, :3] @ np.asarray(jaxlie.SO3.exp(jnp.radians(7.0) * jnp.asarray(axis, float)).as_matrix())
+    one = replace(CONFIG.tracking, align=replace(CONFIG.tracking.align, levels=(1,), iterations=(1,)))
+    given = TrackingInput(
+        state.past, HAND, jnp.zeros(6), jnp.float32(DT), state.reference, ROOM.image(T, CAMERA), RIG, state.key, False
+    )
+    tracked = camera_filter.track(given, one)
+    metres, degrees = error(tracked.belief, T)
+    assert bool(tracked.accepted)
+    assert metres < 0.01
+    assert degrees < 0.2
+
+
 def test_an_overwhelming_prior_holds_the_pose() -> None:
     """In step 2 a prior more precise than all pixels keeps its mean, and a vague one gives the images' pose."""
     state, _ = walked(FRAMES)

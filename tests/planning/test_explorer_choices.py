@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.agents.shared.strategy import Choice, ExplorationStrategy, Situation
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 from vssm_gym.planning.exploration.candidates import Roadmap
 from vssm_gym.planning.exploration.information import Gain
 from vssm_gym.planning.floor_plan import FloorPlan
@@ -160,6 +161,26 @@ def test_the_explorer_goes_to_the_place_of_its_mode(config, niche, monkeypatch):
     assert sorted(which) == [0, 1, 2]
     assert tour.nats == pytest.approx(1e3 * GAINS[which] - config.least_gain)
     assert np.abs(roadmap.at(roadmap.distance, tour.xy) - np.abs(NICHES[which] - 3.0)).max() < 0.6
+
+
+def test_an_explorer_stops_where_all_cells_were_observed():
+    """Cells that were observed have no gain, although another reading would always raise their precision.
+
+    The hypothesis is that what is left of their error is common to all readings: of the pose, the calibration and the
+    shape of the surface within a cell. It does not average out, whereas the model takes errors as independent and
+    promises ``1/2 log(1 + 1/n)`` nats for reading ``n + 1``. That is little for a cell, but the known cells are many:
+    together they would outweigh every unseen place, and the robot would look at them for ever.
+    """
+    plan = drawn("\n".join(["#" * 126, *["#" + "." * 124 + "#"] * 22, "#" * 126]))
+    prior = VoxelMap.prior(np.array([0.0, 0.0, 0.0]), 0.1, (128, 24, 8))
+    once = prior.occupancy_precision + 1.0  # every cell was read once
+    half = prior.dense(once).at[64:].set(PRIOR_OCCUPANCY_STD**-2)
+    for precision, looks in ((once, False), (prior.blocked(half), True)):
+        known = eqx.tree_at(lambda m: m.occupancy_precision, prior, precision)
+        strategy = MutualInformation(MiExplorerConfig())
+        strategy.reset(0)
+        choice = strategy.choose(believed(plan, (5.0, 1.15), map=known))
+        assert (choice is not None) == looks
 
 
 @pytest.mark.parametrize("name", EXPLORERS)

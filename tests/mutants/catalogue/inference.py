@@ -1,0 +1,204 @@
+"""List errors of alignment, of what confirms a pose, of the trackers, and of PRISM's recursion."""
+
+from tests.mutants.mutant import Mutant
+
+RESIDUALS = "vssm_gym/inference/alignment/residuals.py"
+ALGEBRA, DRIFT = "vssm_gym/inference/linear_gaussian.py", "vssm_gym/inference/prism/drift.py"
+CAMERA_FILTER, PRISM = "vssm_gym/inference/tracking/camera_filter.py", "vssm_gym/inference/prism/filter.py"
+OF_ALIGNMENT, OF_PRISM = "tests/inference/test_alignment.py", "tests/inference/test_prism.py"
+OF_ALGEBRA, OF_DRIFT = "tests/inference/test_linear_gaussian.py", "tests/inference/test_drift.py"
+OF_NOISE, OF_AGREEMENT = "tests/inference/test_process_noise.py", "tests/inference/test_agreement.py"
+BY_HAND = (f"{OF_ALIGNMENT}::test_the_information_of_a_wall_by_hand",)
+
+INFERENCE = (
+    Mutant(
+        "information-times-ten",
+        RESIDUALS,
+        "information=twists.T @ H @ twists",
+        "information=10.0 * twists.T @ H @ twists",
+        BY_HAND,
+    ),
+    Mutant(
+        "residuals-without-the-quadratic-part-of-sigma",
+        RESIDUALS,
+        "sigma_geo = config.geo_sigma + config.geo_sigma_quadratic * depth * depth",
+        "sigma_geo = config.geo_sigma + 0.0 * depth",
+        BY_HAND,
+    ),
+    Mutant(
+        "huber-weight-always-one",
+        RESIDUALS,
+        " * jnp.minimum(1.0, config.huber / jnp.maximum(jnp.abs(s), 1e-9))",
+        "",
+        (f"{OF_ALIGNMENT}::test_the_influence_of_a_residual_is_bounded",),
+    ),
+    Mutant(
+        "alignment-jacobian-with-a-wrong-sign",
+        RESIDUALS,
+        "q[1] * z - q[2] * y",
+        "q[2] * y - q[1] * z",
+        (f"{OF_ALIGNMENT}::test_jacobians_are_those_of_the_residuals",),
+    ),
+    Mutant(
+        "normal-equations-weighted-twice",
+        RESIDUALS,
+        "(rows * term.weight) @ rows.T",
+        "(rows * term.weight**2) @ rows.T",
+        (f"{OF_ALIGNMENT}::test_normal_equations_are_weighted_sums",),
+    ),
+    Mutant(
+        "alignment-prior-without-its-gradient",
+        "vssm_gym/inference/alignment/gauss_newton.py",
+        "gradient = twists.T @ gradient + prior_precision @ xi",
+        "gradient = twists.T @ gradient",
+        (f"{OF_ALIGNMENT}::test_without_an_image_the_posterior_is_the_prior",),
+    ),
+    Mutant(
+        "rotation-jacobian-with-a-wrong-sign",
+        "vssm_gym/inference/alignment/rotation.py",
+        "gx * (1.0 + x * x) + gy * x * y",
+        "-gx * (1.0 + x * x) + gy * x * y",
+        ("tests/inference/test_rotation.py::test_a_known_rotation_in_a_room_is_found",),
+    ),
+    Mutant(
+        "rotation-not-used-as-a-start",
+        CAMERA_FILTER,
+        "jnp.stack([T_ref_world @ T_world_turned, T_prior])",
+        "jnp.stack([T_prior, T_prior])",
+        (f"{OF_PRISM}::test_a_turn_that_nothing_predicts_is_tracked",),
+    ),
+    Mutant(
+        "laplace-step-forgets-the-prior",
+        CAMERA_FILTER,
+        "2.0 * fit_quality.information + precision",
+        "2.0 * fit_quality.information + 1e-6 * precision",
+        ("tests/inference/test_tracking.py::test_images_only_add_information",),
+    ),
+    Mutant(
+        "laplace-step-with-half-the-information",
+        CAMERA_FILTER,
+        "2.0 * fit_quality.information + precision",
+        "fit_quality.information + precision",
+        ("tests/inference/test_tracking.py::test_images_only_add_information",),
+    ),
+    Mutant(
+        "velocity-does-not-follow-the-pose",
+        CAMERA_FILTER,
+        "both = linear_gaussian.joint(both, rest_given_pose)",
+        "both = linear_gaussian.joint(Gaussian(0.0 * moved, smoothed), rest_given_pose)\n"
+        "        both = Gaussian(both.mean.at[:p].set(moved), both.covariance)",
+        (f"{OF_PRISM}::test_a_step_is_the_linear_gaussian_algebra",),
+    ),
+    Mutant(
+        "joint-mean-without-the-conditional",
+        ALGEBRA,
+        "jnp.concatenate([p_z.mean, A @ p_z.mean + p_x_given_z.a])",
+        "jnp.concatenate([p_z.mean, p_x_given_z.a])",
+        (f"{OF_ALGEBRA}::test_the_joint_is_the_dense_product",),
+    ),
+    Mutant(
+        "posterior-covariance-without-the-gains-noise",
+        ALGEBRA,
+        "B @ p_z.covariance @ B.T + K @ S @ K.T",
+        "B @ p_z.covariance @ B.T",
+        (f"{OF_ALGEBRA}::test_the_inverse_conditional_is_the_dense_posterior",),
+    ),
+    Mutant(
+        "drift-left-out-of-the-belief",
+        PRISM,
+        "drift.in_world(past.belief, drifted)",
+        "past.belief",
+        (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
+    ),
+    Mutant(
+        "drift-left-out-of-a-prediction",
+        PRISM,
+        "drift.in_world(past.belief, state.drift)",
+        "past.belief",
+        (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
+    ),
+    Mutant(
+        "drift-carried-to-the-wrong-frame",
+        DRIFT,
+        "se3_adjoint(inverse(relative.manifold.pose(relative.mean)))",
+        "se3_adjoint(relative.manifold.pose(relative.mean))",
+        (f"{OF_DRIFT}::test_in_world_is_the_covariance_of_a_pose_in_an_uncertain_frame",),
+    ),
+    Mutant(
+        "drift-by-the-precision-for-its-share",
+        DRIFT,
+        "read * (1.0 - before / after)",
+        "read * (after - before)",
+        (f"{OF_DRIFT}::test_the_frame_drifts_by_the_proportion_that_the_image_wrote",),
+    ),
+    Mutant(
+        "pose-samples-too-narrow",
+        PRISM,
+        "half = (samples / (samples - 1)) ** 0.5 * jax.random.normal",
+        "half = jax.random.normal",
+        (f"{OF_PRISM}::test_samples_of_the_pose_have_its_mean_and_covariance",),
+    ),
+    Mutant(
+        "process-noise-without-the-square-of-caution",
+        "vssm_gym/inference/tracking/process_noise.py",
+        "config.caution**2 * jnp.stack",
+        "config.caution * jnp.stack",
+        (f"{OF_NOISE}::test_the_scale_is_the_hands_own_times_a_margin",),
+    ),
+    Mutant(
+        "process-noise-learns-from-unseen-directions",
+        "vssm_gym/inference/tracking/process_noise.py",
+        "removed = jnp.clip(1.0 - left, 0.0, 1.0)",
+        "removed = jnp.ones_like(left)",
+        (f"{OF_NOISE}::test_an_image_without_information_changes_nothing",),
+    ),
+    Mutant(
+        "frame-tracker-forgets-earlier-uncertainty",
+        "vssm_gym/inference/tracking/map_tracker.py",
+        "covariance=carried + step.covariance",
+        "covariance=step.covariance",
+        ("tests/inference/test_tracking.py::test_frame_to_frame_tracking_drifts_within_its_covariance",),
+    ),
+    Mutant(
+        "correlation-without-centring",
+        "vssm_gym/inference/alignment/agreement.py",
+        "a, b = (x - jnp.sum(weight * x) for x in (luminance, reference))",
+        "a, b = luminance, reference",
+        (f"{OF_AGREEMENT}::test_a_displaced_pose_a_mirrored_image_and_a_grey_one_do_not_agree",),
+    ),
+    Mutant(
+        "pose-fixed-by-the-trace-of-information",
+        "vssm_gym/inference/alignment/agreement.py",
+        "jnp.linalg.eigvalsh(2.0 * twists.T @ H @ twists)[0]",
+        "jnp.diag(2.0 * twists.T @ H @ twists).max()",
+        (f"{OF_AGREEMENT}::test_a_room_fixes_the_pose_and_a_bare_wall_does_not",),
+    ),
+    Mutant(
+        "aliases-need-not-be-minima",
+        "vssm_gym/inference/alignment/aliasing.py",
+        "(np.abs(SHIFTS[1:-1, None]) >= APART)",
+        "(np.abs(SHIFTS[1:-1, None]) >= FARTHEST_SHIFT)",
+        ("tests/inference/test_aliasing.py::test_a_wall_of_equal_stripes_fits_at_several_places",),
+    ),
+    Mutant(
+        "confirmation-asks-grey-images-to-correlate",
+        "vssm_gym/inference/tracking/confirmation.py",
+        " | (found.contrast < config.min_contrast)",
+        "",
+        ("tests/inference/test_recovery.py", "tests/inference/test_prism_faults.py"),
+    ),
+    Mutant(
+        "recovery-without-the-contrast-test",
+        "vssm_gym/inference/tracking/recovery.py",
+        "jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)",
+        "config.max_photometric",
+        ("tests/inference/test_recovery.py",),
+    ),
+    Mutant(
+        "gyroscope-bias-ignored",
+        "vssm_gym/inference/prism/imu_control.py",
+        "(self._rates[first:last] - self.gyro_bias)",
+        "self._rates[first:last]",
+        ("tests/inference/test_imu_control.py::test_dead_reckoning_with_the_controls_is_the_flight",),
+    ),
+)

@@ -1,0 +1,95 @@
+"""List errors of expected information, exploration, value iteration and model-predictive control."""
+
+from tests.mutants.mutant import Mutant
+
+INFORMATION, MPC = "vssm_gym/planning/exploration/information", "vssm_gym/planning/mpc/objective.py"
+OF_INFORMATION = "tests/planning/test_information.py"
+OF_VALUE = ("tests/planning/car/test_value_iteration.py::test_agrees_with_an_exact_dynamic_program",)
+OF_MPC = ("tests/planning/car/test_mpc_objective.py::test_values_are_those_of_the_definition",)
+
+PLANNING = (
+    Mutant(
+        "information-counted-twice",
+        f"{INFORMATION}/information_sum.py",
+        "return 0.5 * (nats + np.log(product))",
+        "return nats + np.log(product)",
+        (f"{OF_INFORMATION}::test_a_map_of_3x3x1_cells_by_hand",),
+    ),
+    Mutant(
+        "every-view-of-a-cell-is-its-first",
+        f"{INFORMATION}/information_sum.py",
+        "precision[b, s, r] + counts[b, s, r] * weight",
+        "precision[b, s, r]",
+        (f"{OF_INFORMATION}::test_a_map_of_3x3x1_cells_by_hand",),
+    ),
+    Mutant(
+        "imagined-views-end-at-the-surface",
+        f"{INFORMATION}/observed.py",
+        "d - z > -truncation",
+        "d - z > 0.0",
+        (f"{OF_INFORMATION}::test_a_view_holds_the_cells_whose_precision_the_update_raises",),
+    ),
+    Mutant(
+        "explorer-counts-known-cells",
+        "agents/exploration/mi_explorer.py",
+        "known=OBSERVED_PRECISION, ",
+        "",
+        ("tests/planning/test_explorer_choices.py::test_an_explorer_stops_where_all_cells_were_observed",),
+    ),
+    Mutant(
+        "pose-information-of-variance-for-std",
+        f"{INFORMATION}/pose.py",
+        "np.eye(3) + std[:, None] * F * std",
+        "np.eye(3) + std[:, None] ** 2 * F * std**2",
+        ("tests/planning/test_pose_information.py",),
+    ),
+    Mutant(
+        "hazard-by-depth-for-length",
+        f"{INFORMATION}/ray_termination.py",
+        "left -= voxel * met",
+        "left -= step * met",
+        ("tests/planning/test_ray_termination.py::test_in_unknown_space_rays_have_the_configured_length",),
+    ),
+    Mutant(
+        "bilinear-weights-exchanged",
+        "vssm_gym/planning/value_iteration/sweeps.py",
+        "(1 - u) * v, u * (1 - v), u * v",
+        "u * (1 - v), (1 - u) * v, u * v",
+        OF_VALUE,
+    ),
+    Mutant(
+        "values-not-discounted",
+        "vssm_gym/planning/value_iteration/sweeps.py",
+        "jnp.where(goal, top, gamma * _best(problem, planes, layout))",
+        "jnp.where(goal, top, _best(problem, planes, layout))",
+        OF_VALUE,
+    ),
+    Mutant(
+        "backward-arcs-turn-as-forward-ones",
+        "vssm_gym/planning/value_iteration/motions.py",
+        "[*self.turns, *(-b for b in self.turns)]",
+        "[*self.turns, *self.turns]",
+        ("tests/planning/car/test_value_iteration.py::test_backwards_equals_forwards_with_the_car_reversed",),
+    ),
+    Mutant(
+        "cost-to-go-at-the-end-not-discounted",
+        MPC,
+        "fields.discount ** controls.shape[-2] * value[..., -1]",
+        "value[..., -1]",
+        OF_MPC,
+    ),
+    Mutant(
+        "first-change-of-control-is-free",
+        MPC,
+        "first = jnp.broadcast_to(last / limits,",
+        "first = jnp.broadcast_to(scaled[..., 0, :],",
+        OF_MPC,
+    ),
+    Mutant(
+        "footprint-discs-turned-the-wrong-way",
+        MPC,
+        "[states[..., :1] + c * x - s * y, states[..., 1:2] + s * x + c * y]",
+        "[states[..., :1] + c * x + s * y, states[..., 1:2] - s * x + c * y]",
+        OF_MPC,
+    ),
+)
