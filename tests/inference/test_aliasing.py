@@ -51,7 +51,7 @@ def test_a_corner_with_its_colours_is_unique() -> None:
 
 
 def test_an_image_without_any_reading_is_not_unique() -> None:
-    """Where nothing can be compared, nothing is confirmed."""
+    """Nothing is confirmed if nothing can be compared."""
     image = ROOM.image(CORNER, CAMERA)
     empty = jax.tree.map(jnp.zeros_like, image)
     assert not unique(jnp.eye(4), image, empty) and not unique(jnp.eye(4), empty, image)
