@@ -16,9 +16,10 @@ from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.agents.shared.trust import Judged, JudgedFilter
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.inference.filter import KNOWN_START_STD, Rig
+from vssm_gym.inference.filter import KNOWN_START_STD, Filter, Rig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
+from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import GaussianBelief, planar_belief, world_covariance
@@ -79,25 +80,22 @@ class FilteredPose:
     """
 
     def __init__(self, name: str) -> None:
-        self._entry = FILTERS[name]
+        self._name, self._entry = name, FILTERS[name]
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Start the filter; one step is computed and dropped, so that compiling it delays no later one."""
         if self._entry.needs_map and context.map is None:
             raise InputError("AgentContext", "map", "a learned map: this localizer tracks in one")
         self._dt = context.dt
-        self._filter = self._entry.make(rig_of(context), context.transition)
-        std = 0.0 if self._entry.blind else KNOWN_START_STD
-        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
-        prior = Posterior(start, context.map if self._entry.needs_map else None)
-        image = self._image(observation)
-        begin = lambda: self._filter.init(prior, image, jax.random.key(0))
-        self._filter.step(begin(), jnp.zeros(len(context.limits)), image, self._dt)
-        self._state, self._judged = begin(), None
+        image, voxel_map = self._image(observation), context.map if self._entry.needs_map else None
+        dropped, state = start_filter(self._name, context, image, voxel_map)
+        dropped.step(state, jnp.zeros(len(context.limits)), image, self._dt)
+        self._filter, self._state = start_filter(self._name, context, image, voxel_map)
+        self._judged = None
         if not self._entry.blind:
             chained = not (self._entry.needs_map or self._entry.maps)
             self._judged = JudgedFilter(self._filter, self._state, self._dt, observation, chained)
-        return localization(start, Status.OK)
+        return localization(known_start(context, self._entry.blind), Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
         """Run one step of the filter, and judge it; without images there is nothing to judge."""
@@ -110,6 +108,28 @@ class FilteredPose:
     def _image(self, observation: Observation) -> Any:
         """Return the image that the filter reads; None for a filter that reads none."""
         return None if self._entry.blind else RGBD.from_camera(observation["rgb"], observation["depth"])
+
+
+def known_start(context: AgentContext, exact: bool = False) -> GaussianBelief:
+    """Return the belief of a robot that knows its start pose, up to ``KNOWN_START_STD`` unless ``exact``."""
+    std = 0.0 if exact else KNOWN_START_STD
+    return planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
+
+
+def start_filter(
+    name: str, context: AgentContext, image: RGBD | None, voxel_map: VoxelMap | None
+) -> tuple[Filter, Any]:
+    """Return a robot's filter and its state after the first image, taken at ``context.start_pose``.
+
+    Args:
+        name: of a filter of :data:`vssm_gym.inference.registry.FILTERS`.
+        context: camera, motion model and start pose of the robot.
+        image: the first one; None for a filter that reads none.
+        voxel_map: the learned map, or an empty one for a filter that maps, which consumes it; None for the others.
+    """
+    entry = FILTERS[name]
+    made = entry.make(rig_of(context), context.transition)
+    return made, made.init(Posterior(known_start(context, entry.blind), voxel_map), image, jax.random.key(0))
 
 
 def rig_of(context: AgentContext) -> Rig:

@@ -7,24 +7,26 @@ with the map.
 from dataclasses import replace
 from typing import Protocol
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
-from vssm_gym.agents.shared.localization import Localization, TruePose, localization, localized, rig_of
+from vssm_gym.agents.shared.localization import (
+    Localization,
+    TruePose,
+    known_start,
+    localization,
+    localized,
+    start_filter,
+)
 from vssm_gym.agents.shared.trust import JudgedFilter
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
-from vssm_gym.inference.filter import KNOWN_START_STD
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
-from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
-from vssm_gym.model.posterior import Posterior
-from vssm_gym.model.transition import planar_belief
 
 
 class Mapper(Protocol):
@@ -81,16 +83,13 @@ class MapAndPose:
 
         The step of a lost robot is compiled here, so that it delays no later step.
         """
-        rig = rig_of(context)
         image = RGBD.from_camera(observation["rgb"], observation["depth"])
-        start = planar_belief(jnp.asarray(context.start_pose, jnp.float32), KNOWN_START_STD**2 * jnp.eye(3))
-        prism = FILTERS["prism"].make(rig, context.transition)
-        state = prism.init(Posterior(start, prior), image, jax.random.key(0))
+        prism, state = start_filter("prism", context, image, prior)
         # An image without depth fits nothing, so the map stays as it is.
         dark = RGBD.from_camera(np.zeros_like(observation["rgb"]), np.zeros_like(observation["depth"]))
         prism.step(replace(state, lost=True), jnp.zeros(len(context.limits)), dark, context.dt)
         self._judged = JudgedFilter(prism, state, context.dt, observation)
-        return localization(start, Status.OK)
+        return localization(known_start(context), Status.OK)
 
     @property
     def map(self) -> VoxelMap:

@@ -32,6 +32,13 @@ class OwnMapConfig:
     close_range: float = 2.0  # within which measurements at the body's height are remembered one by one
     close_low: float = 0.025  # lowest height of these above the floor
 
+    def empty_map(self, start: np.ndarray) -> VoxelMap:
+        """Return the map of a robot that starts at ``start`` ``(x, y, ...)`` and has seen nothing."""
+        low, high = self.levels
+        n, nz = round(self.extent / self.voxel), round((high - low) / self.voxel)
+        corner = np.asarray(start, np.float64)[:2] - 0.5 * self.voxel * (n - 1)
+        return VoxelMap.prior(np.array([*corner, low]), self.voxel, (n, n, nz), slots=self.slots)
+
 
 class OwnMap:
     """Hold the belief of one episode; see the module."""
@@ -42,10 +49,7 @@ class OwnMap:
         self.camera = Camera.from_matrix(context.K, *context.camera)
         self.T_body_cam = np.asarray(context.T_body_cam, np.float64)
         self.radius = 0.5 * context.body_length
-        low, high = config.levels
-        n, nz = round(config.extent / config.voxel), round((high - low) / config.voxel)
-        corner = np.asarray(context.start_pose, np.float64)[:2] - 0.5 * config.voxel * (n - 1)
-        prior = VoxelMap.prior(np.array([*corner, low]), config.voxel, (n, n, nz), slots=config.slots)
+        prior = config.empty_map(context.start_pose)
         shape = prior.shape[:2]
         self._corner = np.asarray(prior.origin, np.float64)[:2]
         self._body, self._near = np.zeros(shape, bool), np.zeros(shape, bool)
