@@ -116,15 +116,13 @@ def known_start(context: AgentContext, exact: bool = False) -> GaussianBelief:
     return planar_belief(jnp.asarray(context.start_pose, jnp.float32), std**2 * jnp.eye(3))
 
 
-def start_filter(
-    name: str, context: AgentContext, image: RGBD | None, voxel_map: VoxelMap | None
-) -> tuple[Filter, Any]:
+def start_filter(name: str, context: AgentContext, image: Any, voxel_map: VoxelMap | None) -> tuple[Filter, Any]:
     """Return a robot's filter and its state after the first image, taken at ``context.start_pose``.
 
     Args:
         name: of a filter of :data:`vssm_gym.inference.registry.FILTERS`.
         context: camera, motion model and start pose of the robot.
-        image: the first one; None for a filter that reads none.
+        image: the first RGBD; None for a filter that reads none.
         voxel_map: the learned map, or an empty one for a filter that maps, which consumes it; None for the others.
     """
     entry = FILTERS[name]

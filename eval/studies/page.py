@@ -39,14 +39,19 @@ def labelled(on_progress: OnProgress | None, label: str) -> OnProgress | None:
 
 
 @contextlib.contextmanager
-def study_folder(name: str, out: Path) -> Iterator[None]:
+def study_folder(name: str, out: Path, resume: bool = False) -> Iterator[None]:
     """Own the folder ``out`` while a study runs and is written; it may hold the outcomes of other studies.
+
+    Args:
+        name: of the study.
+        out: its folder.
+        resume: True for a study that continues its own outcome.
 
     Raises:
         InputError: it holds an outcome of this study, or anything else; another run writes to it.
     """
     with owned_folder(out, Owner("study", "study.json", {"version": package_version()}, identity=())):
-        for suffix in SUFFIXES:
+        for suffix in () if resume else SUFFIXES:
             check_new_file(out / f"{name}.{suffix}")
         yield
 

@@ -1,14 +1,12 @@
 """Test studies: their files are complete and state what was measured."""
 
 import json
-import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from tests.helpers.box_rooms import furniture, two_rooms
 from tests.viz.hostile_text import KINDS, MARKUP, Change, changed, check_page, harmless, suffix
@@ -21,12 +19,11 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import resolution as study_resolution
 from vssm_gym.eval.studies import runtime as study_runtime
-from vssm_gym.eval.studies.calibration import evaluate
 from vssm_gym.eval.studies.map_update import _answer, _picture
 from vssm_gym.eval.studies.page import Study, study_folder, write_study
 from vssm_gym.eval.studies.page import page as study_page
 from vssm_gym.inference.status import Status
-from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame
+from vssm_gym.slam.run import SlamOptions, TrackedFrame
 
 
 def arm(steps: int, ms: float, depth: float) -> dict:
@@ -130,64 +127,6 @@ def frame(index: int, **known: object) -> TrackedFrame:
     return replace(first, **known)
 
 
-def tangent(delta: np.ndarray) -> np.ndarray:
-    v, w = delta[:3], delta[3:]
-    return expm(np.array([[0, -w[2], w[1], v[0]], [w[2], 0, -w[0], v[1]], [-w[1], w[0], 0, v[2]], [0, 0, 0, 0.0]]))
-
-
-def calibrated_run(frames: int, scale: float = 1.0) -> tuple[SlamRun, SimpleNamespace]:
-    """Draw errors of poses and velocities from covariances that are then stated ``scale`` times too small.
-
-    The truth lives in a world of its own, as a motion capture system's does.
-    """
-    rng = np.random.default_rng(0)
-    T_world_first = tangent(rng.normal(size=6))
-    times, truth, velocity = 0.1 * np.arange(frames), [np.eye(4)], [np.zeros(6)]
-    for _ in times[1:]:
-        v = 0.5 * rng.normal(size=6)  # R' = exp(w dt) R, t' = t + v dt
-        turn = tangent(np.array([0, 0, 0, *(0.1 * v[3:])]))
-        T = turn @ truth[-1]
-        T[:3, 3] = truth[-1][:3, 3] + 0.1 * v[:3]
-        truth.append(T)
-        velocity.append(v)
-    tracked = [frame(0)]
-    for i in range(1, frames):
-        A = rng.normal(size=(12, 12)) * 10.0 ** rng.uniform(-4, -2, (12, 1))
-        e = A @ rng.normal(size=12)
-        tracked.append(frame(i, T_world_cam=truth[i] @ tangent(e[:6]), velocity=velocity[i] + e[6:],
-                             covariance=A @ A.T / scale))  # fmt: skip
-    recorded = SimpleNamespace(root=Path("room"), truth=(times, T_world_first @ np.stack(truth)))
-    return SlamRun(tuple(tracked), None, None, (), None), recorded
-
-
-@pytest.mark.parametrize("scale", [1.0, 4.0])
-def test_a_calibrated_filter_has_an_nees_of_one_per_dimension(scale: float) -> None:
-    """NEES / 6 and the velocity's RMS equal those that were drawn, in any world frame of the truth."""
-    run, recording = calibrated_run(600, scale)
-    evaluated = evaluate(run, recording)
-    assert evaluated.poses.summary()["nees_over_dimension"] == pytest.approx(scale, rel=0.05)
-    np.testing.assert_allclose(np.sqrt(np.mean(evaluated.velocity**2)), np.sqrt(scale), rtol=0.03)
-    assert np.mean(np.abs(evaluated.velocity) <= 1.959964) == pytest.approx({1.0: 0.95, 4.0: 0.673}[scale], abs=0.02)
-    assert evaluated.poses.nees.shape == (599,)  # the first frame claims nothing
-
-
-def test_lost_frames_and_frames_without_truth_are_left_out() -> None:
-    run, recording = calibrated_run(20)
-    far = np.eye(4)
-    far[0, 3] = 9.0
-    frames = list(run.frames)
-    frames[7] = replace(frames[7], status=Status.LOST, T_world_cam=far)
-    times, truth = recording.truth
-    recording.truth = (np.delete(times, 12), np.delete(truth, 12, axis=0))
-    evaluated = evaluate(replace(run, frames=tuple(frames)), recording)
-    assert (evaluated.frames, evaluated.lost, len(evaluated.poses.nees)) == (20, 1, 17)
-    assert len(evaluated.velocity) == 16  # frame 13 follows one whose true pose is not known
-    assert evaluated.error_m < 0.5
-    recording.truth = (times[[0, 5, 10]], truth[[0, 5, 10]])
-    with pytest.raises(InputError, match="frames"):
-        evaluate(run, recording)
-
-
 def test_stages_add_up_to_the_mean_step() -> None:
     frames = [frame(i, step_s=0.010 + 0.002 * (i % 3 == 0), stages={"track": 0.004, "map": 0.005}
                     | ({"reference": 0.002} if i % 3 == 0 else {})) for i in range(61)]  # fmt: skip
@@ -249,10 +188,6 @@ def test_the_resolution_answer_prefers_settings_without_lost_frames() -> None:
         (lambda folder, out: commands.resolution(folder, out, voxels="0.07,-1"), "voxel"),
         (lambda folder, out: commands.resolution(folder, out, render_widths="8"), "render-width"),
         (lambda folder, out: commands.runtime(folder, out, rate=0.0), "rate"),
-        (lambda folder, out: commands.calibration((folder,), out), "at least two"),
-        (lambda folder, out: commands.calibration((folder, folder), out), "different names"),
-        (lambda folder, out: commands.calibration((folder, folder.parent / "gone"), out), "gone"),
-        (lambda folder, out: commands.calibration((folder, folder), out, voxel=0.0), "voxel"),
     ],
 )
 def test_a_bad_option_of_a_filter_study_writes_nothing(walk, tmp_path, run, complaint: str) -> None:
@@ -292,10 +227,3 @@ def test_the_studies_of_the_filter(walk, tmp_path, monkeypatch) -> None:
     assert [arm["value"] for arm in arms] == ["80x60", "160x120", "7 cm", "14 m"]
     assert {"step", "read", "track", "map", "reference", "rest"} <= set(arms[0]["ms"])
     assert arms[1]["ms"] == arms[2]["ms"]  # the default is run once and stands in every group
-    again = Path(shutil.copytree(walk, tmp_path / "again"))
-    commands.calibration((walk, again), tmp_path / "out")
-    rows = json.loads((tmp_path / "out" / "calibration.json").read_text())["figures"]["sequences"]
-    assert set(rows) == {"walk", "again"}
-    for row in rows.values():  # the scale of the other one is its own, which makes it calibrated on average
-        assert row["scaled"]["nees_over_dimension"] == pytest.approx(1.0, rel=0.2)
-        assert row["velocity"]["linear"]["share"] > 0.9

@@ -10,7 +10,7 @@ from scipy.stats import kstest
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp
-from vssm_gym.slam.calibration import Calibration, cross_fitted, fit_scale, nees, pose_residuals, whiten
+from vssm_gym.slam.calibration import Calibration, fit_scale, nees, pose_residuals, segments, whiten
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -105,19 +105,35 @@ def test_the_curve_is_below_the_diagonal_for_overconfidence(factor: float, side:
     assert c.summary()["nees_over_dimension"] == pytest.approx(factor, rel=0.06)
 
 
-def test_the_scale_maximises_the_likelihood_on_other_sequences() -> None:
+def test_the_scale_maximises_the_likelihood() -> None:
     rng = np.random.default_rng(2)
     S = covariances(rng, 800)
-    factors = {"a": 4.0, "b": 4.0, "c": 1.0}
-    runs = {name: Calibration.of(samples(rng, S, factor), S) for name, factor in factors.items()}
+    runs = {name: Calibration.of(samples(rng, S, factor), S) for name, factor in {"a": 4.0, "b": 4.0, "c": 1.0}.items()}
     scale = fit_scale(runs)
     # Negative log-likelihood per frame and axis up to a constant: (ln s + NEES / (s d)) / 2
     cost = lambda s: np.log(s) + np.mean([c.nees.mean() / c.dimension for c in runs.values()]) / s
     assert all(cost(scale) <= cost(scale * f) for f in (0.9, 0.99, 1.01, 1.1))
-    fitted = cross_fitted(runs)
-    assert fitted["c"].summary()["nees_over_dimension"] == pytest.approx(0.25, rel=0.1)  # from a and b alone
-    assert fitted["a"].summary()["nees_over_dimension"] == pytest.approx(4.0 / 2.5, rel=0.1)  # from b and c
     np.testing.assert_allclose(runs["a"].scaled(4.0).nees, runs["a"].nees / 4.0)
+
+
+@given(seeds, st.floats(0.5, 6.0), st.integers(10, 200))
+def test_segments_share_no_frame_and_last_as_long_as_asked(seed: int, seconds: float, frames: int) -> None:
+    """Stamps of about 10 Hz; only the rest at the end, which is shorter than a segment, is in none."""
+    rng = np.random.default_rng(seed)
+    times = 3.0 + 0.1 * np.arange(frames) + rng.uniform(-0.02, 0.02, frames)
+    cut = segments(times, seconds)
+    chosen = [i for part in cut for i in range(part.start, part.stop)]
+    assert chosen == list(range(len(chosen)))  # consecutive, each frame once
+    for part in cut:
+        assert seconds - 0.3 < times[part.stop - 1] - times[part.start] < seconds
+    assert times[-1] - times[len(chosen) - 1] < seconds + 0.3
+
+
+def test_a_run_of_whole_segments_is_used_up() -> None:
+    """100 frames at 5 Hz are four segments of 5 s: the last frame lasts as long as the others."""
+    assert segments(0.2 * np.arange(100), 5.0) == [slice(25 * i, 25 * (i + 1)) for i in range(4)]
+    assert segments(0.2 * np.arange(99), 5.0) == [slice(25 * i, 25 * (i + 1)) for i in range(3)]
+    assert segments(np.array([0.0, 0.2]), 5.0) == []
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 0.0])
@@ -127,4 +143,4 @@ def test_an_invalid_covariance_is_refused(bad: float) -> None:
     with pytest.raises(InputError, match="covariances"):
         whiten(np.ones((3, 6)), S)
     with pytest.raises(InputError, match="at least one frame"):
-        cross_fitted({"alone": Calibration(np.ones((4, 6)))})
+        fit_scale({})

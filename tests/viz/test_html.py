@@ -8,7 +8,6 @@ import re
 import xml.etree.ElementTree as ET
 
 import jinja2
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -190,14 +189,10 @@ def test_numbers_of_a_logarithmic_axis_stay_powers():
     assert not axes.title.get_parse_math()
 
 
-def test_the_study_of_calibration_draws_sequences_of_any_name():
-    """Their names stand at ticks, in legends and in titles."""
-    from vssm_gym.eval.studies.calibration import _picture
-    from vssm_gym.slam.calibration import Calibration
+def test_the_study_of_calibration_shows_sequences_of_any_name():
+    """Their names stand at ticks and in the table."""
+    from tests.eval.studies.test_table import a_row
+    from vssm_gym.eval.studies.calibration.table import study_of
 
-    rng = np.random.default_rng(0)
     names = ["$\\frac$ \x1b[1m<b>-->", "$x$"]
-    one = Calibration.of(rng.normal(size=(40, 6)), np.broadcast_to(np.eye(6), (40, 6, 6)))
-    velocity = {kind: {"share": 0.9} for kind in ("linear", "angular")}
-    picture = _picture(dict.fromkeys(names, one), dict.fromkeys(names, one), {n: {"velocity": velocity} for n in names})
-    ET.fromstring(picture)
+    ET.fromstring(study_of({name: a_row() for name in names}, {}, ()).picture)

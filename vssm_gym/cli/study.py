@@ -1,8 +1,8 @@
 """Run ``vssm-gym study NAME SEQUENCE --out DIR``: the comparisons of the PRISM paper on any recording."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import tyro
 
@@ -127,44 +127,62 @@ def runtime(sequence: SequenceFolder, out: Path, rate: float = 10.0) -> None:
         say(write_study(study, out))
 
 
-@interruptible()
+@interruptible("calibration.json")
 def calibration(
-    sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE SEQUENCE ...")],
+    sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE ...")] = (),
+    *,
     out: Path,
-    size: str = "160x120",
-    rate: float = 10.0,
-    voxel: float = 0.07,
-    extent: float = 14.0,
+    rows: str = "*",
+    runs: int | None = None,
+    split: Literal["train", "test"] = "train",
+    seed: int = 0,
+    resume: bool = False,
 ) -> None:
-    """Measure how well the filter's uncertainty of poses and velocities is calibrated, over several sequences.
+    """Measure how right the covariance of every filter is, in simulation and on recordings with ground truth.
 
-    OUT gets calibration.json, calibration.svg and calibration.html: NEES of every sequence, unscaled and with
-    the scale fitted to the other sequences, calibration curves, whitened residuals, velocities (PRISM, figs. 7 and 8).
+    OUT gets calibration.json, calibration.svg and calibration.html, one row for each filter and condition: NEES over
+    the dimension, share of poses inside their 95 % region, error and stated deviation of the location (PRISM, figs. 7
+    and 8). They are written anew after every row, and learned maps are kept in OUT.
 
     Args:
-        sequences: at least two TUM folders with groundtruth.txt.
+        sequences: TUM folders with groundtruth.txt; each gives rows of its own.
         out: folder for the results.
-        size: WIDTHxHEIGHT to which images are resized.
-        rate: frames per second at most.
-        voxel: edge of a cell, metres.
-        extent: edge of the cube that is mapped around the first camera, metres.
+        rows: names of simulated rows, or patterns as planar-*, separated by commas; empty for none.
+        runs: runs of each simulated row; by default each row's own number.
+        split: scenes and seeds to tune on (train) or to judge on (test).
+        seed: of the simulated runs.
+        resume: continue in OUT with the rows that are missing.
     """
-    from vssm_gym.cli.shared.arguments import parse_size
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
-    from vssm_gym.eval.studies import calibration as study_calibration
+    from vssm_gym.eval.studies.calibration import study as calibration_study
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_folder
-    from vssm_gym.slam.run import SlamOptions
 
-    options = SlamOptions(size=parse_size("study", size), rate=rate, voxel=voxel, extent=extent)
+    setting = calibration_study.Setting(split, seed, runs)
+    names = calibration_study.chosen(rows)
+    recordings = calibration_study.checked([load_sequence(sequence) for sequence in sequences], names)
     check_folder(out)
-    recordings = [load_sequence(sequence) for sequence in sequences]
-    with study_folder("calibration", out):
+    with study_folder("calibration", out, resume):
+        done = calibration_study.finished(out / "calibration.json", setting) if resume else {}
+        page: Path | None = None
+        lines: Sequence[Sequence[str]] = []
         with progress_bars() as progress:
-            study = study_calibration.run(recordings, options=options, on_progress=progress)
+            for study in calibration_study.run(recordings, names, setting, folder=out, done=done, on_progress=progress):
+                page, lines = write_study(study, out), study.lines
+        for line in _aligned([study.header, *lines]):
+            say(line)
         say(study.answer)
-        say(write_study(study, out))
+        say(page)
+
+
+def _aligned(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table with columns of one width, the first to the left and the others to the right."""
+    widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
+    return [
+        "  ".join([line[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(line[1:], widths[1:], strict=True))])
+        for line in lines
+    ]
 
 
 @interruptible()

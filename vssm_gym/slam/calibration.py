@@ -8,12 +8,13 @@ estimate may therefore be aligned before. The curve plots the observed share of 
 probability that the model gives to it: above the diagonal the model is pessimistic, below it overconfident (Jospin et
 al., "Hands-on Bayesian neural networks", 2022, section VII).
 
-One global scale of all covariances of a method makes its mean NEES equal to d. Fitted on other sequences, it shows
-whether relative uncertainties are right; the unscaled value shows whether their absolute size is right.
+One global scale of all covariances makes the mean NEES equal to d. What is left of the curve's distance from the
+diagonal then shows whether relative uncertainties are right; the scale shows whether their absolute size is right.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -119,7 +120,17 @@ def fit_scale(sequences: Mapping[str, Calibration]) -> float:
     return float(every.mean())
 
 
-def cross_fitted(sequences: Mapping[str, Calibration]) -> dict[str, Calibration]:
-    """Scale each sequence by the factor fitted on the *other* sequences."""
-    scale = {name: fit_scale({other: c for other, c in sequences.items() if other != name}) for name in sequences}
-    return {name: c.scaled(scale[name]) for name, c in sequences.items()}
+def segments(times: Float[np.ndarray, "n"], seconds: float) -> list[slice]:
+    """Cut a run into consecutive segments that share no frame; a rest that is shorter than a segment is left out.
+
+    Args:
+        times: of the frames, s, ascending; at least two.
+        seconds: length of a segment; the last frame lasts as long as the median frame.
+
+    Returns:
+        The frames of each segment; those without two frames are left out.
+    """
+    since, slack = np.asarray(times, np.float64) - times[0], 1e-6  # s: stamps are rounded to microseconds
+    whole = int((since[-1] + np.median(np.diff(since)) + slack) / seconds)
+    starts = np.searchsorted(since, seconds * np.arange(whole + 1) - slack).tolist()
+    return [slice(first, last) for first, last in pairwise(starts) if last - first >= 2]

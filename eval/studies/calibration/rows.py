@@ -1,0 +1,153 @@
+"""List the rows of the table: each runs one filter on simulated runs, built by the functions that its users call."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+from vssm_gym.agents.shared.own_map import OwnMapConfig
+from vssm_gym.data.recording import record_handheld
+from vssm_gym.data.sequences import load_sequence
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.tasks.navigation import Split
+from vssm_gym.eval.studies.calibration import recordings, replay
+from vssm_gym.eval.studies.calibration.drives import drives
+from vssm_gym.eval.studies.calibration.errors import RunErrors
+from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
+from vssm_gym.inference.registry import FILTERS
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.map_building import ensure_map
+from vssm_gym.slam.run import SlamOptions
+
+NOISES = ("low", "mid", "high")  # levels of the execution noise of robots
+WALK_METRES = 8.0  # of a walk with a hand-held camera: about 20 s
+WALK_SEGMENT, DRIVE_SEGMENT = 4.0, 5.0  # s
+MAP_VOXEL = 0.05  # m, of a learned map that robots track in
+
+
+@dataclass(frozen=True)
+class Given:
+    """Hold what a row is measured with: the number of runs, the split, the seed, and the study's folder."""
+
+    runs: int
+    split: Split
+    seed: int
+    folder: Path  # maps that are learned for a row are kept there
+    on_run: Callable[[int], None]  # called with the number of finished runs
+    on_map: OnProgress | None  # called while a map is made
+
+
+@dataclass(frozen=True)
+class Row:
+    """Describe a row: its number of runs by default, how it is measured, and what it is, in words."""
+
+    runs: int
+    measure: Callable[[Given], list[RunErrors]]
+    about: str
+
+
+def walks(given: Given, *, sensor_noise: str) -> list[RunErrors]:
+    """Carry a camera through apartments; PRISM runs as by ``vssm-gym slam`` with its defaults."""
+    scenes, options, done = DIVISIONS[given.split].apartments, SlamOptions(), []
+    for number in range(given.runs):
+        with tempfile.TemporaryDirectory(prefix="vssm-gym-walk-") as folder:
+            record_handheld(
+                scenes[number % len(scenes)],
+                Path(folder) / "walk",
+                metres=WALK_METRES,
+                rate=options.rate,
+                sensor_noise=sensor_noise,
+                camera=CameraConfig(*options.size),
+                seed=seed_of(given.split, given.seed, number),
+            )
+            recording = load_sequence(Path(folder) / "walk")
+            done.append(recordings.measure(recording, options, recordings.parts(recording, WALK_SEGMENT)))
+        given.on_run(len(done))
+    return done
+
+
+def driven(
+    given: Given, *, name: str, noise: str, sensor_noise: str = "none", contacts: bool = False
+) -> list[RunErrors]:
+    """Drive a round robot through apartments; its filter is started as by its agent.
+
+    Args:
+        given: number of runs, split and seed.
+        name: of the filter.
+        noise: level of the execution noise.
+        sensor_noise: of the camera.
+        contacts: True for drives with contacts alone, False for drives without.
+    """
+    division, entry, done = DIVISIONS[given.split], FILTERS[name], []
+    scenes = division.mapped if entry.needs_map else division.apartments
+    driving = drives(
+        scenes,
+        given.runs,
+        noise=noise,
+        sensor_noise=sensor_noise,
+        split=given.split,
+        seed=given.seed,
+        contacts=contacts,
+    )
+    for scene, drive in driving:
+        map_of = _map_of(name, scene, given)
+        done.append(replay.measure(drive, name, map_of, DRIVE_SEGMENT, only_contacts=contacts))
+        given.on_run(len(done))
+    return done
+
+
+def _map_of(name: str, scene: str, given: Given) -> replay.MapOf:
+    """Return the map that a filter starts with: the learned one of a scene, an explorer's empty one, or none."""
+    entry = FILTERS[name]
+    if entry.needs_map:
+        learned = _learned(scene, given)
+        return lambda context: learned
+    own = OwnMapConfig()
+    return lambda context: own.empty_map(context.start_pose) if entry.maps else None
+
+
+def _learned(scene: str, given: Given) -> VoxelMap:
+    """Return the map of a scene as a sweep learns it; it is made once and kept in the study's folder."""
+    path = ensure_map(scene, given.folder, voxel=MAP_VOXEL, seed=given.seed, on_progress=given.on_map)
+    return _loaded(path)
+
+
+@lru_cache(maxsize=1)
+def _loaded(path: Path) -> VoxelMap:
+    return VoxelMap.load(path)
+
+
+ROWS: dict[str, Row] = {
+    "hand-held-exact": Row(
+        12, partial(walks, sensor_noise="none"), "PRISM with the defaults of `vssm-gym slam`, a camera without noise"
+    ),
+    "hand-held-kinect": Row(
+        12, partial(walks, sensor_noise="kinect"), "the same with the noise of a Kinect, depth and colour"
+    ),
+}
+for _noise in NOISES:
+    for _sensor, _depth in (("none", "exact"), ("kinect", "kinect")):
+        ROWS[f"planar-{_noise}-{_depth}"] = Row(
+            20,
+            partial(driven, name="prism", noise=_noise, sensor_noise=_sensor),
+            f"PRISM of an explorer that estimates its pose, execution noise {_noise}, without contacts",
+        )
+ROWS["planar-contacts"] = Row(
+    20,
+    partial(driven, name="prism", noise="mid", contacts=True),
+    "the same, noise mid, drives into obstacles; segments with a contact alone",
+)
+for _noise in NOISES:
+    ROWS[f"known-map-{_noise}"] = Row(
+        20, partial(driven, name="tracker", noise=_noise), f"the tracker in a learned map, of `astar`, noise {_noise}"
+    )
+for _noise in NOISES:
+    ROWS[f"previous-image-{_noise}"] = Row(
+        20, partial(driven, name="frames", noise=_noise), f"alignment to the image before, of `no_map`, noise {_noise}"
+    )
+for _noise in NOISES:
+    ROWS[f"dead-reckoning-{_noise}"] = Row(
+        20, partial(driven, name="dead_reckoning", noise=_noise), f"integrated commands, noise {_noise}"
+    )
