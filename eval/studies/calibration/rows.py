@@ -7,14 +7,18 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from vssm_gym.agents.shared.own_map import OwnMapConfig
+from vssm_gym.data.flights import record_flight
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import Split
+from vssm_gym.envs.tasks.reference_flights import HOVER
 from vssm_gym.eval.studies.calibration import recordings, replay
+from vssm_gym.eval.studies.calibration.cars import car_drives
 from vssm_gym.eval.studies.calibration.drives import drives
 from vssm_gym.eval.studies.calibration.errors import RunErrors
 from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
+from vssm_gym.eval.studies.flight import YAWS
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.progress import OnProgress
@@ -23,8 +27,13 @@ from vssm_gym.slam.run import SlamOptions
 
 NOISES = ("low", "mid", "high")  # levels of the execution noise of robots
 WALK_METRES = 8.0  # of a walk with a hand-held camera: about 20 s
-WALK_SEGMENT, DRIVE_SEGMENT = 4.0, 5.0  # s
-MAP_VOXEL = 0.05  # m, of a learned map that robots track in
+WALK_SEGMENT, DRIVE_SEGMENT, CAR_SEGMENT = 4.0, 5.0, 3.0  # s
+MAP_VOXEL, CAR_MAP_VOXEL = 0.05, 0.03  # m, of a learned map that robots and cars track in
+# As of ``vssm-gym study flight --imu``
+FLIGHT_OPTIONS = SlamOptions(rate=20.0, voxel=0.125, extent=25.0, max_depth=20.0, depth="stereo", imu=True)
+FLIGHT_SCENE = "hall"
+FLIGHT_SPEEDS = (4.0, 2.0, 3.0)  # m/s, peak
+FLIGHT_SEGMENT = HOVER + 4.0  # s
 
 
 @dataclass(frozen=True)
@@ -98,19 +107,63 @@ def driven(
     return done
 
 
+def cars(given: Given, *, noise: str) -> list[RunErrors]:
+    """Drive a car through arenas; the tracker runs in the learned map, as that of ``vi_mpc_estimated_pose``."""
+    done: list[RunErrors] = []
+    learned = partial(_learned, given=given, voxel=CAR_MAP_VOXEL)
+    arenas = DIVISIONS[given.split].arenas
+    driving = car_drives(arenas, given.runs, noise=noise, split=given.split, seed=given.seed, map_of=learned)
+    for scene, drive in driving:
+        done.append(replay.measure(drive, "tracker", _always(learned(scene)), CAR_SEGMENT))
+        given.on_run(len(done))
+    return done
+
+
+def flights(given: Given) -> list[RunErrors]:
+    """Fly reference curves through the hall; PRISM runs as by ``vssm-gym slam --depth stereo --imu``.
+
+    The IMU's gravity and bias are measured at rest, so that a filter can start only where a flight does: a flight has
+    one segment, its hover at the start and some seconds more.
+    """
+    done: list[RunErrors] = []
+    curves = DIVISIONS[given.split].flights
+    for number in range(given.runs):
+        flight = curves[number % len(curves)]
+        with tempfile.TemporaryDirectory(prefix="vssm-gym-flight-") as folder:
+            record_flight(
+                FLIGHT_SCENE,
+                Path(folder) / "flight",
+                flight=flight,
+                speed=FLIGHT_SPEEDS[number // len(curves) % len(FLIGHT_SPEEDS)],
+                yaw=YAWS[flight],
+                rate=FLIGHT_OPTIONS.rate,
+                sensor_noise="stereo",
+                camera=CameraConfig(*FLIGHT_OPTIONS.size),
+                seed=seed_of(given.split, given.seed, number),
+            )
+            recording = load_sequence(Path(folder) / "flight")
+            first = recordings.parts(recording, FLIGHT_SEGMENT)[:1]
+            done.append(recordings.measure(recording, FLIGHT_OPTIONS, first))
+        given.on_run(len(done))
+    return done
+
+
 def _map_of(name: str, scene: str, given: Given) -> replay.MapOf:
     """Return the map that a filter starts with: the learned one of a scene, an explorer's empty one, or none."""
     entry = FILTERS[name]
     if entry.needs_map:
-        learned = _learned(scene, given)
-        return lambda context: learned
+        return _always(_learned(scene, given, MAP_VOXEL))
     own = OwnMapConfig()
     return lambda context: own.empty_map(context.start_pose) if entry.maps else None
 
 
-def _learned(scene: str, given: Given) -> VoxelMap:
+def _always(voxel_map: VoxelMap) -> replay.MapOf:
+    return lambda context: voxel_map
+
+
+def _learned(scene: str, given: Given, voxel: float) -> VoxelMap:
     """Return the map of a scene as a sweep learns it; it is made once and kept in the study's folder."""
-    path = ensure_map(scene, given.folder, voxel=MAP_VOXEL, seed=given.seed, on_progress=given.on_map)
+    path = ensure_map(scene, given.folder, voxel=voxel, seed=given.seed, on_progress=given.on_map)
     return _loaded(path)
 
 
@@ -151,3 +204,8 @@ for _noise in NOISES:
     ROWS[f"dead-reckoning-{_noise}"] = Row(
         20, partial(driven, name="dead_reckoning", noise=_noise), f"integrated commands, noise {_noise}"
     )
+for _noise in NOISES:
+    ROWS[f"car-{_noise}"] = Row(
+        20, partial(cars, noise=_noise), f"the tracker in a learned map with the motion of a car, noise {_noise}"
+    )
+ROWS["flight-imu"] = Row(12, flights, "PRISM with an IMU's motion, stereo depth, flights of 2 to 4 m/s through a hall")

@@ -30,12 +30,14 @@ NOTES = (
     "NEES / dim: e^T Sigma^-1 e over the dimension of the pose (3 on the floor, 6 in space), averaged over the tracked "
     "frames of a run after the first, then over runs; 1 where the covariances are right, above 1 where they are too "
     "small. In brackets the 95 % bootstrap interval over runs: frames of one run are correlated, runs are not.",
-    "Inside 95 %: the share of poses inside their 95 % region, counted over segments with the interval of Clopper and "
-    "Pearson. A run is cut into consecutive segments of 4 s (walks, recordings, cars) or 5 s (robots) that share no "
-    "image and no command. The filter starts anew at the first frame of each, where it is given the true pose (and, if "
-    "it learns a map, an empty one), and only the residual at the segment's last frame is counted. Noise is drawn anew "
-    "for every image and step, so that these residuals are independent given the scene; in a learned map that is given "
-    "they share its errors. Segments that end lost are left out; the figures hold their number.",
+    "Inside 95 %: the share of poses inside their 95 % region, counted over segments with the interval of Clopper "
+    "and Pearson. A run is cut into consecutive segments of 4 s (walks, recordings), 5 s (robots) or 3 s (cars) "
+    "that share no image and no command; of a flight there is one, its first 5 s, because the IMU is calibrated "
+    "at rest. The filter starts anew at the first frame of each, where it is given the true pose (and, if it "
+    "learns a map, an empty one), and only the residual at the segment's last frame is counted. Noise is drawn "
+    "anew for every image and step, so that these residuals are independent given the scene; in a learned map "
+    "that is given they share its errors, and cars of one drive their own gain and trim. Segments that end lost "
+    "are left out; the figures hold their number.",
     "Error: RMSE of the location over all tracked frames of all runs, the first pose known. Stated: the root of the "
     "mean variance of the location that the filter states at the same frames. Velocity: the share of components inside "
     "their 95 % band, linear (v) and angular (ω), of states that hold one.",
