@@ -63,7 +63,7 @@ def _deviation(
 ) -> tuple[jax.Array, jax.Array]:
     """Return the length of the commanded step, m, and how many standard deviations the estimate is beyond it."""
     manifold = transition.manifold
-    predicted = transition.mean(before, control, dt)
+    predicted = transition.expected(before, control, dt)
     p = manifold.twists.shape[1]
     along = -jnp.where(manifold.turns[:p], 0.0, manifold.error(predicted, before)[:p])
     length = jnp.linalg.norm(along)

@@ -126,9 +126,15 @@ def test_the_robot_equals_the_models_law(planar, command, noise, seed) -> None:
     assert differs(law[2], twin[2]) < 1e-9
 
 
-@pytest.mark.parametrize("command", [(0.12, 0.12), (0.16, 0.10), (-0.08, 0.08), (0.0, 0.1), (-0.15, -0.14), (0.0, 0.0)])
-def test_its_prediction_agrees_with_the_simulators_robot(command: tuple[float, float]) -> None:
-    noise, u = Noise(slip=0.04, play=0.0005), np.array(command)  # small against every command: nothing is rectified
+@pytest.mark.parametrize(
+    "noise", [Noise(slip=0.04, play=0.0005), Noise(slip=0.1, play=0.01)], ids=["small", "rectified"]
+)
+@pytest.mark.parametrize(
+    "command", [(0.12, 0.12), (0.16, 0.10), (-0.08, 0.08), (0.0, 0.1), (-0.15, -0.14), (0.0, 0.0), (0.004, -0.008)]
+)
+def test_its_prediction_agrees_with_the_simulators_robot(command: tuple[float, float], noise: Noise) -> None:
+    """The moments are right where noise is larger than the travel of a wheel, which it never reverses."""
+    u = np.array(command)
     drive = DifferentialDrive(DifferentialNoise(noise.slip, noise.play), ROBOT.track, skid=(0.0, 0.0, 0.0))
     rng = np.random.default_rng(3)
     samples = np.array([ROBOT.execute(START, u, noise, rng) for _ in range(8000)])

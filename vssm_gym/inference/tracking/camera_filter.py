@@ -179,7 +179,7 @@ def expected_pose(
     transition: Transition, belief: GaussianBelief, control: Float[Array, "m"], dt: Float[Array, ""], rig: Rig
 ) -> Float[Array, "4 4"]:
     """Return ``T_world_cam`` where the control leads from the mean of a belief."""
-    return transition.manifold.pose(transition.mean(belief.mean, control, dt)) @ rig.T_body_cam
+    return transition.manifold.pose(transition.expected(belief.mean, control, dt)) @ rig.T_body_cam
 
 
 class TrackingInput(NamedTuple):

@@ -42,9 +42,16 @@ class Transition(eqx.Module):
             The state, with the batch axes of ``state`` and ``control``.
         """
 
+    def expected(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
+        """``E[z' | z, u]`` to the order that the transition knows: :meth:`mean`, unless its noise moves the average.
+
+        Arguments and result are those of :meth:`mean`.
+        """
+        return self.mean(state, control, dt)
+
     @abc.abstractmethod
     def noise_covariance(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
-        """Return the covariance of the errors ``xi`` about :meth:`mean` after a step from a known state.
+        """Return the covariance of the errors ``xi`` about :meth:`expected` after a step from a known state.
 
         Args:
             state: before the step; one state.
@@ -56,7 +63,7 @@ class Transition(eqx.Module):
         """
 
     def jacobian(self, state: Any, control: Float[Array, "m"], dt: float | Array) -> Float[Array, "n n"]:
-        """``F = d error(mean(z), mean(perturb(z, xi))) / d xi`` at zero: the propagation of errors over a step.
+        """``F = d error(E[z'], E[z' | perturb(z, xi)]) / d xi`` at zero: the propagation of errors over a step.
 
         Args:
             state: before the step; one state.
@@ -66,8 +73,8 @@ class Transition(eqx.Module):
         Returns:
             F, from errors before the step to errors after it.
         """
-        manifold, after = self.manifold, self.mean(state, control, dt)
-        carried = lambda xi: manifold.error(after, self.mean(manifold.perturb(state, xi), control, dt))
+        manifold, after = self.manifold, self.expected(state, control, dt)
+        carried = lambda xi: manifold.error(after, self.expected(manifold.perturb(state, xi), control, dt))
         return jax.jacfwd(carried)(jnp.zeros(len(manifold.turns)))
 
     def predict(
@@ -77,7 +84,7 @@ class Transition(eqx.Module):
         dt: float | Array,
         noise_scale: Float[Array, "n"] | float = 1.0,
     ) -> GaussianBelief:
-        """``int p(z' | z, u) q(z) dz`` to first order: ``N(mean(z), F P F^T + S Q S)`` (eqs. M19 and I3).
+        """``int p(z' | z, u) q(z) dz`` to first order: ``N(E[z' | z], F P F^T + S Q S)`` (eqs. M19 and I3).
 
         Args:
             belief: over the state now.
@@ -92,7 +99,7 @@ class Transition(eqx.Module):
         scale = jnp.broadcast_to(jnp.asarray(noise_scale, F.dtype), F.shape[:1])
         Q = scale[:, None] * self.noise_covariance(belief.mean, control, dt) * scale
         covariance = F @ belief.covariance @ F.T + Q
-        return GaussianBelief(self.mean(belief.mean, control, dt), 0.5 * (covariance + covariance.T), self.manifold)
+        return GaussianBelief(self.expected(belief.mean, control, dt), 0.5 * (covariance + covariance.T), self.manifold)
 
     def sample(self, key: PRNGKeyArray, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
         """Draw ``z' ~ p(z' | z, u)``.
@@ -109,12 +116,12 @@ class Transition(eqx.Module):
         covariance = self._every_covariance(state, control, dt)
         root = jnp.linalg.cholesky(covariance)
         xi = jnp.einsum("...ij,...j->...i", root, jax.random.normal(key, covariance.shape[:-1]))
-        return self.manifold.perturb(self.mean(state, control, dt), xi)
+        return self.manifold.perturb(self.expected(state, control, dt), xi)
 
     def log_prob(
         self, following: Any, state: Any, control: Float[Array, "*batch m"], dt: float | Array
     ) -> Float[Array, "*batch"]:
-        """``log p(z' | z, u)`` of the Gaussian about :meth:`mean`.
+        """``log p(z' | z, u)`` of the Gaussian about :meth:`expected`.
 
         Args:
             following: ``z'``, the state after the step; leading batch axes.
@@ -125,7 +132,7 @@ class Transition(eqx.Module):
         Returns:
             Log densities with respect to the volume of the state space (m, rad), one for each state of the batch.
         """
-        xi = self.manifold.error(self.mean(state, control, dt), following)
+        xi = self.manifold.error(self.expected(state, control, dt), following)
         return normal_log_prob(xi, self._every_covariance(state, control, dt)) - self.manifold.log_volume(xi)
 
     def belief_at(

@@ -17,6 +17,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.transition.arc import arc_of
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.manifold import PLANAR
+from vssm_gym.model.transition.rectified import rectified
 
 
 class DifferentialNoise(eqx.Module):
@@ -75,17 +76,21 @@ class DifferentialDrive(Transition):
         x, y = state[..., 0] + c * forward - s * left, state[..., 1] + s * forward + c * left
         return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
 
+    def expected(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 2"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """``E[z' | z, u]`` to first order: the arc of the expected travel of both wheels (eq. M25)."""
+        return self.mean(state, self._moments(control)[0], dt)
+
     def noise_covariance(
         self, state: Float[Array, "3"], control: Float[Array, "2"], dt: float | Array
     ) -> Float[Array, "3 3"]:
-        """``G Q G^T + skid`` in the body frame after the step, to first order in the errors of the wheels (eq. M26).
-
-        The rectification (noise never reverses a wheel) is neglected: it matters only for steps shorter than the noise.
-        """
+        """``G Q G^T + skid`` in the body frame after the step, to first order in the errors of the wheels (eq. M26)."""
+        control, stds = self._moments(control)
         turn = self._arc(control)[2]
         c, s = jnp.cos(turn), jnp.sin(turn)
         back = jnp.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        G = back @ jax.jacfwd(self._arc)(control) * self.noise.stds(control)
+        G = back @ jax.jacfwd(self._arc)(control) * stds
         return G @ G.T + jnp.diag(jnp.asarray(self.skid) ** 2)
 
     def sample(
@@ -111,6 +116,11 @@ class DifferentialDrive(Transition):
         """
         rolled = jnp.sign(control) * jnp.maximum(0.0, jnp.abs(control) + self.noise.stds(control) * normal)
         return self.mean(state, rolled, 0.0)
+
+    def _moments(self, control: Float[Array, "*batch 2"]) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch 2"]]:
+        """Return the expected travel of each wheel and its standard deviation, m: noise never reverses a wheel."""
+        travel = rectified(jnp.abs(control), self.noise.stds(control))
+        return jnp.sign(control) * travel.mean, jnp.abs(jnp.sign(control)) * jnp.sqrt(travel.variance)
 
     def _arc(self, control: Float[Array, "*batch 2"]) -> Float[Array, "*batch 3"]:
         left, right = control[..., 0], control[..., 1]

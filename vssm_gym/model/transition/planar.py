@@ -15,6 +15,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR
+from vssm_gym.model.transition.rectified import rectified
 
 
 class MotionNoise(eqx.Module):
@@ -58,9 +59,15 @@ class Planar(Transition):
         x, y = state[..., 0] + step * jnp.cos(phi), state[..., 1] + step * jnp.sin(phi)
         return jnp.stack([x, y, wrap_angle(state[..., 2] + turn)], axis=-1)
 
+    def expected(
+        self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
+    ) -> Float[Array, "*batch 3"]:
+        """``E[z' | z, u]``: noise lengthens short motions, which it never reverses, and bends long ones (eq. M23)."""
+        return self.mean(state, self._moments(control)[0], dt)
+
     def jacobian(self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array) -> Float[Array, "3 3"]:
-        """``xi' = Ad(exp(u)^-1) xi``: the old error in the new body frame."""
-        turn, offset, step = control
+        """``xi' = Ad(exp(u)^-1) xi`` with the expected control ``u``: the old error in the new body frame."""
+        turn, offset, step = self._moments(control)[0]
         c, s = jnp.cos(turn), jnp.sin(turn)
         dx, dy = step * jnp.cos(offset), step * jnp.sin(offset)
         return jnp.array([[c, s, c * -dy + s * dx], [-s, c, s * dy + c * dx], [0.0, 0.0, 1.0]])
@@ -70,19 +77,31 @@ class Planar(Transition):
     ) -> Float[Array, "3 3"]:
         """Return the covariance of execution noise and slip in the body frame after the step (eq. M23).
 
-        The rectification in the execution (noise never reverses a motion) is neglected: it matters only for steps
-        shorter than the noise. ``e_a`` moves both heading and direction, so that the two are correlated: positively
-        where the robot turns left, negatively where it turns right.
+        ``e_a`` moves both heading and direction, so that the two are correlated: positively where the robot turns left,
+        negatively where it turns right.
         """
-        turn, offset, step = control
-        driving = step > 0.0
-        along = jnp.array([jnp.cos(offset - turn), jnp.sin(offset - turn)])
-        across = jnp.array([-along[1], along[0]])
-        # Columns: e_a and e_s as body-frame displacements after the turn
-        by_turn = jnp.concatenate([jnp.where(driving, step, 0.0) * across, jnp.sign(turn)[None]])
-        by_step = jnp.concatenate([jnp.where(driving, 1.0, 0.0) * along, jnp.zeros(1)])
-        Q = self.noise.turn**2 * jnp.outer(by_turn, by_turn) + self.noise.step**2 * jnp.outer(by_step, by_step)
-        return Q + jnp.diag(jnp.asarray(self.slip) ** 2)
+        (turn, offset, _), covariance = self._moments(control)
+        c, s = jnp.cos(offset - turn), jnp.sin(offset - turn)
+        axes = jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # along and across the motion, and the turn
+        return axes @ covariance @ axes.T + jnp.diag(jnp.asarray(self.slip) ** 2)
+
+    def _moments(
+        self, control: Float[Array, "*batch 3"]
+    ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+        """Return the expected control, and the covariance of (displacement along and across it, turn)."""
+        turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
+        turned, moved = rectified(jnp.abs(turn), self.noise.turn), rectified(step, self.noise.step)
+        turns, drives = jnp.abs(jnp.sign(turn)), jnp.where(step > 0.0, 1.0, 0.0)
+        # Moments of the direction's error: E[cos e] = k, E[cos^2 e] = (1 + k^4) / 2, E[e sin e] = k sigma^2
+        k = jnp.exp(-0.5 * jnp.asarray(self.noise.turn) ** 2)
+        square = moved.variance + moved.mean**2
+        along = jnp.maximum(0.5 * square * (1.0 + k**4) - (k * moved.mean) ** 2, 0.0)
+        across = 0.5 * square * (1.0 - k**4)
+        both = jnp.sign(turn) * drives * k * moved.mean * turned.with_noise
+        zero = jnp.zeros_like(both)
+        rows = [[drives * along, zero, zero], [zero, drives * across, both], [zero, both, turns * turned.variance]]
+        covariance = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+        return jnp.stack([jnp.sign(turn) * turned.mean, offset, drives * k * moved.mean], axis=-1), covariance
 
     def sample(
         self, key: PRNGKeyArray, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
