@@ -21,7 +21,7 @@ from vssm_gym.inference.alignment.depth_scale import DEPTH_SCALES
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
-from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.camera_filter import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.confirmation import ConfirmationConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
 from vssm_gym.inference.tracking.keyframes import KeyframeConfig
@@ -199,6 +199,8 @@ STATED = [
     ("I12", "1000 steps", AdamConfig().steps, 1000),
     ("I12", "0.001 m and 0.00036 rad", (AdamConfig().translation_step, AdamConfig().rotation_step), (0.001, 0.00036)),
     ("I12", "0.02 and 0.1", (AdamConfig().geo_scale, AdamConfig().rgb_scale), (0.02, 0.1)),
+    ("I14", "0.075 rad", TrackingConfig().search_reach, 0.075),
+    ("I14", "-2, -1, 1 and 2 stds", COMMANDED.heading_starts, (-2.0, -1.0, 1.0, 2.0)),
     ("I16", "0.8 Sigma_t-1", TrackingConfig().smoothing, 0.8),
     ("I18", "tau = 1 s,  c = 1.5", (ProcessNoiseConfig().time_constant, ProcessNoiseConfig().caution), (1.0, 1.5)),
     ("I18", "0.2^2 <= s^2", ProcessNoiseConfig().floor, 0.2),

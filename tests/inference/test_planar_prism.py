@@ -9,7 +9,7 @@ from tests.helpers.box_rooms import furniture, two_rooms
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM
 from vssm_gym.data.recording import PROVENANCE, record
 from vssm_gym.data.sequences import load_sequence
-from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
+from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
@@ -37,9 +37,9 @@ def see(planar: np.ndarray) -> RGBD:
     return RGBD.from_camera(np.rint(np.asarray(image.rgb) * 255).astype(np.uint8), np.asarray(image.depth))
 
 
-def begin() -> PrismState:
-    known = planar_belief(jnp.asarray(START, jnp.float32), 1e-6 * jnp.eye(3))
-    return PRISM.init(Posterior(known, VoxelMap.prior(*GRID)), see(START), jax.random.key(0))
+def begin(start: np.ndarray = START) -> PrismState:
+    known = planar_belief(jnp.asarray(start, jnp.float32), 1e-6 * jnp.eye(3))
+    return PRISM.init(Posterior(known, VoxelMap.prior(*GRID)), see(start), jax.random.key(0))
 
 
 def advance(state: PrismState, command: np.ndarray, image: RGBD) -> tuple[PrismState, Status]:
@@ -71,6 +71,21 @@ def test_an_unknown_room_is_mapped_at_its_true_place() -> None:
     both = np.asarray(seen.known & true.hit)
     assert both.mean() > 0.8
     assert np.median(np.abs(np.asarray(seen.depth - true.depth))[both]) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("start", "stds"),
+    [((-0.63, -0.21, -0.34), 2.24), ((-0.47, -0.33, -0.07), 2.41), ((0.0, -0.62, -0.63), 2.17), (START, -1.3)],
+)
+def test_a_turn_that_is_executed_badly_is_found(start: tuple[float, float, float], stds: float) -> None:
+    """A robot that turned by 20 degrees more than predicted is out of reach of a search from the prediction alone."""
+    noise = NOISE_LEVELS["high"]
+    prism = Prism(RIG, Planar(MotionNoise(noise.turn, noise.step)), ROBOT_PRISM)
+    turned = start + np.array([0.0, 0.0, max(0.0, 0.2 + stds * noise.turn)])
+    state, info = prism.step(begin(np.array(start)), jnp.array([0.2, 0.0, 0.0]), see(turned), ROBOT.dt)
+    assert info.status is Status.OK
+    metres, radians = error(state, turned)
+    assert metres < 0.02 and radians < 0.02
 
 
 def test_rejected_images_leave_the_map_unchanged_and_the_robot_is_relocalised() -> None:

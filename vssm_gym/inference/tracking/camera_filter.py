@@ -4,7 +4,7 @@ Prior by any linearised transition, pose by MAP against a reference view, Laplac
 closed form. The filters update the map, and decide how to proceed after an image that is not accepted.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_log
+from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp, se3_log
 from vssm_gym.inference import linear_gaussian
 from vssm_gym.inference.alignment import gauss_newton
 from vssm_gym.inference.alignment.adam import AdamConfig, align_adam
@@ -58,6 +58,8 @@ class TrackingConfig:
     solver: str = "gauss_newton"  # a key of SOLVERS
     adam: AdamConfig = field(default_factory=AdamConfig)  # of the solver of that name
     rotation: RotationConfig | None = field(default_factory=RotationConfig)  # of the start; None: start as predicted
+    heading_starts: tuple[float, ...] = ()  # stds of each predicted angle at which the search may start, too, where
+    search_reach: float = 0.075  # rad: the angle's std is larger
     exposure: bool = True  # whether to estimate the camera's gain
     adaptation: ProcessNoiseConfig | None = field(
         default_factory=ProcessNoiseConfig
@@ -121,9 +123,11 @@ class Tracked(eqx.Module):
 
 
 # For a body whose commands are known. Three degrees of freedom and a known command suffice where six and constant
-# velocity do not: in front of a bare wall, and in turns that start and end within a frame.
+# velocity do not: in front of a bare wall, and in turns that start and end within a frame. A badly executed turn ends
+# further from the predicted one than the search reaches from there.
 COMMANDED = TrackingConfig(
     rotation=None,
+    heading_starts=(-2.0, -1.0, 1.0, 2.0),
     exposure=False,
     adaptation=None,
     smoothing=0.0,
@@ -213,6 +217,11 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     starts, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, reference, image, rig.camera, config)
     start = starts[0]
     precision = jnp.linalg.inv(pose_covariance)
+    if config.heading_starts:
+        turned = _turned(pose_covariance, manifold.turns[:p], config.heading_starts)
+        wide = jnp.max(jnp.where(manifold.turns[:p], jnp.diagonal(pose_covariance), 0.0)) > config.search_reach**2
+        best = lambda starts: _best_start(starts, T_prior, precision, basis, reference, image, rig, config)
+        start = jax.lax.cond(wide, best, lambda _: start, T_prior @ se3_exp(turned @ basis.T))
     problem = (T_prior, precision, start, basis, reference.image, image, rig.camera)
     T, fit_quality = SOLVERS[config.solver](problem, reference, config, key)
     laplace = jnp.linalg.inv(2.0 * fit_quality.information + precision)
@@ -301,6 +310,45 @@ def _displacement(before: GaussianBelief, predicted: GaussianBelief, image: RGBD
     return rig.camera.fx * (jnp.linalg.norm(twist[:3]) / jnp.maximum(depth, 0.1) + jnp.linalg.norm(twist[3:]))
 
 
+def _turned(
+    covariance: Float[Array, "p p"], turns: Bool[np.ndarray, "p"], stds: tuple[float, ...]
+) -> Float[Array, "starts p"]:
+    """``s P[:, j] / sqrt(P[j, j])``: zero, and the likeliest errors where an angle j is off by s stds (eq. I14)."""
+    columns = [covariance[:, j] / jnp.sqrt(covariance[j, j]) for j in np.flatnonzero(turns)]
+    return jnp.stack([jnp.zeros(len(covariance)), *(s * column for column in columns for s in stds)])
+
+
+def _best_start(
+    starts: Float[Array, "starts 4 4"],
+    T_prior: Float[Array, "4 4"],
+    precision: Float[Array, "p p"],
+    basis: Float[Array, "6 p"],
+    reference: ReferenceView,
+    image: RGBD,
+    rig: Rig,
+    config: TrackingConfig,
+) -> Float[Array, "4 4"]:
+    """Return the likeliest of the poses that the search on the smallest images finds from each start."""
+    camera, align = rig.camera, config.align
+    small = replace(align, levels=align.levels[:1], iterations=align.iterations[:1])
+    search = lambda T: gauss_newton.align(
+        T_prior, precision, T, basis, reference.image, image, camera, small, reference.seen, reference.spread
+    )[0]
+    found = jax.vmap(search)(starts)
+    factor = align.levels[-1]
+    ref = make_reference(reference.image, camera, align, factor)
+    every = stride(camera, factor, align)
+    obs = make_observed(image, camera, factor, every)
+    data = jnp.sum(obs.valid) * (factor * every) ** 2 / align.pixels_per_datum  # independent ones
+    coordinates, T_inverse_prior = jnp.linalg.pinv(basis), inverse(T_prior)
+
+    def surprise(T):
+        xi = coordinates @ se3_log(T_inverse_prior @ T)
+        return data * alignment_cost(T, ref, obs, camera, factor, align) + 0.5 * xi @ precision @ xi
+
+    return found[jnp.argmin(jax.vmap(surprise)(found))]
+
+
 def _start(
     past: Past,
     T_prior: Float[Array, "4 4"],
@@ -335,5 +383,5 @@ def _start(
         obs = observed(image)
     if len(starts) == 1:
         return starts, image, brightness, T_world_turned
-    costs = [alignment_cost(T, ref, obs, camera, factor, align) for T in starts]
-    return starts[jnp.argsort(jnp.stack(costs))], image, brightness, T_world_turned
+    costs = jax.vmap(lambda T: alignment_cost(T, ref, obs, camera, factor, align))(starts)
+    return starts[jnp.argsort(costs)], image, brightness, T_world_turned
