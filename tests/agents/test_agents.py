@@ -8,6 +8,7 @@ import dataclasses
 import inspect
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -307,7 +308,8 @@ def noise_image(rng: np.random.Generator) -> dict[str, np.ndarray]:
 def test_dead_reckoning_is_exact_without_noise():
     planar, rng = np.array([1.0, 2.0, 0.5]), np.random.default_rng(0)
     localizer = FilteredPose("dead_reckoning")
-    localizer.reset(context(None, planar), noise_image(rng))
+    exact = replace(context(None, planar), noise=(0.0, 0.0), transition=Planar(MotionNoise(0.0, 0.0)))
+    localizer.reset(exact, noise_image(rng))
     for _ in range(50):
         command = rng.uniform(-ROBOT.limits * [1.0, 1.0, 0.0], ROBOT.limits)
         planar = execute(planar, command, NOISE_LEVELS["none"], rng)

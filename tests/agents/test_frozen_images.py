@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from vssm_gym.agents.shared.frozen_images import FrozenConfig, FrozenImages, Liveness
 from vssm_gym.model.transition import Bicycle, MotionNoise, Planar
@@ -60,17 +61,18 @@ def test_pixels_without_a_reading_repeat_too():
 
 
 def test_what_noise_may_have_cancelled_is_no_evidence():
-    """At high noise a tenth of the turns is not carried out: it takes more of them than at low noise."""
-    steps = []
+    """At high noise a quarter of these turns is not carried out: it takes more of them than at low noise."""
+    steps, turn = [], 0.5 * TURN
     for transition in (LOW, HIGH):
         images, count = watch(transition), 1
-        while images.update(TURN, image()) is not FROZEN:
+        while images.update(turn, image()) is not FROZEN:
             count += 1
         steps.append(count)
     assert steps[0] == FrozenConfig().images
     assert steps[1] > steps[0]
-    chance = math.erfc(TURN[0] / math.hypot(math.radians(9.0), 0.002) / math.sqrt(2.0))
-    assert chance ** steps[1] < FrozenConfig().probability <= chance ** (steps[1] - 1)
+    not_carried_out = norm.cdf(-turn[0] / HIGH.noise.turn)
+    assert 0.25 < not_carried_out < 0.3
+    assert not_carried_out ** steps[1] < FrozenConfig().probability
 
 
 def test_steps_too_short_for_certainty_add_up():
