@@ -23,6 +23,10 @@ from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks import navigation
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.report.page import write_report
+from vssm_gym.eval.studies.calibration.errors import FilterErrors, RunErrors, summarise
+from vssm_gym.eval.studies.calibration.stored import finished
+from vssm_gym.eval.studies.calibration.table import study_of
+from vssm_gym.eval.studies.page import write_study
 from vssm_gym.eval.sweep.config import load_config
 from vssm_gym.eval.sweep.merge import merge_sweeps
 from vssm_gym.geometry.camera import Camera
@@ -197,6 +201,13 @@ def _merge(folder: Path) -> object:
         return merge_sweeps([folder / "shard1", folder / "shard2"], Path(scratch) / "whole")
 
 
+def _calibration(folder: Path) -> None:
+    """Write the outcome of a study with one row, of a robot on the floor."""
+    errors = FilterErrors(np.full((9, 3), 0.01), np.tile(1e-4 * np.eye(3), (9, 1, 1)), 9, 0, True)
+    row = summarise(2 * [RunErrors(errors, (errors.last_nees,))]) | {"about": "a robot"}
+    write_study(study_of({"robot": row}, {}, ()), folder)
+
+
 SWEEP = (
     "env: vssm_gym/PointNav-v0\nscenes: [oak, elm]\nagents: [astar, random]\nnoise: [low, mid]\ntasks: 20-29\n"
     "seeds: 0\n"
@@ -234,6 +245,7 @@ READERS: dict[str, Reader] = {
     "report": Reader(_log, lambda d: write_report(d, 0, d / "page.html")),
     "shards": Reader(_shards, _merge),
     "training folder": Reader(_training_folder, read_training),
+    "calibration study": Reader(_calibration, lambda d: study_of(finished(d / "calibration.json", {}), {}, ())),
 }
 
 

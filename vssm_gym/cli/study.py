@@ -1,6 +1,7 @@
 """Run ``vssm-gym study NAME SEQUENCE --out DIR``: the comparisons of the PRISM paper on any recording."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -156,6 +157,7 @@ def calibration(
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.eval.studies.calibration import study as calibration_study
+    from vssm_gym.eval.studies.calibration.stored import finished
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_folder
 
@@ -164,7 +166,7 @@ def calibration(
     recordings = calibration_study.checked([load_sequence(sequence) for sequence in sequences], names)
     check_folder(out)
     with study_folder("calibration", out, resume):
-        done = calibration_study.finished(out / "calibration.json", setting) if resume else {}
+        done = finished(out / "calibration.json", asdict(setting)) if resume else {}
         page: Path | None = None
         lines: Sequence[Sequence[str]] = []
         with progress_bars() as progress:

@@ -15,9 +15,7 @@ from vssm_gym.eval.studies.calibration.rows import ROWS, Given
 from vssm_gym.eval.studies.calibration.split import DIVISIONS
 from vssm_gym.eval.studies.calibration.table import study_of
 from vssm_gym.eval.studies.page import Study, labelled
-from vssm_gym.files.json_file import read_json
 from vssm_gym.progress import OnProgress
-from vssm_gym.version import package_version
 
 SOURCE = "study calibration"
 
@@ -50,26 +48,6 @@ def chosen(patterns: str) -> tuple[str, ...]:
         if not any(fnmatchcase(name, word) for name in ROWS):
             raise InputError(SOURCE, "rows", f"names or patterns of {', '.join(ROWS)}; found {word!r}")
     return tuple(name for name in ROWS if any(fnmatchcase(name, word) for word in words))
-
-
-def finished(path: Path, setting: Setting) -> dict[str, Any]:
-    """Return the rows in a study's file, to be continued; none where there is no file.
-
-    Raises:
-        InputError: another setting, or another version of the package: its rows are not of one table.
-    """
-    if not path.is_file():
-        return {}
-    stored = read_json(path, expected="the outcome of a calibration study")
-    found = stored.get("setting") if isinstance(stored, dict) else None
-    rows = stored.get("figures", {}).get("rows") if isinstance(stored, dict) else None
-    if not isinstance(found, dict) or not isinstance(rows, dict):
-        raise InputError(path, "setting", "the outcome of a calibration study")
-    for name, value in {**asdict(setting), "version": package_version()}.items():
-        there = stored.get("version") if name == "version" else found.get(name)
-        if there != value:
-            raise InputError(path, name, f"{value}, as in this study; found {there}: choose another --out")
-    return rows
 
 
 def checked(recordings: Sequence[sequences.Sequence], names: Sequence[str]) -> Sequence[sequences.Sequence]:

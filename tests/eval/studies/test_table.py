@@ -2,7 +2,7 @@
 
 import json
 import xml.etree.ElementTree as ET
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,8 @@ from vssm_gym.eval.studies.calibration import study as calibration_study
 from vssm_gym.eval.studies.calibration.errors import FilterErrors, RunErrors, summarise
 from vssm_gym.eval.studies.calibration.rows import ROWS, Row
 from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
-from vssm_gym.eval.studies.calibration.study import Setting, chosen, finished
+from vssm_gym.eval.studies.calibration.stored import finished
+from vssm_gym.eval.studies.calibration.study import Setting, chosen
 from vssm_gym.eval.studies.calibration.table import HEADER, line_of, study_of
 from vssm_gym.eval.studies.page import write_study
 
@@ -113,17 +114,22 @@ def test_an_interrupted_study_keeps_its_rows_and_is_continued(tmp_path: Path, mo
 
 
 def test_rows_of_another_version_or_file_are_not_continued(tmp_path: Path) -> None:
-    setting = Setting()
+    setting = asdict(Setting())
     path = tmp_path / "calibration.json"
     assert finished(path, setting) == {}
-    write_study(study_of({"one": a_row()}, asdict(setting), ()), tmp_path)
-    assert list(finished(path, setting)) == ["one"]
+    write_study(study_of({"one": a_row()}, setting, ()), tmp_path)
+    assert finished(path, setting) == {"one": json.loads(json.dumps(a_row()))}
     with pytest.raises(InputError, match="split"):
-        finished(path, replace(setting, split="test"))
+        finished(path, setting | {"split": "test"})
     stored = json.loads(path.read_text())
     path.write_text(json.dumps(stored | {"version": "0.0.1"}))
     with pytest.raises(InputError, match="version"):
         finished(path, setting)
+    row = stored["figures"]["rows"]["one"]
+    for field, value in (("lost", -1), ("nees", {}), ("error_m", "far"), ("frames", 1e300)):
+        path.write_text(json.dumps(stored | {"figures": {"rows": {"one": row | {field: value}}}}))
+        with pytest.raises(InputError, match=f"rows.one.{field}"):
+            finished(path, setting)
     path.write_text(json.dumps({"figures": {}}))
     with pytest.raises(InputError, match="outcome"):
         finished(path, setting)
