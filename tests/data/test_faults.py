@@ -137,6 +137,14 @@ def test_frames_of_missing_images_are_left_out(folder: Path, kind: str, associat
     assert len(notices) == (2 if kind == "depth" and not associated else 1)
 
 
+def test_a_name_that_no_file_can_have_is_that_of_a_missing_image(folder: Path) -> None:
+    index = folder / "associations.txt"
+    index.write_text(index.read_text().replace("0.100000.png", f"{'x' * 3000}.png", 1))
+    numbers, notices = frames_read(folder)
+    assert numbers == [0, 2, 3, 4, 5, 6, 7]
+    assert_notice(notices, "1 of 8 lines name a missing image")
+
+
 @pytest.mark.parametrize("associated", [True, False])
 def test_no_image_at_all_is_refused(folder: Path, associated: bool) -> None:
     if not associated:

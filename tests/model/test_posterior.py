@@ -224,8 +224,9 @@ def test_files_without_a_belief_are_refused(tmp_path: Path) -> None:
     assert_refused(tmp_path / "map.npz", "belief")
     assert_refused(tmp_path / "none.npz", "file")
     assert_refused(tmp_path, "file")
-    np.savez(tmp_path / "other.npz", header=np.frombuffer(b'{"format": "other"}', np.uint8))
-    assert_refused(tmp_path / "other.npz", "format")
+    for content in (b'{"format": "other"}', b'{"format": []}', b'{"format": {}}', b"[]"):
+        np.savez(tmp_path / "other.npz", header=np.frombuffer(content, np.uint8))
+        assert_refused(tmp_path / "other.npz", "format")
 
 
 CHANGES = {

@@ -16,7 +16,7 @@ import numpy as np
 from vssm_gym.data.images import image_mode
 from vssm_gym.data.trajectories import numbered_lines
 from vssm_gym.errors import InputError
-from vssm_gym.files.bounded import inside
+from vssm_gym.files.bounded import inside, is_file
 
 T = TypeVar("T")
 Row = tuple[float, list[str]]  # of an index file: its time (s) and all its words
@@ -138,7 +138,7 @@ def _images(index: Path, notices: list[str]) -> list[Row]:
 
 def _existing(index: Path, items: list[T], images: list[tuple[Path, ...]], notices: list[str]) -> list[T]:
     """Keep those of ``items`` whose images exist."""
-    missing = [next((path for path in paths if not path.is_file()), None) for paths in images]
+    missing = [next((path for path in paths if not is_file(path)), None) for paths in images]
     kept = [item for item, gone in zip(items, missing, strict=True) if gone is None]
     first = next((gone for gone in missing if gone is not None), None)
     if not kept:

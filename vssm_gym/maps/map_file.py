@@ -147,7 +147,7 @@ def read_header(path: str | Path, formats: set[str]) -> dict[str, Any]:
     with _opened(path) as stored:
         header = stored.read_json("header", path)
     found = header.get("format") if isinstance(header, dict) else None
-    if found not in formats:
+    if not isinstance(found, str) or found not in formats:
         raise InputError(path, "format", f"one of {', '.join(sorted(formats))}; found {found!r:.80}")
     return header
 
