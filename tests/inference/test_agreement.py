@@ -10,7 +10,9 @@ from tests.helpers.analytic_room import Room, camera_pose
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.agreement import Agreement, agreement, fixes_pose
 from vssm_gym.inference.alignment.depth_scale import fits_unscaled
+from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignConfig, make_observed, make_reference, stride
+from vssm_gym.inference.tracking.confirmation import ConfirmationConfig, colour_confirms
 from vssm_gym.model.emission import RGBD
 
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
@@ -62,6 +64,21 @@ def test_the_correlation_does_not_depend_on_the_exposure() -> None:
     image = ROOM.image(HERE, CAMERA)
     dark = eqx.tree_at(lambda i: i.rgb, image, 0.4 * image.rgb)
     assert float(agree(jnp.eye(4), image, dark).correlation) > 0.999
+
+
+def test_an_image_without_contrast_confirms_nothing_and_refutes_nothing() -> None:
+    """A foreseen step is plausible in a grey image and not in a mirrored one; neither confirms another step."""
+    image = ROOM.image(HERE, CAMERA)
+    reference = ReferenceView(jnp.eye(4), image, None, None)
+
+    @jax.jit
+    def confirmed(shown: RGBD, expected: bool) -> jax.Array:
+        here = jnp.eye(4)
+        return colour_confirms(here, here[None], expected, reference, shown, CAMERA, CONFIG, ConfirmationConfig())
+
+    shown = {"same": image, "grey": painted(image, 0.5), "mirrored": jax.tree.map(lambda a: a[:, ::-1], image)}
+    foreseen = {name: (bool(confirmed(one, True)), bool(confirmed(one, False))) for name, one in shown.items()}
+    assert foreseen == {"same": (True, True), "grey": (True, False), "mirrored": (False, False)}
 
 
 def test_a_room_fixes_the_pose_and_a_bare_wall_does_not() -> None:

@@ -185,7 +185,7 @@ INFERENCE = (
         "vssm_gym/inference/tracking/confirmation.py",
         " | (found.contrast < config.min_contrast)",
         "",
-        ("tests/inference/test_recovery.py", "tests/inference/test_prism_faults.py"),
+        (f"{OF_AGREEMENT}::test_an_image_without_contrast_confirms_nothing_and_refutes_nothing",),
     ),
     Mutant(
         "recovery-without-the-contrast-test",
