@@ -8,6 +8,7 @@ import pytest
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM, known_map
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.geometry.transforms import planar_to_matrix, wrap_angle
+from vssm_gym.inference.alignment import reference_view
 from vssm_gym.inference.filter import Filter, FilterInfo, Rig
 from vssm_gym.inference.mapping import map_update
 from vssm_gym.inference.status import Status
@@ -124,6 +125,20 @@ def test_images_only_add_information() -> None:
         np.testing.assert_allclose(posterior, posterior.T, rtol=1e-3, atol=1e-9)
         assert np.linalg.eigvalsh(posterior).min() > 0.0
         assert np.linalg.eigvalsh(spread - posterior).min() > -1e-9
+
+
+def test_an_image_without_a_reading_leaves_the_prediction() -> None:
+    """``Sigma^-1 = 2 J^T J + P`` with ``J = 0``: mean and covariance are those of the prediction."""
+    state, blind = start(std=0.03), RGBD.from_camera(np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64)))
+    reference = reference_view.from_map(known_map(), state.past.T_world_cam, CAMERA, IN_MAP.max_depth)
+    control, dt = jnp.asarray([0.1, 0.05, 0.08], jnp.float32), jnp.float32(ROBOT.dt)
+    tracked = camera_filter.track(
+        camera_filter.TrackingInput(state.past, MOTION, control, dt, reference, blind, RIG, state.key, False),
+        IN_MAP.config,
+    )
+    np.testing.assert_allclose(np.asarray(tracked.belief.mean), np.asarray(tracked.predicted.mean), atol=1e-5)
+    spread = np.asarray(tracked.predicted.covariance)
+    np.testing.assert_allclose(np.asarray(tracked.belief.covariance), spread, rtol=1e-3, atol=1e-3 * spread.max())
 
 
 def test_a_robot_at_rest_does_not_drift() -> None:

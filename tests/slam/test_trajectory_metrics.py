@@ -99,6 +99,7 @@ def test_alignment_recovers_the_motion(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     T_true, A = random_poses(rng, 20), random_motion(rng)
     T_est = A @ T_true
+    assert trajectory_error.rpe(T_est, T_true, 3).translation.max() < 1e-9
     assert trajectory_error.ate(T_est, T_true).translation.max() < 1e-9
     assert trajectory_error.ate(T_est, T_true).rotation.max() < 1e-5
     T_est[:, :3, 3] *= scale

@@ -72,7 +72,7 @@ INFERENCE = (
         CAMERA_FILTER,
         "2.0 * fit_quality.information + precision",
         "2.0 * fit_quality.information + 1e-6 * precision",
-        ("tests/inference/test_tracking.py::test_images_only_add_information",),
+        ("tests/inference/test_tracking.py::test_an_image_without_a_reading_leaves_the_prediction",),
     ),
     Mutant(
         "laplace-step-with-half-the-information",
@@ -174,7 +174,7 @@ INFERENCE = (
         (f"{OF_AGREEMENT}::test_a_room_fixes_the_pose_and_a_bare_wall_does_not",),
     ),
     Mutant(
-        "aliases-need-not-be-minima",
+        "aliases-sought-too-far-away",
         "vssm_gym/inference/alignment/aliasing.py",
         "(np.abs(SHIFTS[1:-1, None]) >= APART)",
         "(np.abs(SHIFTS[1:-1, None]) >= FARTHEST_SHIFT)",
