@@ -8,6 +8,7 @@ the source any more, or where tests fail without a mutant.
 """
 
 import argparse
+import signal
 import sys
 import tempfile
 import time
@@ -49,6 +50,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="NAME", help=", ".join(names))
     parser.add_argument("--workers", type=int, default=2, help="mutants at once")
     options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # as Ctrl-C: end the tests, tidy up
     return check(tuple(m for m in MUTANTS if m.name in options.only), CHECKOUT, options.workers)
 
 

@@ -25,6 +25,7 @@ TIME_LIMIT = 300.0  # s, of the tests of one mutant
 RUN_TESTS = Path(__file__).with_name("run_tests.py")
 PYTEST = ("-x", "-m", "not slow", "-p", "no:cacheprovider", "--tb=no", "-rf")
 PASSED, FAILED = 0, 1  # pytest's exit codes
+RUNNING: set[subprocess.Popen[str]] = set()  # of all workers, each the leader of its own process group
 
 
 @dataclass(frozen=True)
@@ -94,14 +95,14 @@ def run_tests(copy: Path, tests: Sequence[str]) -> Run:
         text=True,
         start_new_session=True,
     )
+    RUNNING.add(process)
     try:
         output, _ = process.communicate(timeout=TIME_LIMIT)
-    except BaseException as stopped:
+    except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
-        output, _ = process.communicate()
-        if not isinstance(stopped, subprocess.TimeoutExpired):
-            raise
-        return Run(None, output)
+        return Run(None, process.communicate()[0])
+    finally:
+        RUNNING.discard(process)
     return Run(process.returncode, output)
 
 
@@ -155,16 +156,20 @@ def outcomes(mutants: Sequence[Mutant], checkout: Path, scratch: Path, workers: 
     tests: dict[tuple[str, ...], dict[str, None]] = {}
     for mutant in mutants:
         tests.setdefault(files_of(mutant.tests), {}).update(dict.fromkeys(mutant.tests))
-    broken = set()
+    broken: set[tuple[str, ...]] = set()
     with ThreadPoolExecutor(workers) as pool:
-        for files, outcome in zip(
-            tests, pool.map(lambda group: passes(clean, tuple(group)), tests.values()), strict=True
-        ):
-            yield outcome
-            if outcome.verdict != "passes":
-                broken.add(files)
-        usable = [(scratch / m.name / "checkout", m) for m in mutants if files_of(m.tests) not in broken]
-        yield from pool.map(lambda one: try_mutant(one[1], clean, one[0]), usable)
-    yield from (
-        Outcome(m.name, "broken", "its tests fail without it", 0.0) for m in mutants if files_of(m.tests) in broken
-    )
+        try:
+            runs = pool.map(lambda group: passes(clean, tuple(group)), tests.values())
+            for files, outcome in zip(tests, runs, strict=True):
+                yield outcome
+                if outcome.verdict != "passes":
+                    broken.add(files)
+            usable = [(scratch / m.name / "checkout", m) for m in mutants if files_of(m.tests) not in broken]
+            yield from pool.map(lambda one: try_mutant(one[1], clean, one[0]), usable)
+        except BaseException:  # an interruption: do not wait for tests whose outcome nobody reads
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in tuple(RUNNING):
+                os.killpg(process.pid, signal.SIGKILL)
+            raise
+    unusable = [m.name for m in mutants if files_of(m.tests) in broken]
+    yield from (Outcome(name, "broken", "its tests fail without it", 0.0) for name in unusable)

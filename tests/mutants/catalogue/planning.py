@@ -69,7 +69,7 @@ PLANNING = (
         "vssm_gym/planning/value_iteration/motions.py",
         "[*self.turns, *(-b for b in self.turns)]",
         "[*self.turns, *self.turns]",
-        ("tests/planning/car/test_value_iteration.py::test_backwards_equals_forwards_with_the_car_reversed",),
+        ("tests/model/test_bicycle_twins.py",),
     ),
     Mutant(
         "cost-to-go-at-the-end-not-discounted",
