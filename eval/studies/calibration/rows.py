@@ -26,7 +26,7 @@ from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.slam.run import SlamOptions
 
 NOISES = ("low", "mid", "high")  # levels of the execution noise of robots
-WALK_METRES = 8.0  # of a walk with a hand-held camera: about 20 s
+WALK_METRES = 8.0  # of a walk with a hand-held camera: about 30 s, turns included
 WALK_SEGMENT, DRIVE_SEGMENT, CAR_SEGMENT = 4.0, 5.0, 3.0  # s
 MAP_VOXEL, CAR_MAP_VOXEL = 0.05, 0.03  # m, of a learned map that robots and cars track in
 # As of ``vssm-gym study flight --imu``

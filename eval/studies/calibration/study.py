@@ -100,14 +100,19 @@ def run(
     for name in names:
         if name not in rows:
             rows[name] = _simulated(name, setting, folder, on_progress)
-            yield study_of(rows, stated, notices)
+            yield study_of(_in_order(rows), stated, notices)
     for recording in recordings:
         name = name_of(recording)
         if name not in rows:
             rows |= rows_of(name, recording, labelled(on_progress, name))
-            yield study_of(rows, stated, notices)
+            yield study_of(_in_order(rows), stated, notices)
     if rows.keys() == done.keys():
-        yield study_of(rows, stated, notices)
+        yield study_of(_in_order(rows), stated, notices)
+
+
+def _in_order(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the rows in the table's order, whatever was measured first; those of recordings come last."""
+    return {name: rows[name] for name in (*ROWS, *rows) if name in rows}
 
 
 def _simulated(name: str, setting: Setting, folder: Path, on_progress: OnProgress | None) -> dict[str, Any]:

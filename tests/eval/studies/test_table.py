@@ -109,8 +109,11 @@ def test_an_interrupted_study_keeps_its_rows_and_is_continued(tmp_path: Path, mo
         commands.calibration(out=tmp_path, seed=1, resume=True)
     rows["second"] = measure("second")
     commands.calibration(out=tmp_path, resume=True)
-    assert measured == ["first", "second", "second"]
-    assert list(json.loads((tmp_path / "calibration.json").read_text())["figures"]["rows"]) == ["first", "second"]
+    monkeypatch.setattr(calibration_study, "ROWS", {"zeroth": measure("zeroth")} | rows)
+    commands.calibration(out=tmp_path, rows="zeroth", resume=True)
+    assert measured == ["first", "second", "second", "zeroth"]
+    stored = json.loads((tmp_path / "calibration.json").read_text())
+    assert list(stored["figures"]["rows"]) == ["zeroth", "first", "second"]  # in the table's order
 
 
 def test_rows_of_another_version_or_file_are_not_continued(tmp_path: Path) -> None:
