@@ -43,7 +43,10 @@ def test_the_nees_of_a_linear_gaussian_filter(factor: float) -> None:
     assert (row["runs"], row["frames"], row["segments"]["count"]) == (60, 6000, 300)
 
 
-def test_the_location_of_a_body_in_space_has_three_coordinates() -> None:
+def test_the_location_has_two_coordinates_on_the_floor_and_three_in_space() -> None:
+    planar = FilterErrors(np.array([[3.0, 4.0, 9.0]]), np.diag([4.0, 5.0, 7.0])[None], 1, 0, True)
+    row = summarise([RunErrors(planar, ())])
+    assert (row["error_m"], row["std_m"], row["dimension"]) == (5.0, 3.0, 3)
     errors = FilterErrors(np.array([[3.0, 0.0, 4.0, 9.0, 9.0, 9.0]]), np.diag([4.0, 4, 1, 7, 7, 7])[None], 1, 0, True)
     row = summarise([RunErrors(errors, ())])
     assert (row["error_m"], row["std_m"], row["dimension"]) == (5.0, 3.0, 6)
