@@ -35,9 +35,9 @@ NOTES = (
     "that share no image and no command; of a flight there is one, its first 5 s, because the IMU is calibrated "
     "at rest. The filter starts anew at the first frame of each, where it is given the true pose (and, if it "
     "learns a map, an empty one), and only the residual at the segment's last frame is counted. Noise is drawn "
-    "anew for every image and step, so that these residuals are independent given the scene; in a learned map "
-    "that is given they share its errors, and cars of one drive their own gain and trim. Segments that end lost "
-    "are left out; the figures hold their number.",
+    "anew for every image and step, so that these residuals are independent given the scene; segments in a "
+    "learned map share its errors, those of one drive of a car its gain and trim, and the exposure of a Kinect "
+    "changes over 3 s. Segments that end lost are left out; the figures hold their number.",
     "Error: RMSE of the location over all tracked frames of all runs, the first pose known. Stated: the root of the "
     "mean variance of the location that the filter states at the same frames. Velocity: the share of components inside "
     "their 95 % band, linear (v) and angular (ω), of states that hold one.",
