@@ -316,6 +316,7 @@ def broken(where: str, value: Any) -> dict[str, Any]:
         ("objects.0.assetId", "Throne_1", "objects[0].assetId", "'Throne_1'"),
         ("objects.0.children.0.assetId", "Grail_1", "objects[0].children[0].assetId", "'Grail_1'"),
         ("objects.1.position", ..., "objects[1].position", "present"),
+        ("objects.1.id", "", "objects[1].id", "at least 1 character"),
     ],
 )
 def test_an_error_names_the_field(where: str, value: Any, field: str, expected: str) -> None:

@@ -12,7 +12,7 @@ from vssm_gym.envs.scenes.apartment_parts import Coordinate
 Openness = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-1e6, le=1e6)]  # degrees
 Extent = Annotated[float, Field(ge=0, le=100)]  # m
-Name = Annotated[str, Field(max_length=200)]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 # Most of a house; the largest have tens.
 HOUSE_ROOMS, HOUSE_WALLS, HOUSE_HOLES, HOUSE_OBJECTS, HOUSE_CORNERS = 200, 5000, 500, 5000, 1000
@@ -57,7 +57,7 @@ class Color(_Read):
 class SurfaceMaterial(_Read):
     """Hold a Unity material by name, with a colour of its own or not."""
 
-    name: Name
+    name: Annotated[str, Field(max_length=200)]
     color: Color | None = None
 
 
