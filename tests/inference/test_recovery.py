@@ -90,6 +90,19 @@ def test_a_picture_of_another_place_does_not_fit(seed: int) -> None:
     assert not bool(recover(known_map(), f32(starts), image, CAMERA, jnp.eye(6), RANGE, CONFIG).accepted)
 
 
+def test_what_is_unexplained_of_an_image_counts_in_proportion_to_its_contrast() -> None:
+    """An image with a fifth of the contrast correlates as well, but differs from the map by more than it contains."""
+    now = place(np.random.default_rng(4))
+    starts, image = f32(np.stack([off(now, np.random.default_rng(1), 0.05, 3.0)] * 3)), ROOM.image(now, CAMERA)
+    mean = jnp.mean(image.rgb, axis=(0, 1))
+    pale = RGBD(image.depth, mean + 0.2 * (image.rgb - mean), image.hit, image.known)
+    sharp, washed = (recover(known_map(), starts, one, CAMERA, jnp.eye(6), RANGE, CONFIG) for one in (image, pale))
+    assert bool(sharp.accepted)
+    assert not bool(washed.accepted)
+    assert float(washed.fit_quality.photometric) < CONFIG.max_photometric
+    assert float(washed.agreement.correlation) > CONFIG.min_correlation
+
+
 def blank(image: RGBD) -> RGBD:
     return RGBD(0 * image.depth, 0 * image.rgb, jnp.zeros_like(image.hit), jnp.zeros_like(image.known))
 

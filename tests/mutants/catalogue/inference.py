@@ -192,7 +192,9 @@ INFERENCE = (
         "vssm_gym/inference/tracking/recovery.py",
         "jnp.clip(config.max_unexplained * contrast, 1.0, config.max_photometric)",
         "config.max_photometric",
-        ("tests/inference/test_recovery.py",),
+        (
+            "tests/inference/test_recovery.py::test_what_is_unexplained_of_an_image_counts_in_proportion_to_its_contrast",
+        ),
     ),
     Mutant(
         "gyroscope-bias-ignored",
