@@ -1,6 +1,7 @@
 """Test the evaluation of policies: imagined episodes by hand, and the gap between imagination and the simulator."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,6 +78,8 @@ def test_the_gap_is_imagined_minus_simulated(tmp_path):
     hashes = {row["map_hash"] for row in read_rows(again / "episodes.jsonl")}
     assert hashes == {map_hash(given)} == {json.loads((again / "evaluation.json").read_text())["map"]}
     assert evaluate_policy(file, again, scene=scene, tasks=4, map_file=given, resume=True) == found
+    shipped = evaluate_policy(Path("reactive"), tmp_path / "shipped", scene=scene, tasks=1, map_file=given)
+    assert shipped.label.startswith("reactive@")
     room().save(tmp_path / "room.npz")
     for other in (tmp_path / "room.npz", None):
         with pytest.raises(InputError, match=r"map_hash: expected .* another sweep belongs into another folder"):

@@ -28,7 +28,7 @@ def evaluate(
     numbers. With --video, OUT also gets a video of one task, simulated beside imagined (the extra `viz`).
 
     Args:
-        policy: policy.npz of `vssm-gym train`.
+        policy: policy.npz of `vssm-gym train`, or oak or reactive, which come with the package.
         out: new or empty folder for the results.
         scene: built-in name or path of a scene file.
         tasks: number of the scene's test tasks.

@@ -17,6 +17,7 @@ from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.sweep.config import DEFAULT_VOXEL, SweepConfig, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.shipped import POLICIES, shipped
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.progress import OnProgress
@@ -61,7 +62,7 @@ def evaluate_policy(
     """Run the sweep and the imagined episodes; write ``evaluation.json`` into the sweep's folder.
 
     Args:
-        policy: file of `vssm-gym train`.
+        policy: file of `vssm-gym train`, or the name of a policy that comes with the package.
         out: new or empty folder, or that of the same evaluation with ``resume``.
         scene: built-in name or path of a scene file.
         tasks: the first so many test tasks.
@@ -76,6 +77,7 @@ def evaluate_policy(
         InputError: as :func:`run_sweep`, for a file that is not a policy or a map, or where the folder holds an
             evaluation in another map.
     """
+    policy = shipped(policy, POLICIES)
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     voxel = DEFAULT_VOXEL if map_file is None else round(float(VoxelMap.load(map_file).voxel_size), 6)
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)), voxel=voxel)

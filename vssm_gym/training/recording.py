@@ -24,6 +24,7 @@ from vssm_gym.eval.protocols import pointnav as pointnav_protocol
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.video.recording import CroppedPlan
+from vssm_gym.files.shipped import POLICIES, shipped
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.scan import BEAMS, scan_of
 from vssm_gym.geometry.transforms import planar_to_matrix
@@ -112,7 +113,7 @@ def record_runs(
     """Drive one task of an evaluation in both worlds.
 
     Args:
-        policy: file of `vssm-gym train`.
+        policy: file of `vssm-gym train`, or the name of a policy that comes with the package.
         out: folder of :func:`vssm_gym.training.evaluation.evaluate_policy`, which has run with the same arguments.
         scene: built-in name or path of a scene file.
         task: number of the test task.
@@ -123,6 +124,7 @@ def record_runs(
     Raises:
         InputError: a task that does not fit the map.
     """
+    policy = shipped(policy, POLICIES)
     task_file, agents_map = files_of(out, scene)
     wanted = load(task_file).tasks[task]
     # First the run that may be refused
