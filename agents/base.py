@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
+from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.transition.base import Transition
@@ -17,6 +18,8 @@ from vssm_gym.model.transition.base import Transition
 Observation: TypeAlias = Mapping[str, np.ndarray]
 
 ANY_TASK = "any"  # of an agent that reads no goal
+AGENT_TASKS = ("pointgoal", "imagegoal", "explore", ANY_TASK)
+AGENT_ROBOTS = ("holonomic", "car", "disc")
 STOP_COMMAND = (0.0, 0.0, 0.0)  # the motion part of a stop: the robot stays where it is
 
 
@@ -101,3 +104,11 @@ class Agent(Protocol):
     def act(self, observation: Observation) -> Decision:
         """Return the action for this observation, always within the context's limits."""
         ...
+
+
+def decide(agent: Agent, observation: Observation) -> Decision:
+    """Return the agent's decision; raise :class:`InputError` where `act` returns anything else."""
+    decision = agent.act(observation)
+    if not isinstance(decision, Decision):
+        raise InputError(f"agent {agent.name}", "act", f"a Decision as its result; found {type(decision).__name__}")
+    return decision

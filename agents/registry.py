@@ -1,9 +1,10 @@
 """List every agent by name; the command line, sweeps and tests read this table and nothing else."""
 
+import inspect
 from dataclasses import replace
 from typing import Any
 
-from vssm_gym.agents.base import Agent
+from vssm_gym.agents.base import AGENT_ROBOTS, AGENT_TASKS, Agent
 from vssm_gym.agents.car.dwa import DwaAgent
 from vssm_gym.agents.car.greedy import GreedyAgent
 from vssm_gym.agents.car.hybrid_astar import HybridAStarAgent
@@ -59,7 +60,8 @@ AGENTS: dict[str, type[Agent]] = {
         FrontierGainScanEstimatedPoseAgent,
     )
 }
-
+BUILT_IN = frozenset(AGENTS)
+ATTRIBUTES = ("name", "robot", "task", "needs_pose", "needs_map", "reset", "act")  # of every agent's class
 
 WITH = "+"  # between a navigating agent and its planner: ``astar+theta_star``
 
@@ -87,22 +89,52 @@ def agent_type(name: str) -> type[Agent]:
 def register_agent(kind: type[Agent]) -> type[Agent]:
     """Add an agent to those of sweeps and commands, under its ``name``; also a decorator.
 
-    Sweeps run in worker processes, which import the program that started them: register at its top level, and start the
-    sweep below ``if __name__ == "__main__"``.
+    Sweeps run in worker processes, which import the program that started them: define the class at the top level of a
+    file, and start the sweep below ``if __name__ == "__main__"``.
 
     Args:
-        kind: the agent's class.
+        kind: the agent's class, which is called without arguments.
 
     Returns:
         The class.
 
     Raises:
-        InputError: another agent has that name.
+        InputError: the class lacks what :class:`vssm_gym.agents.base.Agent` states; another agent has that name.
     """
-    if AGENTS.setdefault(kind.name, kind) is not kind and AGENTS[kind.name].__qualname__ != kind.__qualname__:
+    _check_agent(kind)
+    other = AGENTS.get(kind.name, kind)
+    if other is not kind and (kind.name in BUILT_IN or other.__qualname__ != kind.__qualname__):
         raise InputError("register_agent", "name", f"one that no other agent has; found {kind.name!r}")
     AGENTS[kind.name] = kind
     return kind
+
+
+def _check_agent(kind: Any) -> None:
+    """Raise :class:`InputError` unless a class has the attributes of an agent."""
+    if not isinstance(kind, type):
+        raise InputError("register_agent", "kind", f"the class of an agent; found {type(kind).__name__}")
+    source = f"agent {kind.__name__}"
+    if missing := [attribute for attribute in ATTRIBUTES if not hasattr(kind, attribute)]:
+        found = f"the class attributes {', '.join(ATTRIBUTES)}; {', '.join(missing)} missing"
+        raise InputError(source, missing[0], found)
+    stated = {attribute: getattr(kind, attribute) for attribute in ATTRIBUTES}
+    name = stated["name"]
+    if not isinstance(name, str) or not name.isprintable() or not name or WITH in name or name.startswith(PREFIX):
+        raise InputError(source, "name", f"a printable name without {WITH!r} and {PREFIX!r}; found {name!r:.100}")
+    for attribute, values in (("robot", AGENT_ROBOTS), ("task", AGENT_TASKS)):
+        if (found := stated[attribute]) not in values:
+            raise InputError(source, attribute, f"one of {', '.join(values)}; its {attribute} is {found!r:.100}")
+    for attribute in ("needs_pose", "needs_map"):
+        if not isinstance(found := stated[attribute], bool):
+            raise InputError(source, attribute, f"True or False; found {found!r:.100}")
+    for attribute in ("reset", "act"):
+        if not callable(found := stated[attribute]):
+            raise InputError(source, attribute, f"a method; found {found!r:.100}")
+    variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    parameters = [p for p in inspect.signature(kind).parameters.values() if p.kind not in variable]
+    needed = [p.name for p in parameters if p.default is p.empty]
+    if needed:
+        raise InputError(source, "__init__", f"no argument without a default; {', '.join(needed)} has none")
 
 
 def make_agent(name: str) -> Agent:

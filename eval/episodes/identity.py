@@ -65,6 +65,12 @@ class Episode:
             "agent": agent_label(self.agent),
         }
 
+    def words(self) -> str:
+        """Return the agent, the scene, the task, the noise and the seed in words, for messages."""
+        c = self.condition
+        where = f"scene {scene_name(c.scene)}, task {self.task}, noise {c.noise}, seed {self.seed}"
+        return f"agent {agent_label(self.agent)}, {where}"
+
 
 def scene_name(scene: str) -> str:
     """Return a scene's name in rows and files: a built-in name, a seed with dashes, or a file's stem."""

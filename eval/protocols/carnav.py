@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from vssm_gym.agents.base import Agent, Decision
+from vssm_gym.agents.base import Agent, Decision, decide
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks import car_sets
 from vssm_gym.envs.tasks.car import CarTask
@@ -83,7 +83,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
     ended = False
     while not ended:
         began = time.perf_counter()
-        decision = agent.act(observation)
+        decision = decide(agent, observation)
         seconds.append(time.perf_counter() - began)
         decisions.append(decision)
         if decision.gives_up:

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.agents.base import Agent, Decision, Observation
+from vssm_gym.agents.base import Agent, Decision, Observation, decide
 from vssm_gym.envs.tasks.navigation import Task, TaskSampler
 from vssm_gym.eval.metrics.failure import failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
@@ -86,7 +86,7 @@ def run_episode(
     ended = False
     while not ended:
         began = time.perf_counter()
-        decision = agent.act(observation)
+        decision = decide(agent, observation)
         seconds.append(time.perf_counter() - began)
         if spectator is not None:
             driven = len(contacts) * context.dt

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vssm_gym.agents.base import Agent, Decision
+from vssm_gym.agents.base import Agent, Decision, decide
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, Recorder
@@ -71,7 +71,7 @@ def run_episode(
     stopped = truncated = False
     while not (stopped or truncated):
         began = time.perf_counter()
-        decision = agent.act(observation)
+        decision = decide(agent, observation)
         seconds.append(time.perf_counter() - began)
         decisions.append(decision)
         # The agent's map now holds what coverage counts: the image of this step, not yet that of the next.

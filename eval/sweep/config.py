@@ -85,7 +85,7 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
             yield Episode(condition, task, seed, agent, config.explore)
 
 
-def load_config(path: Path) -> SweepConfig:
+def load_config(path: str | Path) -> SweepConfig:
     """Read and check the configuration of a sweep.
 
     Args:
@@ -97,6 +97,7 @@ def load_config(path: Path) -> SweepConfig:
     Raises:
         InputError: no such file, not YAML, a field that is unknown, missing or malformed, or an unknown name.
     """
+    path = Path(path)
     config = read_yaml(path, SweepConfig)
     check_environments(config, path)
     lists = (getattr(config, name) for name in ("env", "scenes", "agents", *CONDITIONS, "tasks", "seeds"))
@@ -153,7 +154,8 @@ def check_names(config: SweepConfig, source: object) -> None:
     for field, available in known.items():
         for name in getattr(config, field):
             if name not in available:
-                raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}")
+                unfit = _unfit(name, env=config.env[0]) if field == "agents" else ""
+                raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}{unfit}")
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
         raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
     names = protocol.scene_names()
@@ -163,3 +165,13 @@ def check_names(config: SweepConfig, source: object) -> None:
         elif scene not in names and not is_file(scene):
             expected = f"a built-in scene ({', '.join(names)}), {PREFIX}SEED or an existing file; found {scene!r}"
             raise InputError(source, "scenes", expected)
+
+
+def _unfit(name: str, env: str) -> str:
+    """Return why an agent cannot take part in a sweep of an environment."""
+    from vssm_gym.agents.registry import AGENTS, WITH
+
+    spec, agent = SWEPT_ENVIRONMENTS[env], AGENTS.get(name.partition(WITH)[0])
+    if agent is None:
+        return " (an agent of your own is known to the program that registers it: run the sweep from there)"
+    return f", whose robot is {agent.robot!r} and whose task is {agent.task!r}; {env} is {spec.robot!r}, {spec.task!r}"

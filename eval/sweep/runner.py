@@ -8,13 +8,14 @@ explorers write whole files to ``explored/``: the final maps of the first run of
 import hashlib
 import json
 import multiprocessing
+import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.agents.renamed import hashed_name
@@ -26,9 +27,10 @@ from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
+from vssm_gym.eval.sweep.own_agents import GUARD, check_importable, code_hashes, own_agents
 from vssm_gym.eval.sweep.shards import Shard
 from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.output_folders import ADVICE, Owner, check_at_least, check_folder, owned_folder
+from vssm_gym.files.output_folders import ADVICE, RESUME, Owner, check_at_least, check_folder, owned_folder
 from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import read_metadata
@@ -36,12 +38,15 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.version import package_version
 
+if TYPE_CHECKING:
+    from vssm_gym.agents.base import Agent
+
 SIGNAL_SECONDS = 0.5  # within which a signal that was sent to a group of processes has reached all of them
 
 
 def run_sweep(
     config: SweepConfig,
-    out: Path,
+    out: str | Path,
     *,
     resume: bool = False,
     workers: int = 2,
@@ -56,7 +61,7 @@ def run_sweep(
     and raises KeyboardInterrupt.
 
     Args:
-        config: checked by :func:`vssm_gym.eval.sweep.config.load_config`.
+        config: checked by :func:`vssm_gym.eval.sweep.config.load_config`; its agents may be the program's own.
         out: new or empty folder, or with ``resume`` that of a sweep of the same configuration and seed.
         resume: continue; with no episode there yet, begin.
         workers: processes.
@@ -69,9 +74,16 @@ def run_sweep(
         The file ``out/episodes.jsonl``.
 
     Raises:
-        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died.
+        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died;
+            a program that workers cannot import; an agent that returns no decision.
         OutputError: a full disk or the like; the episodes before are kept.
+        RuntimeError: an error inside an agent, whose traceback precedes it; the message names scene and task.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(1)  # a worker imports a program without a guard, and would start a sweep; the parent says so
+    out = Path(out)
+    own = own_agents(config.agents)
+    check_importable(own)
     check_at_least("sweep", "workers", workers, 1)
     check_at_least("sweep", "seed", seed, 0)
     check_folder(out)
@@ -81,10 +93,13 @@ def run_sweep(
     if shard is not None:
         episodes = shard.part(episodes)
     manifest = _manifest(config, apartments, seed, len(episodes), shard)
+    if codes := code_hashes(own):
+        manifest["agent_code"] = codes
     if map_file is not None:
         map_file = shipped(map_file, MAPS)
         manifest["map_hash"] = _given_map_hash(config, map_file)
-    owner = Owner("sweep", MANIFEST, manifest, identity=("map_hash", "config_hash", "shard"), resumed=(FILE,))
+    identity = ("map_hash", "agent_code", "config_hash", "shard")
+    owner = Owner("sweep", MANIFEST, manifest, identity=identity, resumed=(FILE,))
     with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
         done = {episode_key(row) for row in log.rows}
         todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
@@ -94,15 +109,17 @@ def run_sweep(
                 _copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
             jobs = _jobs(batch, scene, out, config, manifest, on_progress)
             worker.release_memory()
-            _run(jobs, log, workers, len(episodes), on_progress)
+            _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
     return out / FILE
 
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
-    """Hash what determines the results (configuration, contents of scenes and policies, seed); 16 hex digits."""
+    """Hash what determines the results (configuration, scenes, policies, own agents' code, seed); 16 hex digits."""
     content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
     content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
     content["agents"] = [hashed_name(agent_label(agent)) for agent in config.agents]
+    if codes := code_hashes(own_agents(config.agents)):
+        content["agent_code"] = codes
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -196,7 +213,14 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
     return out / "explored" / f"{'-'.join(world)}.npz"
 
 
-def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_progress: OnProgress | None) -> None:
+def _run(
+    jobs: list[worker.Job],
+    log: EpisodeLog,
+    workers: int,
+    total: int,
+    on_progress: OnProgress | None,
+    own: "tuple[type[Agent], ...]" = (),
+) -> None:
     """Run all jobs of a scene over workers of its own, whose memory is freed at the end; log results as they come.
 
     One episode of each agent that uses the map runs first, one after the other: it fills the compilation cache for the
@@ -204,7 +228,6 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_p
     """
     first = list({job.episode.agent: job for job in reversed(jobs) if job.map_file}.values())[::-1]
     futures: dict[Future, worker.Job] = {}
-    current = jobs[0]
 
     def submit(job: worker.Job) -> Future:
         future = pool.submit(worker.run, job)
@@ -212,8 +235,6 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_p
         return future
 
     def keep(future: Future) -> None:
-        nonlocal current
-        current = futures[future]
         row = future.result()
         del futures[future]
         log.append(row)
@@ -225,8 +246,10 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_p
 
     report()
     context = multiprocessing.get_context("spawn")
+    started = context.Event()
     with worker.single_threaded_children():
-        pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=worker.initialise)
+        processes = min(workers, len(jobs))
+        pool = ProcessPoolExecutor(processes, context, initializer=worker.initialise, initargs=(started, own))
         try:
             for job in first:
                 keep(submit(job))
@@ -240,11 +263,16 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, workers: int, total: int, on_p
             raise
         except BrokenProcessPool as error:
             time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
+            if not started.is_set():
+                expected = f"worker processes that can import this program: start the sweep below {GUARD}"
+                raise InputError("sweep", "workers", expected) from None
             expected = "worker processes that live to the end; one was killed, possibly for lack of memory"
-            kept = f"{len(log.rows)} of {total} episodes are kept (--resume)"
+            kept = f"{len(log.rows)} of {total} episodes are kept ({RESUME})"
             raise InputError("sweep", "workers", f"{expected}; {kept}") from error
+        except InputError as error:
+            raise error.with_traceback(None) from None
         except Exception as error:
-            error.add_note(f"while running {current.episode}; finished episodes are kept (--resume)")
-            raise
+            error.add_note(f"{len(log.rows)} of {total} episodes are kept ({RESUME})")
+            raise error.with_traceback(None) from error.__cause__
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -11,16 +11,19 @@ import multiprocessing.connection
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.protocols.registry import protocol_of
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
+    from multiprocessing.synchronize import Event
+
     from vssm_gym.agents.base import Agent
     from vssm_gym.maps.voxel_map import VoxelMap
 
@@ -73,9 +76,21 @@ def single_threaded_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def initialise() -> None:
-    """Initialise a worker: ignore Ctrl-C, which the parent handles, and exit with the parent."""
+def initialise(started: "Event | None" = None, own: "Sequence[type[Agent]]" = ()) -> None:
+    """Initialise a worker: ignore Ctrl-C, which the parent handles, exit with the parent, and know the own agents.
+
+    Args:
+        started: set here; a worker that could not import the program never comes so far.
+        own: classes of the agents that the program has registered.
+    """
+    if started is not None:
+        started.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if own:
+        from vssm_gym.agents.registry import register_agent
+
+        for kind in own:
+            register_agent(kind)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
@@ -89,9 +104,15 @@ def _leave_with(sentinel: int) -> None:
 def run(job: Job) -> dict[str, Any]:
     """Run one episode and return its row for the log."""
     episode = job.episode
-    protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
-    voxel_map = _map(job.map_file) if job.map_file else None
-    result = protocol.run(episode, agent, job.task_file, voxel_map)
+    try:
+        protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
+        voxel_map = _map(job.map_file) if job.map_file else None
+        result = protocol.run(episode, agent, job.task_file, voxel_map)
+    except (InputError, OutputError):
+        raise
+    except Exception as error:  # of a class that only this process may know, so that its text is sent
+        message = f"{episode.words()}: {type(error).__name__}: {error}"
+        raise RuntimeError(message).with_traceback(error.__traceback__) from None
     if job.explored_file:
         result["explored"] = _keep(agent, job)
     signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}

@@ -157,7 +157,7 @@ def test_the_demo_clears_no_other_sweep_away(folder, finished, tmp_path, monkeyp
         monkeypatch.setattr(sys, "argv", ["vssm-gym", "demo", "--out", str(out), *options])
         assert main() == 2
         (error,) = capsys.readouterr().err.splitlines()
-        assert "config_hash" in error and "choose another --out, or delete it yourself" in error
+        assert "config_hash" in error and "choose another folder, or delete it yourself" in error
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
@@ -285,7 +285,7 @@ def test_a_worker_that_is_killed_ends_the_sweep_with_one_clear_error(folder, tmp
     os.kill(workers[0], signal.SIGKILL)
     error = process.communicate(timeout=120)[1].decode()
     assert "InputError: sweep: workers: expected worker processes that live to the end" in error
-    assert f"{len(read_rows(tmp_path / FILE))} of 60 episodes are kept (--resume)" in error
+    assert f"{len(read_rows(tmp_path / FILE))} of 60 episodes are kept (--resume" in error
 
 
 @pytest.mark.slow

@@ -62,7 +62,7 @@ def test_the_same_run_continues_with_resume_only(swept: Path) -> None:
 def test_no_other_run_gets_in(swept: Path, resume: bool) -> None:
     before = tree(swept)
     refused(
-        owned_folder(swept, OTHER, resume), r"config_hash: expected bb.*found aa.*choose another --out, or delete it"
+        owned_folder(swept, OTHER, resume), r"config_hash: expected bb.*found aa.*choose another folder, or delete it"
     )
     refused(owned_folder(swept, SLAM, resume), r"that of a SLAM run, which has a slam\.json; it holds maps")
     (swept / "sweep.json").write_text("[]")

@@ -21,7 +21,8 @@ from vssm_gym.files.atomic import TEMPORARY, atomic_write, refusals_named, remov
 from vssm_gym.files.json_file import read_json
 
 LOCK = ".lock"  # in a folder while a run owns it, and the end of the lock beside a folder that is written whole
-ADVICE = "choose another --out, or delete it yourself"
+ADVICE = "choose another folder, or delete it yourself"
+RESUME = "--resume continues it, resume=True in a program"
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def _check_owner(out: Path, owner: Owner, resume: bool) -> None:
     for name in owner.resumed:
         if not resume and _has_data(out / name):
             expected = f"a folder without a {owner.what}; it holds {name}"
-            raise InputError(out, "folder", f"{expected} (--resume continues it; or {ADVICE})")
+            raise InputError(out, "folder", f"{expected} ({RESUME}; or {ADVICE})")
 
 
 def _data(out: Path, manifest: str) -> list[str]:
@@ -231,7 +232,7 @@ def _lock_file(path: Path, out: Path) -> int:
                 return file
         except BlockingIOError as error:
             os.close(file)
-            expected = "no other run writing to it at the same time; wait for it, or choose another --out"
+            expected = "no other run writing to it at the same time; wait for it, or choose another folder"
             raise InputError(out, "folder", expected) from error
         except BaseException:
             os.close(file)
