@@ -6,6 +6,7 @@
 """
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,8 @@ CONFIG = "scenes: studio.json\nagents: [oracle, depth_follower, random]\ntasks: 
 if __name__ == "__main__":  # episodes run in worker processes, which import this file
     Path("studio.json").write_text(json.dumps(HOME))
     Path("compare.yaml").write_text(CONFIG)
-    vg.run_sweep(vg.load_config(Path("compare.yaml")), Path("compared"))
-    for line in Path("compared/episodes.jsonl").read_text().splitlines():
-        row = json.loads(line)
+    out = Path("compared", time.strftime("%Y%m%d-%H%M%S"))  # a folder a run: rows of other code do not mix
+    log = vg.run_sweep(vg.load_config("compare.yaml"), out)
+    for row in map(json.loads, log.read_text().splitlines()):
         print(f"{row['agent']:15} task {row['task']}: success {row['success']}, SPL {row['spl']:.2f}")
-    print("for the report: vssm-gym report compared")
+    print(f"for the report: vssm-gym report {out}")

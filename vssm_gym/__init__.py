@@ -24,13 +24,13 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.agents.base import Decision as Decision
     from vssm_gym.agents.registry import make_agent as make_agent
     from vssm_gym.agents.registry import register_agent as register_agent
+    from vssm_gym.cli.shared.shown_sweep import run_sweep as run_sweep
     from vssm_gym.data.sequences import load_sequence as load_sequence
     from vssm_gym.data.trajectories import write_trajectory as write_trajectory
     from vssm_gym.envs.scenes.scene import load_scene as load_scene
     from vssm_gym.errors import InputError as InputError
     from vssm_gym.eval.protocols.agent_context import agent_context as agent_context
     from vssm_gym.eval.sweep.config import load_config as load_config
-    from vssm_gym.eval.sweep.runner import run_sweep as run_sweep
     from vssm_gym.geometry.camera import Camera as Camera
     from vssm_gym.inference.filter import Rig as Rig
     from vssm_gym.inference.prism.config import PrismConfig as PrismConfig
@@ -124,7 +124,7 @@ PUBLIC: dict[str, str] = {
     "agent_context": "vssm_gym.eval.protocols.agent_context",
     "Decision": "vssm_gym.agents.base",
     "load_config": "vssm_gym.eval.sweep.config",
-    "run_sweep": "vssm_gym.eval.sweep.runner",
+    "run_sweep": "vssm_gym.cli.shared.shown_sweep",
     "InputError": "vssm_gym.errors",
 }
 """The public names, and the module that defines each."""

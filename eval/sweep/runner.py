@@ -10,6 +10,7 @@ import json
 import multiprocessing
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.agents.renamed import hashed_name
+from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, scene_name
@@ -79,38 +81,45 @@ def run_sweep(
         OutputError: a full disk or the like; the episodes before are kept.
         RuntimeError: an error inside an agent, whose traceback precedes it; the message names scene and task.
     """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
-        sys.exit(1)  # a worker imports a program without a guard, and would start a sweep; the parent says so
+    leave_unguarded_import()
     out = Path(out)
     own = own_agents(config.agents)
     check_importable(own)
     check_at_least("sweep", "workers", workers, 1)
     check_at_least("sweep", "seed", seed, 0)
     check_folder(out)
-    apartments = {scene: protocol_of(config.env[0]).load(scene) for scene in config.scenes}
-    hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
-    episodes = list(expand(config))
-    if shard is not None:
-        episodes = shard.part(episodes)
-    manifest = _manifest(config, apartments, seed, len(episodes), shard)
-    if codes := code_hashes(own):
-        manifest["agent_code"] = codes
-    if map_file is not None:
-        map_file = shipped(map_file, MAPS)
-        manifest["map_hash"] = _given_map_hash(config, map_file)
-    identity = ("map_hash", "agent_code", "config_hash", "shard")
-    owner = Owner("sweep", MANIFEST, manifest, identity=identity, resumed=(FILE,))
-    with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
-        done = {episode_key(row) for row in log.rows}
-        todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
-        for scene in dict.fromkeys(episode.condition.scene for episode in todo):
-            batch = [episode for episode in todo if episode.condition.scene == scene]
-            if map_file is not None:
-                _copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
-            jobs = _jobs(batch, scene, out, config, manifest, on_progress)
-            worker.release_memory()
-            _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SceneWarning)  # the manifest has them as notices
+        apartments = {scene: protocol_of(config.env[0]).load(scene) for scene in config.scenes}
+        hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
+        episodes = list(expand(config))
+        if shard is not None:
+            episodes = shard.part(episodes)
+        manifest = _manifest(config, apartments, seed, len(episodes), shard)
+        if codes := code_hashes(own):
+            manifest["agent_code"] = codes
+        if map_file is not None:
+            map_file = shipped(map_file, MAPS)
+            manifest["map_hash"] = _given_map_hash(config, map_file)
+        identity = ("map_hash", "agent_code", "config_hash", "shard")
+        owner = Owner("sweep", MANIFEST, manifest, identity=identity, resumed=(FILE,))
+        with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
+            done = {episode_key(row) for row in log.rows}
+            todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
+            for scene in dict.fromkeys(episode.condition.scene for episode in todo):
+                batch = [episode for episode in todo if episode.condition.scene == scene]
+                if map_file is not None:
+                    _copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
+                jobs = _jobs(batch, scene, out, config, manifest, on_progress)
+                worker.release_memory()
+                _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
     return out / FILE
+
+
+def leave_unguarded_import() -> None:
+    """End a worker process that imports a program without a guard, and would start a sweep; its parent reports it."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(1)
 
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:

@@ -11,12 +11,14 @@ import multiprocessing.connection
 import os
 import signal
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.protocols.registry import protocol_of
@@ -86,6 +88,7 @@ def initialise(started: "Event | None" = None, own: "Sequence[type[Agent]]" = ()
     if started is not None:
         started.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore", SceneWarning)  # the notices of the manifest say it once
     if own:
         from vssm_gym.agents.registry import register_agent
 

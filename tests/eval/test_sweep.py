@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import vssm_gym as vg
 from tests.chaos.disks import largest_file
 from tests.helpers.box_rooms import two_rooms
 from vssm_gym.cli.main import main
@@ -110,11 +111,17 @@ def test_a_scene_that_changed_cannot_continue_it(folder, finished, tmp_path):
         run_sweep(load_config(tmp_path / "sweep.yaml"), folder / "whole", resume=True)
 
 
-def test_rooms_that_are_cut_off_are_reported(tmp_path):
-    """A closed door between the two rooms: tasks stay in one of them, and manifest and report say so."""
+def test_rooms_that_are_cut_off_are_reported(tmp_path, capfd):
+    """A closed door between the two rooms: tasks stay in one of them, and manifest and report say so, output once."""
     save_scene(two_rooms(openness=0.0, leaves=1), tmp_path / "shut.json")
     (tmp_path / "sweep.yaml").write_text("scenes: shut.json\nagents: random\ntasks: 1\n")
-    run_sweep(load_config(tmp_path / "sweep.yaml"), tmp_path / "out", workers=1)
+    vg.run_sweep(load_config(tmp_path / "sweep.yaml"), str(tmp_path / "out"), workers=1)
+    said = capfd.readouterr()
+    assert said.err.count("cut off") == 1 and "Warning" not in said.err
+    assert "progress: running episodes: 1 of 1" in said.err
+    assert re.search(r"random +1 ", said.out)
+    vg.run_sweep(load_config(tmp_path / "sweep.yaml"), tmp_path / "out", resume=True, quiet=True)
+    assert capfd.readouterr() == ("", "")
     notice = json.loads((tmp_path / "out" / MANIFEST).read_text())["notices"]["shut"]
     assert re.match("cut off from the rest: (west|east); only the largest", notice)
     assert f"shut: {notice}" in write_report(tmp_path / "out").read_text()

@@ -19,14 +19,10 @@ def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, s
         seed: seed of the recorded drive from which the map is learned.
     """
     from vssm_gym import eval as evaluation
-    from vssm_gym.cli.shared.console import print_results
-    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.cli.shared.shown_sweep import run_sweep
     from vssm_gym.eval.report.page import write_report
     from vssm_gym.eval.sweep.config import load_config
-    from vssm_gym.eval.sweep.runner import run_sweep
 
     config = load_config(Path(evaluation.__file__).parent / "configs" / "demo.yaml")
-    with progress_bars() as progress:
-        log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, on_progress=progress)
-    print_results(log)
+    run_sweep(config, out, resume=resume, workers=workers, seed=seed)
     say(write_report(out))

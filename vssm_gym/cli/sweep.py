@@ -32,17 +32,11 @@ def sweep(
         shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` joins the parts.
         seed: seed of the recorded drives from which maps are learned; episodes take theirs from the configuration.
     """
-    from vssm_gym.cli.shared.console import print_notices, print_results
-    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.cli.shared.shown_sweep import run_sweep
     from vssm_gym.eval.sweep.config import load_config
-    from vssm_gym.eval.sweep.runner import run_sweep
     from vssm_gym.eval.sweep.shards import Shard
 
     part = None if shard is None else Shard.parse(shard)
-    checked = load_config(config)
-    print_notices(checked.scenes, checked.env[0])
-    with progress_bars() as progress:
-        log = run_sweep(checked, out, resume=resume, workers=workers, seed=seed, shard=part, on_progress=progress)
-    print_results(log)
+    log = run_sweep(load_config(config), out, resume=resume, workers=workers, seed=seed, shard=part)
     following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} have finished"
     say(f"episodes: {log}", f"next: vssm-gym {following}")

@@ -23,6 +23,7 @@ from vssm_gym.envs.conventions.relative_goal import (
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.scenes.apartment_parts import MAX_COORDINATE
+from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.envs.sensors.task_observation import TaskObservation
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.navigation import SUCCESS, Task, TaskSet, checked_set
@@ -75,7 +76,8 @@ class PointNavEnv(PhasedEnv):
         self._adopt()
         if names := self.sampler.space.cut_off_rooms():
             kept = "tasks are drawn from the largest connected part"
-            warnings.warn(f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}", stacklevel=2)
+            message = f"{self.apartment.name}: cut off from the rest: {', '.join(names)}; {kept}"
+            warnings.warn(message, SceneWarning, stacklevel=2)
         self.tasks = None if tasks is None else checked_set("PointNav", tasks, self.apartment)
         if tasks is not None and self.simulation.scenes > 1:
             raise InputError("PointNav", "tasks", "no tasks of one scene where the scene varies")

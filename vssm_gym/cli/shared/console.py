@@ -5,6 +5,7 @@ no cursor and begin no line. The linter refuses ``print`` and rich's own console
 """
 
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,10 +64,14 @@ def print_results(log: Path) -> None:
 
 def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
     """Print warnings about scenes on stderr, one line each, before anything runs in them."""
+    from vssm_gym.envs.scenes.faults import SceneWarning
     from vssm_gym.eval.episodes.identity import scene_name
     from vssm_gym.eval.protocols.registry import protocol_of
 
     protocol = protocol_of(env)
     for scene in scenes:
-        if notice := protocol.notice(protocol.load(scene)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SceneWarning)  # the notice has the same text
+            notice = protocol.notice(protocol.load(scene))
+        if notice:
             say(f"warning: {scene_name(scene)}: {notice}", error=True)

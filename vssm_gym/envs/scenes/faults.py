@@ -25,6 +25,10 @@ MOST_SENTENCES = 20  # sentences of one check; more are counted
 Check = Callable[[Apartment], list[str]]
 
 
+class SceneWarning(UserWarning):
+    """Warn of a fault of a scene, or of a part that no robot reaches; sweeps and commands show it as a notice."""
+
+
 def with_notes(apartment: Apartment, *checks: Check) -> Apartment:
     """Return the apartment with the findings of the checks in its ``notes``, after one warning with the same text."""
     found: list[str] = []
@@ -35,7 +39,7 @@ def with_notes(apartment: Apartment, *checks: Check) -> Apartment:
         )
     if not found:
         return apartment
-    warnings.warn(f"{apartment.name}: {'; '.join(found)}", stacklevel=3)
+    warnings.warn(f"{apartment.name}: {'; '.join(found)}", category=SceneWarning, stacklevel=3)
     new = [sentence for sentence in found if sentence not in apartment.notes]  # a scene imported and saved has them
     return apartment.model_copy(update={"notes": (*apartment.notes, *new)})
 
