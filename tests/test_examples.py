@@ -20,7 +20,11 @@ PROGRAMS = {
     "map_and_plan": ([], ["room.npz", "room.png"], r"a path of \d\.\d\d m"),
     "own_agent": ([], ["compared/*/episodes.jsonl"], r"oracle +task 2: success True"),
     "slam": ([], ["trajectory.txt", "map.npz"], r"s  ok    stds \[\d"),
-    "train_ppo": (["0.3"], ["ppo_pointnav.zip"], r"steps: \d+% success in the last \d+ episodes"),
+    "train_ppo": (
+        ["0.3"],
+        ["ppo_pointnav.zip"],
+        r"random actions: \d+% success, SPL \d\.\d\d in 16 (?s:.*)steps: \d+.*\n.*PPO\.load",
+    ),
 }
 
 

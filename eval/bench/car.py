@@ -91,7 +91,7 @@ def measure(*, scene: str = SCENE, steps: int, seed: int, on_progress: OnProgres
         rows += part()
         if on_progress:
             on_progress("measuring", i + 1, len(parts))
-    missing = None if bullet else "PyBullet is not installed: pip install 'vssm-gym[bullet]'"
+    missing = None if bullet else "PyBullet is not installed: pip install -c constraints.txt '.[bullet]'"
     return {"scene": scene, "steps": steps, "rows": rows, "missing": missing, "machine": machine}
 
 

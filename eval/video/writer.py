@@ -23,7 +23,7 @@ VIDEO_RATE = 15  # frames a second
 VIDEO_CRF = 20  # H.264's constant rate factor: 0 is lossless, 51 the worst
 VIDEO_SIZE, VIDEO_DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
 HOLD = 2.0  # s that the last frame is shown
-HOW = "imageio-ffmpeg, which writes videos: pip install 'vssm-gym[viz]'"
+HOW = "imageio-ffmpeg, which writes videos: pip install -c constraints.txt '.[viz]'"
 
 
 def check_writer(command: str) -> None:

@@ -17,9 +17,11 @@ from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli import doctor as doctor_module
 from vssm_gym.cli import main as main_module
 from vssm_gym.cli.doctor import Probe, run_probe
+from vssm_gym.cli.train import _evaluation
 from vssm_gym.compilation_cache import cache_folder
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
 from vssm_gym.errors import InputError, OutputError
+from vssm_gym.training.config import load_training
 
 HEAVY = ["jax", "mujoco", "numba", "matplotlib", "scipy", "shapely", "embreex", "jinja2"]
 
@@ -334,7 +336,29 @@ def test_doctor_says_how_to_get_an_absent_extra(monkeypatch):
     )
     finding = doctor_module.extra("rl")
     assert not finding.ok and not finding.required
-    assert (finding.detail, finding.remedy) == ("not installed: no-such-thing", 'pip install "vssm-gym[rl]"')
+    assert (finding.detail, finding.remedy) == (
+        "not installed: no-such-thing",
+        'pip install -c constraints.txt ".[rl]" in the checkout',
+    )
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [
+        ({"id": "vssm_gym/PointNavGPS-v0", "scene": "fern"}, "--scene fern --out DIR"),
+        ({"id": "vssm_gym/PointNav-v0", "scene": "my house.json"}, "--scene 'my house.json' --out DIR"),
+        ({"map": "oak"}, "--scene oak --map oak --out DIR"),
+        ({"map": "{0}/den.npz"}, "--scene SCENE --map .*den\\.npz --out DIR"),
+    ],
+)
+def test_train_names_the_evaluation_where_it_was_trained(tmp_path, where, told):
+    where = {name: value.format(tmp_path) for name, value in where.items()}
+    (tmp_path / "den.npz").touch()
+    inputs = ["scan", "goal"]
+    file = tmp_path / "t.yaml"
+    content = {"name": "x", "environment": where, "policy": {"inputs": inputs}, "algorithm": {"name": "ppo"}}
+    file.write_text(json.dumps(content | {"steps": 1}))
+    assert re.fullmatch(f"vssm-gym evaluate p.npz {told}", _evaluation(Path("p.npz"), load_training(file)))
 
 
 def test_doctor_without_an_installed_distribution_says_so(monkeypatch):

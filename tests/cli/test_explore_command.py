@@ -97,7 +97,7 @@ def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
     monkeypatch.setattr("vssm_gym.eval.video.writer.importlib.import_module", missing)
     code, _, err = vssm("explore", "--scene", "fern", "--out", tmp_path / "new")
     assert (code, err.count("\n")) == (2, 1)
-    assert "pip install 'vssm-gym[viz]'" in err
+    assert "pip install -c constraints.txt '.[viz]'" in err
     assert list(tmp_path.iterdir()) == []
 
 

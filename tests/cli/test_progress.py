@@ -180,7 +180,7 @@ def commands(tree: dict[str, Any]) -> Iterator[Callable[..., Any]]:
 
 
 def test_every_command_that_shows_progress_says_how_to_go_on():
-    shows = re.compile(r"(progress_bars|progress_of|_live)\(")
+    shows = re.compile(r"(progress_bars|progress_of|_live|run_sweep)\(")
     long = [command for command in commands(main_module.COMMANDS) if shows.search(inspect.getsource(command))]
     assert len(long) >= 14
     assert [command.__name__ for command in long if not hasattr(command, "__wrapped__")] == []

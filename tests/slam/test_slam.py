@@ -296,7 +296,7 @@ def test_without_rerun_the_viewer_is_refused_before_any_work(vssm, recording, tm
     monkeypatch.setitem(sys.modules, "rerun", None)
     code, _, err = vssm("slam", recording, "--out", tmp_path / "out", "--viewer")
     assert (code, err.count("\n")) == (2, 1)
-    assert "vssm-gym[viz]" in err
+    assert "'.[viz]'" in err
     assert names(tmp_path) == []
 
 

@@ -184,7 +184,7 @@ def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
     monkeypatch.setattr("vssm_gym.eval.video.writer.importlib.import_module", missing)
     code, _, err = vssm("evaluate", tmp_path / "policy.npz", "--out", tmp_path / "out", "--video", 0)
     assert (code, err.count("\n")) == (2, 1)
-    assert "pip install 'vssm-gym[viz]'" in err
+    assert "pip install -c constraints.txt '.[viz]'" in err
     assert not (tmp_path / "out").exists()
 
 

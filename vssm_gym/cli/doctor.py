@@ -155,7 +155,13 @@ def extra(name: str) -> Finding:
     versions, absent = _installed(name)
     detail = f"{', '.join(versions)}; " * bool(versions) + f"not installed: {', '.join(absent)}" * bool(absent)
     title = f"extra {name} ({EXTRAS[name]})"
-    return Finding(title, not absent, detail.removesuffix("; "), f'pip install "vssm-gym[{name}]"', False)
+    return Finding(
+        title,
+        not absent,
+        detail.removesuffix("; "),
+        f'pip install -c constraints.txt ".[{name}]" in the checkout',
+        False,
+    )
 
 
 def requirements(extra: str = "") -> list[str]:

@@ -1,5 +1,6 @@
 """Run ``vssm-gym train CONFIG --out DIR``: train a policy in a learned map, or in the simulator."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,7 +56,7 @@ def train(
         policy = run_training(checked, out, resume=resume, on_update=on_update)
     if last:
         say(_times(last))
-    say(f"log: {out / PROGRESS}", f"policy: {policy}", f"next: vssm-gym evaluate {policy} --out DIR")
+    say(f"log: {out / PROGRESS}", f"policy: {policy}", f"next: {_evaluation(policy, checked)}")
 
 
 def _summary(row: "Row", config: "TrainingConfig") -> str:
@@ -69,6 +70,17 @@ def _summary(row: "Row", config: "TrainingConfig") -> str:
         return text  # it counts no episodes
     ended = f"{row['episodes']} episode{'s' * (row['episodes'] != 1)} ended"
     return f"{text}, {ended}; success needs {ENOUGH_EPISODES} and {first_round(config):,} steps of this run"
+
+
+def _evaluation(policy: Path, config: "TrainingConfig") -> str:
+    """Return the command that evaluates a policy where it was trained; a map file does not name its scene."""
+    from vssm_gym.files.shipped import ASSETS, MAPS
+
+    scene, file = config.environment.scene or "SCENE", config.environment.map
+    if file is not None and Path(file).parent == (ASSETS / MAPS).resolve():
+        scene = file = Path(file).stem  # a map of the package is named after its scene
+    words = ["vssm-gym", "evaluate", str(policy), "--scene", scene, *(["--map", file] if file else [])]
+    return f"{shlex.join(words)} --out DIR"
 
 
 def _times(row: "Row") -> str:

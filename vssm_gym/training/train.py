@@ -111,7 +111,7 @@ def _row(now: Any) -> Row:
 
 def _check_extra() -> None:
     if not all(importlib.util.find_spec(name) for name in LIBRARIES[:2]):
-        raise InputError("train", "stable-baselines3", 'the extra "rl": pip install "vssm-gym[rl]"')
+        raise InputError("train", "stable-baselines3", 'the extra "rl": pip install -c constraints.txt ".[rl]"')
 
 
 def _manifest(config: TrainingConfig) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from vssm_gym.geometry.axes import Matrix4
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.viz.mesh import Mesh
 
-HOW = "rerun: pip install 'vssm-gym[viz]'"  # of the error without it
+HOW = "rerun: pip install -c constraints.txt '.[viz]'"  # of the error without it
 PATH_EVERY = 10  # frames between two drawings of the whole path
 IMAGE_DISTANCE = 0.3  # m from the camera at which its image is drawn in space
 # RGB of positions, of lost ones, of the path

@@ -49,7 +49,9 @@ class BulletCar:
         try:
             import pybullet
         except ImportError as error:
-            expected = "the extra `bullet` to be installed (pip install 'vssm-gym[bullet]'), or physics='mujoco'"
+            expected = (
+                "the extra `bullet` to be installed (pip install -c constraints.txt '.[bullet]'), or physics='mujoco'"
+            )
             raise InputError("environment", "physics", expected) from error
         self._bullet = pybullet
         self._client = pybullet.connect(pybullet.DIRECT)

@@ -53,7 +53,9 @@ def _pygame(title: str) -> Any:
     try:
         return import_module("pygame")
     except ImportError:
-        expected = "the extra `human` to be installed (pip install 'vssm-gym[human]'), or render_mode='rgb_array'"
+        expected = (
+            "the extra `human` to be installed (pip install -c constraints.txt '.[human]'), or render_mode='rgb_array'"
+        )
         raise InputError(title, "render_mode", expected) from None
 
 
