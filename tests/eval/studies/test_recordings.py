@@ -87,12 +87,12 @@ def smooth(delay: float, delta: np.ndarray) -> Estimates:
         places = np.stack([np.sin(0.5 * t), 0.5 * np.cos(t), 0.1 * t], axis=-1)
         return np.array([tangent(np.concatenate(pair)) for pair in zip(places, turns, strict=True)])
 
-    times, stamps = 0.1 * np.arange(120), 0.01 * np.arange(-100, 1300)
+    times, stamps = 0.1 * np.arange(60), 0.02 * np.arange(-25, 325)
     right = motion(times)
     T_est = right @ np.array([np.eye(4)] + [tangent(1e-3 * rng.normal(size=6)) for _ in times[1:]])
     # The first recorded pose, at its own clock, is the right one times exp(-delta): undo it with exp(delta).
     recorded = motion(stamps - delay)
-    first = np.argmin(np.abs(stamps - delay))
+    first = np.argmin(np.abs(stamps - delay))  # of the poses around it, from which it is interpolated
     recorded[first - 1 : first + 2] = recorded[first - 1 : first + 2] @ tangent(-delta)
     covariance = np.tile(np.diag([1e-6] * 6 + [1.0] * 6), (len(times), 1, 1))
     velocity = np.zeros((len(times), 6))
@@ -106,11 +106,17 @@ def test_a_known_delay_and_first_pose_are_recovered() -> None:
     both = nuisances.fit(given, delay=True, first_pose=True)
     assert both.delay == pytest.approx(0.03, abs=1e-3)
     np.testing.assert_allclose(both.delta, delta, atol=2e-3)
-    assert errors_of(given, both.delay, both.first_pose).nees.mean() / 6 == pytest.approx(1.0, abs=0.15)
+    drawn = errors_of(given, 0.03, tangent(delta)).nees.mean() / 6
+    assert drawn == pytest.approx(1.0, abs=0.3)
+    fitted = errors_of(given, both.delay, both.first_pose).nees.mean() / 6
+    assert 0.94 * drawn < fitted <= drawn  # least squares of seven numbers takes up a little of the noise
     assert errors_of(given).nees.mean() / 6 > 50.0
     alone = nuisances.fit(smooth(0.03, np.zeros(6)), delay=True, first_pose=False)
     assert alone.delay == pytest.approx(0.03, abs=1e-3)
     assert not alone.delta.any()
+    pose = nuisances.fit(smooth(0.0, delta), delay=False, first_pose=True)
+    assert pose.delay == 0.0
+    np.testing.assert_allclose(pose.delta, delta, atol=2e-3)
     nothing = nuisances.fit(smooth(0.0, np.zeros(6)), delay=True, first_pose=True)
     assert abs(nothing.delay) < 1e-3
     assert np.abs(nothing.delta).max() < 2e-3
