@@ -14,7 +14,7 @@ import pytest
 FOREIGN = 70  # exit code that pytest does not use
 
 
-class ImportsOf:
+class CopyGuard:
     """Stop the run unless the package lies in the copy, links followed."""
 
     def __init__(self, copy: Path) -> None:
@@ -34,7 +34,7 @@ def main(copy: str, *arguments: str) -> int:
     root = Path(copy).resolve()
     os.chdir(root)
     sys.path[0] = str(root)  # was this script's folder
-    return int(pytest.main(list(arguments), plugins=[ImportsOf(root)]))
+    return int(pytest.main(list(arguments), plugins=[CopyGuard(root)]))
 
 
 if __name__ == "__main__":
