@@ -21,7 +21,7 @@ from vssm_gym.data.trajectories import read_trajectory
 CHECKOUT = Path(__file__).resolve().parents[1]
 PAGE = (CHECKOUT / "docs" / "library.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-TITLES = ["map", "prism", "own camera", "own recording", "futures", "agent"]
+TITLES = ["map", "prism", "own camera", "own recording", "futures", "agent", "sweep"]
 OPENERS = ("Whether", "What", "How", "Of", "Where")  # no sentence that documents something starts so
 
 
@@ -228,6 +228,16 @@ def test_the_page_drives_an_agent():
     names = run("agent")
     assert names["info"]["success"]
     assert names["picture"].std() > 0
+
+
+@pytest.mark.slow
+def test_the_page_runs_a_sweep_and_shows_it(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    exec(SNIPPETS[TITLES.index("sweep")], {"__name__": "__main__"})
+    said = capfd.readouterr()
+    assert said.out.splitlines()[-1] == "2 episodes"
+    assert re.search(r"random +2 ", said.out)
+    assert "progress: running episodes: 2 of 2" in said.err
 
 
 # what the page needs of its functions

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.paths import CHECKOUT
+from vssm_gym.agents.base import AgentContext, Decision
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.envs import maze_noise
 from vssm_gym.envs.registration import ENVIRONMENTS
@@ -92,6 +93,14 @@ def test_every_texture_stands_on_its_page():
 
 def test_every_built_in_scene_stands_on_its_page():
     assert set(built_in_scenes()) <= named(section(DOCS / "scenes.md", "Built-in scenes"))
+
+
+@pytest.mark.parametrize("kind", [AgentContext, Decision])
+def test_the_fields_of_what_an_agent_knows_and_returns_stand_in_the_library(kind):
+    head = f"| field of `{kind.__name__}` |"
+    [table] = [text for text in (DOCS / "library.md").read_text().split("\n\n") if text.startswith(head)]
+    listed = [cells[0].strip("`") for cells in list(rows(table))[1:]]
+    assert listed == [field.name for field in dataclasses.fields(kind)]
 
 
 # levels of noise
