@@ -86,6 +86,20 @@ class PolicyAgent:
         gives_up = conduct is Conduct.GIVE_UP
         return Decision(action, estimate.planar.copy(), status, latency, gives_up=gives_up)
 
+    def commands(self, observations: Observation) -> np.ndarray:
+        """Return the policy's commands of imagined robots, ``(num_envs, 3)``: turn (rad), direction (rad), step (m).
+
+        Args:
+            observations: of ``vssm_gym/WorldModelNav-v0``, whose poses are estimates already.
+
+        Raises:
+            InputError: a policy of several steps, whose input is no single observation.
+        """
+        spec = self.policy.spec
+        if spec.frames != 1:
+            raise InputError(spec.name, "frames", f"a policy of one observation; it reads {spec.frames}")
+        return np.asarray(self.policy(features(observations, spec.parts)))
+
     def _look(self, observation: Observation, goal: np.ndarray, estimate: Localization) -> None:
         spec = self.policy.spec
         shown = {

@@ -315,3 +315,17 @@ def test_returns_are_computed_from_rows():
     assert real_return(lost) == pytest.approx(5.0 - 5.0)
     won = {"soft_spl": 0.75, "path_length": 8.0, "geodesic": 6.0, "steps": 60, "success": True}
     assert real_return(won) == pytest.approx(6.0 - 0.6 + 2.5)
+
+
+def test_imagined_robots_are_commanded_by_the_network_alone():
+    rng = np.random.default_rng(0)
+    seen = {"scan": rng.uniform(0.3, 4.0, (5, 64)), "goal": rng.normal(size=(5, 3)), "pose": rng.normal(size=(5, 3))}
+    seen["pose_std"] = rng.uniform(0.0, 0.1, (5, 3))
+    one = policy(frames=1)
+    commands = PolicyAgent(one).commands(seen)
+    assert commands.shape == (5, 3)
+    for k, command in enumerate(commands):
+        alone = {name: value[k] for name, value in seen.items()}
+        np.testing.assert_allclose(command, one(features(alone, one.spec.parts)), atol=1e-6)
+    with pytest.raises(InputError, match="frames: expected a policy of one observation; it reads 4"):
+        PolicyAgent(policy(frames=4)).commands(seen)
