@@ -85,8 +85,8 @@ MODEL = (
     Mutant(
         "planar-noise-in-the-frame-before-the-turn",
         f"{TRANSITION}/planar.py",
-        "along = jnp.array([jnp.cos(offset - turn), jnp.sin(offset - turn)])",
-        "along = jnp.array([jnp.cos(offset), jnp.sin(offset)])",
+        "c, s = jnp.cos(offset - turn), jnp.sin(offset - turn)",
+        "c, s = jnp.cos(offset), jnp.sin(offset)",
         (f"{PLANAR}::test_prediction_from_a_known_pose_agrees_with_simulation",),
     ),
     Mutant(
