@@ -104,7 +104,8 @@ def aligned_truth(
     if not len(tracked):
         raise InputError("study calibration", "frames", "one that is tracked, with a ground-truth pose")
     start = int(tracked[0])
-    T_true = interpolate(times, poses, given.times + delay)
+    origin = times[0]  # stamps since 1970 leave no digits for a small change of the delay
+    T_true = interpolate(times - origin, poses, given.times - origin + delay)
     T_first = T_true[start] if first_pose is None else T_true[start] @ first_pose
     return known, start, given.T_world_cam[start] @ inverse(T_first) @ T_true
 

@@ -96,7 +96,8 @@ def smooth(delay: float, delta: np.ndarray) -> Estimates:
     recorded[first - 1 : first + 2] = recorded[first - 1 : first + 2] @ tangent(-delta)
     covariance = np.tile(np.diag([1e-6] * 6 + [1.0] * 6), (len(times), 1, 1))
     velocity = np.zeros((len(times), 6))
-    return Estimates(times, T_est, velocity, covariance, np.ones(len(times), bool), (stamps, recorded))
+    since = 1.3e9  # s, as stamps of real recordings are
+    return Estimates(since + times, T_est, velocity, covariance, np.ones(len(times), bool), (since + stamps, recorded))
 
 
 def test_a_known_delay_and_first_pose_are_recovered() -> None:
