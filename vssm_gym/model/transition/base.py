@@ -45,7 +45,13 @@ class Transition(eqx.Module):
     def expected(self, state: Any, control: Float[Array, "*batch m"], dt: float | Array) -> Any:
         """``E[z' | z, u]`` to the order that the transition knows: :meth:`mean`, unless its noise moves the average.
 
-        Arguments and result are those of :meth:`mean`.
+        Args:
+            state: before the step, of the manifold; leading batch axes.
+            control: of the step, in the units of the transition.
+            dt: length of the step, s.
+
+        Returns:
+            The state, with the batch axes of ``state`` and ``control``.
         """
         return self.mean(state, control, dt)
 
