@@ -54,7 +54,7 @@ def test_an_empty_stream(tmp_path):
 
 def test_without_the_extra_the_error_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(InputError, match=r"--viewer: rerun: expected .*vssm-gym\[viz\]"):
+    with pytest.raises(InputError, match=r"--viewer: rerun: expected .*'\.\[viz\]'"):
         open_viewer("test", CAMERA)
 
 

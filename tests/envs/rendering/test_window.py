@@ -95,7 +95,7 @@ def test_a_process_has_one_window(pygame):
 
 def test_without_pygame_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(InputError, match=r"Room: render_mode: .*pip install 'vssm-gym\[human\]'"):
+    with pytest.raises(InputError, match=r"Room: render_mode: .*pip install -c constraints.txt '\.\[human\]'"):
         Window().show(PICTURE, "Room", 5.0)
 
 
