@@ -15,7 +15,7 @@ class Rectified(NamedTuple):
     with_noise: Float[Array, "*batch"]  # Cov[g, e]
 
 
-def rectified(size: Float[Array, "*batch"], std: Float[Array, "*batch"] | float) -> Rectified:
+def rectified(size: Float[Array, "*batch"], std: Float[Array, "*#batch"] | float) -> Rectified:
     """``E[g] = a Phi(a / s) + s phi(a / s)``, ``E[g^2] = (a^2 + s^2) Phi + a s phi``, ``Cov[g, e] = s^2 Phi``.
 
     Args:
