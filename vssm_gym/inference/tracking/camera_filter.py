@@ -58,8 +58,8 @@ class TrackingConfig:
     solver: str = "gauss_newton"  # a key of SOLVERS
     adam: AdamConfig = field(default_factory=AdamConfig)  # of the solver of that name
     rotation: RotationConfig | None = field(default_factory=RotationConfig)  # of the start; None: start as predicted
-    heading_starts: tuple[float, ...] = ()  # stds of each predicted angle at which the search may start, too, where
-    search_reach: float = 0.075  # rad: the angle's std is larger
+    heading_starts: tuple[float, ...] = ()  # stds: further starts are turned by them from the prediction
+    search_reach: float = 0.075  # rad: no further starts where the angles' stds are smaller
     exposure: bool = True  # whether to estimate the camera's gain
     adaptation: ProcessNoiseConfig | None = field(
         default_factory=ProcessNoiseConfig
