@@ -16,14 +16,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
 
 from vssm_gym.eval.metrics.aggregate import bootstrap_mean
+from vssm_gym.eval.metrics.pose_calibration import inside_region
 from vssm_gym.eval.metrics.proportions import clopper_pearson
 from vssm_gym.slam.calibration import nees
 from vssm_gym.slam.states import NORMAL_95
-
-REGION = 0.95  # probability of the region whose coverage is counted
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ def summarise(runs: Sequence[RunErrors]) -> dict[str, Any]:
     interval = bootstrap_mean(values, range(len(values)))
     ends = [end for run in runs for end in run.ends]
     known = np.array([end for end in ends if end is not None])
-    inside = int(np.count_nonzero(known <= chi2.ppf(REGION, d)))
+    inside = int(np.count_nonzero(inside_region(known, d)))
     low, high = clopper_pearson(inside, len(known)) if len(known) else (None, None)
     squares = np.concatenate([np.sum(one.residuals[:, translation] ** 2, axis=1) for one in whole])
     variances = np.concatenate([np.einsum("nii->ni", one.covariances)[:, translation].sum(axis=1) for one in whole])

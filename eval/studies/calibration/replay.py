@@ -10,16 +10,14 @@ from jaxtyping import Bool, Float
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.localization import start_filter
+from vssm_gym.eval.metrics.pose_calibration import planar_residuals
 from vssm_gym.eval.studies.calibration.errors import FilterErrors, RunErrors
-from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
-from vssm_gym.model.transition.manifold import PLANAR
-from vssm_gym.slam.calibration import pose_residuals, segments
+from vssm_gym.slam.calibration import segments
 
 MapOf = Callable[[AgentContext], VoxelMap | None]  # the map of a filter that starts with this context
-AXES = np.flatnonzero(PLANAR.twists.any(axis=1))  # coordinates of a twist that a body on the floor has
 
 
 @dataclass(frozen=True)
@@ -88,10 +86,9 @@ def errors_of(drive: Drive, name: str, map_of: MapOf) -> FilterErrors:
         covariances.append(info.belief.covariance)
         accepted.append(info.status.accepted)
     mean, covariance = jax.device_get((means, covariances))
-    estimate, truth = (planar_to_matrix(np.asarray(poses, np.float64)) for poses in (mean, drive.planar[1:]))
     kept = np.array(accepted)
     return FilterErrors(
-        residuals=pose_residuals(estimate[kept], truth[kept])[:, AXES],
+        residuals=planar_residuals(np.asarray(mean)[kept], drive.planar[1:][kept]),
         covariances=np.asarray(covariance, np.float64)[kept],
         frames=len(kept),
         lost=int(np.count_nonzero(~kept)),

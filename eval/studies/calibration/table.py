@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vssm_gym.eval.studies.calibration.errors import REGION
+from vssm_gym.eval.metrics.pose_calibration import REGION
 from vssm_gym.eval.studies.page import Study
 from vssm_gym.slam.states import tidy
 from vssm_gym.viz import pictures
