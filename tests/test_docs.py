@@ -15,10 +15,12 @@ import pytest
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.cli.main import COMMANDS, build_app
 from vssm_gym.envs.robots.holonomic import NOISE_LEVELS
+from vssm_gym.inference.alignment import reference_view, surface_error
 from vssm_gym.inference.alignment.adam import AdamConfig
 from vssm_gym.inference.alignment.aliasing import APART, COLOUR_MARGIN, CORRELATION_MARGIN, FARTHEST_SHIFT
 from vssm_gym.inference.alignment.depth_scale import DEPTH_SCALES
 from vssm_gym.inference.alignment.residuals import AlignConfig
+from vssm_gym.inference.alignment.surface_error import SurfaceErrorConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
 from vssm_gym.inference.tracking.camera_filter import COMMANDED, TrackingConfig
@@ -201,12 +203,22 @@ STATED = [
     ("I12", "0.02 and 0.1", (AdamConfig().geo_scale, AdamConfig().rgb_scale), (0.02, 0.1)),
     ("I14", "0.075 rad", TrackingConfig().search_reach, 0.075),
     ("I14", "-2, -1, 1 and 2 stds", COMMANDED.heading_starts, (-2.0, -1.0, 1.0, 2.0)),
-    ("I16", "0.8 Sigma_t-1", TrackingConfig().smoothing, 0.8),
+    ("I15", "0.8 Sigma_t-1", TrackingConfig().smoothing, 0.8),
+    ("I15", "in [1, 10]", COMMANDED.most_correlated, 10.0),
+    ("I15", "`kappa`\nis 1", TrackingConfig().most_correlated, 1.0),
+    ("I16", "0.25))^2", SurfaceErrorConfig().least_residual, 0.25),
+    ("I16", "of 1 m", SurfaceErrorConfig().patch, 1.0),
+    ("I16", "1250 pixels", SurfaceErrorConfig().pixels, 1250),
+    ("I16", "slot of 256", surface_error.SLOTS, 256),
+    ("I16", "0.12 cells in a learned map", reference_view.LEARNED, 0.12),
+    ("I16", "0.06 cells in one just written", reference_view.JUST_WRITTEN, 0.06),
+    ("I16", "0.002 m in a camera image", reference_view.TAKEN, 0.002),
+    ("I17", "exp(-d / 1 m)", SurfaceErrorConfig().patch, 1.0),
     ("I18", "tau = 1 s,  c = 1.5", (ProcessNoiseConfig().time_constant, ProcessNoiseConfig().caution), (1.0, 1.5)),
     ("I18", "0.2^2 <= s^2", ProcessNoiseConfig().floor, 0.2),
     ("I19", "trunc = 2 voxels", MapUpdateConfig().truncation, 2.0),
     ("I20", "w = 1", MapUpdateConfig().std, 1.0),
-    ("I23", "k = 16", PrismConfig().correlated_images, 16.0),
+    ("I24", "s_t = 0.01 s,  s_c = 0.003", (PrismConfig().stamp_std, PrismConfig().calibration_std), (0.01, 0.003)),
     ("I25", "0.15 m", PrismConfig().reference_distance, 0.15),
     ("I25", "0.15 rad", PrismConfig().reference_angle, 0.15),
     ("I26", "a quarter of the edge", PrismConfig().window_margin, 0.25),

@@ -8,9 +8,9 @@ import pytest
 
 from tests.helpers.analytic_room import Room, camera_pose
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.alignment import reference_view
 from vssm_gym.inference.alignment.agreement import Agreement, agreement, fixes_pose
 from vssm_gym.inference.alignment.depth_scale import fits_unscaled
-from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignConfig, make_observed, make_reference, stride
 from vssm_gym.inference.tracking.confirmation import ConfirmationConfig, colour_confirms
 from vssm_gym.model.emission import RGBD
@@ -69,7 +69,7 @@ def test_the_correlation_does_not_depend_on_the_exposure() -> None:
 def test_an_image_without_contrast_confirms_nothing_and_refutes_nothing() -> None:
     """A foreseen step is plausible in a grey image and not in a mirrored one; neither confirms another step."""
     image = ROOM.image(HERE, CAMERA)
-    reference = ReferenceView(jnp.eye(4), image, None, None)
+    reference = reference_view.of_image(jnp.eye(4), image)
 
     @jax.jit
     def confirmed(shown: RGBD, expected: bool) -> jax.Array:

@@ -28,12 +28,16 @@ from tests.helpers.prism_room import (
 )
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_log
+from vssm_gym.inference.alignment import surface_error
+from vssm_gym.inference.alignment.exposure import expose
+from vssm_gym.inference.alignment.surface_error import SurfaceErrorConfig
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import PrismState, _draw_poses
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter, process_noise
 from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingConfig, TrackingInput
+from vssm_gym.inference.tracking.error_covariance import nothing
 from vssm_gym.model import emission
 from vssm_gym.model.transition import RIGID, Rigid, RigidNoise, Transition, rigid_belief
 
@@ -79,10 +83,9 @@ def track(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
-    """Compare steps 1, 3 and 4 in float64: ``q(pose) q(velocity | pose)``, the Laplace pose, and their product.
+    """Compare steps 1, 3 and 4 in float64: ``e' = (1 - K H) e + K g`` of the whole state, ``K = (P^-1 + H)^-1``.
 
-    The joint's precision is the predicted one plus what the smoothed pose gained over the predicted pose: dense
-    12 x 12 algebra with neither a split nor a conditional in it.
+    Dense 12 x 12 algebra with neither a split nor a conditional in it.
     """
     state, _ = walked(FRAMES)
     prior = state.past.belief
@@ -90,22 +93,30 @@ def test_a_step_is_the_linear_gaussian_algebra(seed: int) -> None:
         root = np.random.default_rng(seed).standard_normal((12, 16)) / 4.0
         scale = np.repeat([0.01, 0.01, 0.2, 0.3], 3)
         prior = rigid_belief(prior.mean, jnp.asarray((root @ root.T) * np.outer(scale, scale), jnp.float32))
-    tracked = track(state, FRAMES + 1, belief=prior)
+    tracked = track(state, FRAMES + 1, belief=prior, considered=nothing(12))
     scale = process_noise.scale(RIGID, state.past.noise_scale)
     predicted = HAND.predict(prior, jnp.zeros(6), jnp.float32(DT), scale)
     P = np.asarray(predicted.covariance, float)
     P_pose = np.linalg.inv(P[:6, :6])
-    laplace = np.linalg.inv(2.0 * np.asarray(tracked.fit_quality.information, float) + P_pose)
-    smoothed = (
-        CONFIG.tracking.smoothing * np.asarray(state.past.laplace, float) + (1 - CONFIG.tracking.smoothing) * laplace
+    T_ref_cam = inverse(state.reference.T_world_cam) @ tracked.T_world_cam
+    seen = expose(image(FRAMES + 1), tracked.gain)
+    moving = surface_error.influence(
+        T_ref_cam, jnp.eye(6), state.reference, seen, CAMERA, CONFIG.tracking.align, SurfaceErrorConfig()
     )
-    # Multiply N(predicted) by a factor of the pose alone that turns its marginal into the smoothed Gaussian.
-    precision = np.linalg.inv(P)
-    precision[:6, :6] += np.linalg.inv(smoothed) - P_pose
-    covariance = np.linalg.inv(precision)
+    H = np.zeros((12, 12))
+    H[:6, :6] = moving.curvature
+    K = np.linalg.inv(np.linalg.inv(P) + H)
+    G = np.zeros((12, len(moving.surfaces)))
+    G[:6] = np.asarray(moving.surfaces, float).T
+    S = np.zeros((12, 12))
+    S[:6, :6] = moving.noise
+    A = np.eye(12) - K @ H
+    covariance = A @ P @ A.T + K @ (G @ G.T + S) @ K.T
     scale = np.sqrt(np.diag(covariance))
     got = np.asarray(tracked.belief.covariance, float)
-    np.testing.assert_allclose(got / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=5e-3)
+    np.testing.assert_allclose(got / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-2)
+    cross = np.asarray(tracked.considered.state_surfaces, float)
+    np.testing.assert_allclose(cross / scale[:, None], K @ G / scale[:, None], atol=1e-2)
     # The mean: the regression of the predicted velocity error on the pose's, at the pose that was found.
     T_prior, T = predicted.mean.T_world_body, tracked.belief.mean.T_world_body
     moved = np.asarray(se3_log(inverse(T_prior) @ T), float)

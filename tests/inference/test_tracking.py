@@ -1,5 +1,7 @@
 """Test tracking of a planar robot in a known map: accuracy, loss of track and relocalisation."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +15,7 @@ from vssm_gym.inference.filter import Filter, FilterInfo, Rig
 from vssm_gym.inference.mapping import map_update
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter
-from vssm_gym.inference.tracking.map_tracker import FrameTracker, MapTracker, TrackerState
+from vssm_gym.inference.tracking.map_tracker import ROBOT_TRACKING, FrameTracker, MapTracker, TrackerState
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
@@ -112,13 +114,14 @@ def test_frame_to_frame_tracking_drifts_within_its_covariance() -> None:
     assert float(state.past.belief.covariance[2, 2]) > 10 * 1e-6  # of the heading, known to 1 mrad at the start
 
 
-def test_images_only_add_information() -> None:
+def test_the_published_posterior_adds_information() -> None:
     """``Sigma^-1 = 2 J^T J + P`` (PRISM, step 3) is at least the prediction's precision in every direction."""
-    state = start()
+    published = MapTracker(RIG, MOTION, replace(ROBOT_TRACKING, surface_error=None))
+    state = start(published)
     for command, planar in drive(5, 4):
         predicted = MOTION.predict(state.past.belief, jnp.asarray(command, jnp.float32), ROBOT.dt)
         spread = np.asarray(predicted.covariance, float)
-        state, info = step(state, command, see(planar))
+        state, info = step(state, command, see(planar), published)
         posterior = np.asarray(state.past.belief.covariance, float)
         information = 2.0 * np.asarray(info.fit_quality.information, float) + np.linalg.inv(spread)
         np.testing.assert_allclose(posterior @ information, np.eye(3), atol=2e-2)

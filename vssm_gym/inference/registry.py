@@ -42,7 +42,7 @@ def _tracker(rig: Rig, transition: Transition) -> Filter:
 def _adam(rig: Rig, transition: Transition) -> Filter:
     """Make the tracker with the published solver."""
     config = ROBOT_TRACKING if transition.commanded else TrackingConfig()
-    return MapTracker(rig, transition, replace(config, solver="adam", adam=TRACKER_ADAM))
+    return MapTracker(rig, transition, replace(config, solver="adam", adam=TRACKER_ADAM, surface_error=None))
 
 
 FILTERS: dict[str, FilterEntry] = {

@@ -2,7 +2,7 @@
 
 Geometry comes from the map alone. Colour has two sources: the rendered image, which does not drift but is as coarse as
 the cells, and the camera image taken at the same pose, which is sharp. Where the map is unobserved, the camera image
-replaces the rendered one.
+replaces the rendered one; pixels beside such a seam are left out.
 """
 
 import equinox as eqx
@@ -17,6 +17,11 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission, emission_uncertainty
 from vssm_gym.model.emission import RGBD
 
+# Standard deviations of the displacement of a surface; chosen on the scenes for training.
+LEARNED = 0.12  # cells, in a map learned before
+JUST_WRITTEN = 0.06  # cells, in a map that was written from about the same place
+TAKEN = 0.002  # m, in a camera image
+
 
 class ReferenceView(eqx.Module):
     """Hold the view that the next images are aligned to."""
@@ -25,16 +30,23 @@ class ReferenceView(eqx.Module):
     image: RGBD  # rendered from the map mean, unknown pixels from the camera image
     seen: Float[Array, "height width"] | None  # luminance of the camera image taken there, [0, 1]; None: none was
     spread: Float[Array, "height width"] | None  # m, std of the rendered depth under q(M); None: the mean is taken
+    displacement: Float[Array, ""]  # m, std of the error that a whole surface has in common
 
 
 @jax.jit
 def _combine(rendered: RGBD, taken: RGBD) -> tuple[RGBD, Array]:
     known = rendered.known
+    seam = jnp.zeros_like(known)
+    for axis in (0, 1):
+        for by in (1, -1):
+            seam |= jnp.roll(known, by, axis) != known
     image = RGBD(
         depth=jnp.where(known, rendered.depth, taken.depth),
         rgb=jnp.where(known[..., None], rendered.rgb, taken.rgb),
         hit=jnp.where(known, rendered.hit, taken.hit),
-        known=known | taken.known,
+        # Where the two sources meet, steps of depth and colour are not those of the scene; what is unknown has no
+        # neighbours either.
+        known=known | (taken.known & ~seam),
     )
     return image, luminance(taken.rgb)
 
@@ -62,12 +74,18 @@ def from_image(
     if expected:
         std = _depth_std(m, T_world_cam, camera, rendered)
         spread = jnp.where(rendered.known, std, 0.0)  # a camera image's own noise is in the residual's scale
-    return ReferenceView(T_world_cam, image, seen, spread)
+    return ReferenceView(T_world_cam, image, seen, spread, jnp.float32(JUST_WRITTEN * m.voxel_size))
 
 
 def from_map(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_depth: float) -> ReferenceView:
     """Render the reference view at a pose without a camera image, from the map alone."""
-    return ReferenceView(T_world_cam, emission.render(m, T_world_cam, camera, max_depth), None, None)
+    image = emission.render(m, T_world_cam, camera, max_depth)
+    return ReferenceView(T_world_cam, image, None, None, jnp.float32(LEARNED * m.voxel_size))
+
+
+def of_image(T_world_cam: Float[Array, "4 4"], taken: RGBD) -> ReferenceView:
+    """Make the reference view of a camera image alone, at the pose where it is believed to be taken."""
+    return ReferenceView(T_world_cam, taken, None, None, jnp.float32(TAKEN))
 
 
 @jax.jit

@@ -22,7 +22,8 @@ class PrismConfig:
     track_width: int | None = 160  # pixels: images are tracked at this width and mapped at their own; None: unchanged
     reference_distance: float = 0.15  # m and
     reference_angle: float = 0.15  # rad: the reference view serves until the camera is farther from it than either
-    correlated_images: float = 16.0  # k of the drift: between 4 (simulated walks) and 100 (a Kinect), both calibrated
+    stamp_std: float = 0.01  # s, of an image's time stamp: colour and depth are taken up to half a frame apart
+    calibration_std: float = 0.003  # m and rad, of the pose by the intrinsics and by where the camera is on its body
     window_margin: float | None = 0.25  # of the map's edge: the window moves beyond this from its middle; None: never
 
     def __post_init__(self) -> None:
@@ -34,4 +35,6 @@ class PrismConfig:
 HAND_HELD = PrismConfig()
 # For a robot whose commands are known. After an image that is not accepted, the map stays unchanged and the pose
 # follows the commands; the next images are compared with the map at the predicted pose, until one is accepted.
-ROBOT_PRISM = PrismConfig(tracking=COMMANDED, recovery=None, window_margin=None, track_width=None)
+ROBOT_PRISM = PrismConfig(
+    tracking=COMMANDED, recovery=None, window_margin=None, track_width=None, stamp_std=0.0, calibration_std=0.0
+)

@@ -5,12 +5,13 @@ One step, for a body that moves by any transition (constant velocity, an IMU, a 
 
 1. *Prior.* The belief is pushed through the linearised transition and split, ``q(pose) q(velocity | pose)``.
 2. *Pose by MAP* against the reference view: an image rendered from the map mean, with the camera image taken there.
-3. *Laplace.* ``Sigma^-1 = 2 J^T J + P_prior``, smoothed over time.
-4. *Velocity* in closed form: the new ``q(pose)`` times the old ``q(velocity | pose)``.
+3. *Covariance*, as errors propagate through the estimate: of the prior, of pixels, of the surfaces aligned to.
+4. *Velocity* in closed form: the new pose with the old ``q(velocity | pose)``.
 5. *Map* by the closed-form update; then a new reference view where the camera has left the old one.
 
 Approximations: the pose is estimated against the map's mean and the map is updated at the pose's mean (single-sample
-expectations; ``samples`` widens both), pose and map are not correlated, and cells are independent. An image that is not
+expectations; ``samples`` widens both), pose and map are correlated by the drift of the map's frame alone, and cells are
+independent. An image that is not
 accepted updates neither belief. Recovery then tries other poses (:mod:`~vssm_gym.inference.tracking.recovery`);
 without recovery, the next images are compared with the map rendered where the commands have led.
 """
@@ -24,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.transforms import se3_exp
+from vssm_gym.geometry.transforms import inverse, se3_exp, se3_log
 from vssm_gym.inference.alignment import reference_view
 from vssm_gym.inference.alignment.exposure import expose
 from vssm_gym.inference.alignment.reference_view import ReferenceView
@@ -53,7 +54,6 @@ class PrismState(eqx.Module):
     past: Past  # q_t(z_t), of the body against the map; and the image behind it
     reference: ReferenceView
     keyframes: Keyframes | None  # None: no recovery
-    drift: Float[Array, "6 6"]  # covariance of the map's frame around the body in the world, tangent of the world
     lost: bool  # the last image was not accepted
     key: PRNGKeyArray
     measurement_noise: MeasurementNoise  # of the posterior
@@ -107,7 +107,7 @@ class Prism:
             "reference",
             reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1),
         )
-        return PrismState(m, past, reference, kept, jnp.zeros((6, 6)), False, key, prior.measurement_noise)
+        return PrismState(m, past, reference, kept, False, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -150,7 +150,7 @@ class Prism:
         past, status = located.past, located.status
         if not status.accepted:
             lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
-            return lost, FilterInfo(status, drift.in_world(past.belief, state.drift), located.fit_quality)
+            return lost, FilterInfo(status, _in_world(past, self.transition, config), located.fit_quality)
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
             image = _expose(image, located.gain)
@@ -162,9 +162,7 @@ class Prism:
                 dropped = int(fell)
         before = drift.precision(m, T, small, view.camera)
         m = clock("map", self._mapped(m, image, past, mapping))
-        drifted = drift.grow(
-            state.drift, before, drift.precision(m, T, small, view.camera), past.belief, small, config.correlated_images
-        )
+        past = _written(past, before, drift.precision(m, T, small, view.camera), small)
         kept, reference = state.keyframes, state.reference
         if kept is not None and config.recovery is not None:
             kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera, config.recovery.keyframe)
@@ -173,8 +171,8 @@ class Prism:
             reference = clock(
                 "reference", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
             )
-        info = FilterInfo(status, drift.in_world(past.belief, drifted), located.fit_quality, dropped)
-        return PrismState(m, past, reference, kept, drifted, False, key, state.measurement_noise), info
+        info = FilterInfo(status, _in_world(past, self.transition, config), located.fit_quality, dropped)
+        return PrismState(m, past, reference, kept, False, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``.
@@ -213,6 +211,27 @@ def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -
     half = (samples / (samples - 1)) ** 0.5 * jax.random.normal(key, (samples // 2, p)) @ root.T
     errors = jnp.concatenate([jnp.zeros((1, p)), half, -half]) @ twists.T
     return posterior.manifold.pose(posterior.mean) @ se3_exp(errors) @ rig.T_body_cam
+
+
+@jax.jit
+def _written(past: Past, before: Array, after: Array, image: RGBD) -> Past:
+    """Return the past after its pose's error has entered the map."""
+    considered = past.considered.write(past.belief, drift.share(before, after, image))
+    return eqx.tree_at(lambda p: p.considered, past, considered)
+
+
+@partial(jax.jit, static_argnums=2)
+def _in_world(past: Past, transition: Transition, config: PrismConfig) -> GaussianBelief:
+    """``Sigma_w + m m^T + s_c^2 1``, ``m = log(T^-1 T(t + s_t))``: the belief in the world (eq. I24)."""
+    belief = past.considered.in_world(past.belief)
+    if not config.stamp_std and not config.calibration_std:
+        return belief
+    manifold, mean = belief.manifold, belief.mean
+    later = transition.mean(mean, jnp.zeros(transition.controls), config.stamp_std)
+    moved = manifold.twists.T @ se3_log(inverse(manifold.pose(mean)) @ manifold.pose(later))
+    p = len(moved)
+    added = moved[:, None] * moved + config.calibration_std**2 * jnp.eye(p)
+    return eqx.tree_at(lambda q: q.covariance, belief, belief.covariance.at[:p, :p].add(added))
 
 
 _expose = jax.jit(expose)

@@ -34,10 +34,12 @@ from vssm_gym.inference.alignment.residuals import (
     stride,
 )
 from vssm_gym.inference.alignment.rotation import RotationConfig, camera_rotation
+from vssm_gym.inference.alignment.surface_error import Influence, SurfaceErrorConfig, influence
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.linear_gaussian import Gaussian
 from vssm_gym.inference.tracking import process_noise
 from vssm_gym.inference.tracking.confirmation import ConfirmationConfig, colour_confirms
+from vssm_gym.inference.tracking.error_covariance import Considered, nothing
 from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.base import Transition
@@ -64,7 +66,11 @@ class TrackingConfig:
     adaptation: ProcessNoiseConfig | None = field(
         default_factory=ProcessNoiseConfig
     )  # of the process noise; None: fixed
-    smoothing: float = 0.8  # of the Laplace covariance over time
+    surface_error: SurfaceErrorConfig | None = field(
+        default_factory=SurfaceErrorConfig
+    )  # of what poses are aligned to; None: the published Laplace covariance
+    most_correlated: float = 1.0  # factor by which data weigh less against the prior, at most: their errors are alike
+    smoothing: float = 0.8  # of the published Laplace covariance over time
     min_reading: float = 0.05  # share of the pixels that have depth; an image with fewer has no reading
     min_score: float = 0.6  # of :func:`alignment.score`
     max_photometric: float = 5.0  # mean |r_rgb| / sigma; cells of 7 cm blur the rendered image by that much
@@ -100,7 +106,9 @@ class Past(eqx.Module):
     """Hold what the next image is filtered with."""
 
     belief: GaussianBelief  # q_t-1(z)
-    laplace: Float[Array, "p p"]  # smoothed covariance of the poses up to here; 0: the last image was not accepted
+    laplace: Float[Array, "p p"]  # published covariance of the poses up to here; 0: the last image was not accepted
+    considered: Considered
+    correlation: Float[Array, ""]  # variance of the image's gradient over that of independent data
     noise_scale: process_noise.NoiseScale
     image: RGBD  # the last accepted one, tracking size, at the map's exposure
     T_world_cam: Float[Array, "4 4"]  # its pose
@@ -112,6 +120,9 @@ class Tracked(eqx.Module):
     belief: GaussianBelief  # q_t(z)
     T_world_cam: Float[Array, "4 4"]  # at its mean
     laplace: Float[Array, "p p"]  # as the past's, this image included
+    considered: Considered  # likewise
+    correlation: Float[Array, ""]  # likewise
+    carried: Considered  # likewise, without this image
     predicted: GaussianBelief  # with the transition's whole noise
     noise_scale: process_noise.NoiseScale
     T_world_turned: Float[Array, "4 4"]  # the last camera pose, turned by the rotation between the images
@@ -130,6 +141,7 @@ COMMANDED = TrackingConfig(
     heading_starts=(-2.0, -1.0, 1.0, 2.0),
     exposure=False,
     adaptation=None,
+    most_correlated=10.0,
     smoothing=0.0,
     min_reading=0.0,
     min_score=0.5,
@@ -147,7 +159,10 @@ def begin(prior: Belief, image: RGBD, rig: Rig) -> Past:
     if not isinstance(prior, GaussianBelief):
         raise InputError("filter.init", "prior", f"a GaussianBelief over the state; found {type(prior).__name__}")
     p = prior.manifold.twists.shape[1]
-    return Past(prior, jnp.zeros((p, p)), process_noise.full(), image, camera_pose(prior, rig))
+    considered = nothing(len(prior.covariance))
+    return Past(
+        prior, jnp.zeros((p, p)), considered, jnp.ones(()), process_noise.full(), image, camera_pose(prior, rig)
+    )
 
 
 def camera_twists(manifold: Manifold, rig: Rig) -> Float[Array, "6 p"]:
@@ -216,7 +231,8 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     T_prior = T_ref_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
     starts, image, brightness, T_world_turned = _start(past, T_prior, T_ref_world, reference, image, rig.camera, config)
     start = starts[0]
-    precision = jnp.linalg.inv(pose_covariance)
+    # Data whose errors are alike weigh less against the prior.
+    precision = past.correlation * jnp.linalg.inv(pose_covariance)
     if config.heading_starts:
         turned = _turned(pose_covariance, manifold.turns[:p], config.heading_starts)
         wide = jnp.max(jnp.where(manifold.turns[:p], jnp.diagonal(pose_covariance), 0.0)) > config.search_reach**2
@@ -224,18 +240,20 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         start = jax.lax.cond(wide, best, lambda _: start, T_prior @ se3_exp(turned @ basis.T))
     problem = (T_prior, precision, start, basis, reference.image, image, rig.camera)
     T, fit_quality = SOLVERS[config.solver](problem, reference, config, key)
-    laplace = jnp.linalg.inv(2.0 * fit_quality.information + precision)
-    kept = config.smoothing * (jnp.trace(past.laplace) > 0.0)
-    smoothed = kept * past.laplace + (1.0 - kept) * laplace
     # The new pose's error is measured from the new mean, the conditional's from the predicted one: to first order,
     # and a step is short, the two tangents are one.
     moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
-    both = Gaussian(moved, smoothed)
-    if p < predicted.covariance.shape[0]:
-        _, rest_given_pose = linear_gaussian.split(
-            Gaussian(jnp.zeros_like(predicted.covariance[0]), predicted.covariance), p
-        )
-        both = linear_gaussian.joint(both, rest_given_pose)
+    distance = jnp.linalg.norm(manifold.pose(predicted.mean)[:3, 3] - manifold.pose(past.belief.mean)[:3, 3])
+    carried = _carried(past, transition, control, dt, distance, config)
+    if config.surface_error is None:
+        both, laplace, smoothed = _published(past, predicted, moved, precision, fit_quality, config)
+        considered, correlation = carried, past.correlation
+    else:
+        given_image = influence(T, basis, reference, image, rig.camera, config.align, config.surface_error)
+        fit_quality = eqx.tree_at(lambda q: q.information, fit_quality, given_image.curvature)
+        both, laplace, considered = _propagated(carried, predicted, moved, precision, given_image)
+        smoothed = laplace = past.correlation * laplace
+        correlation = jnp.clip(given_image.correlation(precision), 1.0, config.most_correlated)
     posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
     accepted = (score(fit_quality) >= config.min_score) & (fit_quality.photometric <= config.max_photometric)
     accepted &= jnp.mean(image.hit) >= config.min_reading
@@ -267,6 +285,9 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         posterior,
         T_world_cam,
         smoothed,
+        considered,
+        correlation,
+        carried,
         possible,
         noise_scale,
         T_world_turned,
@@ -276,6 +297,68 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         expected,
         repeated,
     )
+
+
+def _carried(
+    past: Past,
+    transition: Transition,
+    control: Float[Array, "m"],
+    dt: Float[Array, ""],
+    distance: Float[Array, ""],
+    config: TrackingConfig,
+) -> Considered:
+    """Return what is considered before the image: an error of the surfaces is forgotten as they are seen from afar."""
+    if config.surface_error is None:
+        return past.considered
+    F = transition.jacobian(past.belief.mean, control, dt)
+    return past.considered.predict(F, jnp.exp(-distance / config.surface_error.patch))
+
+
+def _published(
+    past: Past,
+    predicted: GaussianBelief,
+    moved: Float[Array, "p"],
+    precision: Float[Array, "p p"],
+    fit_quality: AlignInfo,
+    config: TrackingConfig,
+) -> tuple[Gaussian, Float[Array, "p p"], Float[Array, "p p"]]:
+    """``Sigma^-1 = 2 J^T J + P^-1``, averaged over time: the belief, the covariance of this pose, and the average."""
+    p = len(moved)
+    laplace = jnp.linalg.inv(2.0 * fit_quality.information + precision)
+    kept = config.smoothing * (jnp.trace(past.laplace) > 0.0)
+    smoothed = kept * past.laplace + (1.0 - kept) * laplace
+    both = Gaussian(moved, smoothed)
+    if p < predicted.covariance.shape[0]:
+        _, rest_given_pose = linear_gaussian.split(
+            Gaussian(jnp.zeros_like(predicted.covariance[0]), predicted.covariance), p
+        )
+        both = linear_gaussian.joint(both, rest_given_pose)
+    return both, laplace, smoothed
+
+
+def _propagated(
+    carried: Considered,
+    predicted: GaussianBelief,
+    moved: Float[Array, "p"],
+    precision: Float[Array, "p p"],
+    given: Influence,
+) -> tuple[Gaussian, Float[Array, "p p"], Considered]:
+    """``e <- (1 - K H) e + K g``, ``K = (P^-1 + H)^-1``: the errors that the estimate has, by their sources (eq. I15).
+
+    Returns:
+        The step of the state with its covariance, the covariance of the pose if pixels had independent errors, and
+        what is considered.
+    """
+    p, n = len(moved), predicted.covariance.shape[0]
+    laplace = jnp.linalg.inv(given.curvature + precision)
+    K = laplace
+    if p < n:
+        _, rest = linear_gaussian.split(Gaussian(jnp.zeros(n), predicted.covariance), p)
+        K = jnp.concatenate([laplace, rest.A @ laplace])
+        moved = jnp.concatenate([moved, rest.A @ moved])
+    A = jnp.eye(n) - jnp.pad(K @ given.curvature, ((0, 0), (0, n - p)))
+    covariance, considered = carried.correct(predicted.covariance, A, K, given)
+    return Gaussian(moved, covariance), laplace, considered
 
 
 def _surprise(moved: Float[Array, "p"], predicted: GaussianBelief) -> Float[Array, ""]:

@@ -13,10 +13,12 @@ from jaxtyping import Array, Float
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse
+from vssm_gym.inference.alignment import reference_view
 from vssm_gym.inference.alignment.aliasing import APART, is_unique
 from vssm_gym.inference.alignment.depth_scale import fits_unscaled
 from vssm_gym.inference.alignment.exposure import expose
 from vssm_gym.inference.alignment.residuals import AlignInfo, luminance, shrink_camera, shrink_rgbd
+from vssm_gym.inference.alignment.surface_error import SurfaceErrorConfig, influence
 from vssm_gym.inference.filter import Clock, Rig
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import keyframes, process_noise
@@ -30,6 +32,7 @@ from vssm_gym.inference.tracking.camera_filter import (
     camera_twists,
     track,
 )
+from vssm_gym.inference.tracking.error_covariance import Considered, estranged
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.recovery import RecoveryConfig, recover
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -75,13 +78,21 @@ def localise(
     if tracked.accepted and (tracked.expected or _confirmed(tracked, given, config)):
         if config.exposure:
             image = _expose(image, tracked.gain)
-        now = Past(tracked.belief, tracked.laplace, tracked.noise_scale, image, tracked.T_world_cam)
+        now = Past(
+            tracked.belief,
+            tracked.laplace,
+            tracked.considered,
+            tracked.correlation,
+            tracked.noise_scale,
+            image,
+            tracked.T_world_cam,
+        )
         return Located(Status.OK, now, tracked.gain, tracked.fit_quality)
     has_depth = readable(image, config)
     repeated = has_depth and bool(tracked.repeated)
     if has_depth and not repeated and relocalisation is not None:
         starts = _starts(past, tracked, image, rig, lost, relocalisation)
-        found = search(starts, transition.manifold, image, rig, config, relocalisation)
+        found = search(starts, transition.manifold, image, rig, config, relocalisation, tracked.carried)
         if found is not None:
             clock("recover", found.past.belief)
             return found
@@ -90,7 +101,9 @@ def localise(
     else:
         belief = clock("recover", _without_image(past, tracked.predicted, transition, rig, config, lost))
     status = Status.REPEATED if repeated else Status.LOST if has_depth else Status.NO_READING
-    now = Past(belief, jnp.zeros_like(tracked.laplace), process_noise.full(), past.image, past.T_world_cam)
+    considered = tracked.carried if repeated or transition.commanded else estranged(tracked.carried)
+    none = jnp.zeros_like(tracked.laplace)
+    now = Past(belief, none, considered, past.correlation, process_noise.full(), past.image, past.T_world_cam)
     return Located(status, now, tracked.gain, tracked.fit_quality)
 
 
@@ -130,6 +143,7 @@ def search(
     rig: Rig,
     config: TrackingConfig,
     relocalisation: Relocalisation,
+    considered: Considered,
 ) -> Located | None:
     """Relocalise an image in the map, at an unknown velocity; None where no start leads to an accepted pose (eq. I32).
 
@@ -140,6 +154,7 @@ def search(
         rig: The camera, at that size, and its place on the body.
         config: Of tracking.
         relocalisation: Map and keyframes that the image is compared with.
+        considered: Before the image; the drift of the map stays.
     """
     basis = camera_twists(manifold, rig)
     attempt = recover(
@@ -147,13 +162,14 @@ def search(
     )
     if not attempt.accepted:
         return None
-    information = attempt.fit_quality.information
-    covariance = jnp.linalg.inv(2.0 * information + jnp.eye(len(information)))
-    T_world_body = attempt.T_world_cam @ inverse(rig.T_body_cam)
-    belief = at_rest(manifold, T_world_body, covariance, config.start_velocity)
     if config.exposure:
         image = _expose(image, attempt.gain)
-    now = Past(belief, covariance, process_noise.full(), image, camera_pose(belief, rig))
+    at_pose = reference_view.from_map(relocalisation.map, attempt.T_world_cam, rig.camera, relocalisation.max_depth)
+    given = influence(jnp.eye(4), basis, at_pose, image, rig.camera, config.align, SurfaceErrorConfig())
+    K = jnp.linalg.inv(given.curvature + jnp.eye(basis.shape[1]))
+    T_world_body = attempt.T_world_cam @ inverse(rig.T_body_cam)
+    belief = at_rest(manifold, T_world_body, K @ given.covariance @ K, config.start_velocity)
+    now = Past(belief, K, estranged(considered), jnp.ones(()), process_noise.full(), image, camera_pose(belief, rig))
     return Located(Status.RECOVERED, now, attempt.gain, attempt.fit_quality)
 
 

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
 from vssm_gym.inference.alignment import reference_view
-from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignConfig, luminance
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.status import Status
@@ -32,6 +31,7 @@ from vssm_gym.inference.tracking.camera_filter import (
     expected_pose,
     track,
 )
+from vssm_gym.inference.tracking.error_covariance import nothing
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, search, seconds, shrunk
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
@@ -100,7 +100,7 @@ class MapTracker:
             kept, camera = keyframes.empty(rig.camera, self.recovery.keyframe), rig.camera
             relocalisation = Relocalisation(prior.map, kept, self.max_depth, self.recovery)
             starts = past.T_world_cam[None]
-            found = search(starts, self.transition.manifold, image, rig, self.config, relocalisation)
+            found = search(starts, self.transition.manifold, image, rig, self.config, relocalisation, past.considered)
             lost = found is None
             if found is not None:
                 past = found.past
@@ -246,8 +246,12 @@ def _track_from_frame(
 ) -> tuple[Tracked, GaussianBelief]:
     """Track as if the pose before were known, and return the belief with both covariances added."""
     belief = past.belief
-    known = replace(past, belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)))
-    reference = ReferenceView(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image, None, None)
+    known = replace(
+        past,
+        belief=replace(belief, covariance=jnp.zeros_like(belief.covariance)),
+        considered=nothing(len(belief.covariance)),
+    )
+    reference = reference_view.of_image(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image)
     tracked = track(TrackingInput(known, transition, control, dt, reference, image, rig, key, False), config)
     step = tracked.belief
     carried = transition.predict(belief, control, dt, 0.0).covariance
