@@ -71,6 +71,9 @@ class Decision:
         plan: ``(n, 2)`` waypoints still to be driven, world frame, metres; None without a plan.
         gives_up: True where the agent ends the task without success, for the reason in ``status``. A stop that gives up
             claims no arrival; a robot without a stop ends its task by this alone.
+        covariance: ``(3, 3)`` of the error ``log(T_pose^-1 T_true)`` of ``pose``: forward (m), left (m), turn (rad) in
+            the estimate's body frame; the drift of an agent's own map is included. None where an agent states none:
+            its pose is observed, or it keeps no belief.
     """
 
     action: np.ndarray
@@ -79,6 +82,7 @@ class Decision:
     latency: dict[str, float] = field(default_factory=dict)
     plan: np.ndarray | None = None
     gives_up: bool = False
+    covariance: np.ndarray | None = None
 
 
 @runtime_checkable
@@ -107,8 +111,24 @@ class Agent(Protocol):
 
 
 def decide(agent: Agent, observation: Observation) -> Decision:
-    """Return the agent's decision; raise :class:`InputError` where `act` returns anything else."""
+    """Return the agent's decision; raise :class:`InputError` where `act` returns anything else.
+
+    A covariance that it holds is checked: it has a pose and is symmetric and positive semi-definite up to rounding.
+    """
     decision = agent.act(observation)
     if not isinstance(decision, Decision):
         raise InputError(f"agent {agent.name}", "act", f"a Decision as its result; found {type(decision).__name__}")
+    if decision.covariance is not None and not (decision.pose is not None and _is_covariance(decision.covariance)):
+        expected = "of (forward, left, turn), (3, 3), symmetric and positive semi-definite, with a pose; or None"
+        raise InputError(f"agent {agent.name}", "covariance", expected)
     return decision
+
+
+def _is_covariance(matrix: np.ndarray) -> bool:
+    """Return True for a finite symmetric positive semi-definite ``(3, 3)`` matrix, to single precision."""
+    if np.shape(matrix) != (3, 3) or not np.isfinite(matrix).all():
+        return False
+    slack = 1e-5 * float(np.abs(matrix).max())
+    return bool(np.allclose(matrix, np.transpose(matrix), rtol=0.0, atol=slack)) and bool(
+        np.linalg.eigvalsh(matrix)[0] >= -slack
+    )

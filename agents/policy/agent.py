@@ -83,8 +83,8 @@ class PolicyAgent:
         latency = {"tracking": tracked - began, "control": time.perf_counter() - tracked}
         status = f"{activity}; localization: {estimate.status}"
         action = np.array([*sent, float(stop)], np.float32)
-        gives_up = conduct is Conduct.GIVE_UP
-        return Decision(action, estimate.planar.copy(), status, latency, gives_up=gives_up)
+        gives_up, pose = conduct is Conduct.GIVE_UP, estimate.planar.copy()
+        return Decision(action, pose, status, latency, gives_up=gives_up, covariance=estimate.covariance)
 
     def commands(self, observations: Observation) -> np.ndarray:
         """Return the policy's commands of imagined robots, ``(num_envs, 3)``: turn (rad), direction (rad), step (m).

@@ -111,7 +111,7 @@ class Driver:
         status = f"{step.status}; localization: {self._estimate.status}"
         action = self._command.astype(np.float32)
         pose = self._estimate.planar.copy()
-        return Decision(action, pose, status, latency, step.plan, gives_up)
+        return Decision(action, pose, status, latency, step.plan, gives_up, self._estimate.covariance)
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)

@@ -112,7 +112,7 @@ class Explorer:
         latency = {"tracking": mapped - began, "planning": planned - mapped, "control": ended - planned}
         action = np.array([*command, float(stop)], np.float32)
         path = None if self._path is None else self._path.path
-        return Decision(action, estimate.planar.copy(), activity, latency, path, gives_up)
+        return Decision(action, estimate.planar.copy(), activity, latency, path, gives_up, estimate.covariance)
 
     def _search(self, estimate: Localization) -> tuple[np.ndarray, str, bool]:
         """Look for an image that fits; return command, activity, and True to stop."""

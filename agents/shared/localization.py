@@ -31,15 +31,18 @@ class Localization:
 
     Attributes:
         planar: ``(3,)`` mean x, y (m), heading (rad), float64, map frame.
-        std: ``(3,)`` standard deviations of x, y (m) and heading (rad).
+        std: ``(3,)`` standard deviations of x, y (m) and heading (rad) against the map, by which the agent plans.
         status: of the filter's last step, as judged.
         lost: steps in a row without an estimate that may be believed; 0 where this one may.
+        covariance: ``(3, 3)`` of forward, left (m) and turn (rad) in the body frame, of the pose in the world: with the
+            drift of a map that the agent builds itself. None where the pose is observed.
     """
 
     planar: np.ndarray
     std: np.ndarray
     status: Status
     lost: int = 0
+    covariance: np.ndarray | None = None
 
 
 class Localizer(Protocol):
@@ -135,15 +138,26 @@ def rig_of(context: AgentContext) -> Rig:
     return Rig.of(Camera.from_matrix(context.K, *context.camera), context.T_body_cam)
 
 
-def localization(belief: GaussianBelief, status: Status, lost: int = 0) -> Localization:
-    """Return a planar belief as agents use it."""
-    mean, covariance = jax.device_get(_in_world(belief))
-    return Localization(mean.astype(np.float64), np.sqrt(np.diag(covariance.astype(np.float64))), status, lost)
+def localization(
+    belief: GaussianBelief, status: Status, lost: int = 0, in_world: GaussianBelief | None = None
+) -> Localization:
+    """Return a planar belief as agents use it.
+
+    Args:
+        belief: against the map.
+        status: of the filter's last step.
+        lost: steps in a row without an estimate that may be believed.
+        in_world: the same in the world, by default as against the map.
+    """
+    stated = belief if in_world is None else in_world
+    found = jax.device_get(_arrays(belief, stated.covariance))
+    mean, variances, covariance = (np.asarray(values, np.float64) for values in found)
+    return Localization(mean, np.sqrt(variances), status, lost, 0.5 * (covariance + covariance.T))
 
 
 def localized(judged: Judged) -> Localization:
     """Return a judged estimate as agents use it."""
-    return localization(judged.belief, judged.status, judged.lost)
+    return localization(judged.belief, judged.status, judged.lost, judged.in_world)
 
 
-_in_world = jax.jit(lambda belief: (belief.mean, world_covariance(belief)))
+_arrays = jax.jit(lambda belief, stated: (belief.mean, jnp.diagonal(world_covariance(belief)), stated))

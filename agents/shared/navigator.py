@@ -113,7 +113,7 @@ class Navigator:
         action = np.array([*command, float(stop)], np.float32)
         status = f"{activity}; localization: {estimate.status}"
         gives_up = activity.startswith("gave up")
-        return Decision(action, estimate.planar.copy(), status, latency, self._task.path, gives_up)
+        return Decision(action, estimate.planar.copy(), status, latency, self._task.path, gives_up, estimate.covariance)
 
     def _begin(self, goal: np.ndarray) -> None:
         """Begin a task, with no plan and without the obstacles that were assumed before."""

@@ -86,11 +86,13 @@ class Judged:
 
     Attributes:
         belief: over the planar pose, in the map's frame.
+        in_world: the same in the world, with the drift of a map that the filter builds.
         status: of the last step.
         lost: steps in a row without an estimate that may be believed; 0 where it may.
     """
 
     belief: GaussianBelief
+    in_world: GaussianBelief
     status: Status
     lost: int
 
@@ -122,6 +124,7 @@ class JudgedFilter:
     ) -> None:
         self._filter, self._dt, self._config, self._chained = filter, dt, config, chained
         self.state = state
+        self._in_world = self._belief()  # of the filter's last step
         self._images = FrozenImages(filter.transition, dt, config.frozen)
         self._images.reset(observation)
         self._overshoot = Overshoot(filter.transition, dt, config.overshoot)
@@ -162,18 +165,21 @@ class JudgedFilter:
         confirmed = self._lost == 0 or self._fits >= self._config.confirm
         believed = status.accepted and confirmed and not self._broken
         self._lost = 0 if believed else self._lost + 1
-        belief = self._filter.posterior(self.state).belief
-        assert isinstance(belief, GaussianBelief)
-        return Judged(belief, Status.UNCONFIRMED if status.accepted and not believed else status, self._lost)
+        status = Status.UNCONFIRMED if status.accepted and not believed else status
+        return Judged(self._belief(), self._in_world, status, self._lost)
 
     def _advance(self, command: np.ndarray, image: RGBD) -> FilterInfo:
         self.state, info = self._filter.step(self.state, jnp.asarray(command, jnp.float32), image, self._dt)
+        self._in_world = info.belief
         return info
 
-    def _mean(self) -> Any:
+    def _belief(self) -> GaussianBelief:
         belief = self._filter.posterior(self.state).belief
         assert isinstance(belief, GaussianBelief)
-        return belief.mean
+        return belief
+
+    def _mean(self) -> Any:
+        return self._belief().mean
 
     def _count_unseen(self, before: Any, command: np.ndarray) -> None:
         """Add the noise of a command whose motion no image shows; break the chain where that is too much."""

@@ -20,6 +20,7 @@ RENAMED_FIELDS = {"touched": "collided", "touches": "collision_events"}
 
 Count = Annotated[int, Field(ge=0)]
 Length = Annotated[float, Field(ge=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
 Proportion = Annotated[float, Field(ge=0.0, le=1.0)]
 Points = list[list[float]]
 
@@ -103,6 +104,8 @@ class EpisodeRow(_Strict):
     location_error_rmse: Length | None = None
     location_error_max: Length | None = None
     location_error_final: Length | None = None
+    nees: NonNegative | None = None  # over the dimension, mean over the steps; None of an agent without a covariance
+    in_95: Proportion | None = None  # of the steps
     latency: dict[str, Latency] | None = None
     decision_p95: Length | None = None  # of rows that are kept without their latencies
     goal: list[float] | None = None

@@ -57,6 +57,7 @@ def _on_its_map(field: str, factor: float) -> Any:
 
 
 NAVIGATION, CAR, EXPLORE = ("navigation",), ("car",), ("explore",)
+EVERY = (*NAVIGATION, *CAR, *EXPLORE)
 METRICS: dict[str, Metric] = {
     "spl": Metric(_spl, "SPL", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION),
     "success": Metric(stored("success"), "success", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION),
@@ -90,8 +91,10 @@ METRICS: dict[str, Metric] = {
     ),
     "heading_error": Metric(stored("heading_error"), "heading error rad", 2, "lower", CAR),
     "location_error_mean": Metric(
-        stored("location_error_mean"), "location error m", 3, "lower", (*NAVIGATION, *CAR), compared=NAVIGATION
+        stored("location_error_mean"), "location error m", 3, "lower", EVERY, compared=NAVIGATION
     ),
+    "nees": Metric(stored("nees"), "NEES / dim", 2, "neither", EVERY),
+    "in_95": Metric(stored("in_95"), "inside 95 %", 2, "neither", EVERY),
     "location_error_final": Metric(stored("location_error_final"), "final error m", 3, "lower", NAVIGATION),
     "control_p50_ms": Metric(_decision("p50"), "control p50 ms", 1, "lower", CAR),
     "control_p95_ms": Metric(_decision("p95"), "control p95 ms", 1, "lower", CAR, headline=CAR),

@@ -17,7 +17,7 @@ from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols.agent_context import context_of
-from vssm_gym.eval.protocols.episode import estimates_of, latency_of, thinned, trace_of
+from vssm_gym.eval.protocols.episode import calibration_of, estimates_of, latency_of, thinned, trace_of
 from vssm_gym.eval.protocols.shared import conditions, keep_or_write, load, notice, scene_names, tasks_in, world
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -59,9 +59,9 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
 
     Returns:
         The metrics of :func:`episode_metrics`, with the length of the shortest Reeds-Shepp curve into the target's
-        region, obstacles ignored, as ``geodesic``; ``collision_events`` (times that contact began), ``collided``,
-        ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``, ``status``, latencies, ``trace`` (its
-        ``poses`` with headings).
+        region, obstacles ignored, as ``geodesic``; those of :func:`calibration_of`; ``collision_events`` (times that
+        contact began), ``collided``, ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``,
+        ``status``, latencies, ``trace`` (its ``poses`` with headings).
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     body: Any = env.unwrapped
@@ -95,7 +95,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         speeds.append(float(info["control"][0]))
 
     path, goal, contact = np.array(poses), np.array(task.goal), np.array(contacts, dtype=bool)
-    estimates = estimates_of(decisions, stopped=decisions[-1].gives_up)
+    estimates = estimates_of(agent, decisions, stopped=decisions[-1].gives_up)
     estimates = None if estimates is None else estimates[: len(path)]
     success = bool(info.get("success", False))
     radius = car.turning_radius
@@ -121,6 +121,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         failure = f"planner: {decisions[-1].status}"
     return {
         **metrics,
+        **calibration_of(decisions, poses),
         "collision_events": int(info["collisions"]),
         "collided": bool(info["collisions"]),
         "seconds": round(len(contacts) * context.dt, 3),

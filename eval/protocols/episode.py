@@ -13,6 +13,7 @@ from vssm_gym.agents.base import Agent, Decision, Observation, decide
 from vssm_gym.envs.tasks.navigation import Task, TaskSampler
 from vssm_gym.eval.metrics.failure import failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
+from vssm_gym.eval.metrics.pose_calibration import pose_calibration
 from vssm_gym.eval.protocols.agent_context import context_in
 from vssm_gym.maps.voxel_map import VoxelMap
 
@@ -70,8 +71,8 @@ def run_episode(
         spectator: called with every step, in order; its time does not count as the agent's.
 
     Returns:
-        The metrics of :func:`episode_metrics`, ``failure`` (None on success), the agent's last ``status``, latency
-        percentiles by stage in seconds, and the downsampled ``trace``: plain JSON values.
+        The metrics of :func:`episode_metrics` and of :func:`calibration_of`, ``failure`` (None on success), the agent's
+        last ``status``, latency percentiles by stage in seconds, and the downsampled ``trace``: plain JSON values.
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     world: Any = env.unwrapped
@@ -79,7 +80,7 @@ def run_episode(
     context = context_in(world, info, voxel_map, noise, limits)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
 
-    positions = [np.array(world.planar[:2])]
+    poses = [np.array(world.planar)]
     contacts: list[bool] = []
     decisions: list[Decision] = []
     seconds: list[float] = []
@@ -94,11 +95,11 @@ def run_episode(
         observation, _, stopped, truncated, info = env.step(decision.action)
         ended = stopped or truncated
         decisions.append(decision)
-        positions.append(np.array(world.planar[:2]))
+        poses.append(np.array(world.planar))
         contacts.append(bool(info["collision"]))
 
-    path, goal, contact = np.array(positions), np.array(task.goal), np.array(contacts)
-    estimates = estimates_of(decisions, stopped)
+    path, goal, contact = np.array(poses)[:, :2], np.array(task.goal), np.array(contacts)
+    estimates = estimates_of(agent, decisions, stopped)
     success = bool(info.get("success", False)) and not decisions[-1].gives_up  # to give up is no claim to have arrived
     metrics = episode_metrics(
         success=success,
@@ -120,6 +121,7 @@ def run_episode(
     )
     return {
         **metrics,
+        **calibration_of(decisions, poses),
         "failure": None if success else failure,
         "status": decisions[-1].status,
         "latency": latency_of(decisions, seconds),
@@ -131,17 +133,30 @@ def run_episode(
     }
 
 
-def estimates_of(decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
-    """Return the agent's position estimates at reset and after every step; None if it never gave one.
+def estimates_of(agent: Agent, decisions: Sequence[Decision], stopped: bool) -> Float[np.ndarray, "time 2"] | None:
+    """Return the agent's position estimates at reset and after every step; None if it keeps none or observes its pose.
 
     A decision's estimate is of the time before its action. After the last action the agent is not called again: a stop
     moves nothing, so its estimate still holds; after a time-out it is unknown.
     """
-    if all(decision.pose is None for decision in decisions):
+    if agent.needs_pose or all(decision.pose is None for decision in decisions):
         return None
     unknown = np.full(2, np.nan)
     known = [unknown if decision.pose is None else np.asarray(decision.pose, float)[:2] for decision in decisions]
     return np.array([*known, known[-1] if stopped else unknown])
+
+
+def calibration_of(decisions: Sequence[Decision], poses: Sequence[Float[np.ndarray, "3"]]) -> dict[str, float | None]:
+    """Return ``nees`` and ``in_95`` of the estimates whose covariance the agent states; None where there is none.
+
+    Args:
+        decisions: of the episode; the first one's estimate is the start, which the agent was given, and is left out.
+        poses: true ``(x, y, heading)`` at reset and after every step.
+    """
+    later = zip(decisions[1:], poses[1:], strict=False)  # the last pose may have no decision
+    stated = [(made.pose, made.covariance, true) for made, true in later if made.covariance is not None]
+    estimates, covariances, truth = (np.array([step[k] for step in stated], float) for k in range(3))
+    return pose_calibration(estimates, covariances, truth)
 
 
 def _remaining(sampler: TaskSampler, position: np.ndarray, goal: np.ndarray, success_radius: float) -> float:

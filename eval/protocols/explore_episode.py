@@ -20,7 +20,15 @@ from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, lost_track, stuck_at
 from vssm_gym.eval.metrics.navigation import location_errors, path_length
 from vssm_gym.eval.metrics.surfaces import Surface, completeness, mesh_quality, observable_surface
 from vssm_gym.eval.protocols.agent_context import context_in
-from vssm_gym.eval.protocols.episode import Spectator, StepRecord, estimates_of, latency_of, thinned, trace_of
+from vssm_gym.eval.protocols.episode import (
+    Spectator,
+    StepRecord,
+    calibration_of,
+    estimates_of,
+    latency_of,
+    thinned,
+    trace_of,
+)
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.exploration.information import entropy
 
@@ -50,7 +58,8 @@ def run_episode(
         relative to the prior) and ``completeness`` at its end (None without a map), ``curve`` of these, the mesh's
         ``accuracy, accurate_5cm, completion, complete_5cm`` (m and proportions), ``success`` (90 %), ``stopped`` (by
         the agent), ``path_length``, ``seconds``, ``steps``, ``collisions`` (steps in contact), ``collided``, location
-        errors, ``failure``, ``status``, latencies, ``budget`` (what the time limit allows), ``trace``.
+        errors, ``nees``, ``in_95``, ``failure``, ``status``, latencies, ``budget`` (what the time limit allows),
+        ``trace``.
     """
     observation, info = env.reset(seed=seed, options={"start": start})
     world: Any = env.unwrapped
@@ -64,7 +73,7 @@ def run_episode(
         return (None, None) if m is None else (entropy(m), completeness(m, sampled))
 
     recorder = Recorder(measure)
-    positions: list[np.ndarray] = [world.planar[:2]]
+    poses = [np.array(world.planar)]
     contacts: list[bool] = []
     decisions: list[Decision] = []
     seconds: list[float] = []
@@ -80,12 +89,12 @@ def run_episode(
         if spectator is not None:
             spectator(StepRecord(len(contacts), driven, np.array(world.planar), observation, info, decision))
         observation, _, stopped, truncated, info = env.step(decision.action)
-        positions.append(world.planar[:2])
+        poses.append(np.array(world.planar))
         contacts.append(bool(info["collision"]))
     recorder.record(info["path_length"], (len(contacts) - stopped) * context.dt, info["coverage"], last=True)
 
-    path, contact = np.array(positions), np.array(contacts, dtype=bool)
-    estimates = estimates_of(decisions, stopped)
+    path, contact = np.array(poses)[:, :2], np.array(contacts, dtype=bool)
+    estimates = estimates_of(agent, decisions, stopped)
     statuses = [decision.status for decision in decisions]
     coverage, final = float(info["coverage"]), map_of(agent)
     success = 100.0 * coverage >= COVERAGE_GOAL - 1e-9
@@ -106,6 +115,7 @@ def run_episode(
         "collisions": int(contact.sum()),
         "collided": bool(contact.any()),
         **location_errors(path, estimates),
+        **calibration_of(decisions, poses),
         "budget": _budget(env, world.robot),
         "failure": why,
         "status": statuses[-1],

@@ -29,6 +29,7 @@ from vssm_gym.agents.shared.navigator import NavigationConfig
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError
+from vssm_gym.eval.metrics.pose_calibration import pose_calibration
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -332,6 +333,12 @@ def test_dead_reckoning_states_its_error_correctly():
             planar = execute(planar, np.array(command), LOW, rng)
         ends.append(planar)
     assert np.allclose(estimate.std, np.std(ends, axis=0), rtol=0.1)
+    # In the body frame, where the error along the way is not that across it: NEES / 3 is 1 of drives as these.
+    found = pose_calibration(
+        *(np.tile(part, (2000, *[1] * part.ndim)) for part in (estimate.planar, estimate.covariance)), np.array(ends)
+    )
+    assert found["nees"] == pytest.approx(1.0, abs=0.1)
+    assert found["in_95"] == pytest.approx(0.95, abs=0.02)
 
 
 def test_missing_map_and_missing_pose(learned):

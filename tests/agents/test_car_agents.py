@@ -71,7 +71,7 @@ def test_it_parks_without_a_collision(name, goal, learned):
     row = run(name, learned, goal)
     assert row["success"] and not row["collided"] and row["failure"] is None
     assert row["geodesic"] <= row["path_length"] + 1e-9 and row["spl"] > 0.4
-    assert row["location_error_max"] < 1e-5  # the observed pose, rounded to float32
+    assert row["location_error_max"] is row["nees"] is None  # the pose is observed
     assert len(row["trace"]["poses"]) <= 80 and row["trace"]["poses"][0] == pytest.approx([0.8, 2.6, 0.3], abs=0.01)
     json.dumps(row, allow_nan=False)
 

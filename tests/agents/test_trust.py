@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from vssm_gym.agents.shared.localization import localized
 from vssm_gym.agents.shared.trust import Conduct, JudgedFilter, LostConfig, TrustConfig, gave_up
 from vssm_gym.inference.alignment.residuals import AlignInfo
 from vssm_gym.inference.filter import FilterInfo
@@ -135,6 +136,24 @@ def test_the_belief_follows_each_command_once_while_black_images_repeat():
     outcomes = [track.step(command, image(1, depth=0.0)) for command in commands]
     assert [one.status for one in outcomes] == [*[NO_READING] * 4, REPEATED, FROZEN, FROZEN]
     np.testing.assert_allclose(outcomes[-1].belief.mean, [0.8, 0.0, 0.2], atol=1e-5)
+
+
+class Drifting(Scripted):
+    """State a wider belief in the world than in the map, as a filter does whose map drifts."""
+
+    def step(self, state, control, image, dt, clock=None):
+        moved, info = super().step(state, control, image, dt, clock)
+        wide = planar_belief(info.belief.mean, info.belief.covariance + jnp.diag(jnp.asarray([0.0, 0.04, 0.01])))
+        return moved, info._replace(belief=wide)
+
+
+def test_the_drift_of_the_map_is_in_the_covariance_that_is_stated_and_not_in_what_is_planned_by():
+    """While images repeat the filter makes no step, and the last belief stands."""
+    track = judged(Drifting(*[OK] * 9))
+    outcomes = [localized(track.step(command, image(seed))) for command, seed in ((TURN, 1), (DRIVE, 2), (STAND, 2))]
+    for found in outcomes:
+        np.testing.assert_allclose(found.covariance, np.diag([1e-4, 0.0401, 0.0101]), rtol=1e-5)
+        np.testing.assert_allclose(found.std, 0.01, rtol=1e-5)
 
 
 def test_a_robot_that_was_held_was_where_its_images_said():

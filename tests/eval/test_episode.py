@@ -15,6 +15,7 @@ from vssm_gym.agents.registry import AGENTS
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import TaskSampler
+from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.failure import failure_reason
 from vssm_gym.eval.protocols.episode import run_episode
 from vssm_gym.inference.status import Status
@@ -24,12 +25,16 @@ LIMIT = 40
 
 
 class Scripted:
-    """Repeat one command and one status, and estimate the pose as ``pose``, a function of the start pose."""
+    """Repeat one command and one status, and estimate the pose as ``pose``, a function of the start pose.
+
+    Every estimate states the same covariance.
+    """
 
     name, needs_pose, needs_map = "scripted", False, False
 
-    def __init__(self, command, stop_after=10**6, pose=None, status="driving"):
+    def __init__(self, command, stop_after=10**6, pose=None, status="driving", covariance=None):
         self.command, self.stop_after, self.pose, self.status = command, stop_after, pose, status
+        self.covariance = covariance
         self.seen = []
 
     def reset(self, context, observation, seed):
@@ -41,7 +46,8 @@ class Scripted:
         stop = float(self.steps > self.stop_after)
         pose = None if self.pose is None else self.pose(self.context.start_pose, self.steps)
         self.seen.append(set(observation))
-        return Decision(np.array([*self.command, stop], np.float32), pose, self.status, {"control": 0.002})
+        action, latency = np.array([*self.command, stop], np.float32), {"control": 0.002}
+        return Decision(action, pose, self.status, latency, covariance=self.covariance)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +90,61 @@ def test_success_and_its_numbers(env, sampler):
     np.testing.assert_allclose(estimate - true, np.broadcast_to([0.0, 0.03], true.shape), atol=2e-3)
     assert row["trace"]["contacts"] == []
     json.dumps(row, allow_nan=False)
+
+
+def test_the_calibration_of_estimates_by_hand(env, sampler):
+    """An estimate 3 cm to the left of a robot that drives along -y: two standard deviations, at every step but one.
+
+    The first pose is known; it is wrong here, and does not count.
+    """
+
+    def estimate(start, n):
+        return moved(start, 0.03 if n > 1 else 9.0, -0.16 * (n - 1))
+
+    covariance = np.diag([0.5**2, 0.015**2, 0.1**2])
+    agent = Scripted((0.0, 0.0, 0.16), stop_after=5, pose=estimate, covariance=covariance)
+    row = run(env, sampler, agent, start=(1.5, 3.0, -np.pi / 2), goal=(1.5, 1.0))
+    assert row["nees"] == pytest.approx(2.0**2 / 3.0, rel=1e-3)
+    assert row["in_95"] == 1.0  # 4 is below 7.8
+    narrow = Scripted((0.0, 0.0, 0.16), stop_after=5, pose=estimate, covariance=0.25 * covariance)
+    row = run(env, sampler, narrow, start=(1.5, 3.0, -np.pi / 2), goal=(1.5, 1.0))
+    assert (row["nees"], row["in_95"]) == (pytest.approx(4.0**2 / 3.0, rel=1e-3), 0.0)
+
+
+def test_an_agent_without_a_covariance_has_no_calibration(env, sampler):
+    row = run(env, sampler, Scripted((0.0, 0.0, 0.16), stop_after=2, pose=lambda start, n: start))
+    assert row["location_error_mean"] > 0.0
+    assert (row["nees"], row["in_95"]) == (None, None)
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        np.eye(2),
+        np.diag([1.0, 1.0, -1.0]),
+        np.eye(3) + 0.5 * np.eye(3, k=1),
+        np.diag([1.0, np.nan, 1.0]),
+        np.diag([np.inf, 1.0, 1.0]),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(env, sampler, covariance):
+    agent = Scripted((0.0, 0.0, 0.16), stop_after=2, pose=lambda start, n: start, covariance=covariance)
+    with pytest.raises(InputError, match=r"agent scripted: covariance: expected of \(forward, left, turn\)"):
+        run(env, sampler, agent)
+
+
+def test_a_covariance_without_a_pose_is_refused(env, sampler):
+    with pytest.raises(InputError, match="with a pose"):
+        run(env, sampler, Scripted((0.0, 0.0, 0.16), covariance=np.eye(3)))
+
+
+def test_an_observed_pose_is_no_estimate(env, sampler):
+    """Its errors would be those of rounding."""
+    agent = Scripted((0.0, 0.0, 0.16), stop_after=2, pose=lambda start, n: start)
+    agent.needs_pose = True
+    row = run(env, sampler, agent)
+    assert row["location_error_mean"] is None
+    assert row["trace"]["estimate"] is None
 
 
 def test_the_agent_sees_observations_and_a_static_context_only(env, sampler):

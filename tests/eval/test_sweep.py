@@ -65,6 +65,7 @@ def test_a_sweep_writes_every_episode_once_with_its_configuration(folder, finish
         assert row["map_hash"] is None
         assert row["success"] == (row["failure"] is None)
         assert {"spl", "soft_spl", "steps", "collisions", "path_length", "geodesic", "distance_to_goal"} <= row.keys()
+        assert row["location_error_mean"] is row["nees"] is row["in_95"] is None  # the random agent keeps no estimate
     assert heard == [("episodes", n, 6) for n in range(7)]
     assert not (folder / "whole" / "maps").exists()  # the random agent needs none
 
@@ -303,11 +304,16 @@ def test_agents_in_a_learned_map_end_to_end(folder, tmp_path):
     rows = read_rows(log)
     assert len(rows) == 6
     assert all(row["success"] for row in rows if row["agent"] == "oracle")
-    assert all(row["location_error_max"] < 1e-3 for row in rows if row["agent"] == "oracle")
+    for row in rows:  # the oracle's pose is observed
+        kept = row["agent"] == "dead_reckoning"
+        assert all((row[name] is not None) == kept for name in ("location_error_mean", "nees", "in_95"))
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    assert all({"location_error_mean", "nees", "in_95"} <= line.keys() for line in lines)
     learned = map_hash(tmp_path / "maps" / "rooms.npz")
     assert {(row["agent"], row["map_hash"]) for row in rows} == {("oracle", learned), ("dead_reckoning", learned)}
     stamp = (tmp_path / "maps" / "rooms.npz").stat().st_mtime_ns
     scene = load_config(folder / "agents.yaml").scenes[0]
     again = ensure_map(scene, tmp_path, voxel=0.1, seed=0)
     assert again.stat().st_mtime_ns == stamp
-    assert "rooms" in write_report(tmp_path).read_text()
+    page = write_report(tmp_path).read_text()
+    assert "rooms" in page and "NEES / dim" in page and "inside 95 %" in page

@@ -60,6 +60,8 @@ def run(agent, metres_90, *, ends=None, stopped=True, scene="oak", task=0, colli
         "location_error_mean": 0.0,
         "location_error_max": 0.0,
         "location_error_final": 0.0,
+        "nees": 0.5,
+        "in_95": 1.0,
         "budget": {"steps": STEPS, "seconds": STEPS * DT, "metres": STEPS * STEP},
         "failure": None if success else f"time out: {100 * coverage[-1]:.0f} % covered after 500 steps",
         "status": "finished: nothing left to gain" if stopped else "driving",

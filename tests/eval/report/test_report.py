@@ -12,6 +12,8 @@ import pytest
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.manifest import read_manifest
+from vssm_gym.eval.metrics import aggregate
+from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.report import figures, tables
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -63,6 +65,8 @@ def episode(agent, task, success, failure=None):
         "location_error_mean": float(drift.mean()) if keeps_estimate else None,
         "location_error_max": float(drift.max()) if keeps_estimate else None,
         "location_error_final": float(drift[-1]) if keeps_estimate else None,
+        "nees": 1.25 + 0.5 * task if keeps_estimate else None,
+        "in_95": 0.75 if keeps_estimate else None,
         "latency": {"tracking": {"p50": 0.004, "p95": 0.012}} if keeps_estimate else {},
         "failure": failure,
         "goal": [2.0 + 0.1 * task, 0.1 * task],
@@ -212,6 +216,30 @@ def test_the_table_counts_failures_by_kind():
     table = tables.failure_counts([*rows, episode("astar", 2, True)])
     assert table.header[-2:] == ["failed", "lost track"]
     assert table.lines == [["oak", "astar", "2 of 3", "2"]]
+
+
+def test_the_calibration_of_estimates_stands_in_the_tables_with_the_interval_of_other_metrics(reported):
+    rows = [measured(episode(agent, t, True)) for agent in ("astar", "random") for t in range(20)]
+    table = tables.results(rows, 0, metrics=("location_error_mean", "nees", "in_95"), by=("agent",))
+    assert table.header[-3:] == ["location error m", "NEES / dim", "inside 95 %"]
+    interval = aggregate.mean(rows[:20], "nees", 0)
+    assert interval.low < 1.25 + 0.5 * 9.5 == interval.mean < interval.high
+    kept, without = table.lines
+    assert kept[-3:] == ["0.010 [0.010, 0.010]", interval.text(2), "0.75 [0.75, 0.75]"]
+    assert without[-3:] == ["-", "-", "-"]
+    page = " ".join(Page((reported / "report.html").read_text()).text.split())
+    assert "NEES / dim : squared error of the agent" in page
+    assert interval.text(2) in page
+
+
+def test_rows_from_before_a_field_have_a_dash_and_alone_no_column():
+    new, old = ([measured(episode(agent, t, True)) for t in range(3)] for agent in ("astar", "dead_reckoning"))
+    for row in old:
+        del row["nees"], row["in_95"]
+    table = tables.results([*new, *old], 0)
+    places = [table.header.index(label) for label in ("NEES / dim", "inside 95 %")]
+    assert [line[place] == "-" for line in table.lines for place in places] == [False, False, True, True]
+    assert not {"NEES / dim", "inside 95 %"} & set(tables.results(old, 0).header)
 
 
 def test_the_map_from_above_shows_walls_dark_tables_in_colour_and_the_unknown_grey():

@@ -65,6 +65,8 @@ def episode(agent, physics, task, success=True, collisions=0, **more):
         "location_error_mean": 0.0,
         "location_error_max": 0.0,
         "location_error_final": 0.0,
+        "nees": 2.0,
+        "in_95": 0.9,
         "latency": {"total": {"p50": 0.03, "p95": 0.05 + 0.001 * task}},
         "failure": None if success else "time out: 1.00 m from the goal after 600 steps",
         "goal": [1.7, 0.1 * task, 0.0],

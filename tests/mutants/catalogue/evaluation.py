@@ -2,6 +2,8 @@
 
 from tests.mutants.mutant import Mutant
 
+POSES, OF_POSES = "eval/metrics/pose_calibration.py", "tests/eval/test_pose_calibration.py"
+OF_TRUST = "tests/agents/test_trust.py"
 AGGREGATE, OF_AGGREGATE = "eval/metrics/aggregate.py", "tests/eval/test_aggregate.py"
 
 EVALUATION = (
@@ -53,6 +55,55 @@ EVALUATION = (
         "T[:, :3, 3] - 0.5 * w_t + c * np.cross(w, w_t)",
         "T[:, :3, 3]",
         ("tests/slam/test_calibration.py::test_the_residual_is_the_tangent_step_to_the_truth",),
+    ),
+    Mutant(
+        "nees-of-singular-covariances-undefined",
+        POSES,
+        "(axes * np.maximum(values, least)[:, None, :])",
+        "(axes * values[:, None, :])",
+        (f"{OF_POSES}::test_a_direction_without_variance_counts_like_the_others",),
+    ),
+    Mutant(
+        "nees-not-divided-by-the-dimension",
+        POSES,
+        "float(values.mean()) / dimension",
+        "float(values.mean())",
+        (f"{OF_POSES}::test_the_nees_of_errors_drawn_from_the_stated_covariance_is_one",),
+    ),
+    Mutant(
+        "region-of-another-dimension",
+        POSES,
+        "values <= chi2.ppf(REGION, dimension)",
+        "values <= chi2.ppf(REGION, 2)",
+        (f"{OF_POSES}::test_the_region_holds_its_probability",),
+    ),
+    Mutant(
+        "known-start-counts-as-an-estimate",
+        "eval/protocols/episode.py",
+        "zip(decisions[1:], poses[1:], strict=False)",
+        "zip(decisions, poses, strict=False)",
+        ("tests/eval/test_episode.py::test_the_calibration_of_estimates_by_hand",),
+    ),
+    Mutant(
+        "estimates-compared-with-the-pose-after-the-step",
+        "eval/protocols/episode.py",
+        "zip(decisions[1:], poses[1:], strict=False)",
+        "zip(decisions[1:], poses[2:], strict=False)",
+        ("tests/eval/test_episode.py::test_the_calibration_of_estimates_by_hand",),
+    ),
+    Mutant(
+        "stated-covariance-in-world-axes",
+        "agents/shared/localization.py",
+        "jnp.diagonal(world_covariance(belief)), stated)",
+        "jnp.diagonal(world_covariance(belief)), world_covariance(belief))",
+        ("tests/agents/test_agents.py::test_dead_reckoning_states_its_error_correctly",),
+    ),
+    Mutant(
+        "drift-left-out-of-the-stated-covariance",
+        "agents/shared/trust.py",
+        "self._in_world = info.belief",
+        "self._in_world = self._belief()",
+        (f"{OF_TRUST}::test_the_drift_of_the_map_is_in_the_covariance_that_is_stated_and_not_in_what_is_planned_by",),
     ),
     Mutant(
         "alignment-of-trajectories-may-reflect",
