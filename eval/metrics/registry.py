@@ -93,9 +93,9 @@ METRICS: dict[str, Metric] = {
     "location_error_mean": Metric(
         stored("location_error_mean"), "location error m", 3, "lower", EVERY, compared=NAVIGATION
     ),
+    "location_error_final": Metric(stored("location_error_final"), "final error m", 3, "lower", NAVIGATION),
     "nees": Metric(stored("nees"), "NEES / dim", 2, "neither", EVERY),
     "in_95": Metric(stored("in_95"), "inside 95 %", 2, "neither", EVERY),
-    "location_error_final": Metric(stored("location_error_final"), "final error m", 3, "lower", NAVIGATION),
     "control_p50_ms": Metric(_decision("p50"), "control p50 ms", 1, "lower", CAR),
     "control_p95_ms": Metric(_decision("p95"), "control p95 ms", 1, "lower", CAR, headline=CAR),
     "navigation_success": Metric(
