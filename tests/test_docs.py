@@ -30,7 +30,8 @@ from vssm_gym.inference.tracking.keyframes import KeyframeConfig
 from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.maps import voxel_map
-from vssm_gym.model import emission, emission_uncertainty
+from vssm_gym.model import emission, emission_density, emission_uncertainty
+from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.imu import ImuNoise
 from vssm_gym.model.transition.rigid import RigidNoise
 
@@ -179,13 +180,24 @@ def entries() -> dict[str, str]:
     return found
 
 
+SHARES = tuple(
+    getattr(EmissionScales(), name)
+    for name in ("outlier", "rgb_outlier", "miss", "guess_outlier", "guess_rgb_outlier", "guess_miss", "empty_miss")
+)
 # What an equation states, and the value in the code that it states
 STATED = [
     ("M3", "(10 m)^2", voxel_map.PRIOR_OCCUPANCY_STD, 10.0),
     ("M3", "-0.001 m", voxel_map.PRIOR_OCCUPANCY_MEAN, -0.001),
     ("M8", "e = 0.4 voxel", emission.STEP, 0.4),
     ("M8", "tau = 0,", emission.TAU, 0.0),
-    ("M11", "s_c = s_d / 10", emission.EmissionScales().depth / emission.EmissionScales().rgb, 10.0),
+    ("M11", "s = 0.1", emission_density.PUBLISHED_DEPTH_SCALE, 0.1),
+    ("M11", "s_c = s / 10", emission_density.PUBLISHED_DEPTH_SCALE / emission_density.PUBLISHED_RGB_SCALE, 10.0),
+    ("M11", "s_0 = 0.006", EmissionScales().depth, 0.006),
+    ("M11", "s_2 = 0.0009", EmissionScales().growth, 0.0009),
+    ("M11", "s_c = 0.04", EmissionScales().rgb, 0.04),
+    ("M11", "`o = 0.02`, `o_c = 0.06`, `m = 0.13`", SHARES[:3], (0.02, 0.06, 0.13)),
+    ("M11", "`o = 0.8`, `o_c = 0.9`, `m = 0.24`", SHARES[3:6], (0.8, 0.9, 0.24)),
+    ("M11", "`o = o_c = 1`, `m = 0.11`", SHARES[6], 0.11),
     ("M12", "s = 0.03 m", voxel_map.OBSERVATION_STD, 0.03),
     ("M12", "s_c = 0.1", voxel_map.OBSERVATION_COLOUR_STD, 0.1),
     ("M13", "at least 0.1", emission_uncertainty.MIN_SLOPE, 0.1),

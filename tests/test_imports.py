@@ -120,7 +120,8 @@ FOLDERS = {
         ["sweep"],
         ["report"],
         ["video"],
-        ["bench", "studies", "faults", ""],
+        ["studies", "faults"],
+        ["bench", ""],
     ],
 }
 EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it

@@ -154,7 +154,7 @@ def _descend(
     """Descend ``steps`` steps on each frame; observed cells are those of the closed form, for an equal evaluation."""
     observed = _closed_form(prior, views, name, None)[1]
     m = _fuse(jax.tree.map(jnp.copy, prior), views, 0)
-    state, seconds, key = map_learning.init(m, fit_scales(m, views[:1])), [], jax.random.key(0)
+    state, seconds, key = map_learning.init(m), [], jax.random.key(0)
     for i in range(len(views)):
         began = time.perf_counter()
         frame = views[i : i + 1]

@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +15,11 @@ from vssm_gym.inference.mapping.map_learning import MapLearningConfig
 from vssm_gym.inference.mapping.views import Views, fit_scales, held_out
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission import EmissionScales
+from vssm_gym.model.emission import MAX_DEPTH, RGBD
+from vssm_gym.model.emission_density import EmissionScales, log_prob
 
 CONFIG = MapLearningConfig(images=2, pixels=256, steps=200, refresh=50)
-SCALES = EmissionScales(0.05, 0.05)
+SCALES = EmissionScales(depth=0.05, growth=0.0, rgb=0.05)
 
 
 def make_views(count: int, seed: int, noise: float = 0.0) -> Views:
@@ -93,7 +95,7 @@ def test_the_empty_space_index_is_updated(refined) -> None:
 def test_a_step_is_the_gradient_of_the_renderer() -> None:
     """A step from rays that hit is ``-rate s d(-log p)/dM``, by automatic differentiation through the whole map."""
     config, known = (
-        MapLearningConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02, scale_rate=0.0),
+        MapLearningConfig(images=1, pixels=200, occupancy_rate=0.01, colour_rate=0.02),
         known_map(),
     )
     key, views = jax.random.key(3), train()[2:3]
@@ -111,7 +113,7 @@ def test_a_step_is_the_gradient_of_the_renderer() -> None:
         return jnp.sum(off) + jnp.sum(jnp.abs(m.field(p)[..., 1:] - rays.rgb)) / SCALES.rgb
 
     g_occupancy, g_colour = jax.grad(loss, argnums=(0, 1))(known_map().occupancy, known_map().colour)
-    state, info = map_learning.step(map_learning.init(known_map(), SCALES), views, config, key)
+    state, info = map_learning.step(map_learning.init(known_map()), views, config, key)
     np.testing.assert_allclose(
         np.asarray(state.map.occupancy - known_map().occupancy),
         -0.01 * SCALES.depth * np.asarray(g_occupancy),
@@ -127,7 +129,7 @@ def test_a_missing_surface_grows() -> None:
     """In an empty map only the first-order term acts; it makes the surface that the images show."""
     config = MapLearningConfig(images=1, pixels=512, occupancy_rate=0.03, colour_rate=0.1)
     m, key = VoxelMap.prior(*GRID), jax.random.key(0)
-    state = map_learning.init(m, SCALES)
+    state = map_learning.init(m)
     for i in range(60):
         state, info = map_learning.step(state, train()[:1], config, jax.random.fold_in(key, i))
         if i % 20 == 19:
@@ -138,37 +140,41 @@ def test_a_missing_surface_grows() -> None:
     assert np.median(off) < 0.05
 
 
-def test_scales_are_learned() -> None:
-    """They approach the mean absolute residual from both sides."""
-    config = MapLearningConfig(images=2, pixels=256, occupancy_rate=0.0, colour_rate=0.0, scale_rate=0.05)
-    for start in (EmissionScales(1.0, 1.0), EmissionScales(1e-3, 1e-3)):
-        state, key = map_learning.init(known_map(), start), jax.random.key(0)
-        for i in range(150):
-            state, _ = map_learning.step(state, train(), config, jax.random.fold_in(key, i))
-        learned, best = map_learning.scales(state), fit_scales(known_map(), train())
-        assert 0.4 < float(learned.depth) / float(best.depth) < 2.5
-        assert 0.7 < float(learned.rgb) / float(best.rgb) < 1.4
+def test_scales_of_a_refined_map_fit_its_images(refined) -> None:
+    """They are of greatest likelihood: scales of another map or narrower ones explain the images worse."""
+    m, scales = refined
+    best = held_out(m, train(), scales).log_likelihood
+    for other in (
+        fit_scales(known_map(), train()),
+        eqx.tree_at(lambda s: s.rgb, scales, 0.8 * scales.rgb),
+        eqx.tree_at(lambda s: s.depth, scales, 0.8 * scales.depth),
+    ):
+        assert best > held_out(m, train(), other).log_likelihood
 
 
 def test_held_out_by_hand() -> None:
-    """Mean residuals and the Laplace density equal those of the rendered image, in float64."""
+    """Mean residuals and densities equal those of the rendered image."""
     view = unseen()[1:2]
     image = emission.render(known_map(), view.T_world_cam[0], CAMERA)
     both = np.asarray(image.known) & (np.asarray(view.depth[0]) > 0.0)
     d = np.abs(np.asarray(image.depth, float) - np.asarray(view.depth[0], float))[both]
     c = np.abs(np.asarray(image.rgb, float) - np.asarray(view.rgb[0], float) / 255.0)[both]
-    nats = -d / 0.05 - np.log(0.1) + (-c / 0.05 - np.log(0.1)).sum(-1)
+    seen = RGBD.from_camera(np.asarray(view.rgb[0]), np.asarray(view.depth[0]))
     got = held_out(known_map(), view, SCALES)
     np.testing.assert_allclose(got.depth_l1, d.mean(), rtol=1e-4)
     np.testing.assert_allclose(got.depth_median, np.median(d), rtol=1e-3)
     np.testing.assert_allclose(got.colour_l1, c.mean(), rtol=1e-4)
-    np.testing.assert_allclose(got.log_likelihood, nats.mean(), rtol=1e-4)
+    np.testing.assert_allclose(got.log_likelihood, float(log_prob(seen, image, SCALES).total.mean()), rtol=1e-4)
     np.testing.assert_allclose(got.hit_share, both.mean(), rtol=1e-6)
 
 
-def test_an_empty_map_has_no_likelihood() -> None:
+def test_an_empty_map_pays_for_every_reading() -> None:
+    """It predicts no surface: each reading has the density of an outlier, in depth and in colour."""
     got = held_out(VoxelMap.prior(*GRID), unseen(), SCALES)
-    assert np.isnan(got.log_likelihood)
+    assert (unseen().depth > 0.0).all()
+    assert got.log_likelihood == pytest.approx(np.log((1.0 - SCALES.empty_miss) / MAX_DEPTH), rel=1e-4)
+    assert got.log_likelihood < held_out(known_map(), unseen(), SCALES).log_likelihood - 2.0
+    assert np.isnan(got.depth_l1)
     assert got.hit_share == 0.0
 
 

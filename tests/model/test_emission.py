@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from tests.helpers.analytic_room import Room, camera_pose, ray_directions
 from tests.helpers.field_oracle import FieldOracle
@@ -19,7 +18,7 @@ from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.inference.mapping import map_update
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission import MAX_DEPTH, RGBD, STEP, EmissionScales, log_prob, march, render, render_with, search
+from vssm_gym.model.emission import MAX_DEPTH, RGBD, STEP, march, render, render_with, search
 
 RAYS = 192
 E = STEP * VOXEL  # m between samples
@@ -375,50 +374,3 @@ def test_gradients_are_finite_at_singular_points() -> None:
     for m, T in cases:
         for leaf in jax.tree.leaves(gradient(theta_at(m), m, f32(T), ones, search)):
             assert np.isfinite(np.asarray(leaf)).all()
-
-
-# --- likelihood ----------------------------------------------------------------------------------------------------
-
-
-def flat_image(depth: float, rgb: np.ndarray, hit: bool = True) -> RGBD:
-    """Return one pixel."""
-    return RGBD(jnp.full((1, 1), depth), f32(rgb).reshape(1, 1, 3), jnp.full((1, 1), hit), jnp.full((1, 1), hit))
-
-
-def test_log_prob_is_a_product_of_laplace_densities() -> None:
-    scales = EmissionScales(0.3, 0.05)
-    rng = np.random.default_rng(0)
-    for _ in range(5):
-        (d, mu), (c, nu) = rng.uniform(0.5, 4.0, 2), rng.uniform(size=(2, 3))
-        value = log_prob(flat_image(d, c), flat_image(mu, nu), scales)
-        expected = stats.laplace.logpdf(d, mu, 0.3) + stats.laplace.logpdf(c, nu, 0.05).sum()
-        assert float(value[0, 0]) == pytest.approx(expected, rel=1e-4, abs=1e-4)
-
-
-def test_log_prob_is_normalised() -> None:
-    """The four factors are independent: each integrates to one when the others stand at their modes."""
-    scales, rgb = EmissionScales(), np.array([0.3, 0.5, 0.7])
-    mode = np.array([2.0, *rgb])
-    peak = float(log_prob(flat_image(2.0, rgb), flat_image(2.0, rgb), scales)[0, 0])
-    widths = np.array([float(scales.depth)] + [float(scales.rgb)] * 3)
-    assert peak == pytest.approx(-np.log(2 * widths).sum(), rel=1e-5)
-    for channel, width in enumerate(widths):
-        t = np.linspace(-12 * width, 12 * width, 4801)
-        x = mode + t[:, None] * np.eye(4)[channel]
-        column = RGBD(f32(x[:, :1]), f32(x[:, None, 1:]), jnp.ones((4801, 1), bool), jnp.ones((4801, 1), bool))
-        same = jax.tree.map(lambda a: jnp.broadcast_to(a, (4801, *a.shape[1:])), flat_image(2.0, rgb))
-        density = np.exp(np.asarray(log_prob(column, same, scales), float).ravel() - peak) / (2 * width)
-        assert np.trapezoid(density, t) == pytest.approx(1.0, abs=1e-3)
-
-
-def test_pixels_without_depth_do_not_count() -> None:
-    rgb = np.full(3, 0.5)
-    for seen, predicted in ((True, False), (False, True), (False, False)):
-        value = log_prob(flat_image(1.0, rgb, seen), flat_image(2.0, rgb, predicted), EmissionScales())
-        assert float(value[0, 0]) == 0.0
-
-
-def test_default_colour_scale_is_ten_times_narrower() -> None:
-    scales = EmissionScales()
-    assert scales.depth == pytest.approx(10 * scales.rgb)
-    assert emission.TAU == 0.0

@@ -9,14 +9,16 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from tests.helpers.analytic_room import camera_pose
+from tests.helpers.emission_oracle import EMPTY, GUESSED, KNOWN, pixel_log_prob
 from tests.helpers.field_oracle import FieldOracle
 from tests.helpers.localisation_room import GRID, ROOM
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model import predictive, spatial_model
-from vssm_gym.model.emission import RGBD, EmissionScales
+from vssm_gym.model import emission, predictive, spatial_model
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.spatial_model import SpatialModel
 from vssm_gym.model.transition import (
     PLANAR,
@@ -68,24 +70,22 @@ def random_belief(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 
 def oracle_images(m: VoxelMap, poses: list[np.ndarray], images: RGBD, scales: EmissionScales) -> list[float]:
-    """Return ``sum log Laplace`` over pixels that both have depth, in float64."""
+    """Return ``sum log p(x | z, M)`` over all pixels, in float64; every image has a reading at every pixel."""
+    assert bool(images.hit.all())
     oracle, total = FieldOracle.of(m), []
     for t, T in enumerate(poses):
         depth, rgb, k = oracle.render(T, VIEW)
-        valid = (k > 0) & np.asarray(images.hit[t]).reshape(-1)
-        residuals = [
-            np.asarray(images.depth[t], float).reshape(-1) - depth,
-            np.asarray(images.rgb[t], float).reshape(-1, 3) - rgb,
-        ]
-        logs = stats.laplace.logpdf(residuals[0], scale=scales.depth)
-        total.append((logs + stats.laplace.logpdf(residuals[1], scale=scales.rgb).sum(-1))[valid].sum())
+        known = np.asarray(emission.render(m, f32(T), VIEW).known).reshape(-1)
+        seen = np.asarray(images.depth[t], float).reshape(-1), np.asarray(images.rgb[t], float).reshape(-1, 3)
+        kind = np.where(k > 0, np.where(known, KNOWN, GUESSED), EMPTY)
+        total.append(pixel_log_prob(*seen, depth, rgb, kind, scales).sum())
     return total
 
 
 def test_the_joint_density_is_the_sum_of_its_terms_in_float64(room: VoxelMap) -> None:
     """Four steps of a rigid camera: cells, start, transitions and images, each against SciPy."""
     rng = np.random.default_rng(0)
-    noise, scales = RigidNoise(0.3, 0.05, 0.2, 0.05), EmissionScales(0.05, 0.02)
+    noise, scales = RigidNoise(0.3, 0.05, 0.2, 0.05), EmissionScales(depth=0.05, rgb=0.02)
     spatial = SpatialModel(Rigid(noise), VoxelMap.prior(*GRID), VIEW, jnp.eye(4), scales)
     starts = camera_pose((-1.0, 0.0, 1.0), 0.1)
     controls, velocity = rng.normal(size=(3, 6)) * 0.3, rng.normal(size=6) * 0.1
@@ -245,17 +245,18 @@ def test_a_region_without_volume_holds_its_samples() -> None:
 
 
 def test_image_summaries_by_hand() -> None:
-    """Three futures of one pixel: two see a surface, at 1 and 2 m; Laplace scale 0.1 adds 2 * 0.01."""
+    """Three futures of one pixel: two see a surface, at 1 and 2 m; the noise adds 2 * 0.1^2 and 2 * 0.01^2."""
     pixel = lambda d, c: RGBD(f32([[d]]), jnp.full((1, 1, 3), c), jnp.array([[d > 0]]), jnp.array([[d > 1.5]]))
     stack = lambda *images: jax.tree.map(lambda *a: jnp.stack(a), *images)
-    summary = predictive.image_summary(stack(pixel(1.0, 0.2), pixel(2.0, 0.4), pixel(0.0, 0.0)), EmissionScales())
+    scales = EmissionScales(depth=0.1, growth=0.0, rgb=0.01)
+    summary = predictive.image_summary(stack(pixel(1.0, 0.2), pixel(2.0, 0.4), pixel(0.0, 0.0)), scales)
     np.testing.assert_allclose(float(summary.depth_mean[0, 0]), 1.5, rtol=1e-6)
     np.testing.assert_allclose(float(summary.depth_variance[0, 0]), 0.5 + 0.02, rtol=1e-6)
     np.testing.assert_allclose(np.asarray(summary.rgb_mean[0, 0]), 0.3, rtol=1e-6)
     np.testing.assert_allclose(np.asarray(summary.rgb_variance[0, 0]), 0.02 + 2e-4, rtol=1e-5)
     np.testing.assert_allclose(float(summary.hit_share[0, 0]), 2 / 3, rtol=1e-6)
     np.testing.assert_allclose(float(summary.known_share[0, 0]), 1 / 3, rtol=1e-6)
-    nothing = predictive.image_summary(stack(pixel(0.0, 0.0), pixel(0.0, 0.0)), EmissionScales())
+    nothing = predictive.image_summary(stack(pixel(0.0, 0.0), pixel(0.0, 0.0)), scales)
     assert np.isinf(float(nothing.depth_variance[0, 0]))
     assert float(nothing.depth_mean[0, 0]) == 0.0
 

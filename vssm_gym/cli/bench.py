@@ -8,8 +8,8 @@ import tyro
 from vssm_gym.cli.shared.console import literal_console, say
 from vssm_gym.cli.shared.interruption import interruptible
 
-Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "tracker", "drift", "slam"]
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40}
+Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "prediction", "tracker", "drift", "slam"]
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40, "prediction": 8}
 DEFAULT_TRIALS |= {"soak": 100_000, "rl": 1_000_000}  # steps
 FEWEST_CANDIDATES = 5  # of which a rank correlation means something
 DEFAULT_SCENE = {"car": "arena"}  # the others: oak
@@ -21,31 +21,34 @@ def bench(
     sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
     scene: str | None = None,
     out: Path = Path("out/bench"),
-    trials: int | None = None,
+    trials: Annotated[int | None, tyro.conf.arg(aliases=("--runs",))] = None,
+    split: Literal["train", "test"] = "train",
     workers: int = 2,
     seed: int = 0,
 ) -> None:
     """Measure speed and accuracy on this machine, one suite at a time.
 
     `speed` measures the median time of each stage: image, tracker, map update, environment, planner, control loop.
-    `envs` measures steps per second of the environments, one and many at once, and of MiniWorld where it is
-    installed. `rl` measures robot steps per second in a learned map and in the simulator, memory over a million
-    steps, and the distance between imagined and simulated robots under the same commands. `soak` drives at random
-    through every environment and ten procedural apartments and checks every step: no NaN, no body inside a wall,
-    constant memory. `car` measures value iteration, each controller in closed loop, hybrid A* and both simulators of
-    the robot car. `information` measures an explorer's imagined step and its ranking of candidates against all pixels
-    and against the true images. `tracker` drives 100 steps at a time along the true pose and prints the tracker's
+    `envs` measures steps per second of the environments, one and many at once, and of MiniWorld where it is installed.
+    `rl` measures robot steps per second in a learned map and in the simulator, memory over a million steps, and the
+    distance between imagined and simulated robots under the same commands. `soak` drives at random through every
+    environment and ten procedural apartments and checks every step: no NaN, no body inside a wall, constant memory.
+    `car` measures value iteration, each controller in closed loop, hybrid A* and both simulators of the robot car.
+    `information` measures an explorer's imagined step and its ranking of candidates against all pixels and against the
+    true images. `prediction` scores images and poses 1 s and 3 s ahead, of the world model and of baselines, in learned
+    maps of a split's apartments. `tracker` drives 100 steps at a time along the true pose and prints the tracker's
     location RMSE. `drift` chains goals over 100 m and compares the map tracker, frame-to-frame alignment and dead
-    reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with
-    Open3D's dense SLAM, where it is installed.
+    reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's
+    dense SLAM, where it is installed.
 
     Args:
         suite: the suite to run.
         sequence: TUM folder, for `slam` only.
         scene: built-in name or path of a scene file; by default `oak`, for `car` `arena`.
         out: folder for the learned map, which is kept, and for the results as JSON; it may hold other suites' results.
-        trials: number of drives (`tracker` 300, `drift` 4), runs (`slam` 1), steps (`soak` 100000, `rl` 1000000), steps
-            of each controller (`car` 300) or candidates (`information` 40).
+        trials: number of drives (`tracker` 300, `prediction` 8, `drift` 4), runs (`slam` 1), steps (`soak` 100000, `rl`
+            1000000), steps of each controller (`car` 300) or candidates (`information` 40).
+        split: scenes and seeds of `prediction`: to tune on (train) or to judge on (test).
         workers: number of processes of `tracker` and `drift`.
         seed: seed of the drives.
     """
@@ -70,10 +73,12 @@ def bench(
         raise InputError("bench", "SEQUENCE", "a TUM folder after `bench slam`, and nothing after other suites")
     recording = None if sequence is None else load_sequence(sequence)
     measured = "all" if suite == "soak" else Path(scene if sequence is None else sequence.resolve()).stem
+    measured = split if suite == "prediction" else measured
     path = out / f"{suite}-{measured}.json"
     owner = Owner("bench", "bench.json", {"version": package_version()}, identity=())
     with owned_folder(out, owner):
-        check_new_file(path)
+        for suffix in (".json", ".svg", ".html") if suite == "prediction" else (".json",):
+            check_new_file(path.with_suffix(suffix))
         with progress_bars() as progress:
             if recording is not None:
                 from vssm_gym.eval.bench.slam import compare
@@ -96,6 +101,10 @@ def bench(
 
                 check_at_least("bench", "trials", count, FEWEST_CANDIDATES)
                 result = measure_information(scene=scene, candidates=count, seed=seed, on_progress=progress)
+            elif suite == "prediction":
+                from vssm_gym.eval.bench.prediction.measure import measure as measure_prediction
+
+                result = measure_prediction(split=split, runs=count, seed=seed, folder=out, on_progress=progress)
             else:
                 map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
                 result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
@@ -103,6 +112,10 @@ def bench(
         _show(suite, result, literal_console())  # before it is written: a full disk costs the file alone
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
+        if suite == "prediction":
+            from vssm_gym.eval.bench.prediction.page import write_page
+
+            say(write_page(result, path, package_version()))
     say(path)
 
 
@@ -126,6 +139,9 @@ def _on_a_map(
 def _show(suite: str, result: dict[str, Any], console: Any) -> None:
     from rich.table import Table
 
+    if suite == "prediction":
+        _show_prediction(Table(title=f"bench prediction: {result['setting']['split']}"), result, console)
+        return
     table = Table(title=f"bench {suite}: {result['scene']}")
     if suite == "speed":
         for name in ("stage", "median", "unit", "target"):
@@ -255,6 +271,23 @@ def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
         "map: images in it. rank: against all pixels and cells, and against the true images. ratio: to the latter"
     )
     console.print(f"recompilations for other candidates: {result['recompilations']}")
+    console.print(f"machine: {result['machine']}")
+
+
+def _show_prediction(table: Any, result: dict[str, Any], console: Any) -> None:
+    """Fill the table with one row for each model and horizon; print what the rows mean and what was fitted below."""
+    from vssm_gym.eval.bench.prediction.page import HEADER, answer, line_of
+
+    for name in HEADER:
+        table.add_column(name, justify="left" if name == HEADER[0] else "right")
+    for row in result["rows"]:
+        table.add_row(*line_of(row))
+    console.print(table)
+    console.print(answer(result["rows"]), soft_wrap=True)
+    for name, values in (result["fitted"] or {}).items():
+        numbers = values.items() if isinstance(values, dict) else enumerate(values)
+        written = ", ".join(f"{of} {value:.4g}" for of, value in numbers)
+        console.print(f"fitted, {name}: {written}", soft_wrap=True)
     console.print(f"machine: {result['machine']}")
 
 

@@ -1,10 +1,11 @@
-"""Render RGB-D images differentiably: ``p(x | z, M) = Laplace(x; mu_rgbd(z, M), diag(sigma_E))`` (VSSM-LM, PRISM).
+"""Render RGB-D images differentiably: ``mu_rgbd(z, M)``, the location of ``p(x | z, M)`` (VSSM-LM, PRISM).
 
 Along the ray of pixel (i, j), ``p(d) = c + d R K^-1 [i, j, 1]^T`` is sampled at ``d_k = k e``. With ``k`` the first
 sample whose occupancy exceeds ``tau``, the surface is at ``d* = a d_k + (1 - a) d_k-1``,
 ``a = (tau - o_k-1) / (o_k - o_k-1)``, and the colour is the field there. The search for ``k`` has no gradient; the
 interpolation at the hit has one in the map, the pose and the intrinsics. :func:`march` is the search as published;
-:func:`search` finds the same ``k`` by skipping certified empty boxes (:mod:`vssm_gym.maps.empty_space`).
+:func:`search` finds the same ``k`` by skipping certified empty boxes (:mod:`vssm_gym.maps.empty_space`). The density of
+an image about a rendered one is in :mod:`vssm_gym.model.emission_density`.
 """
 
 from collections.abc import Callable
@@ -51,13 +52,6 @@ class RGBD(eqx.Module):
         """
         metres = jnp.where(np.isfinite(depth), jnp.asarray(depth, jnp.float32), 0.0)
         return cls(metres, jnp.asarray(rgb, jnp.float32) / 255.0, metres > 0.0, metres > 0.0)
-
-
-class EmissionScales(eqx.Module):
-    """Hold ``sigma_E``, the scales of the Laplace emission; colour's is a tenth of depth's by default (VSSM-LM)."""
-
-    depth: Float[Array, ""] | float = 0.1  # m
-    rgb: Float[Array, ""] | float = 0.01  # [0, 1]
 
 
 class _Rays(NamedTuple):
@@ -269,11 +263,3 @@ def render(m: VoxelMap, T_world_cam: Float[Array, "4 4"], camera: Camera, max_de
         Depth (z, metres), colour, and the masks of pixels that hit a surface and that hit an observed one.
     """
     return render_with(search, m, T_world_cam, camera, max_depth)
-
-
-def log_prob(image: RGBD, predicted: RGBD, scales: EmissionScales) -> Float[Array, "height width"]:
-    """``log p(x | z, M)`` per pixel: Laplace in depth and RGB; pixels without depth on either side contribute 0."""
-    valid = image.hit & predicted.hit
-    depth = -jnp.abs(image.depth - predicted.depth) / scales.depth - jnp.log(2.0 * scales.depth)
-    rgb = -jnp.abs(image.rgb - predicted.rgb) / scales.rgb - jnp.log(2.0 * scales.rgb)
-    return jnp.where(valid, depth + rgb.sum(-1), 0.0)

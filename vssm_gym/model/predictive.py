@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from vssm_gym.model.emission import RGBD, EmissionScales
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.manifold import Manifold
 
 MEAN_STEPS = 5  # iterations of the mean on the manifold; two or three suffice unless rotations spread by a radian
@@ -81,20 +82,22 @@ def inside(manifold: Manifold, region: Envelope, states: Any) -> Bool[Array, "*b
 def image_summary(images: RGBD, scales: EmissionScales) -> ImageSummary:
     """``E[x]`` and ``var[x] = var[mu] + 2 sigma^2`` of each pixel: spread between futures plus Laplace emission noise.
 
+    Outliers are left out: a few per cent of them, anywhere in the range, would decide every variance.
+
     Args:
         images: Arrays (samples, ..., height, width[, 3]) of :class:`~vssm_gym.model.spatial_model.Rollouts`.
-        scales: ``sigma_E`` of the emission.
+        scales: ``sigma_E`` of the emission; depth's is taken at the mean depth.
     """
     hit = images.hit.astype(jnp.float32)
     count = hit.sum(axis=0)
 
-    def moments(values, weight, n, scale):
+    def moments(values, weight, n, scale_at):
         mean = jnp.sum(weight * values, axis=0) / jnp.maximum(n, 1.0)
         spread = jnp.sum(weight * (values - mean) ** 2, axis=0) / jnp.maximum(n - 1.0, 1.0)
-        return mean, jnp.where(n > 0.0, spread + 2.0 * jnp.asarray(scale) ** 2, jnp.inf)
+        return mean, jnp.where(n > 0.0, spread + 2.0 * scale_at(mean) ** 2, jnp.inf)
 
-    depth_mean, depth_variance = moments(images.depth, hit, count, scales.depth)
-    rgb_mean, rgb_variance = moments(images.rgb, hit[..., None], count[..., None], scales.rgb)
+    depth_mean, depth_variance = moments(images.depth, hit, count, scales.depth_at)
+    rgb_mean, rgb_variance = moments(images.rgb, hit[..., None], count[..., None], lambda _: jnp.asarray(scales.rgb))
     known = images.known.astype(jnp.float32).mean(axis=0)
     return ImageSummary(depth_mean, depth_variance, rgb_mean, rgb_variance, hit.mean(axis=0), known)
 

@@ -18,7 +18,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission import MAX_DEPTH, RGBD, EmissionScales
+from vssm_gym.model.emission import MAX_DEPTH, RGBD
+from vssm_gym.model.emission_density import EmissionScales, log_prob
 from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief
@@ -34,7 +35,7 @@ class SpatialModel(eqx.Module):
         m: the belief over the map: the prior ``p(M)``, or a filter's ``q(M)``.
         camera: of the images.
         T_body_cam: pose of the camera in the body frame, m.
-        scales: of the emission, depth (m) and colour.
+        scales: of the emission, and its shares of outliers and of pixels without a reading.
         measurement_noise: standard deviations of one observation that the precisions of ``m`` count.
         max_depth: z-depth up to which surfaces are rendered, m.
     """
@@ -104,15 +105,15 @@ def log_joint(
         dt: Length of a step, s.
 
     Returns:
-        The terms. Pose densities are with respect to metres times the angle turned; pixels without depth in the image
-        or in the map contribute nothing.
+        The terms. Pose densities are with respect to metres times the angle turned; those of images are with respect
+        to metres of depth and to channels in [0, 1], and count every pixel, with a reading or without.
     """
     before, after = (jax.tree.map(lambda a, s=s: a[s], states) for s in (slice(None, -1), slice(1, None)))
     first = jax.tree.map(lambda a: a[0], states)
 
     def observed(step):
         state, image = step
-        return emission.log_prob(image, model.image(M, state), model.scales).sum()
+        return log_prob(image, model.image(M, state), model.scales, model.max_depth).total.sum()
 
     return LogJoint(
         cells=log_prob_map(M, model.m),

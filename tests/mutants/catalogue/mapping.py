@@ -4,6 +4,7 @@ from tests.mutants.mutant import Mutant
 
 UPDATE, OBSERVATION = "vssm_gym/inference/mapping/map_update.py", "vssm_gym/inference/mapping/observation.py"
 EMISSION, UNCERTAINTY = "vssm_gym/model/emission.py", "vssm_gym/model/emission_uncertainty.py"
+DENSITY, OF_DENSITY = "vssm_gym/model/emission_density.py", "tests/model/test_emission_density.py"
 OF_UPDATE, OF_EMISSION = "tests/inference/test_map_update.py", "tests/model/test_emission.py"
 ONE_PIXEL = (f"{OF_UPDATE}::test_one_pixel_by_hand",)
 
@@ -86,10 +87,52 @@ MAPPING = (
         ("tests/model/test_emission_uncertainty.py::test_more_measurements_reduce_the_uncertainty",),
     ),
     Mutant(
+        "absent-readings-cost-nothing",
+        DENSITY,
+        "_log(1.0 - shares.miss) + given, _log(shares.miss))",
+        "_log(1.0 - shares.miss) + given, 0.0)",
+        (f"{OF_DENSITY}::test_the_density_integrates_to_one",),
+    ),
+    Mutant(
+        "emission-without-truncation",
+        DENSITY,
+        " - jnp.log(2.0 * scale) - jnp.log(jnp.maximum(inside, TINY))",
+        " - jnp.log(2.0 * scale)",
+        (f"{OF_DENSITY}::test_the_density_is_that_of_the_definition",),
+    ),
+    Mutant(
+        "outliers-of-colour-by-channel",
+        DENSITY,
+        "_log_mixture(_log_laplace(image.rgb, location, scale, 1.0).sum(-1), 0.0, shares.rgb_outlier)",
+        "_log_mixture(_log_laplace(image.rgb, location, scale, 1.0), 0.0, shares.rgb_outlier[..., None]).sum(-1)",
+        (f"{OF_DENSITY}::test_the_density_is_that_of_the_definition",),
+    ),
+    Mutant(
+        "std-of-the-map-as-a-laplace-scale",
+        DENSITY,
+        "scales.depth_at(location) ** 2 + 0.5 * std**2",
+        "scales.depth_at(location) ** 2 + std**2",
+        (f"{OF_DENSITY}::test_the_density_is_that_of_the_definition",),
+    ),
+    Mutant(
+        "crps-of-the-left-side-alone",
+        "eval/bench/prediction/scores.py",
+        "((-1.0, 0.0), (1.0, 1.0))",
+        "((-1.0, 0.0), (1.0, 0.0))",
+        ("tests/eval/bench/test_prediction_scores.py::test_the_crps_of_a_laplace_distribution",),
+    ),
+    Mutant(
+        "mixture-without-the-probability-of-a-reading",
+        "eval/bench/prediction/mixture.py",
+        "weight = emission_density.reading_prob(prediction.images, prediction.scales)",
+        "weight = jnp.ones_like(prediction.images.depth)",
+        ("tests/eval/bench/test_prediction_mixture.py::test_distribution_functions_are_conditional_on_a_reading",),
+    ),
+    Mutant(
         "predicted-images-with-the-variance-of-a-normal",
         "vssm_gym/model/predictive.py",
-        "spread + 2.0 * jnp.asarray(scale) ** 2",
-        "spread + jnp.asarray(scale) ** 2",
+        "spread + 2.0 * scale_at(mean) ** 2",
+        "spread + scale_at(mean) ** 2",
         ("tests/model/test_model.py::test_image_summaries_by_hand",),
     ),
     Mutant(

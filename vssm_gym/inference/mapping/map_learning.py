@@ -1,7 +1,7 @@
 """``min_M E[-log p(x | z, M)]``: learn the map through the renderer from random images and pixels (TNP-SM).
 
 Learning starts from the closed-form map: an empty one renders nothing and has no gradient. Where a ray hits, ``-log p``
-is the Laplace emission's,
+is that of the emission's Laplace core,
 
     |d - d*(M)| / s_d + sum_c |x_c - f_c(p(d*))| / s_c,
 
@@ -30,7 +30,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from vssm_gym.inference.mapping.views import Views, fit_scales
 from vssm_gym.maps.voxel_map import TRUNCATION, VoxelMap, trilinear
 from vssm_gym.model import emission
-from vssm_gym.model.emission import MAX_DEPTH, STEP, TAU, EmissionScales
+from vssm_gym.model.emission import MAX_DEPTH, STEP, TAU
+from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.progress import OnProgress
 
 BAND_OFFSETS = (-1.5, -0.5, 0.5, 1.5)  # voxels around the observed depth, where a ray without a surface is given one
@@ -44,7 +45,6 @@ class MapLearningConfig:
     pixels: int = 512  # drawn of each
     occupancy_rate: float = 0.001  # m: change of a cell by one wrong ray whose depth depends on that cell alone
     colour_rate: float = 0.005  # likewise of a colour channel
-    scale_rate: float = 0.01  # of the running mean of the scales, [0, 1]
     steps: int = 4000  # of refine; rates fall linearly to zero over them
     refresh: int = 100  # steps between rebuilds of the empty-space index
     truncation: float = TRUNCATION  # voxels: a surface found farther behind the observed one is another surface
@@ -52,16 +52,14 @@ class MapLearningConfig:
 
 
 class MapLearningState(eqx.Module):
-    """Hold map and scales between steps. The map's empty-space index follows only at :func:`refresh`."""
+    """Hold the map between steps. Its empty-space index follows only at :func:`refresh`."""
 
     map: VoxelMap
-    log_scales: Float[Array, "2"]  # of depth (m) and colour
 
 
 class MapLearningInfo(eqx.Module):
     """Report means over the drawn pixels with a reading."""
 
-    loss: Float[Array, ""]  # -log p a pixel, of those with a surface
     depth_l1: Float[Array, ""]  # m, of those with a surface
     colour_l1: Float[Array, ""]  # of those with a surface
     hit_share: Float[Array, ""]
@@ -117,16 +115,9 @@ class _Values(NamedTuple):
     colour: tuple[Array, ...]  # (8, rays) of each channel
 
 
-def init(m: VoxelMap, scales: EmissionScales) -> MapLearningState:
-    """Start the refinement of ``m`` (not consumed) from emission scales such as those of :func:`views.fit_scales`."""
-    start = jnp.log(jnp.asarray([scales.depth, scales.rgb], jnp.float32))
-    return MapLearningState(jax.tree.map(jnp.copy, m), start)
-
-
-def scales(state: MapLearningState) -> EmissionScales:
-    """Return the emission scales learned so far."""
-    depth, rgb = jnp.exp(state.log_scales)
-    return EmissionScales(depth, rgb)
+def init(m: VoxelMap) -> MapLearningState:
+    """Start the refinement of ``m``, which is not consumed."""
+    return MapLearningState(jax.tree.map(jnp.copy, m))
 
 
 def _draw(m: VoxelMap, views: Views, config: MapLearningConfig, key: PRNGKeyArray) -> _DrawnRays:
@@ -179,7 +170,6 @@ def _step(
     cells = m.occupancy.shape[-1]
     first = surface.offsets // cells * (3 * cells) + surface.offsets % cells
     channels = [surface._replace(offsets=first + c * cells) for c in range(3)]
-    s_depth, s_rgb = jnp.exp(state.log_scales)
 
     def loss(values: _Values) -> tuple[Array, tuple[Array, Array]]:
         """Return ``-log p`` times the scales, which the preconditioner would cancel, and the residuals."""
@@ -201,13 +191,8 @@ def _step(
     m = eqx.tree_at(lambda m: (m.occupancy, m.colour), m, means)
     hits = jnp.maximum(jnp.sum(rays.near), 1)
     depth_l1, colour_l1 = jnp.sum(off * rays.near) / hits, jnp.sum(off_colour * rays.near) / (3.0 * hits)
-    # Pixels without a surface carry no information about the scales.
-    ratio = jnp.where(jnp.any(rays.near), jnp.stack([depth_l1 / s_depth, colour_l1 / s_rgb]), 1.0)
-    nats = ratio[0] + 3.0 * ratio[1] + jnp.log(2.0 * s_depth) + 3.0 * jnp.log(2.0 * s_rgb)
-    # s <- s + rate (mean |r| - s): the running mean of the maximum-likelihood scale; a bounded step of log s.
-    log_scales = state.log_scales + jnp.log1p(rate * config.scale_rate * (ratio - 1.0))
-    info = MapLearningInfo(nats, depth_l1, colour_l1, jnp.sum(rays.near) / jnp.maximum(jnp.sum(rays.read), 1))
-    return MapLearningState(m, log_scales), info
+    info = MapLearningInfo(depth_l1, colour_l1, jnp.sum(rays.near) / jnp.maximum(jnp.sum(rays.read), 1))
+    return MapLearningState(m), info
 
 
 @partial(jax.jit, static_argnums=2, donate_argnums=0)
@@ -217,7 +202,7 @@ def step(
     """Make one step of gradient descent on ``-log p(x | z, M)`` of drawn pixels. The state passed in is consumed.
 
     Args:
-        state: Map and scales so far.
+        state: The map so far.
         views: Images that the batch is drawn from.
         config: Batch and rates.
         key: Of the draw.
@@ -243,12 +228,12 @@ def _steps(
         return _step(state, views, config, jax.random.fold_in(key, first + i), rate)
 
     zero = jnp.zeros(())
-    return jax.lax.fori_loop(0, count, body, (state, MapLearningInfo(zero, zero, zero, zero)))
+    return jax.lax.fori_loop(0, count, body, (state, MapLearningInfo(zero, zero, zero)))
 
 
 def refresh(state: MapLearningState) -> MapLearningState:
     """Rebuild the empty-space index, so that rays find surfaces that grew in boxes marked empty before."""
-    return MapLearningState(state.map.with_occupancy(state.map.occupancy), state.log_scales)
+    return MapLearningState(state.map.with_occupancy(state.map.occupancy))
 
 
 def refine(
@@ -256,7 +241,6 @@ def refine(
     views: Views,
     config: MapLearningConfig,
     key: PRNGKeyArray,
-    start: EmissionScales | None = None,
     on_progress: OnProgress | None = None,
 ) -> tuple[VoxelMap, EmissionScales]:
     """Refine the map ``m`` (not consumed) by ``config.steps`` steps, with rates falling linearly to zero (eq. I39).
@@ -266,13 +250,12 @@ def refine(
         views: Training images.
         config: Batch, rates, effort.
         key: Of the draws.
-        start: Emission scales at the start; by default those that fit ``m`` best.
         on_progress: Called after every refresh.
 
     Returns:
-        The refined map, its index up to date, and the learned scales.
+        The refined map, its index up to date, and the emission scales that fit it best on the views.
     """
-    state = init(m, start or fit_scales(m, views, config.max_depth))
+    state = init(m)
     done = 0
     while done < config.steps:
         count = min(config.refresh, config.steps - done)
@@ -281,4 +264,4 @@ def refine(
         done += count
         if on_progress:
             on_progress("refining the map", done, config.steps)
-    return state.map, scales(state)
+    return state.map, fit_scales(state.map, views, config.max_depth)

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from vssm_gym.geometry.camera import MAX_DEPTH, Camera
+from vssm_gym.inference.mapping.scale_fit import PixelPairs, fit
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission import EmissionScales
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.emission_density import EmissionScales, has_reading, log_prob
 
-FITTED_VIEWS = 20  # whose residuals give the scales, spread over all views
-SMALLEST_SCALE = 1e-3  # m and colour: lower bound for maps that predict some pixels exactly
+FITTED_VIEWS = 20  # whose pixels give the scales, spread over all views
 
 
 class Views(eqx.Module):
@@ -46,37 +47,24 @@ class Views(eqx.Module):
 
 
 class HeldOut(NamedTuple):
-    """Hold means over the pixels with a reading at which the map has an observed surface, and their share."""
+    """Hold errors of pixels with a reading and an observed surface of the map, and the likelihood of all pixels."""
 
-    depth_l1: float  # m
+    depth_l1: float  # m; NaN where there is no such pixel
     depth_median: float  # m
     colour_l1: float  # a channel, [0, 1]
-    log_likelihood: float  # nats a pixel (depth and three channels), Laplace
+    log_likelihood: float  # nats a pixel, over all pixels, with a reading or without
     hit_share: float  # of the pixels with a reading
 
 
-@jax.jit
-def _residuals(image: emission.RGBD, depth: Array, rgb: Array, max_depth: float | Array) -> tuple[Array, Array, Array]:
-    """Return depth residuals (-1 where there is none), mean colour residuals, and which pixels have a reading."""
-    read = (depth > 0.0) & (depth <= max_depth)
-    both = read & image.known
-    return jnp.where(both, jnp.abs(image.depth - depth), -1.0), jnp.abs(image.rgb - rgb / 255.0).mean(-1), read
-
-
-def _all_residuals(m: VoxelMap, views: Views, max_depth: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return absolute depth and mean colour residuals of all pixels with reading and surface.
-
-    And the number of readings.
-    """
-    depths, colours, read = [], [], 0
+def pairs_of(m: VoxelMap, views: Views, max_depth: float = MAX_DEPTH) -> list[PixelPairs]:
+    """Return the pixels of each view beside what the map predicts from its pose."""
+    pairs = []
     for i in range(len(views)):
-        image = emission.render(m, views.T_world_cam[i], views.camera, max_depth)
-        d, c, r = _residuals(image, views.depth[i], views.rgb[i], max_depth)
-        hit = np.asarray(d) >= 0.0
-        depths.append(np.asarray(d)[hit])
-        colours.append(np.asarray(c)[hit])
-        read += int(r.sum())
-    return np.concatenate(depths), np.concatenate(colours), read
+        predicted = emission.render(m, views.T_world_cam[i], views.camera, max_depth)
+        read = views.depth[i] > 0.0
+        image = RGBD(views.depth[i], views.rgb[i].astype(jnp.float32) / 255.0, read, read)
+        pairs.append(PixelPairs.of(image, predicted))
+    return pairs
 
 
 def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float = MAX_DEPTH) -> HeldOut:
@@ -86,26 +74,34 @@ def held_out(m: VoxelMap, views: Views, scales: EmissionScales, max_depth: float
         m: The map.
         views: Held-out images at known poses.
         scales: Of the emission, for the likelihood.
-        max_depth: m; farther readings are left out.
+        max_depth: m; farther readings count as none.
     """
-    depth, colour, read = _all_residuals(m, views, max_depth)
-    s_depth, s_rgb = float(scales.depth), float(scales.rgb)
+    depths, colours, nats, read = [], [], [], 0
+    for pairs in pairs_of(m, views, max_depth):
+        d, c, r, log_p = (np.asarray(a) for a in _compared(pairs, scales, max_depth))
+        both = r & np.asarray(pairs.predicted.known)
+        depths.append(d[both])
+        colours.append(c[both])
+        nats.append(log_p.mean(dtype=np.float64))
+        read += int(r.sum())
+    depth, colour = np.concatenate(depths), np.concatenate(colours)
     if len(depth) == 0:
-        return HeldOut(np.nan, np.nan, np.nan, np.nan, 0.0)
-    nats = -depth / s_depth - 3.0 * colour / s_rgb - np.log(2.0 * s_depth) - 3.0 * np.log(2.0 * s_rgb)
+        return HeldOut(np.nan, np.nan, np.nan, float(np.mean(nats)), 0.0)
     return HeldOut(
-        float(depth.mean()),
-        float(np.median(depth)),
-        float(colour.mean()),
-        float(nats.mean()),
-        len(depth) / max(read, 1),
+        float(depth.mean()), float(np.median(depth)), float(colour.mean()), float(np.mean(nats)), len(depth) / read
     )
 
 
+@jax.jit
+def _compared(pairs: PixelPairs, scales: EmissionScales, max_depth: float | Array) -> tuple[Array, Array, Array, Array]:
+    """Return depth residuals, mean colour residuals, which pixels have a reading, and their log densities."""
+    image, predicted = pairs.image, pairs.predicted
+    log_p = log_prob(image, predicted, scales, max_depth).total
+    off, off_rgb = jnp.abs(image.depth - predicted.depth), jnp.abs(image.rgb - predicted.rgb).mean(-1)
+    return off, off_rgb, has_reading(image, max_depth), log_p
+
+
 def fit_scales(m: VoxelMap, views: Views, max_depth: float = MAX_DEPTH) -> EmissionScales:
-    """Estimate the scales of greatest likelihood given the map, ``s = mean |r|``, from some of the views."""
+    """Estimate the emission scales of greatest likelihood given the map, from some of the views (eq. I42)."""
     chosen = np.unique(np.linspace(0, len(views) - 1, FITTED_VIEWS).round().astype(int))
-    depth, colour, _ = _all_residuals(m, views[chosen], max_depth)
-    if len(depth) == 0:
-        return EmissionScales()
-    return EmissionScales(*(jnp.float32(max(float(r.mean()), SMALLEST_SCALE)) for r in (depth, colour)))
+    return fit(PixelPairs.drawn(pairs_of(m, views[chosen], max_depth)), max_depth)

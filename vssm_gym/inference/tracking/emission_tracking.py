@@ -23,11 +23,13 @@ from vssm_gym.inference.tracking.localise import checked, seconds
 from vssm_gym.inference.tracking.map_tracker import ROBOT_TRACKING, TrackerState, TrackingConfig
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission import RGBD, EmissionScales
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.emission_density import EmissionScales, log_prob
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
+TRACKER_SCALES = EmissionScales(depth=0.02, growth=0.0, rgb=0.1)  # m and a channel: those of the aligners
 TRACKER_ADAM = AdamConfig(steps=100, translation_step=0.003, rotation_step=0.003)  # 100 steps: TNP-SM; sizes: ours
 
 
@@ -35,8 +37,8 @@ TRACKER_ADAM = AdamConfig(steps=100, translation_step=0.003, rotation_step=0.003
 class EmissionTrackerConfig:
     """Configure search, emission, and the test for loss of track, which is that of the other trackers."""
 
-    adam: AdamConfig = TRACKER_ADAM  # its gates leave out pixels that see another surface
-    scales: tuple[float, float] = (0.02, 0.1)  # of the emission: depth (m) and a colour channel; those of the aligners
+    adam: AdamConfig = TRACKER_ADAM  # pixels and step sizes; outliers have their share of the density, and no gate
+    scales: EmissionScales = TRACKER_SCALES
     max_depth: float = emission.MAX_DEPTH
     tracker: TrackingConfig = ROBOT_TRACKING
 
@@ -98,7 +100,6 @@ def _descend(
     (usable,) = jnp.nonzero(image.hit.reshape(-1), size=depth.shape[0], fill_value=0)
     count = jnp.sum(image.hit)
     draws = jax.random.randint(key, (config.adam.steps, config.adam.pixels), 0, jnp.maximum(count, 1))
-    scales = EmissionScales(*config.scales)
 
     def rays(T, pixel):
         x, y = (pixel % width - camera.cx) / camera.fx, (pixel // width - camera.cy) / camera.fy
@@ -110,12 +111,13 @@ def _descend(
         centre, directions = rays(T, pixel)
         k, hit = emission.search(*jax.lax.stop_gradient((m, centre, directions)), config.max_depth)
         d = emission.intersect(m, centre, directions, jnp.where(hit, k, 2))
-        colour = m.field(centre + directions * d[:, None])[..., 1:]
-        off, off_colour = jnp.abs(d - depth[pixel]), jnp.abs(colour - rgb[pixel])
-        near = hit & (off < config.adam.geo_gate) & (count > 0)
-        alike = near & (off_colour.mean(-1) < config.adam.rgb_gate)
-        data = jnp.sum(near * off) / scales.depth + jnp.sum(alike * off_colour.sum(-1)) / scales.rgb
-        return data + 0.5 * xi @ precision @ xi
+        surface = centre + directions * d[:, None]
+        known = m.observed_at(jax.lax.stop_gradient(surface)) >= emission.KNOWN_SHARE
+        read = depth[pixel] > 0.0  # nowhere in an image without a reading
+        row = lambda *values: RGBD(*(value[None] for value in values))
+        predicted = row(d, m.colour_at(surface), hit, hit & known)
+        seen = row(depth[pixel], rgb[pixel], read, read)
+        return 0.5 * xi @ precision @ xi - log_prob(seen, predicted, config.scales, config.max_depth).total.sum()
 
     xi = minimise(loss, jnp.zeros(basis.shape[1]), basis, config.adam)
     return T_world_pred @ se3_exp(basis @ xi)
