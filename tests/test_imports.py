@@ -341,7 +341,7 @@ def test_a_bad_module_is_found(tmp_path, file, source, complaint):
     ("file", "source", "complaint"),
     [
         ("eval/metrics/leak.py", "from vssm_gym.eval.report import tables", "must not import vssm_gym.eval.report"),
-        ("eval/bench/leak.py", "import vssm_gym.eval.studies.page", "must not import vssm_gym.eval.studies.page"),
+        ("eval/studies/leak.py", "import vssm_gym.eval.bench.speed", "must not import vssm_gym.eval.bench.speed"),
         (
             "envs/rendering/leak.py",
             "def f():\n    from ..sensors import lidar",

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.analytic_room import camera_pose
-from tests.helpers.emission_oracle import EMPTY, GUESSED, KNOWN, pixel_log_prob
+from tests.helpers.field_oracle import EMPTY, GUESSED, KNOWN, pixel_log_prob
 from tests.helpers.localisation_room import CAMERA, ROOM, known_map
 from vssm_gym.model.emission import MAX_DEPTH, RGBD, render
 from vssm_gym.model.emission_density import EmissionScales, depth_cdf, log_prob, rgb_cdf

@@ -9,8 +9,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from tests.helpers.analytic_room import camera_pose
-from tests.helpers.emission_oracle import EMPTY, GUESSED, KNOWN, pixel_log_prob
-from tests.helpers.field_oracle import FieldOracle
+from tests.helpers.field_oracle import EMPTY, GUESSED, KNOWN, FieldOracle, pixel_log_prob
 from tests.helpers.localisation_room import GRID, ROOM
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.geometry.camera import Camera

@@ -21,7 +21,11 @@ from vssm_gym.model.emission_uncertainty import image_std
 from vssm_gym.model.spatial_model import SpatialModel, rollout
 from vssm_gym.model.transition import GaussianBelief, planar_belief
 
-IMAGES, POSES = 64, 500  # samples of a prediction; with 64 the ends of a 95 % band are met in 3 % of pixels at most
+IMAGE_SAMPLES, POSE_SAMPLES = (
+    64,
+    500,
+)  # samples of a prediction; with 64 the ends of a 95 % band are met in 3 % of pixels at most
+# Those of VSSM-LM; its paper has no outliers and no missing readings, whose shares stay the fitted ones
 PUBLISHED_SCALES = EmissionScales(depth=PUBLISHED_DEPTH_SCALE, growth=0.0, rgb=PUBLISHED_RGB_SCALE)
 # Of greatest likelihood on the train split, where the image and the pose at one time predict those 1 s and 3 s later
 PERSISTING_SCALES = EmissionScales(
@@ -83,7 +87,7 @@ class VssmLm:
         spatial = SpatialModel(context.transition, context.map, camera, T_body_cam, self.scales)
         controls = jnp.asarray(commands, jnp.float32)
         poses, ahead = _futures(spatial, self._body.belief, controls, context.dt, key)
-        seen_from = poses[:IMAGES] if self.sampled else ahead.mean[None]
+        seen_from = poses[:IMAGE_SAMPLES] if self.sampled else ahead.mean[None]
         images, depth_std, rgb_std = _images(spatial, seen_from)
         return SampledPrediction(images, self.scales, poses, ahead, depth_std, rgb_std)
 
@@ -93,7 +97,7 @@ def _futures(
     spatial: SpatialModel, belief: GaussianBelief, controls: Array, dt: float, key: PRNGKeyArray
 ) -> tuple[Array, GaussianBelief]:
     """Return samples of the pose after the controls, and the Gaussian that the transition predicts."""
-    poses = rollout(key, spatial, belief, controls, dt, samples=POSES).states[:, -1]
+    poses = rollout(key, spatial, belief, controls, dt, samples=POSE_SAMPLES).states[:, -1]
     ahead, _ = jax.lax.scan(lambda q, u: (spatial.transition.predict(q, u, dt), None), belief, controls)
     return poses, ahead
 
@@ -136,7 +140,7 @@ class Persistence:
         seconds = context.dt * len(commands)
         std = jnp.array([self.std[0], self.std[0], self.std[1]]) * seconds
         ahead = planar_belief(self._body.belief.mean, jnp.diag(std**2))
-        return SampledPrediction(shown(self._last, own, camera), self.scales, ahead.sample(key, POSES), ahead)
+        return SampledPrediction(shown(self._last, own, camera), self.scales, ahead.sample(key, POSE_SAMPLES), ahead)
 
 
 def shown(image: RGBD, own: Camera, camera: Camera) -> RGBD:

@@ -14,6 +14,7 @@ from vssm_gym.eval.bench.prediction.models import with_map
 from vssm_gym.eval.bench.prediction.scores import Scores, score
 from vssm_gym.eval.studies.calibration.drives import drives
 from vssm_gym.eval.studies.calibration.replay import Drive
+from vssm_gym.eval.studies.calibration.rows import MAP_VOXEL
 from vssm_gym.eval.studies.calibration.split import DIVISIONS
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -22,9 +23,8 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map
 
 NOISE, SENSOR_NOISE = "mid", "kinect"  # of the drives' execution, which the robot knows, and of its camera
-MAP_VOXEL = 0.05  # m
 HORIZONS = (1.0, 3.0)  # s ahead
-FIRST, EVERY = 2.0, 2.0  # s: when a model predicts first, and how often
+FIRST_PREDICTION, PREDICT_EVERY = 2.0, 2.0  # s: when a model predicts first, and how often
 PIXEL_STRIDE = 4  # every fourth row and column is scored: neighbours are correlated
 
 
@@ -80,7 +80,7 @@ def times(drive: Drive) -> list[int]:
     """Return the frames from which a model predicts: each has the longest horizon ahead."""
     dt = drive.context.dt
     longest = round(max(HORIZONS) / dt)
-    return list(range(round(FIRST / dt), len(drive.planar) - longest, round(EVERY / dt)))
+    return list(range(round(FIRST_PREDICTION / dt), len(drive.planar) - longest, round(PREDICT_EVERY / dt)))
 
 
 def scored(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from tests.helpers.emission_oracle import KNOWN, pixel_log_prob
+from tests.helpers.field_oracle import KNOWN, pixel_log_prob
 from vssm_gym.eval.bench.prediction.contract import Prediction
 from vssm_gym.eval.bench.prediction.mixture import SampledPrediction
 from vssm_gym.eval.bench.prediction.scores import score

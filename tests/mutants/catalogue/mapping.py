@@ -66,13 +66,6 @@ MAPPING = (
         (f"{OF_EMISSION}::test_box_room_depths_are_those_computed_by_hand",),
     ),
     Mutant(
-        "laplace-density-not-normalised",
-        EMISSION,
-        "/ scales.depth - jnp.log(2.0 * scales.depth)",
-        "/ scales.depth - jnp.log(scales.depth)",
-        (f"{OF_EMISSION}::test_log_prob_is_a_product_of_laplace_densities",),
-    ),
-    Mutant(
         "depth-uncertainty-of-variance-for-std",
         UNCERTAINTY,
         "jnp.sqrt(depth_variance).reshape(shape)",

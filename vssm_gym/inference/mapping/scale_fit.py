@@ -21,7 +21,7 @@ LARGEST_GROWTH = 1.0  # 1/m
 SMALLEST_SHARE = 1e-3  # of outliers and misses: what was never seen in a fit stays possible
 SCALED = ("depth", "rgb")  # positive, fitted by their logarithms
 GROWTH_UNIT = 1e-3  # 1/m, so that all coordinates of the search are of order one
-STEPS = 200
+FIT_STEPS = 200  # of L-BFGS at most; some dozens suffice
 
 
 class PixelPairs(eqx.Module):
@@ -79,7 +79,7 @@ def fit(pairs: PixelPairs, max_depth: float = MAX_DEPTH, start: EmissionScales |
 
     box = np.stack([low, high], axis=1).astype(np.float64)
     x0 = np.clip(np.asarray(theta, np.float64), *box.T)
-    found = minimize(evaluated, x0, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": STEPS})
+    found = minimize(evaluated, x0, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": FIT_STEPS})
     return _scales(unravel(jnp.asarray(found.x, jnp.float32)))
 
 
