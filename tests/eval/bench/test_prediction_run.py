@@ -63,11 +63,11 @@ class DeadReckoning:
         self.planar, self.seen = np.array(context.start_pose), 1
 
     def observe(self, command: np.ndarray, image: RGBD) -> None:
-        self.planar = self.planar + [command[2], 0.0, 0.0]
+        self.planar = self.planar + np.array([command[2], 0.0, 0.0])
         self.seen += 1
 
     def predict(self, commands, camera, key) -> SampledPrediction:
-        ahead = self.planar + [commands[:, 2].sum(), 0.0, 0.0]
+        ahead = self.planar + np.array([commands[:, 2].sum(), 0.0, 0.0])
         image = ROOM.image(camera_pose((*ahead[:2], 1.0), 0.0), camera)
         belief = planar_belief(jnp.asarray(ahead, jnp.float32), jnp.eye(3) * 1e-4)
         one = jax.tree.map(lambda a: a[None], image)
