@@ -97,8 +97,13 @@ def pixel_log_prob(
     miss, outlier, rgb_outlier = shares(np.asarray(kind), scales)
     std = np.where(np.asarray(kind) == KNOWN, 1.0, 0.0)
     scale = np.hypot(float(scales.depth) + float(scales.growth) * predicted_depth**2, std * depth_std / np.sqrt(2.0))
-    rgb_scale = np.hypot(float(scales.rgb), std * rgb_std / np.sqrt(2.0))[:, None]
+    of_map = std[:, None] * rgb_std / np.sqrt(2.0)
+    plain, rough = (
+        truncated(rgb, predicted_rgb, np.hypot(float(scale), of_map), 1.0).prod(-1)
+        for scale in (scales.rgb, scales.textured_rgb)
+    )
     of_depth = (1 - outlier) * truncated(depth, predicted_depth, scale, max_depth) + outlier / max_depth
-    of_rgb = (1 - rgb_outlier) * truncated(rgb, predicted_rgb, rgb_scale, 1.0).prod(-1) + rgb_outlier
+    textured = float(scales.textured)
+    of_rgb = (1 - rgb_outlier) * ((1 - textured) * plain + textured * rough) + rgb_outlier
     with np.errstate(divide="ignore"):
         return np.where(depth > 0.0, np.log((1 - miss) * of_depth * of_rgb), np.log(miss))

@@ -10,7 +10,7 @@ from vssm_gym.inference.mapping.scale_fit import SMALLEST_SHARE, PixelPairs, fit
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.emission_density import EmissionScales, log_prob
 
-DRAWN = EmissionScales(0.02, 0.004, 0.06, 0.08, 0.6, 0.15, 0.7, 0.1, 0.3, 0.6)
+DRAWN = EmissionScales(0.02, 0.004, 0.01, 0.08, 0.4, 0.08, 0.6, 0.15, 0.7, 0.1, 0.3, 0.6)
 N = 200, 200  # pixels
 
 
@@ -25,7 +25,9 @@ def pairs(scales: EmissionScales, known: float = 0.6, hit: float = 0.8) -> Pixel
     depth = rng.laplace(location, np.asarray(scales.depth_at(jnp.asarray(location))))
     depth = np.where(outlier, rng.uniform(1e-3, MAX_DEPTH, N), np.clip(depth, 1e-3, MAX_DEPTH))
     stray = rng.random(N) < pick(scales.rgb_outlier, scales.guess_rgb_outlier, 1.0)
-    rgb = np.where(stray[..., None], rng.random((*N, 3)), np.clip(rng.laplace(light, scales.rgb), 0, 1))
+    rough = rng.random(N) < scales.textured
+    noise = rng.laplace(0.0, np.where(rough, scales.textured_rgb, scales.rgb)[..., None], (*N, 3))
+    rgb = np.where(stray[..., None], rng.random((*N, 3)), np.clip(light + noise, 0, 1))
     read = rng.random(N) >= pick(scales.miss, scales.guess_miss, scales.empty_miss)
     f32 = lambda a: jnp.asarray(a, jnp.float32)
     image = RGBD(f32(depth * read), f32(rgb), jnp.asarray(read), jnp.asarray(read))
@@ -50,7 +52,7 @@ def test_no_other_scales_explain_the_pixels_better() -> None:
 
 def test_what_no_pixel_tells_about_stays_and_what_never_happened_stays_possible() -> None:
     """All pixels are observed surfaces, all have a reading, and none is an outlier."""
-    sure = EmissionScales(0.02, 0.0, 0.06, outlier=0.0, rgb_outlier=0.0, miss=0.0)
+    sure = EmissionScales(0.02, 0.0, 0.01, 0.08, outlier=0.0, rgb_outlier=0.0, miss=0.0)
     found, start = fit(pairs(sure, known=1.0, hit=1.0)), EmissionScales()
     for name in ("guess_outlier", "guess_rgb_outlier", "guess_miss", "empty_miss"):
         assert float(getattr(found, name)) == pytest.approx(float(getattr(start, name)), rel=1e-3)

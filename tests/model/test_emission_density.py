@@ -23,6 +23,8 @@ scales = st.builds(
     depth=st.floats(0.003, 0.3),
     growth=st.floats(0.0, 0.02),
     rgb=st.floats(0.005, 0.5),
+    textured_rgb=st.floats(0.005, 0.5),
+    textured=share,
     outlier=share,
     guess_outlier=share,
     rgb_outlier=share,
@@ -93,7 +95,7 @@ def test_the_colour_integrates_to_one(scale, rgb_outlier, location) -> None:
     n = 41
     axis = (np.arange(n) + 0.5) / n
     rgb = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
-    scales = EmissionScales(rgb=scale, rgb_outlier=rgb_outlier)
+    scales = EmissionScales(rgb=scale, textured_rgb=0.4, textured=0.3, rgb_outlier=rgb_outlier)
     predicted = prediction(2.0, np.array(location), KNOWN, n**3)
     value = log_prob_jit(pixels(np.full(n**3, 2.0), rgb), predicted, scales, f32(MAX_DEPTH)).rgb[0]
     assert np.exp(np.asarray(value, float)).mean() == pytest.approx(1.0, abs=1e-2)
@@ -117,7 +119,10 @@ def test_distribution_functions_are_integrals_of_densities(scales, kind, locatio
 def test_the_distribution_of_a_channel_is_a_marginal_of_the_density() -> None:
     """The share of uniform draws below a value, weighted by the density."""
     rng, n, location = np.random.default_rng(0), 200_000, np.array([0.2, 0.5, 0.9])
-    scales, predicted = EmissionScales(rgb=0.2, rgb_outlier=0.3), prediction(2.0, location, KNOWN, n)
+    scales, predicted = (
+        EmissionScales(rgb=0.2, textured_rgb=0.5, textured=0.4, rgb_outlier=0.3),
+        prediction(2.0, location, KNOWN, n),
+    )
     rgb = rng.uniform(size=(n, 3))
     weight = np.exp(
         np.asarray(log_prob_jit(pixels(np.full(n, 2.0), rgb), predicted, scales, f32(MAX_DEPTH)).rgb[0], float)

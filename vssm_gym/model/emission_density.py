@@ -4,9 +4,11 @@ A pixel has either no reading, or a depth ``d`` in ``(0, D]`` with a colour ``c`
 there decides the shares: a surface that was observed, a surface that follows from the prior mean, or none.
 
     p(no reading) = m,    p(d, c) = (1 - m) p(d) p(c),    s(d*)^2 = (s_0 + s_2 d*^2)^2 + var(d*) / 2
-    p(d) = (1 - o) Laplace(d; d*, s(d*)) + o / D,    p(c) = (1 - o_c) prod Laplace(c; c*, s_c) + o_c
+    p(d) = (1 - o) Laplace(d; d*, s(d*)) + o / D
+    p(c) = (1 - o_c) [(1 - w) prod Laplace(c; c*, s_c) + w prod Laplace(c; c*, s_w)] + o_c
 
-The Laplace densities are truncated to ``(0, D)`` and ``[0, 1]``. Where no surface is predicted ``o = o_c = 1``. The
+The Laplace densities are truncated to ``(0, D)`` and ``[0, 1]``. Colour has two scales, that of plain surfaces and that
+of surfaces whose texture is finer than the map's cells. Where no surface is predicted ``o = o_c = 1``. The
 density integrates to one over {no reading} and all readings, so that poses and maps that predict surfaces at different
 pixels can be compared: a pose that sees nothing pays the price of every reading there. It is stated in nats with
 respect to metres of depth and to units of colour.
@@ -34,7 +36,9 @@ class EmissionScales(eqx.Module):
     Attributes:
         depth: ``s_0``, scale of depth at the camera, m.
         growth: ``s_2``, by which it grows with the square of depth, 1/m.
-        rgb: ``s_c``, scale of a colour channel in [0, 1].
+        rgb: ``s_c``, scale of a colour channel of a plain surface, in [0, 1].
+        textured_rgb: ``s_w``, the same of a textured surface.
+        textured: ``w``, share of the textured surfaces.
         outlier: share of the readings of an observed surface whose depth is anywhere in the range.
         guess_outlier: the same for a surface that was not observed.
         rgb_outlier: share of the readings of an observed surface whose colour is any colour.
@@ -45,19 +49,26 @@ class EmissionScales(eqx.Module):
     """
 
     depth: Float[Array, ""] | float = 0.006
-    growth: Float[Array, ""] | float = 0.0009
-    rgb: Float[Array, ""] | float = 0.04
+    growth: Float[Array, ""] | float = 0.0008
+    rgb: Float[Array, ""] | float = 0.013
+    textured_rgb: Float[Array, ""] | float = 0.06
+    textured: Float[Array, ""] | float = 0.65
     outlier: Float[Array, ""] | float = 0.02
-    guess_outlier: Float[Array, ""] | float = 0.8
-    rgb_outlier: Float[Array, ""] | float = 0.06
+    guess_outlier: Float[Array, ""] | float = 0.85
+    rgb_outlier: Float[Array, ""] | float = 0.02
     guess_rgb_outlier: Float[Array, ""] | float = 0.9
-    miss: Float[Array, ""] | float = 0.13
-    guess_miss: Float[Array, ""] | float = 0.24
-    empty_miss: Float[Array, ""] | float = 0.11
+    miss: Float[Array, ""] | float = 0.11
+    guess_miss: Float[Array, ""] | float = 0.2
+    empty_miss: Float[Array, ""] | float = 0.09
 
     def depth_at(self, depth: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """``s_0 + s_2 d^2``: the scale of depth by the predicted depth, m."""
         return self.depth + self.growth * depth**2
+
+    @property
+    def rgb_variance(self) -> Array:
+        """Return the variance of a colour channel without outliers: that of both scales, by their shares."""
+        return 2.0 * ((1.0 - self.textured) * jnp.square(self.rgb) + self.textured * jnp.square(self.textured_rgb))
 
 
 class ImageLogProb(NamedTuple):
@@ -120,8 +131,9 @@ def log_prob(
     core = _log_laplace(jnp.where(read, image.depth, location), location, scale, max_depth)
     given = _log_mixture(core, -jnp.log(max_depth), shares.outlier)
     depth = jnp.where(read, _log(1.0 - shares.miss) + given, _log(shares.miss))
-    location, scale = _rgb_core(predicted, scales, rgb_std)
-    rgb = _log_mixture(_log_laplace(image.rgb, location, scale, 1.0).sum(-1), 0.0, shares.rgb_outlier)
+    location, plain, textured = _rgb_cores(predicted, scales, rgb_std)
+    cores = (_log_laplace(image.rgb, location, scale, 1.0).sum(-1) for scale in (plain, textured))
+    rgb = _log_mixture(_log_mixture(*cores, scales.textured), 0.0, shares.rgb_outlier)
     return ImageLogProb(depth, jnp.where(read, rgb, 0.0))
 
 
@@ -152,9 +164,11 @@ def rgb_cdf(
 ) -> Array:
     """``P(channel <= value | a reading)`` by pixel and channel; arguments as in :func:`log_prob`."""
     outlier = _Shares.of(predicted, scales).rgb_outlier[..., None]
-    location, scale = _rgb_core(predicted, scales, rgb_std)
+    location, *both = _rgb_cores(predicted, scales, rgb_std)
     rgb = jnp.clip(rgb, 0.0, 1.0)
-    return (1.0 - outlier) * _laplace_cdf(rgb, location, scale, 1.0) + outlier * rgb
+    plain, textured = (_laplace_cdf(rgb, location, scale, 1.0) for scale in both)
+    core = (1.0 - scales.textured) * plain + scales.textured * textured
+    return (1.0 - outlier) * core + outlier * rgb
 
 
 def _depth_core(
@@ -166,9 +180,11 @@ def _depth_core(
     return location, jnp.sqrt(scales.depth_at(location) ** 2 + 0.5 * std**2)
 
 
-def _rgb_core(predicted: RGBD, scales: EmissionScales, rgb_std: Array | float) -> tuple[Array, Array]:
+def _rgb_cores(predicted: RGBD, scales: EmissionScales, rgb_std: Array | float) -> tuple[Array, Array, Array]:
+    """Return the location and both scales."""
     std = jnp.where(predicted.known[..., None], rgb_std, 0.0)
-    return jnp.clip(predicted.rgb, 0.0, 1.0), jnp.sqrt(jnp.asarray(scales.rgb) ** 2 + 0.5 * std**2)
+    plain, textured = (jnp.sqrt(jnp.square(scale) + 0.5 * std**2) for scale in (scales.rgb, scales.textured_rgb))
+    return jnp.clip(predicted.rgb, 0.0, 1.0), plain, textured
 
 
 def _log_laplace(x: Array, location: Array, scale: Array, end: float | Array) -> Array:
@@ -184,9 +200,10 @@ def _laplace_cdf(x: Array, location: Array, scale: Array, end: float | Array) ->
     return (below(x) - low) / jnp.maximum(high - low, TINY)
 
 
-def _log_mixture(core: Array, uniform: float | Array, outlier: Array) -> Array:
-    return jnp.logaddexp(_log(1.0 - outlier) + core, _log(outlier) + uniform)
+def _log_mixture(core: Array, other: float | Array, share: float | Array) -> Array:
+    """Return ``log [(1 - share) exp(core) + share exp(other)]``."""
+    return jnp.logaddexp(_log(1.0 - share) + core, _log(share) + other)
 
 
-def _log(share: Array) -> Array:
+def _log(share: float | Array) -> Array:
     return jnp.log(jnp.maximum(share, TINY))

@@ -91,13 +91,13 @@ def image_summary(images: RGBD, scales: EmissionScales) -> ImageSummary:
     hit = images.hit.astype(jnp.float32)
     count = hit.sum(axis=0)
 
-    def moments(values, weight, n, scale_at):
+    def moments(values, weight, n, variance_at):
         mean = jnp.sum(weight * values, axis=0) / jnp.maximum(n, 1.0)
         spread = jnp.sum(weight * (values - mean) ** 2, axis=0) / jnp.maximum(n - 1.0, 1.0)
-        return mean, jnp.where(n > 0.0, spread + 2.0 * scale_at(mean) ** 2, jnp.inf)
+        return mean, jnp.where(n > 0.0, spread + variance_at(mean), jnp.inf)
 
-    depth_mean, depth_variance = moments(images.depth, hit, count, scales.depth_at)
-    rgb_mean, rgb_variance = moments(images.rgb, hit[..., None], count[..., None], lambda _: jnp.asarray(scales.rgb))
+    depth_mean, depth_variance = moments(images.depth, hit, count, lambda depth: 2.0 * scales.depth_at(depth) ** 2)
+    rgb_mean, rgb_variance = moments(images.rgb, hit[..., None], count[..., None], lambda _: scales.rgb_variance)
     known = images.known.astype(jnp.float32).mean(axis=0)
     return ImageSummary(depth_mean, depth_variance, rgb_mean, rgb_variance, hit.mean(axis=0), known)
 

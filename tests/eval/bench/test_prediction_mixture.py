@@ -14,7 +14,7 @@ from vssm_gym.model.emission import RGBD
 from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition import planar_belief
 
-SCALES = EmissionScales(depth=0.1, growth=0.0, rgb=0.1, outlier=0.1, rgb_outlier=0.2, miss=0.3, empty_miss=0.9)
+SCALES = EmissionScales(0.1, 0.0, 0.1, textured=0.0, outlier=0.1, rgb_outlier=0.2, miss=0.3, empty_miss=0.9)
 BELIEF = planar_belief(jnp.array([1.0, 2.0, 0.5]), jnp.diag(jnp.array([0.1, 0.2, 0.3]) ** 2))
 
 

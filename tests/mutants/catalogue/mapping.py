@@ -96,8 +96,8 @@ MAPPING = (
     Mutant(
         "outliers-of-colour-by-channel",
         DENSITY,
-        "_log_mixture(_log_laplace(image.rgb, location, scale, 1.0).sum(-1), 0.0, shares.rgb_outlier)",
-        "_log_mixture(_log_laplace(image.rgb, location, scale, 1.0), 0.0, shares.rgb_outlier[..., None]).sum(-1)",
+        "rgb = _log_mixture(_log_mixture(*cores, scales.textured), 0.0, shares.rgb_outlier)",
+        "rgb = 3.0 * _log_mixture(_log_mixture(*cores, scales.textured) / 3.0, 0.0, shares.rgb_outlier)",
         (f"{OF_DENSITY}::test_the_density_is_that_of_the_definition",),
     ),
     Mutant(
@@ -124,8 +124,8 @@ MAPPING = (
     Mutant(
         "predicted-images-with-the-variance-of-a-normal",
         "vssm_gym/model/predictive.py",
-        "spread + 2.0 * scale_at(mean) ** 2",
-        "spread + scale_at(mean) ** 2",
+        "2.0 * scales.depth_at(depth) ** 2",
+        "scales.depth_at(depth) ** 2",
         ("tests/model/test_model.py::test_image_summaries_by_hand",),
     ),
     Mutant(

@@ -19,7 +19,7 @@ SMALLEST_SCALE = 1e-3  # m and colour: lower bound for maps that predict some pi
 LARGEST_SCALE = 1.0  # m and colour
 LARGEST_GROWTH = 1.0  # 1/m
 SMALLEST_SHARE = 1e-3  # of outliers and misses: what was never seen in a fit stays possible
-SCALED = ("depth", "rgb")  # positive, fitted by their logarithms
+SCALED = ("depth", "rgb", "textured_rgb")  # positive, fitted by their logarithms
 GROWTH_UNIT = 1e-3  # 1/m, so that all coordinates of the search are of order one
 FIT_STEPS = 200  # of L-BFGS at most; some dozens suffice
 
