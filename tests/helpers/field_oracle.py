@@ -97,11 +97,9 @@ def pixel_log_prob(
     miss, outlier, rgb_outlier = shares(np.asarray(kind), scales)
     std = np.where(np.asarray(kind) == KNOWN, 1.0, 0.0)
     scale = np.hypot(float(scales.depth) + float(scales.growth) * predicted_depth**2, std * depth_std / np.sqrt(2.0))
-    of_map = std[:, None] * rgb_std / np.sqrt(2.0)
-    plain, rough = (
-        truncated(rgb, predicted_rgb, np.hypot(float(scale), of_map), 1.0).prod(-1)
-        for scale in (scales.rgb, scales.textured_rgb)
-    )
+    stds = [np.hypot(float(own), std[:, None] * rgb_std) for own in (scales.rgb, scales.textured_rgb)]
+    ends = [[(end - predicted_rgb) / s for end in (0.0, 1.0)] for s in stds]
+    plain, rough = (stats.truncnorm.pdf(rgb, *e, predicted_rgb, s).prod(-1) for e, s in zip(ends, stds, strict=True))
     of_depth = (1 - outlier) * truncated(depth, predicted_depth, scale, max_depth) + outlier / max_depth
     textured = float(scales.textured)
     of_rgb = (1 - rgb_outlier) * ((1 - textured) * plain + textured * rough) + rgb_outlier

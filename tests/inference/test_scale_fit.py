@@ -26,7 +26,7 @@ def pairs(scales: EmissionScales, known: float = 0.6, hit: float = 0.8) -> Pixel
     depth = np.where(outlier, rng.uniform(1e-3, MAX_DEPTH, N), np.clip(depth, 1e-3, MAX_DEPTH))
     stray = rng.random(N) < pick(scales.rgb_outlier, scales.guess_rgb_outlier, 1.0)
     rough = rng.random(N) < scales.textured
-    noise = rng.laplace(0.0, np.where(rough, scales.textured_rgb, scales.rgb)[..., None], (*N, 3))
+    noise = rng.normal(0.0, np.where(rough, scales.textured_rgb, scales.rgb)[..., None], (*N, 3))
     rgb = np.where(stray[..., None], rng.random((*N, 3)), np.clip(light + noise, 0, 1))
     read = rng.random(N) >= pick(scales.miss, scales.guess_miss, scales.empty_miss)
     f32 = lambda a: jnp.asarray(a, jnp.float32)

@@ -247,7 +247,7 @@ def test_image_summaries_by_hand() -> None:
     """Three futures of one pixel: two see a surface, at 1 and 2 m; the noise adds 2 * 0.1^2 and 2 * 0.01^2."""
     pixel = lambda d, c: RGBD(f32([[d]]), jnp.full((1, 1, 3), c), jnp.array([[d > 0]]), jnp.array([[d > 1.5]]))
     stack = lambda *images: jax.tree.map(lambda *a: jnp.stack(a), *images)
-    scales = EmissionScales(depth=0.1, growth=0.0, rgb=0.01, textured=0.0)
+    scales = EmissionScales(depth=0.1, growth=0.0, rgb=0.01 * np.sqrt(2.0), textured=0.0)
     summary = predictive.image_summary(stack(pixel(1.0, 0.2), pixel(2.0, 0.4), pixel(0.0, 0.0)), scales)
     np.testing.assert_allclose(float(summary.depth_mean[0, 0]), 1.5, rtol=1e-6)
     np.testing.assert_allclose(float(summary.depth_variance[0, 0]), 0.5 + 0.02, rtol=1e-6)

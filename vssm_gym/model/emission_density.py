@@ -5,9 +5,9 @@ there decides the shares: a surface that was observed, a surface that follows fr
 
     p(no reading) = m,    p(d, c) = (1 - m) p(d) p(c),    s(d*)^2 = (s_0 + s_2 d*^2)^2 + var(d*) / 2
     p(d) = (1 - o) Laplace(d; d*, s(d*)) + o / D
-    p(c) = (1 - o_c) [(1 - w) prod Laplace(c; c*, s_c) + w prod Laplace(c; c*, s_w)] + o_c
+    p(c) = (1 - o_c) [(1 - w) prod N(c; c*, s_c^2) + w prod N(c; c*, s_w^2)] + o_c
 
-The Laplace densities are truncated to ``(0, D)`` and ``[0, 1]``. Colour has two scales, that of plain surfaces and that
+The cores are truncated to ``(0, D)`` and ``[0, 1]``. Colour has two scales, that of plain surfaces and that
 of surfaces whose texture is finer than the map's cells. Where no surface is predicted ``o = o_c = 1``. The
 density integrates to one over {no reading} and all readings, so that poses and maps that predict surfaces at different
 pixels can be compared: a pose that sees nothing pays the price of every reading there. It is stated in nats with
@@ -18,17 +18,18 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
 from vssm_gym.geometry.camera import MAX_DEPTH
 from vssm_gym.model.emission import RGBD
 
-PUBLISHED_DEPTH_SCALE, PUBLISHED_RGB_SCALE = 0.1, 0.01  # sigma_E of VSSM-LM: m, and a tenth of it
+PUBLISHED_DEPTH_SCALE, PUBLISHED_RGB_SCALE = 0.1, 0.01  # Laplace scales of VSSM-LM: m, and a tenth of it
 TINY = 1e-30  # keeps the logarithm of a share of 0 and its gradient finite
 
 
 class EmissionScales(eqx.Module):
-    """Hold ``sigma_E``: scales of the Laplace emission, and the shares of outliers and of pixels without a reading.
+    """Hold ``sigma_E``: scales of the emission, and the shares of outliers and of pixels without a reading.
 
     The defaults have the greatest likelihood on images of a simulated Kinect in learned maps (5 cm cells) of the
     apartments that filters are tuned on.
@@ -36,7 +37,7 @@ class EmissionScales(eqx.Module):
     Attributes:
         depth: ``s_0``, scale of depth at the camera, m.
         growth: ``s_2``, by which it grows with the square of depth, 1/m.
-        rgb: ``s_c``, scale of a colour channel of a plain surface, in [0, 1].
+        rgb: ``s_c``, standard deviation of a colour channel of a plain surface, in [0, 1].
         textured_rgb: ``s_w``, the same of a textured surface.
         textured: ``w``, share of the textured surfaces.
         outlier: share of the readings of an observed surface whose depth is anywhere in the range.
@@ -50,12 +51,12 @@ class EmissionScales(eqx.Module):
 
     depth: Float[Array, ""] | float = 0.006
     growth: Float[Array, ""] | float = 0.0008
-    rgb: Float[Array, ""] | float = 0.013
-    textured_rgb: Float[Array, ""] | float = 0.06
-    textured: Float[Array, ""] | float = 0.65
+    rgb: Float[Array, ""] | float = 0.02
+    textured_rgb: Float[Array, ""] | float = 0.078
+    textured: Float[Array, ""] | float = 0.53
     outlier: Float[Array, ""] | float = 0.02
     guess_outlier: Float[Array, ""] | float = 0.85
-    rgb_outlier: Float[Array, ""] | float = 0.02
+    rgb_outlier: Float[Array, ""] | float = 0.03
     guess_rgb_outlier: Float[Array, ""] | float = 0.9
     miss: Float[Array, ""] | float = 0.11
     guess_miss: Float[Array, ""] | float = 0.2
@@ -68,7 +69,7 @@ class EmissionScales(eqx.Module):
     @property
     def rgb_variance(self) -> Array:
         """Return the variance of a colour channel without outliers: that of both scales, by their shares."""
-        return 2.0 * ((1.0 - self.textured) * jnp.square(self.rgb) + self.textured * jnp.square(self.textured_rgb))
+        return (1.0 - self.textured) * jnp.square(self.rgb) + self.textured * jnp.square(self.textured_rgb)
 
 
 class ImageLogProb(NamedTuple):
@@ -132,8 +133,8 @@ def log_prob(
     given = _log_mixture(core, -jnp.log(max_depth), shares.outlier)
     depth = jnp.where(read, _log(1.0 - shares.miss) + given, _log(shares.miss))
     location, plain, textured = _rgb_cores(predicted, scales, rgb_std)
-    cores = (_log_laplace(image.rgb, location, scale, 1.0).sum(-1) for scale in (plain, textured))
-    rgb = _log_mixture(_log_mixture(*cores, scales.textured), 0.0, shares.rgb_outlier)
+    plain, textured = (_log_normal(image.rgb, location, std).sum(-1) for std in (plain, textured))
+    rgb = _log_mixture(_log_mixture(plain, textured, scales.textured), 0.0, shares.rgb_outlier)
     return ImageLogProb(depth, jnp.where(read, rgb, 0.0))
 
 
@@ -166,7 +167,7 @@ def rgb_cdf(
     outlier = _Shares.of(predicted, scales).rgb_outlier[..., None]
     location, *both = _rgb_cores(predicted, scales, rgb_std)
     rgb = jnp.clip(rgb, 0.0, 1.0)
-    plain, textured = (_laplace_cdf(rgb, location, scale, 1.0) for scale in both)
+    plain, textured = (_normal_cdf(rgb, location, std) for std in both)
     core = (1.0 - scales.textured) * plain + scales.textured * textured
     return (1.0 - outlier) * core + outlier * rgb
 
@@ -181,9 +182,9 @@ def _depth_core(
 
 
 def _rgb_cores(predicted: RGBD, scales: EmissionScales, rgb_std: Array | float) -> tuple[Array, Array, Array]:
-    """Return the location and both scales."""
+    """Return the location and both standard deviations."""
     std = jnp.where(predicted.known[..., None], rgb_std, 0.0)
-    plain, textured = (jnp.sqrt(jnp.square(scale) + 0.5 * std**2) for scale in (scales.rgb, scales.textured_rgb))
+    plain, textured = (jnp.sqrt(jnp.square(scale) + std**2) for scale in (scales.rgb, scales.textured_rgb))
     return jnp.clip(predicted.rgb, 0.0, 1.0), plain, textured
 
 
@@ -198,6 +199,17 @@ def _laplace_cdf(x: Array, location: Array, scale: Array, end: float | Array) ->
     below = lambda t: 0.5 - 0.5 * jnp.sign(location - t) * (1.0 - jnp.exp(-jnp.abs(location - t) / scale))
     low, high = below(jnp.zeros_like(location)), below(jnp.full_like(location, end))
     return (below(x) - low) / jnp.maximum(high - low, TINY)
+
+
+def _log_normal(x: Array, mean: Array, std: Array) -> Array:
+    """Return the log density of a normal distribution truncated to ``[0, 1]``, which holds its mean."""
+    return norm.logpdf(x, mean, std) - jnp.log(norm.cdf(1.0, mean, std) - norm.cdf(0.0, mean, std))
+
+
+def _normal_cdf(x: Array, mean: Array, std: Array) -> Array:
+    """Return the distribution function of the density of :func:`_log_normal`."""
+    low, high = norm.cdf(0.0, mean, std), norm.cdf(1.0, mean, std)
+    return (norm.cdf(x, mean, std) - low) / (high - low)
 
 
 def _log_mixture(core: Array, other: float | Array, share: float | Array) -> Array:

@@ -61,7 +61,7 @@ def test_draws_from_a_prediction_are_calibrated() -> None:
     which = rng.integers(k, size=n)
     at = which, np.arange(n)
     seen = np.where(rng.random(n) < SCALES.outlier, rng.uniform(0, MAX_DEPTH, n), rng.laplace(depth[at], 0.1))
-    light = np.where(rng.random((n, 1)) < SCALES.rgb_outlier, rng.random((n, 3)), rng.laplace(rgb[at], 0.1))
+    light = np.where(rng.random((n, 1)) < SCALES.rgb_outlier, rng.random((n, 3)), rng.normal(rgb[at], 0.1))
     inside = ((light > 0) & (light < 1)).all(1)
     seen, light = seen * inside, np.rint(light * 255) / 255
     given = prediction(depth, rgb)

@@ -96,8 +96,8 @@ MAPPING = (
     Mutant(
         "outliers-of-colour-by-channel",
         DENSITY,
-        "rgb = _log_mixture(_log_mixture(*cores, scales.textured), 0.0, shares.rgb_outlier)",
-        "rgb = 3.0 * _log_mixture(_log_mixture(*cores, scales.textured) / 3.0, 0.0, shares.rgb_outlier)",
+        "rgb = _log_mixture(_log_mixture(plain, textured, scales.textured), 0.0, shares.rgb_outlier)",
+        "rgb = 3.0 * _log_mixture(_log_mixture(plain, textured, scales.textured) / 3.0, 0.0, shares.rgb_outlier)",
         (f"{OF_DENSITY}::test_the_density_is_that_of_the_definition",),
     ),
     Mutant(

@@ -1,7 +1,7 @@
 """``min_M E[-log p(x | z, M)]``: learn the map through the renderer from random images and pixels (TNP-SM).
 
 Learning starts from the closed-form map: an empty one renders nothing and has no gradient. Where a ray hits, ``-log p``
-is that of the emission's Laplace core,
+is that of Laplace noise in depth and colour,
 
     |d - d*(M)| / s_d + sum_c |x_c - f_c(p(d*))| / s_c,
 

@@ -29,7 +29,7 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
-TRACKER_SCALES = EmissionScales(depth=0.02, growth=0.0, rgb=0.1, textured=0.0)  # m and a channel: those of the aligners
+TRACKER_SCALES = EmissionScales(depth=0.02, growth=0.0, rgb=0.14, textured=0.0)  # m, a channel: as the aligners
 TRACKER_ADAM = AdamConfig(steps=100, translation_step=0.003, rotation_step=0.003)  # 100 steps: TNP-SM; sizes: ours
 
 
