@@ -29,8 +29,8 @@ from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
 from vssm_gym.inference.tracking.keyframes import KeyframeConfig
 from vssm_gym.inference.tracking.process_noise import ProcessNoiseConfig
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
-from vssm_gym.maps import voxel_map
-from vssm_gym.model import emission, emission_density, emission_uncertainty
+from vssm_gym.maps import surface_std, voxel_map
+from vssm_gym.model import emission, emission_density, emission_uncertainty, map_samples
 from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.imu import ImuNoise
 from vssm_gym.model.transition.rigid import RigidNoise
@@ -199,9 +199,15 @@ STATED = [
     ("M11", "| an observed surface | 0.02 | 0.03 | 0.11 |", SHARES[:3], (0.02, 0.03, 0.11)),
     ("M11", "was not observed | 0.85 | 0.9 | 0.2 |", SHARES[3:6], (0.85, 0.9, 0.2)),
     ("M11", "| no surface | 1 | 1 | 0.09 |", SHARES[6], 0.09),
-    ("M12", "s = 0.03 m", voxel_map.OBSERVATION_STD, 0.03),
+    ("M12", "s = 0.006 m", surface_std.READING_STD, 0.006),
+    ("M12", "a = 0.02,", surface_std.CELL_SHARE, 0.02),
+    ("M12", "b = 0.41,", surface_std.BEND_SHARE, 0.41),
+    ("M12", "c = 0.38", surface_std.LARGEST_BEND, 0.38),
     ("M12", "s_c = 0.1", voxel_map.OBSERVATION_COLOUR_STD, 0.1),
-    ("M13", "at least 0.1", emission_uncertainty.MIN_SLOPE, 0.1),
+    ("M13", "at least 0.1", emission_uncertainty.MIN_COSINE, 0.1),
+    ("M14", "l_1 = 2 h", map_samples.NEAR_LENGTH, 2.0),
+    ("M14", "l_2 = 0.5 m", map_samples.FAR_LENGTH, 0.5),
+    ("M14", "F = 64", map_samples.FREQUENCIES, 64),
     ("M21", "std 0.03 and 0.05 m", (RigidNoise().vel_translation, RigidNoise().pose_translation), (0.03, 0.05)),
     ("M21", "0.03 and 0.02 for rotation", (RigidNoise().vel_rotation, RigidNoise().pose_rotation), (0.03, 0.02)),
     ("M22", "0.01 m, 0.001 rad", (ImuNoise().location, ImuNoise().orientation), (0.01, 0.001)),

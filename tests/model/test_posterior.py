@@ -13,18 +13,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jaxtyping import Array, Float, PRNGKeyArray
+from scipy.stats import norm
 
 from tests.helpers.damage import damaged_bytes, damaged_json
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.maps import map_file
 from vssm_gym.maps.block_table import BlockTable
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
+from vssm_gym.model.map_samples import deform
 from vssm_gym.model.posterior import Posterior, map_entropy
 from vssm_gym.model.transition import Belief, GaussianBelief, RigidState, planar_belief, rigid_belief
 
-READING, COLOUR = 0.03, 0.1  # std of one observation of the published model: m, a colour channel
 CELL = 0.1  # m
 PRECISION = 4.0  # observations of an observed cell
 
@@ -70,6 +73,12 @@ EVERY = [(kind, storage) for kind in ("planar", "rigid") for storage in ("none",
 every = pytest.mark.parametrize(("kind", "storage"), EVERY)
 
 
+def walk() -> PoseErrors:
+    """Return errors of two keyframes, some centimetres."""
+    T = np.tile(np.eye(4), (2, 1, 1))
+    return PoseErrors.of(T, np.stack([1e-3 * np.eye(6), 2e-3 * np.eye(6)]), Camera.from_hfov(16, 12, 1.0))
+
+
 def made(kind: str, storage: str) -> Posterior:
     return Posterior(belief(kind), tiny_map(storage))
 
@@ -92,38 +101,26 @@ def test_a_draw_is_a_state_and_a_map(kind: str, storage: str) -> None:
     assert_same(posterior.sample(jax.random.key(0)), draw)
     terms = posterior.log_prob(draw)
     np.testing.assert_allclose(float(terms.state), float(posterior.belief.log_prob(draw.state)), rtol=1e-5)
-    at_mean = posterior.log_prob(draw._replace(state=posterior.belief.mean, map=posterior.map))
+    none = jax.tree.map(jnp.zeros_like, draw.coefficients)
+    at_mean = posterior.log_prob(draw._replace(state=posterior.belief.mean, coefficients=none))
     assert float(at_mean.state) > float(terms.state)
     assert float(at_mean.map) > float(terms.map) if draw.map else float(at_mean.map) == float(terms.map) == 0.0
 
 
 @pytest.mark.parametrize("storage", ["dense", "sparse"])
 def test_the_maps_density_belongs_to_its_samples(storage: str) -> None:
-    """``E[-log q(M)] = sum 1/2 log(2 pi e v)`` over the cells that vary; the others keep their mean."""
-    posterior, draws = made("planar", storage), 400
-    m = posterior.map
-    assert m is not None
-
-    @jax.jit
-    def one(key: PRNGKeyArray) -> tuple[Array, Array, Array]:
-        draw = posterior.sample(key)
-        return posterior.log_prob(draw).map, draw.map.occupancy, draw.map.colour
-
-    log_q, occupancy, colour = (
-        np.asarray(a, float) for a in jax.lax.map(one, jax.random.split(jax.random.key(1), draws))
-    )
-    measured = (np.asarray(m.occupancy_precision) > 1.0) & (np.abs(np.asarray(m.occupancy)) < 2 * CELL)
-    coloured = np.broadcast_to((np.asarray(m.colour_precision) > 1.0)[:, None], m.colour.shape)
-    assert 100 < measured.sum() < measured.size / 2
-    variances = np.r_[np.full(measured.sum(), READING**2), np.full(coloured.sum(), COLOUR**2)] / PRECISION
-    expected = 0.5 * np.sum(np.log(2.0 * np.pi * np.e * variances))
-    error = np.sqrt(0.5 * len(variances) / draws)
-    assert abs(-log_q.mean() - expected) < 4.0 * error
-    assert 4.0 * error < 0.02 * len(variances)  # a variance wrong by a twentieth would be noticed
-    np.testing.assert_allclose(log_q.std(), np.sqrt(0.5 * len(variances)), rtol=0.15)
-    for drawn, mean, varies in ((occupancy, m.occupancy, measured), (colour, m.colour, coloured)):
-        np.testing.assert_array_equal((drawn == np.asarray(mean)).all(axis=0), ~varies)
-        np.testing.assert_allclose(drawn.mean(axis=0), np.asarray(mean), atol=5.0 * COLOUR / np.sqrt(PRECISION * draws))
+    """``log N(0, 1)`` of every coefficient, and these coefficients make the map of the draw."""
+    posterior = eqx.tree_at(lambda p: p.pose_errors, made("planar", storage), walk(), is_leaf=lambda x: x is None)
+    draw = posterior.sample(jax.random.key(1))
+    assert draw.map is not None
+    assert draw.coefficients is not None
+    e = np.concatenate([np.asarray(a, float).ravel() for a in draw.coefficients])
+    assert e.size == 6 * 256 + 2 * 6
+    np.testing.assert_allclose(float(posterior.log_prob(draw).map), norm.logpdf(e).sum(), rtol=1e-5)
+    again = deform(posterior.map, draw.coefficients, posterior.measurement_noise, posterior.pose_errors)
+    np.testing.assert_allclose(np.asarray(again.occupancy), np.asarray(draw.map.occupancy), atol=1e-6)
+    true = deform(posterior.map, draw.coefficients._replace(poses=jnp.zeros((0, 6))))
+    assert np.abs(np.asarray(true.occupancy) - np.asarray(draw.map.occupancy)).max() > 1e-3
 
 
 @every
@@ -207,6 +204,16 @@ def test_saved_posteriors_are_read_back(tmp_path: Path, kind: str, storage: str)
     twice = tmp_path / "again.npz"
     again.save(twice, sequence="room", frames=7)
     assert twice.read_bytes() == path.read_bytes()
+
+
+def test_errors_of_poses_are_saved_with_the_map(tmp_path: Path) -> None:
+    path = tmp_path / "posterior.npz"
+    Posterior(belief("planar"), tiny_map("dense"), pose_errors=walk()).save(path)
+    again = Posterior.load(path).pose_errors
+    assert again is not None
+    np.testing.assert_allclose(np.asarray(again.root), np.asarray(walk().root), rtol=1e-6)
+    made("planar", "dense").save(path)
+    assert Posterior.load(path).pose_errors is None
 
 
 def assert_refused(path: Path, field: str = "") -> None:

@@ -23,8 +23,8 @@ from vssm_gym.maps.map_file import read_metadata as read_metadata
 PRIOR_OCCUPANCY_STD = 10.0  # m; broad (VSSM-LM); the information gain of exploration depends on it
 PRIOR_COLOUR_STD = 10.0  # of each channel in [0, 1]
 PRIOR_OCCUPANCY_MEAN = -0.001  # m: unknown space is just free, so an empty map renders nothing
-# Std of one real observation. The update's own std, 1, counts observations: the real variance of a cell is
-# OBSERVATION_STD^2 / (precision std^2), see docs/slam.md.
+# Std of one real observation of a cell, errors that do not average out included: cautious planning and the slices of
+# a report take OBSERVATION_STD^2 / n after n observations. How far the surface is off is surface_std's.
 OBSERVATION_STD = 0.03  # m, of occupancy
 OBSERVATION_COLOUR_STD = 0.1  # of each channel in [0, 1]
 TRUNCATION = 2.0  # voxels: half the width of the band around a surface that an image updates (PRISM)

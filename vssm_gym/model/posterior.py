@@ -1,7 +1,7 @@
 """Represent the posterior ``q(z_t) q(M)``: independent beliefs over state and map (PRISM).
 
-Map samples and densities follow :class:`~vssm_gym.model.emission_uncertainty.MeasurementNoise`: measured cells vary,
-all others keep their mean.
+A sample of the map is its mean, displaced by independent standard normal coefficients
+(:mod:`vssm_gym.model.map_samples`).
 """
 
 import json
@@ -17,8 +17,15 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.maps import map_file
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
-from vssm_gym.model.emission_uncertainty import MEASUREMENT_NOISE, MeasurementNoise, sample_map
+from vssm_gym.model.map_samples import (
+    MEASUREMENT_NOISE,
+    Coefficients,
+    MeasurementNoise,
+    deform,
+    draw_coefficients,
+)
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold
 
@@ -31,13 +38,14 @@ class Draw(NamedTuple):
 
     state: Any
     map: VoxelMap | None
+    coefficients: Coefficients | None  # that make the map; None without one
 
 
 class LogPosterior(NamedTuple):
-    """Hold the terms of ``log q(z, M)``; in float32 the sum over cells dwarfs the state's term."""
+    """Hold the terms of ``log q(z, M)``; in float32 the sum over coefficients dwarfs the state's term."""
 
     state: Float[Array, ""]
-    map: Float[Array, ""]  # 0 without a map
+    map: Float[Array, ""]  # of the coefficients; 0 without a map
 
 
 class Entropy(NamedTuple):
@@ -54,11 +62,13 @@ class Posterior(eqx.Module):
         belief: over the state, in the map's frame; mostly a :class:`GaussianBelief` with ``mean`` and ``covariance``.
         map: over the map; None where a filter keeps none.
         measurement_noise: standard deviations of one observation that the map's precisions count.
+        pose_errors: of the poses at which images entered the map, about the map's frame; None: they were true.
     """
 
     belief: Belief
     map: VoxelMap | None
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE
+    pose_errors: PoseErrors | None = None
 
     def sample(self, key: PRNGKeyArray) -> Draw:
         """Draw ``z, M ~ q(z) q(M)``; :meth:`GaussianBelief.sample` draws many states.
@@ -67,28 +77,28 @@ class Posterior(eqx.Module):
             key: random key.
 
         Returns:
-            ``state``, one state; ``map``, a map whose measured cells are drawn, or None.
+            ``state``, one state; ``map``, a displaced map, and the ``coefficients`` that displace it, or None.
         """
         by_state, by_map = jax.random.split(key)
         state = jax.tree.map(lambda a: a[0], self.belief.sample(by_state, 1))
-        return Draw(state, None if self.map is None else sample_map(by_map, self.map, self.measurement_noise))
+        if self.map is None:
+            return Draw(state, None, None)
+        drawn = draw_coefficients(by_map, self.pose_errors)
+        return Draw(state, deform(self.map, drawn, self.measurement_noise, self.pose_errors), drawn)
 
     def log_prob(self, draw: Draw) -> LogPosterior:
         """``log q(z) + log q(M)``, term by term.
 
         Args:
-            draw: a state and a map on the grid of this one.
+            draw: of :meth:`sample`, or such a tuple.
 
         Returns:
-            The log density of the state, and that of the map over the cells that :meth:`sample` varies.
+            The log density of the state, and that of the coefficients of the map, ``N(0, 1)`` each: cells of a sample
+            move together and have no density of their own.
         """
-        cells = jnp.float32(0.0)
-        if self.map is not None and draw.map is not None:
-            m, M = self.map, draw.map
-            occupancy = self.measurement_noise.occupancy_variance(m.occupancy, m.occupancy_precision, m.voxel_size)
-            colour = self.measurement_noise.colour_variance(m.colour_precision)[:, None]
-            cells = _log_normal(M.occupancy - m.occupancy, occupancy) + _log_normal(M.colour - m.colour, colour)
-        return LogPosterior(self.belief.log_prob(draw.state), cells)
+        drawn = [] if self.map is None or draw.coefficients is None else jax.tree.leaves(draw.coefficients)
+        log_normal = lambda a: -0.5 * jnp.sum(a**2 + jnp.log(2.0 * jnp.pi))
+        return LogPosterior(self.belief.log_prob(draw.state), sum(map(log_normal, drawn), jnp.float32(0.0)))
 
     def entropy(self) -> Entropy:
         """Return the entropies of the state (of its errors ``xi``) and of the map's occupancy, nats.
@@ -115,7 +125,8 @@ class Posterior(eqx.Module):
         belief = {"manifold": name, "mean": mean, "covariance": numbers(self.belief.covariance)}  # type: ignore[attr-defined]
         if self.map is not None:
             readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.measurement_noise)]
-            self.map.save(path, **metadata, belief=belief, readings=readings)
+            errors = {} if self.pose_errors is None else {"pose_errors": self.pose_errors.to_json()}
+            self.map.save(path, **metadata, belief=belief, readings=readings, **errors)
             return
         header = {"format": BELIEF_FORMAT, "version": BELIEF_VERSION, **metadata, "belief": belief}
         with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -163,7 +174,8 @@ class Posterior(eqx.Module):
         readings = _arrays(path, "readings", header.get("readings", jax.tree.leaves(MEASUREMENT_NOISE)), [()] * 3)
         if not all(float(std) > 0.0 for std in readings):
             raise InputError(path, "readings", "standard deviations above 0")
-        return cls(belief, VoxelMap.load(path), MeasurementNoise(*(float(std) for std in readings)))
+        noise = MeasurementNoise(*(float(std) for std in readings))
+        return cls(belief, VoxelMap.load(path), noise, PoseErrors.from_header(path, header))
 
 
 def map_entropy(m: VoxelMap) -> float:
@@ -181,13 +193,6 @@ def map_entropy(m: VoxelMap) -> float:
     prior = np.float32(PRIOR_OCCUPANCY_STD**-2)  # as cells hold it, so that an empty map's entropy is 0
     known = precision[precision != prior].astype(np.float64)  # most cells are unobserved: ten times faster
     return 0.5 * float(np.sum(np.log(float(prior) / known)))
-
-
-def _log_normal(off: Array, variance: Array) -> Array:
-    """``sum log N(off; 0, variance)`` over the entries whose variance is above 0."""
-    varies = jnp.broadcast_to(variance > 0.0, off.shape)
-    safe = jnp.where(varies, variance, 1.0)
-    return -0.5 * jnp.sum(jnp.where(varies, off**2 / safe + jnp.log(2.0 * jnp.pi * safe), 0.0))
 
 
 def _rotation(R: np.ndarray) -> np.ndarray:

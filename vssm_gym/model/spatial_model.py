@@ -16,11 +16,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
 from vssm_gym.model.emission_density import EmissionScales, log_prob
-from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
+from vssm_gym.model.map_samples import MeasurementNoise, sample_map
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief
 
@@ -37,6 +38,7 @@ class SpatialModel(eqx.Module):
         T_body_cam: pose of the camera in the body frame, m.
         scales: of the emission, and its shares of outliers and of pixels without a reading.
         measurement_noise: standard deviations of one observation that the precisions of ``m`` count.
+        pose_errors: of the poses at which images entered ``m``; None: they were true.
         max_depth: z-depth up to which surfaces are rendered, m.
     """
 
@@ -47,6 +49,7 @@ class SpatialModel(eqx.Module):
     scales: EmissionScales = EmissionScales()
     measurement_noise: MeasurementNoise = MeasurementNoise()
     max_depth: Float[Array, ""] | float = MAX_DEPTH
+    pose_errors: PoseErrors | None = None
 
     def image(self, m: VoxelMap, state: State) -> RGBD:
         """Render ``mu_rgbd(z, M)``, the image from a single state in a map.
@@ -165,7 +168,9 @@ def rollout(
 
     def seen(one):
         key, path = one
-        m = sample_map(key, model.m, model.measurement_noise) if images == "sampled maps" else model.m
+        m = model.m
+        if images == "sampled maps":
+            m = sample_map(key, m, model.measurement_noise, model.pose_errors)
         return jax.lax.map(lambda state: model.image(m, state), path)
 
     return Rollouts(states, jax.lax.map(seen, (jax.random.split(by_map, samples), states)))

@@ -39,9 +39,10 @@ from vssm_gym.inference.tracking import keyframes
 from vssm_gym.inference.tracking.camera_filter import Past, TrackingInput, begin, expected_pose
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, seconds, shrunk
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
-from vssm_gym.model.emission_uncertainty import MeasurementNoise
+from vssm_gym.model.map_samples import MeasurementNoise
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -182,9 +183,13 @@ class Prism:
 
         Returns:
             The belief over the body in the map's frame, without that frame's drift in the world, and the map; they
-            share the state's arrays.
+            share the state's arrays. With keyframes, the drift is stated as errors of their poses about the last.
         """
-        return Posterior(state.past.belief, state.map, state.measurement_noise)
+        errors, kept = None, state.keyframes
+        if kept is not None:
+            reach = self.config.update.max_depth
+            errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, state.drift, self.rig.camera, reach)
+        return Posterior(state.past.belief, state.map, state.measurement_noise, errors)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
         """Return the image and its rig at tracking size."""

@@ -37,7 +37,7 @@ from vssm_gym.inference.tracking.localise import Relocalisation, checked, locali
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
-from vssm_gym.model.emission_uncertainty import MeasurementNoise
+from vssm_gym.model.map_samples import MeasurementNoise
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief

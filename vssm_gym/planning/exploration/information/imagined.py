@@ -16,7 +16,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model import emission
-from vssm_gym.model.emission_uncertainty import MeasurementNoise, sample_map
+from vssm_gym.model.map_samples import MeasurementNoise, sample_map
 
 SHADOW = 5.0  # voxels^2 that an occupied cell among free ones hides: 4 from a ray along an axis, up to 6 from others
 VIEWS_AT_ONCE = 16  # views per call of the renderer: with 1200 pixels per view as many rays as one image of 160 x 120
