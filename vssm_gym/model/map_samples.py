@@ -41,7 +41,7 @@ from vssm_gym.maps.voxel_map import (
 NEAR_LENGTH = 2.0  # cells: the shortest that a grid represents; measured lengths are somewhat shorter
 FAR_LENGTH = 0.5  # m
 FREQUENCIES = 64  # F, of each of the two
-CHUNK = 16  # blocks a loop iteration
+BLOCKS_A_TURN = 16  # blocks a loop iteration
 FIELDS = 6  # three coordinates of the displacement, three channels of colour
 
 DIRECTIONS = ndtri(Halton(3, scramble=False).random(FREQUENCIES + 1)[1:])  # of N(0, 1) each, evenly spread
@@ -124,7 +124,7 @@ def deform(
     share = np.abs(1 - _CORNERS[None] - _INNER[:, None] / BLOCK).prod(axis=-1)  # (cells, corners)
 
     def move(i, carry):
-        block = jax.lax.dynamic_slice(ids, (i * CHUNK,), (CHUNK,))
+        block = jax.lax.dynamic_slice(ids, (i * BLOCKS_A_TURN,), (BLOCKS_A_TURN,))
         known = jnp.minimum(block, blocks - 1)
         first = m.origin + h * BLOCK * jnp.stack(block_coordinates(known, m.blocks), axis=-1)
         p = first[:, None] + inner  # (blocks, cells, 3)
@@ -152,7 +152,7 @@ def deform(
         return tuple(old.at[row].set(value, mode="drop") for old, value in zip(carry, new, strict=True))
 
     belief = (m.occupancy, m.occupancy_precision, m.colour, m.colour_precision)
-    moved = jax.lax.fori_loop(0, (count + CHUNK - 1) // CHUNK, move, belief)
+    moved = jax.lax.fori_loop(0, (count + BLOCKS_A_TURN - 1) // BLOCKS_A_TURN, move, belief)
     parts = lambda m: (m.occupancy_precision, m.colour, m.colour_precision)
     return eqx.tree_at(parts, m.with_occupancy(moved[0]), moved[1:])
 
