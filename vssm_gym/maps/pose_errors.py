@@ -22,7 +22,7 @@ from vssm_gym.files.numbers import whole
 from vssm_gym.geometry.camera import MAX_DEPTH, Camera
 from vssm_gym.geometry.transforms import inverse
 
-BORDER = 0.15  # of half an image, and of the range, over which a weight falls to 0
+FADING = 0.15  # of half an image, and of the range, over which a weight falls to 0
 NEAREST = 1e-4  # weight at the camera of a keyframe for what no keyframe saw: those nearby decide
 MOST_KEYFRAMES = 256  # of a file
 
@@ -131,7 +131,7 @@ class PoseErrors(eqx.Module):
         ahead = jnp.maximum(z, 1e-3)
         u = (x / ahead * self.camera.fx + self.camera.cx + 0.5) / self.camera.width
         v = (y / ahead * self.camera.fy + self.camera.cy + 0.5) / self.camera.height
-        seen = _within(u) * _within(v) * jnp.clip((self.reach - z) / (BORDER * self.reach), 0.0, 1.0) * (z > 1e-3)
+        seen = _within(u) * _within(v) * jnp.clip((self.reach - z) / (FADING * self.reach), 0.0, 1.0) * (z > 1e-3)
         seen = (seen + NEAREST / (1.0 + (x**2 + y**2 + z**2) ** 2)) * self.used
         return seen / jnp.sum(seen, axis=-1, keepdims=True)
 
@@ -169,4 +169,4 @@ def _of_ring(T_world_cam: Array, count: Array, covariance: Array, camera: Camera
 
 def _within(share: Array) -> Array:
     """Return 1 inside an image, falling to 0 at its border; ``share`` is 0 at one edge and 1 at the other."""
-    return jnp.clip((0.5 - jnp.abs(share - 0.5)) / (0.5 * BORDER), 0.0, 1.0)
+    return jnp.clip((0.5 - jnp.abs(share - 0.5)) / (0.5 * FADING), 0.0, 1.0)
