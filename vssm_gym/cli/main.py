@@ -42,6 +42,7 @@ COMMANDS: dict[str, Any] = {
         "resolution": "study.resolution",
         "runtime": "study.runtime",
         "calibration": "study.calibration",
+        "map-reliability": "study.map_reliability",
         "flight": "study.flight",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},

@@ -178,6 +178,46 @@ def calibration(
         say(page)
 
 
+@interruptible("map-reliability.json")
+def map_reliability(
+    out: Path,
+    split: Literal["train", "test"] = "train",
+    maps: int | None = None,
+    voxel: float = 0.05,
+    seed: int = 0,
+    resume: bool = False,
+) -> None:
+    """Compare the error of learned maps' surfaces with the standard deviation that they state.
+
+    OUT gets map-reliability.json, map-reliability.svg and map-reliability.html: bins of the stated deviation against
+    the error, with true and estimated poses, exact depth and a Kinect's. They are written anew after every row.
+
+    Args:
+        out: folder for the results.
+        split: apartments and seeds to tune on (train) or to judge on (test).
+        maps: maps of each row; by default one of each apartment.
+        voxel: edge of a cell, metres.
+        seed: of the drives.
+        resume: continue in OUT with the rows that are missing.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.eval.studies.map_reliability import study as reliability_study
+    from vssm_gym.eval.studies.page import study_folder, write_study
+    from vssm_gym.files.output_folders import check_folder
+
+    setting = reliability_study.Setting(split, seed, maps, voxel)
+    check_folder(out)
+    with study_folder("map-reliability", out, resume):
+        done = reliability_study.finished(out / "map-reliability.json", setting) if resume else {}
+        with progress_bars() as progress:
+            for study in reliability_study.run(setting, done=done, on_progress=progress):
+                page = write_study(study, out)
+        for line in _aligned([study.header, *study.lines]):
+            say(line)
+        say(study.answer)
+        say(page)
+
+
 def _aligned(lines: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table with columns of one width, the first to the left and the others to the right."""
     widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
