@@ -188,7 +188,9 @@ class Prism:
         errors, kept = None, state.keyframes
         if kept is not None:
             reach = self.config.update.max_depth
-            errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, state.drift, self.rig.camera, reach)
+            errors = PoseErrors.of_ring(
+                kept.T_world_cam, kept.count, state.past.considered.drift, self.rig.camera, reach
+            )
         return Posterior(state.past.belief, state.map, state.measurement_noise, errors)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
