@@ -11,12 +11,11 @@ from pydantic import Field
 from vssm_gym.envs.validation import StrictModel
 from vssm_gym.eval.studies.map_reliability.surface_errors import LARGEST_ERROR, SurfaceErrors
 from vssm_gym.eval.studies.page import Study
-from vssm_gym.slam.states import tidy
+from vssm_gym.slam.states import NORMAL_95, tidy
 from vssm_gym.viz import pictures
 
 EDGES_MM = (0, 2, 4, 8, 16, 32, 64, 1000)  # of the bins of the stated std
 FEWEST_POINTS = 200  # of a bin that is shown: a share of 95 % is known to 3 points from as many independent ones
-NORMAL_95 = 1.96
 HEADER = ("maps", "stated, mm", "points", "stated rms, mm", "error rms, mm", "error / stated", "inside 95 %")
 NOTES = (
     "A map is learned from a drive through each apartment, at its true poses or at those that PRISM estimates from "
