@@ -275,13 +275,16 @@ def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
 
 
 def _show_prediction(table: Any, result: dict[str, Any], console: Any) -> None:
-    """Fill the table with one row for each model and horizon; print what the rows mean and what was fitted below."""
-    from vssm_gym.eval.bench.prediction.page import HEADER, answer, line_of
+    """Fill the table with one row for each model and horizon; print the best models and what was fitted below."""
+    from vssm_gym.eval.bench.prediction.page import HEADER, PAGE_ONLY, answer, line_of
 
-    for name in HEADER:
-        table.add_column(name, justify="left" if name == HEADER[0] else "right")
-    for row in result["rows"]:
-        table.add_row(*line_of(row))
+    lines = [line_of(row) for row in result["rows"]]
+    shown = [index for index, name in enumerate(HEADER) if name not in PAGE_ONLY]  # a terminal has no room for all
+    for index in shown:
+        whole = HEADER[index] in ("model", "nats a pixel", "PIT holds for")
+        table.add_column(HEADER[index], no_wrap=whole, justify="right" if index else "left")
+    for line in lines:
+        table.add_row(*(line[index] for index in shown))
     console.print(table)
     console.print(answer(result["rows"]), soft_wrap=True)
     for name, values in (result["fitted"] or {}).items():

@@ -23,11 +23,12 @@ HEADER = (
     "CRPS depth, cm",
     "CRPS colour",
     "depth in 95 %",
-    "PIT depth, colour, pose",
+    "PIT holds for",
     "pose, nats",
     "CRPS location, cm",
     "CRPS heading, deg",
 )
+PAGE_ONLY = ("depth", "colour", "pose, nats", "CRPS location, cm", "CRPS heading, deg")
 PIT_NAMES = {"depth": "depth", "rgb": "colour", "pose": "pose"}
 NOTES = (
     "Each model follows a drive up to some time, is given the commands of the next seconds, and states the "
@@ -35,7 +36,7 @@ NOTES = (
     "Nats a pixel: mean log density over all pixels, with the 95 % bootstrap interval over drives; the sum of its "
     "parts. A pixel has no reading, or a depth (density in 1/m) and a colour (over [0, 1]^3). Higher is better.",
     "CRPS: the integral of (F(y) - [y >= x])^2, in the unit of the value, of pixels with a reading; lower is better.",
-    "PIT: F(x), uniform where the prediction is calibrated. A prediction counts as calibrated (yes) where every bin, "
+    "PIT: F(x), uniform where the prediction is calibrated. It holds for depth, colour or the pose where every bin, "
     f"of 20 for depth and colour and of 5 for the pose, holds {PIT_RANGE[0]:g} to {PIT_RANGE[1]:g} times the uniform "
     "share. "
     "The pixels of an image are correlated: few drives give uneven histograms even where a prediction is calibrated.",
@@ -55,7 +56,7 @@ def line_of(row: Mapping[str, Any]) -> list[str]:
         f"{100 * row['depth_crps']:.1f}",
         f"{row['rgb_crps']:.3f}",
         f"{row['depth_in_band']:.1%}",
-        ", ".join("yes" if calibrated[name] else "no" for name in PIT_NAMES),
+        ", ".join(label for name, label in PIT_NAMES.items() if calibrated[name]) or "none",
         f"{row['pose_nats']:.2f}",
         f"{100 * row['location_crps']:.1f}",
         f"{np.degrees(row['heading_crps']):.1f}",
@@ -101,8 +102,12 @@ def _picture(rows: Sequence[Mapping[str, Any]]) -> bytes:
     figure = Figure(figsize=(10.0, 0.8 + 1.7 * len(names)), layout="constrained")
     axes = figure.subplots(len(names), len(PIT_NAMES), squeeze=False, sharex=True)
     colours = (pictures.ESTIMATE_COLOUR, pictures.TRUE_COLOUR)
+    for label, ax in zip(PIT_NAMES.values(), axes[0], strict=True):
+        ax.set_title(f"PIT of {label}", fontsize=10)
+    for ax in axes[-1]:
+        ax.set_xlabel("F(x)")
     for line, name in zip(axes, names, strict=True):
-        for ax, (key, label) in zip(line, PIT_NAMES.items(), strict=True):
+        for ax, key in zip(line, PIT_NAMES, strict=True):
             ax.axhspan(*PIT_RANGE, color="0.92")
             ax.axhline(1.0, color="0.3", linestyle="--", linewidth=0.8)
             for colour, row in zip(colours, (row for row in rows if row["model"] == name), strict=False):
@@ -110,10 +115,6 @@ def _picture(rows: Sequence[Mapping[str, Any]]) -> bytes:
                 ax.stairs(shares, np.linspace(0, 1, len(shares) + 1), color=colour, label=f"{row['seconds']:g} s")
             ax.set(ylim=(0, 3), xlim=(0, 1))
             tidy(ax)
-            if line is axes[0]:
-                ax.set_title(f"PIT of {label}", fontsize=10)
-            if line is axes[-1]:
-                ax.set_xlabel("F(x)")
         line[0].set_ylabel(pictures.tick_name(name), fontsize=8)
     axes[0][0].legend(fontsize=8, frameon=False)
     return pictures.svg(figure)
