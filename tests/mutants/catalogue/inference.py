@@ -5,9 +5,11 @@ from tests.mutants.mutant import Mutant
 RESIDUALS = "vssm_gym/inference/alignment/residuals.py"
 ALGEBRA, DRIFT = "vssm_gym/inference/linear_gaussian.py", "vssm_gym/inference/prism/drift.py"
 CAMERA_FILTER, PRISM = "vssm_gym/inference/tracking/camera_filter.py", "vssm_gym/inference/prism/filter.py"
-OF_ALIGNMENT, OF_PRISM = "tests/inference/test_alignment.py", "tests/inference/test_prism.py"
+OF_ALIGNMENT, OF_PRISM = "tests/inference/alignment/test_alignment.py", "tests/inference/test_prism.py"
 OF_ALGEBRA, OF_DRIFT = "tests/inference/test_linear_gaussian.py", "tests/inference/test_drift.py"
-OF_NOISE, OF_AGREEMENT = "tests/inference/test_process_noise.py", "tests/inference/test_agreement.py"
+OF_NOISE, OF_AGREEMENT = "tests/inference/test_process_noise.py", "tests/inference/alignment/test_agreement.py"
+ERRORS = "vssm_gym/inference/tracking/error_covariance.py"
+OF_ERRORS = "tests/inference/test_error_covariance.py"
 BY_HAND = (f"{OF_ALIGNMENT}::test_the_information_of_a_wall_by_hand",)
 
 INFERENCE = (
@@ -58,7 +60,7 @@ INFERENCE = (
         "vssm_gym/inference/alignment/rotation.py",
         "gx * (1.0 + x * x) + gy * x * y",
         "-gx * (1.0 + x * x) + gy * x * y",
-        ("tests/inference/test_rotation.py::test_a_known_rotation_in_a_room_is_found",),
+        ("tests/inference/alignment/test_rotation.py::test_a_known_rotation_in_a_room_is_found",),
     ),
     Mutant(
         "rotation-not-used-as-a-start",
@@ -79,14 +81,51 @@ INFERENCE = (
         CAMERA_FILTER,
         "2.0 * fit_quality.information + precision",
         "fit_quality.information + precision",
-        ("tests/inference/test_tracking.py::test_images_only_add_information",),
+        ("tests/inference/test_tracking.py::test_the_published_posterior_adds_information",),
+    ),
+    Mutant(
+        "gain-forgets-the-prior",
+        CAMERA_FILTER,
+        "laplace = jnp.linalg.inv(given.curvature + precision)",
+        "laplace = jnp.linalg.inv(given.curvature + 1e-6 * precision)",
+        (f"{OF_ERRORS}::test_in_a_linear_gaussian_world_the_filter_is_the_kalman_filter",),
+    ),
+    Mutant(
+        "errors-of-pixels-for-those-of-surfaces",
+        "vssm_gym/inference/alignment/surface_error.py",
+        "return self.surfaces.T @ self.surfaces + self.noise",
+        "return self.noise",
+        (f"{OF_PRISM}::test_a_step_is_the_linear_gaussian_algebra",),
+    ),
+    Mutant(
+        "surfaces-without-what-the-pose-took-up",
+        "vssm_gym/inference/alignment/surface_error.py",
+        "left = jnp.maximum(1.0 - absorbed, surface.least_residual)",
+        "left = jnp.ones_like(absorbed)",
+        (
+            "tests/inference/alignment/test_surface_error.py"
+            "::test_the_influence_is_the_sum_over_the_pixels_of_each_patch",
+        ),
+    ),
+    Mutant(
+        "errors-of-surfaces-forgotten-between-images",
+        ERRORS,
+        "kept * F @ self.state_surfaces",
+        "0.0 * F @ self.state_surfaces",
+        (f"{OF_ERRORS}::test_covariances_are_those_of_simulated_errors",),
+    ),
+    Mutant(
+        "unobserved-cells-colour-the-reference",
+        "vssm_gym/inference/alignment/reference_view.py",
+        "known = rendered.known & (m.observed_at(points) > 0.999)",
+        "known = rendered.known",
+        (f"{OF_ERRORS}::test_a_camera_that_slides_along_a_bare_wall_stays_inside_its_region",),
     ),
     Mutant(
         "velocity-does-not-follow-the-pose",
         CAMERA_FILTER,
-        "both = linear_gaussian.joint(both, rest_given_pose)",
-        "both = linear_gaussian.joint(Gaussian(0.0 * moved, smoothed), rest_given_pose)\n"
-        "        both = Gaussian(both.mean.at[:p].set(moved), both.covariance)",
+        "moved = jnp.concatenate([moved, rest.A @ moved])",
+        "moved = jnp.concatenate([moved, 0.0 * rest.A @ moved])",
         (f"{OF_PRISM}::test_a_step_is_the_linear_gaussian_algebra",),
     ),
     Mutant(
@@ -106,22 +145,22 @@ INFERENCE = (
     Mutant(
         "drift-left-out-of-the-belief",
         PRISM,
-        "drift.in_world(past.belief, drifted)",
-        "past.belief",
+        "belief = past.considered.in_world(past.belief)",
+        "belief = past.belief",
         (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
     ),
     Mutant(
         "drift-left-out-of-a-prediction",
         PRISM,
-        "drift.in_world(past.belief, state.drift)",
-        "past.belief",
+        "FilterInfo(status, _in_world(past, self.transition, config), located.fit_quality)",
+        "FilterInfo(status, past.belief, located.fit_quality)",
         (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
     ),
     Mutant(
         "drift-carried-to-the-wrong-frame",
-        DRIFT,
-        "se3_adjoint(inverse(relative.manifold.pose(relative.mean)))",
-        "se3_adjoint(relative.manifold.pose(relative.mean))",
+        ERRORS,
+        "se3_adjoint(inverse(belief.manifold.pose(belief.mean)))",
+        "se3_adjoint(belief.manifold.pose(belief.mean))",
         (f"{OF_DRIFT}::test_in_world_is_the_covariance_of_a_pose_in_an_uncertain_frame",),
     ),
     Mutant(
@@ -129,7 +168,7 @@ INFERENCE = (
         DRIFT,
         "read * (1.0 - before / after)",
         "read * (after - before)",
-        (f"{OF_DRIFT}::test_the_frame_drifts_by_the_proportion_that_the_image_wrote",),
+        (f"{OF_DRIFT}::test_an_image_writes_its_share_of_the_map_in_view",),
     ),
     Mutant(
         "pose-samples-too-narrow",
@@ -178,7 +217,7 @@ INFERENCE = (
         "vssm_gym/inference/alignment/aliasing.py",
         "(np.abs(SHIFTS[1:-1, None]) >= APART)",
         "(np.abs(SHIFTS[1:-1, None]) >= FARTHEST_SHIFT)",
-        ("tests/inference/test_aliasing.py::test_a_wall_of_equal_stripes_fits_at_several_places",),
+        ("tests/inference/alignment/test_aliasing.py::test_a_wall_of_equal_stripes_fits_at_several_places",),
     ),
     Mutant(
         "confirmation-asks-grey-images-to-correlate",

@@ -1,4 +1,4 @@
-"""``argmax_s score(align(p / s))``: does another scale of the depth fit the reference better? (ours)
+"""``score(align(p / s))``: does another scale of the depth fit the reference better? (ours)
 
 A depth sensor whose scale is off shows surfaces that fit the map at a pose in front of or behind the true one, to a
 fair degree: the alignment alone does not reject it. Depth at its right scale fits best unscaled, from the same start.
@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment import gauss_newton
+from vssm_gym.inference.alignment.aliasing import COLOUR_MARGIN
 from vssm_gym.inference.alignment.residuals import AlignConfig, score
 from vssm_gym.model.emission import RGBD
 
@@ -30,7 +31,7 @@ def fits_unscaled(
     config: AlignConfig,
     seen: Float[Array, "height width"] | None = None,
 ) -> Bool[Array, ""]:
-    """Return whether none of the other scales has a higher score than the depth as it is (eq. I29).
+    """Return whether at no other scale the depth has a higher score and the colours fit as well (eq. I29).
 
     Args:
         T: T_ref_cam, where the alignments begin.
@@ -43,10 +44,11 @@ def fits_unscaled(
     """
     precision = basis.T @ basis / SCALE_PRIOR_STD**2
 
-    def fit(scale: Array) -> Array:
+    def fit(scale: Array) -> tuple[Array, Array]:
         scaled = eqx.tree_at(lambda i: i.depth, image, image.depth / scale)
         _, info = gauss_newton.align(T, precision, T, basis, reference, scaled, camera, config, seen)
-        return score(info)
+        return score(info), info.photometric
 
-    scores = jax.lax.map(fit, jnp.asarray(DEPTH_SCALES))
-    return jnp.argmax(scores) == DEPTH_SCALES.index(1.0)
+    scores, photometric = jax.lax.map(fit, jnp.asarray(DEPTH_SCALES))
+    here = DEPTH_SCALES.index(1.0)
+    return ~jnp.any((scores > scores[here]) & (photometric <= photometric[here] + COLOUR_MARGIN))

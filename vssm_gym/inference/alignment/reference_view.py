@@ -1,8 +1,8 @@
 """Make the reference view: the RGB-D image that poses are aligned to, rendered from the map (PRISM).
 
 Geometry comes from the map alone. Colour has two sources: the rendered image, which does not drift but is as coarse as
-the cells, and the camera image taken at the same pose, which is sharp. Where the map is unobserved, the camera image
-replaces the rendered one; pixels beside such a seam are left out.
+the cells, and the camera image taken at the same pose, which is sharp. Where a cell around a pixel's surface is
+unobserved, the camera image replaces the rendered one; pixels beside such a seam are left out.
 """
 
 import equinox as eqx
@@ -18,9 +18,9 @@ from vssm_gym.model import emission, emission_uncertainty
 from vssm_gym.model.emission import RGBD
 
 # Standard deviations of the displacement of a surface; chosen on the scenes for training.
-LEARNED = 0.12  # cells, in a map learned before
-JUST_WRITTEN = 0.06  # cells, in a map that was written from about the same place
-TAKEN = 0.002  # m, in a camera image
+LEARNED = 0.15  # cells, in a map learned before
+JUST_WRITTEN = 0.05  # cells, in a map that was written from about the same place
+TAKEN = 0.0012  # m, in a camera image
 
 
 class ReferenceView(eqx.Module):
@@ -34,8 +34,10 @@ class ReferenceView(eqx.Module):
 
 
 @jax.jit
-def _combine(rendered: RGBD, taken: RGBD) -> tuple[RGBD, Array]:
-    known = rendered.known
+def _combine(m: VoxelMap, T_world_cam: Array, camera: Camera, rendered: RGBD, taken: RGBD) -> tuple[RGBD, Array]:
+    # A cell that was never observed has the prior's colour; next to it a bare wall would have an edge.
+    points = camera.backproject(rendered.depth) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+    known = rendered.known & (m.observed_at(points) > 0.999)
     seam = jnp.zeros_like(known)
     for axis in (0, 1):
         for by in (1, -1):
@@ -69,7 +71,7 @@ def from_image(
             False: the map's mean is used as if it were certain.
     """
     rendered = emission.render(m, T_world_cam, camera, max_depth)
-    image, seen = _combine(rendered, taken)
+    image, seen = _combine(m, T_world_cam, camera, rendered, taken)
     spread = None
     if expected:
         std = _depth_std(m, T_world_cam, camera, rendered)

@@ -238,8 +238,20 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         wide = jnp.max(jnp.where(manifold.turns[:p], jnp.diagonal(pose_covariance), 0.0)) > config.search_reach**2
         best = lambda starts: _best_start(starts, T_prior, precision, basis, reference, image, rig, config)
         start = jax.lax.cond(wide, best, lambda _: start, T_prior @ se3_exp(turned @ basis.T))
-    problem = (T_prior, precision, start, basis, reference.image, image, rig.camera)
-    T, fit_quality = SOLVERS[config.solver](problem, reference, config, key)
+    solve = lambda precision, start: SOLVERS[config.solver](
+        (T_prior, precision, start, basis, reference.image, image, rig.camera), reference, config, key
+    )
+    T, fit_quality = solve(precision, start)
+    if transition.commanded:
+        back = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T_ref_world @ past.T_world_cam)
+    if transition.commanded and config.surface_error is not None:
+        first = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
+        wide = pose_covariance + _obstruction(back, manifold.turns[:p])
+        met = _surprise(first, predicted) > config.max_unconfirmed**2
+        precision = jnp.where(met, past.correlation * jnp.linalg.inv(wide), precision)
+        covariance = predicted.covariance.at[:p, :p].set(jnp.where(met, wide, pose_covariance))
+        predicted = replace(predicted, covariance=covariance)
+        T, fit_quality = jax.lax.cond(met, lambda: solve(precision, T), lambda: (T, fit_quality))
     # The new pose's error is measured from the new mean, the conditional's from the predicted one: to first order,
     # and a step is short, the two tangents are one.
     moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
@@ -260,7 +272,6 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     surprise = _surprise(moved, possible)
     accepted &= surprise <= config.max_surprise**2
     if transition.commanded:
-        back = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T_ref_world @ past.T_world_cam)
         expected = _surprise(_unobstructed(moved, back, manifold.turns[:p]), possible) <= config.max_unconfirmed**2
     else:
         expected = jnp.logical_not(lost) & (surprise <= config.max_unconfirmed**2)
@@ -382,6 +393,17 @@ def _unobstructed(moved: Float[Array, "p"], back: Float[Array, "p"], turns: Bool
     off, radius = jnp.where(turns, 0.0, moved - back / 2), jnp.linalg.norm(jnp.where(turns, 0.0, back)) / 2
     beyond = jnp.maximum(0.0, 1.0 - radius / jnp.maximum(jnp.linalg.norm(off), 1e-9))
     return jnp.where(turns, turned, beyond * off)
+
+
+def _obstruction(back: Float[Array, "p"], turns: Bool[np.ndarray, "p"]) -> Float[Array, "p p"]:
+    """Return the covariance of what an obstacle does to a step: it stops a body, or lets it slide, in any direction.
+
+    Args:
+        back: from the predicted pose to the last one.
+        turns: True for the coordinates that are angles.
+    """
+    length = jnp.linalg.norm(jnp.where(turns, 0.0, back))
+    return jnp.diag(jnp.where(turns, back**2, length**2))
 
 
 def _displacement(before: GaussianBelief, predicted: GaussianBelief, image: RGBD, rig: Rig) -> Float[Array, ""]:
