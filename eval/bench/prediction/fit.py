@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.eval.bench.prediction.models import shown
@@ -62,7 +63,7 @@ def _of_time(given: MappedDrive) -> list[PixelPairs]:
 
 def _motions(given: MappedDrive, seconds: float) -> np.ndarray:
     """Return (forward, left, turn) between times and ``seconds`` later, ``(n, 3)`` m and rad."""
-    planar, at = np.asarray(given.drive.planar, np.float32), np.array(times(given.drive))
+    planar, at = jnp.asarray(given.drive.planar, jnp.float32), np.array(times(given.drive))
     return np.asarray(PLANAR.error(planar[at], planar[at + round(seconds / given.drive.context.dt)]), float)
 
 

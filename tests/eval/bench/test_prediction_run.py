@@ -12,7 +12,7 @@ from tests.helpers.localisation_room import CAMERA, ROOM
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.cli.bench import bench
 from vssm_gym.errors import InputError
-from vssm_gym.eval.bench.prediction import models, run
+from vssm_gym.eval.bench.prediction import fit, models, run
 from vssm_gym.eval.bench.prediction.contract import WorldModel
 from vssm_gym.eval.bench.prediction.mixture import SampledPrediction
 from vssm_gym.eval.bench.prediction.models import Persistence, VssmLm, shown
@@ -93,6 +93,10 @@ def test_a_model_of_another_kind_is_scored(given) -> None:
     assert len(line_of(row)) == len(HEADER)
     assert row["nats"]["low"] is None  # one drive has no interval
     assert "dead reckoning in the true room is best" in answer([row])
+
+
+def test_the_fitted_motion_is_that_of_the_drive(given) -> None:
+    np.testing.assert_allclose(fit._motions(given, 1.0), np.tile([0.15, 0.0, 0.0], (2, 1)), atol=1e-5)
 
 
 def test_the_scored_pixels_are_those_of_the_thinned_camera() -> None:
