@@ -137,7 +137,8 @@ def test_the_whole_command(monkeypatch, tmp_path, capsys) -> None:
     assert 0.001 <= result["fitted"]["emission"]["depth"] < 0.1
     assert result["setting"]["scenes"] == ["fern", "reed"]
     page = (tmp_path / "prediction-train.html").read_text()
-    assert "1 s ahead VSSM-LM" in page
+    assert "1 s ahead" in page
+    assert "95 % band" in page
     assert (tmp_path / "prediction-train.svg").read_text().count("<svg") == 1
     assert "bench prediction: train" in capsys.readouterr().out
     with pytest.raises(InputError, match="prediction-train"):
