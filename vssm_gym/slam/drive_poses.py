@@ -14,13 +14,13 @@ from vssm_gym.data.recording import read_provenance
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.envs.robots import NOISE_LEVELS
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, se3_adjoint
+from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
 from vssm_gym.inference.filter import KNOWN_START_STD, Rig
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.maps.voxel_map import DEFAULT_SLOTS, VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
-from vssm_gym.model.transition import GaussianBelief, MotionNoise, Planar, planar_belief
+from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
 from vssm_gym.progress import OnProgress
 
 MAP_REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
@@ -33,7 +33,7 @@ class DrivePoses:
 
     T_world_cam: Float[np.ndarray, "frames 4 4"]  # float64
     accepted: Bool[np.ndarray, "frames"]  # False: the pose follows the commands alone
-    covariance: Float[np.ndarray, "frames 6 6"]  # of the body's pose, (translation, rotation) in the world's tangent
+    drift: Float[np.ndarray, "frames 6 6"]  # covariance of the map's frame around the body, in the world's tangent
 
 
 def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | None = None) -> DrivePoses:
@@ -62,7 +62,7 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
     prism = FILTERS["prism"].make(rig, motion)
     known = planar_belief(start, KNOWN_START_STD**2 * jnp.eye(3))
     state = prism.init(Posterior(known, sparse), RGBD.from_camera(*reader[0]), jax.random.key(0))
-    planar, accepted, covariance = [np.asarray(start, float)], [True], [_of_world(known)]
+    planar, accepted, drift = [np.asarray(start, float)], [True], [np.zeros((6, 6))]
     for i in range(1, len(reader)):
         control = jnp.asarray(sequence.controls[i, 1:], jnp.float32)
         state, info = prism.step(
@@ -70,7 +70,7 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
         )
         planar.append(np.asarray(prism.posterior(state).belief.mean, float))
         accepted.append(info.status.accepted)
-        covariance.append(_of_world(info.belief))
+        drift.append(np.asarray(state.past.considered.drift, float))
         if np.abs(planar[-1][:2] - planar[0][:2]).max() > MAP_REACH - 1.0:
             raise InputError(sequence.root, "controls", f"a drive that stays within {MAP_REACH - 1.0} m of its start")
         if on_progress:
@@ -78,12 +78,4 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
     if state.map.table is not None and (refused := int(state.map.table.refused)):
         raise InputError("map", "voxel", f"larger cells: {refused} blocks of the drive found no room at {voxel} m")
     T_world_body = np.asarray(planar_to_matrix(jnp.asarray(np.array(planar), jnp.float32)), float)
-    return DrivePoses(T_world_body @ sequence.T_body_cam, np.array(accepted), np.array(covariance))
-
-
-def _of_world(belief: GaussianBelief) -> Float[np.ndarray, "6 6"]:
-    """``Ad_T P Ad_T^T``: the covariance of a pose in the tangent of the world."""
-    twists = belief.manifold.twists
-    p = twists.shape[1]
-    carry = np.asarray(se3_adjoint(belief.manifold.pose(belief.mean)), float) @ twists
-    return carry @ np.asarray(belief.covariance[:p, :p], float) @ carry.T
+    return DrivePoses(T_world_body @ sequence.T_body_cam, np.array(accepted), np.array(drift))

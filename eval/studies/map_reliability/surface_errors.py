@@ -65,7 +65,7 @@ def measure(
             estimate = estimate_poses(sequence, voxel, on_progress)
             T_world_cam, taken = estimate.T_world_cam, np.flatnonzero(estimate.accepted)
             kept = taken[:: -(-len(taken) // KEYFRAMES)]
-            errors = PoseErrors.of(T_world_cam[kept], estimate.covariance[kept], reader.camera)
+            errors = PoseErrors.of(T_world_cam[kept], estimate.drift[kept], reader.camera)
         frames = [reader[int(i)] for i in taken]
         m = map_from_frames(frames, T_world_cam[taken], reader.camera, voxel, on_progress)
     mesh = surface_mesh(m)

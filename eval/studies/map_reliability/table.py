@@ -21,8 +21,8 @@ NOTES = (
     "A map is learned from a drive through each apartment, at its true poses or at those that PRISM estimates from "
     "images and commands. Error: the true signed distance to the nearest surface of the scene at points drawn "
     f"uniformly over the map's surface, no more than {LARGEST_ERROR:g} m. Stated: the std of the surface's place along "
-    "its normal. With estimated poses it holds the filter's covariances at up to 64 frames of the drive, the start "
-    "known.",
+    "its normal. With estimated poses it holds the drift that the filter states at up to 64 frames, its "
+    "start known.",
     "Error / stated is 1 where the std is right, above 1 where it is too small; in brackets the least and the largest "
     "over the maps. Points of one map are not independent: errors of a wall are alike, and with estimated poses those "
     "of whole rooms. Inside 95 %: the share of points whose error is below 1.96 stds.",

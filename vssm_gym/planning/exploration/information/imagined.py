@@ -59,7 +59,7 @@ def _depth(m: VoxelMap, T_world_cam: Array, camera: Camera, max_depth: float | A
 
 
 def draw(seed: int, m: VoxelMap, mean_free_path: float, std: float) -> VoxelMap:
-    """Draw ``M ~ q(M)``: observed cells by :func:`~.emission_uncertainty.sample_map`, others at random.
+    """Draw ``M ~ q(M)``: observed cells by :func:`~.map_samples.sample_map`, others at random.
 
     An unknown cell is occupied with probability ``1 - exp(-voxel / (SHADOW mean_free_path))``, so that rays survive
     ``d`` metres of unknown space with about ``exp(-d / mean_free_path)``.
