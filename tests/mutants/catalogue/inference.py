@@ -74,7 +74,7 @@ INFERENCE = (
         CAMERA_FILTER,
         "2.0 * fit_quality.information + precision",
         "2.0 * fit_quality.information + 1e-6 * precision",
-        ("tests/inference/test_tracking.py::test_an_image_without_a_reading_leaves_the_prediction",),
+        ("tests/inference/test_tracking.py::test_the_published_posterior_adds_information",),
     ),
     Mutant(
         "laplace-step-with-half-the-information",
