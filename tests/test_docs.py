@@ -221,6 +221,7 @@ STATED = [
     ("I12", "0.001 m and 0.00036 rad", (AdamConfig().translation_step, AdamConfig().rotation_step), (0.001, 0.00036)),
     ("I12", "0.02 and 0.1", (AdamConfig().geo_scale, AdamConfig().rgb_scale), (0.02, 0.1)),
     ("I14", "0.075 rad", TrackingConfig().search_reach, 0.075),
+    ("I14", "more than 4 stds", TrackingConfig().max_unconfirmed, 4.0),
     ("I14", "-2, -1, 1 and 2 stds", COMMANDED.heading_starts, (-2.0, -1.0, 1.0, 2.0)),
     ("I15", "0.8 Sigma_t-1", TrackingConfig().smoothing, 0.8),
     ("I15", "in [1, 10]", COMMANDED.most_correlated, 10.0),

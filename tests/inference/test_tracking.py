@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM, known_map
 from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execute
@@ -112,6 +113,22 @@ def test_frame_to_frame_tracking_drifts_within_its_covariance() -> None:
     assert error(state, path[-1][1])[0] < 0.3 * dead_reckoning_error(path)
     assert spread == sorted(spread)  # the volume of the belief; its extent in one direction may fall on the way back
     assert float(state.past.belief.covariance[2, 2]) > 10 * 1e-6  # of the heading, known to 1 mrad at the start
+
+
+@pytest.mark.parametrize("slide", [0.0, 0.5])
+def test_a_blocked_robot_is_uncertain_by_its_commanded_step(slide: float) -> None:
+    """Commanded on by 12 cm, a robot stands, or slides to its side by half of that: its pose stays in its region."""
+    state, planar, command = start(), START, np.array([0.0, 0.0, 0.12])
+    for k in range(4):
+        free = k == 0
+        heading = planar[2] if free else planar[2] + np.pi / 2
+        planar = planar + (0.12 if free else 0.12 * slide) * np.array([np.cos(heading), np.sin(heading), 0.0])
+        state, info = step(state, command, see(planar))
+        assert info.status is OK
+        P = np.asarray(info.belief.covariance, float)
+        off = np.asarray(info.belief.manifold.error(info.belief.mean, jnp.asarray(planar, jnp.float32)), float)
+        assert off @ np.linalg.solve(P, off) <= chi2.ppf(0.95, 3)
+        assert np.sqrt(P[:2, :2].trace()) < 0.03  # the image still fixes the pose
 
 
 def test_the_published_posterior_adds_information() -> None:

@@ -122,6 +122,13 @@ INFERENCE = (
         (f"{OF_ERRORS}::test_a_camera_that_slides_along_a_bare_wall_stays_inside_its_region",),
     ),
     Mutant(
+        "obstacles-do-not-widen-the-prior",
+        CAMERA_FILTER,
+        "wide = pose_covariance + _obstruction(back, manifold.turns[:p])",
+        "wide = pose_covariance",
+        ("tests/inference/test_tracking.py::test_a_blocked_robot_is_uncertain_by_its_commanded_step",),
+    ),
+    Mutant(
         "velocity-does-not-follow-the-pose",
         CAMERA_FILTER,
         "moved = jnp.concatenate([moved, rest.A @ moved])",
