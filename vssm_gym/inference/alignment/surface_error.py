@@ -55,9 +55,8 @@ class Influence(eqx.Module):
 
     def correlation(self, precision: Float[Array, "p p"]) -> Float[Array, ""]:
         """``tr((H + P)^-1 S) / tr((H + P)^-1 H)``: how many data are alike, on average over what the data fix."""
-        both = jnp.linalg.solve(self.curvature + precision, jnp.concatenate([self.covariance, self.curvature], axis=1))
-        p = len(precision)
-        return jnp.trace(both[:, :p]) / jnp.maximum(jnp.trace(both[:, p:]), 1e-9)
+        K = jnp.linalg.inv(self.curvature + precision)
+        return jnp.sum(K * self.covariance) / jnp.maximum(jnp.sum(K * self.curvature), 1e-9)
 
 
 @partial(jax.jit, static_argnums=(5, 6))
@@ -132,6 +131,6 @@ def _variance(
     ``h`` is the share of its displacement that a patch turns into a motion of the pose, which no residual shows.
     """
     weak = 1e-6 * jnp.eye(len(H)) * (1.0 + jnp.trace(H))
-    absorbed = jnp.sum(shifts * jnp.linalg.solve(H + weak, shifts.T).T, axis=1) / jnp.maximum(total, 1e-9)
+    absorbed = jnp.sum((shifts @ jnp.linalg.inv(H + weak)) * shifts, axis=1) / jnp.maximum(total, 1e-9)
     left = jnp.maximum(1.0 - absorbed, surface.least_residual)
     return displacement**2 + (residual / left) ** 2
