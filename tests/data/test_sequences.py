@@ -396,9 +396,15 @@ def test_the_tum_recording_loads(shared_data: Path) -> None:
 def test_a_large_image_is_refused_before_it_is_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "rgb.png"
     Image.fromarray(np.zeros((5000, 5000), np.uint8)).save(path)
-    monkeypatch.setattr("vssm_gym.data.images.iio.imread", lambda *_, **__: pytest.fail("the image was decoded"))
+    monkeypatch.setattr("PIL.ImageFile.ImageFile.load", lambda *_: pytest.fail("the image was decoded"))
     for size in (None, (16, 12)):
         assert_refused(path, "size", lambda size=size: colour_image(path, size))
+
+
+def test_an_image_with_a_palette_has_its_colours(tmp_path: Path) -> None:
+    colours = np.random.default_rng(0).choice(np.array([[250, 20, 30], [10, 200, 5], [0, 0, 90]], np.uint8), (12, 16))
+    Image.fromarray(colours).quantize(3).save(tmp_path / "rgb.png")
+    np.testing.assert_array_equal(colour_image(tmp_path / "rgb.png", (16, 12)), colours)
 
 
 def test_a_pipe_is_no_image(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
@@ -17,11 +16,10 @@ def read_image(path: Path, size: tuple[int, int] | None) -> np.ndarray:
     """Read the pixels of an image file, as stored; they are decoded after the size was compared with ``size``."""
     with open_file(path, "an existing image, as the sequence's index lists it") as file:
         try:
-            with Image.open(file, formats=FORMATS) as header:
-                found = header.size
-            if found[0] * found[1] <= MOST_PIXELS and size in (None, found):
-                file.seek(0)
-                return iio.imread(file, plugin="pillow", index=0)
+            with Image.open(file, formats=FORMATS) as image:
+                found = image.size
+                if found[0] * found[1] <= MOST_PIXELS and size in (None, found):
+                    return np.array(image.convert("RGB") if image.mode == "P" else image)
         except UnidentifiedImageError as error:
             raise InputError(path, "pixels", f"a readable image ({' or '.join(FORMATS)})") from error
         except Exception as error:  # Pillow's decoders raise errors of many types on damaged files

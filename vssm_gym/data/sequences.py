@@ -9,8 +9,8 @@ import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
+from PIL import Image
 
 from vssm_gym.data.images import colour_image, depth_image
 from vssm_gym.data.index import ASSOCIATION_TOLERANCE, Frame, read_frames
@@ -268,8 +268,8 @@ class SequenceWriter:
         units = np.rint(np.asarray(depth, dtype=np.float64) * self.depth_scale)
         units[(units > np.iinfo(np.uint16).max) | ~np.isfinite(units)] = 0
         colour_name, depth_name = f"rgb/{time:.6f}.png", f"depth/{time:.6f}.png"
-        iio.imwrite(self.root / colour_name, rgb, compress_level=1)
-        iio.imwrite(self.root / depth_name, units.astype(np.uint16), compress_level=1)
+        Image.fromarray(rgb).save(self.root / colour_name, compress_level=1)
+        Image.fromarray(units.astype(np.uint16)).save(self.root / depth_name, compress_level=1)
         self._files["rgb.txt"].write(f"{time:.6f} {colour_name}\n")
         self._files["depth.txt"].write(f"{time:.6f} {depth_name}\n")
         self._files["associations.txt"].write(f"{time:.6f} {colour_name} {time:.6f} {depth_name}\n")
