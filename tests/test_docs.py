@@ -23,7 +23,7 @@ from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.alignment.surface_error import SurfaceErrorConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
-from vssm_gym.inference.tracking.camera_filter import COMMANDED, TrackingConfig
+from vssm_gym.inference.tracking.config import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.confirmation import ConfirmationConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
 from vssm_gym.inference.tracking.keyframes import KeyframeConfig
@@ -230,9 +230,11 @@ STATED = [
     ("I16", "of 1 m", SurfaceErrorConfig().patch, 1.0),
     ("I16", "1250 pixels", SurfaceErrorConfig().pixels, 1250),
     ("I16", "slot of 256", surface_error.SLOTS, 256),
+    ("I16", "slot of 1024", surface_error.PIECES, 1024),
+    ("I16", "cube of 0.3 m", SurfaceErrorConfig().piece, 0.3),
     ("I16", "0.15 cells in a learned map", reference_view.LEARNED, 0.15),
     ("I16", "0.05 cells in one just written", reference_view.JUST_WRITTEN, 0.05),
-    ("I16", "0.0012 m in a camera image", reference_view.TAKEN, 0.0012),
+    ("I16", "0.0006 m in a camera image", reference_view.TAKEN, 0.0006),
     ("I17", "exp(-d / 1 m)", SurfaceErrorConfig().patch, 1.0),
     ("I18", "tau = 1 s,  c = 1.5", (ProcessNoiseConfig().time_constant, ProcessNoiseConfig().caution), (1.0, 1.5)),
     ("I18", "0.2^2 <= s^2", ProcessNoiseConfig().floor, 0.2),

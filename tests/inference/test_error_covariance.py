@@ -18,8 +18,9 @@ from vssm_gym.inference.alignment.surface_error import Influence
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.linear_gaussian import Gaussian, LinearGaussian
 from vssm_gym.inference.prism.filter import Prism
-from vssm_gym.inference.tracking.camera_filter import _propagated, at_rest
+from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.inference.tracking.error_covariance import ERRORS, Considered, estranged, nothing
+from vssm_gym.inference.tracking.pose_update import propagated
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RIGID, GaussianBelief, RigidState
@@ -49,7 +50,7 @@ def test_in_a_linear_gaussian_world_the_filter_is_the_kalman_filter(seed: int) -
     P, H = covariance_of(rng, 12), covariance_of(rng, 6, 3.0)
     x = rng.standard_normal(6)  # what the image says of the pose's error
     moved = np.linalg.solve(H + np.linalg.inv(P[:6, :6]), H @ x)  # where the MAP search ends
-    both, _, _ = _propagated(
+    both, _, _ = propagated(
         nothing(12),
         belief_of(P),
         jnp.asarray(moved, jnp.float32),
@@ -75,7 +76,7 @@ def test_a_direction_that_the_image_does_not_show_keeps_its_prior(seen: int, see
     # The seen coordinates tell nothing of the others; velocities go with both.
     P = np.diag(rng.uniform(0.5, 2.0, 12))
     P[6:, 6:] += 0.2 * covariance_of(rng, 6)
-    after, _, _ = _propagated(
+    after, _, _ = propagated(
         nothing(12),
         belief_of(P),
         jnp.zeros(6),

@@ -36,7 +36,8 @@ from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import PrismState, _draw_poses
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter, process_noise
-from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingConfig, TrackingInput
+from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingInput
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.error_covariance import nothing
 from vssm_gym.model import emission
 from vssm_gym.model.transition import RIGID, Rigid, RigidNoise, Transition, rigid_belief

@@ -131,6 +131,21 @@ def test_a_blocked_robot_is_uncertain_by_its_commanded_step(slide: float) -> Non
         assert np.sqrt(P[:2, :2].trace()) < 0.03  # the image still fixes the pose
 
 
+def test_an_obstacle_is_remembered_until_a_step_is_seen_that_is_as_commanded() -> None:
+    """A robot that was blocked and then sees nothing knows its place to the sum of the steps that it may have made."""
+    state, command = start(), np.array([0.0, 0.0, 0.12])
+    state, _ = step(state, command, see(START))
+    assert bool(state.past.obstructed)
+    unseen, _ = step(state, command, RGBD.from_camera(np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64))))
+    assert bool(unseen.past.obstructed)
+    assert np.sqrt(np.diag(unseen.past.belief.covariance)[:2]).min() > 0.1
+    turned, _ = step(state, np.array([0.1, 0.0, 0.0]), see(START + np.array([0.0, 0.0, 0.1])))
+    assert bool(turned.past.obstructed)  # a turn shows nothing
+    free, _ = step(state, command, see(START + 0.12 * np.array([np.cos(START[2]), np.sin(START[2]), 0.0])))
+    assert not bool(free.past.obstructed)
+    assert np.sqrt(np.diag(free.past.belief.covariance)[:2]).max() < 0.03
+
+
 def test_the_published_posterior_adds_information() -> None:
     """``Sigma^-1 = 2 J^T J + P`` (PRISM, step 3) is at least the prediction's precision in every direction."""
     published = MapTracker(RIG, MOTION, replace(ROBOT_TRACKING, surface_error=None))

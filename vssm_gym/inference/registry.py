@@ -12,7 +12,7 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.filter import Filter, Rig
 from vssm_gym.inference.prism.config import HAND_HELD, ROBOT_PRISM
 from vssm_gym.inference.prism.filter import Prism
-from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM, EmissionTracker
 from vssm_gym.inference.tracking.map_tracker import ROBOT_TRACKING, DeadReckoning, FrameTracker, MapTracker
 from vssm_gym.inference.tracking.recovery import RecoveryConfig

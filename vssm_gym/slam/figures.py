@@ -15,7 +15,7 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.geometry.transforms import R_BODY_CAM, inverse, transform
 from vssm_gym.inference.alignment.residuals import FULL_COVERAGE
 from vssm_gym.inference.status import Status
-from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model import emission

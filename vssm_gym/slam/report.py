@@ -8,7 +8,7 @@ import numpy as np
 from vssm_gym.data.sequences import Sequence
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig
 from vssm_gym.inference.status import Status
-from vssm_gym.inference.tracking.camera_filter import TrackingConfig
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.maps.voxel_map import OBSERVATION_STD
 from vssm_gym.slam import calibration, figures, states, verdict
 from vssm_gym.slam.run import SlamRun

@@ -25,10 +25,12 @@ from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import Prism
 from vssm_gym.inference.prism.imu_control import ImuControl
 from vssm_gym.inference.status import Status
-from vssm_gym.inference.tracking.camera_filter import SOLVERS, TrackingConfig, at_rest
+from vssm_gym.inference.tracking.camera_filter import at_rest
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.localise import readable
 from vssm_gym.inference.tracking.map_tracker import MapTracker
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
+from vssm_gym.inference.tracking.solvers import SOLVERS
 from vssm_gym.maps.voxel_map import TRUNCATION, VoxelMap, read_metadata
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
@@ -77,7 +79,7 @@ class SlamOptions:
     rate: float = 10.0  # frames a second at most
     voxel: float = 0.07  # m
     extent: float = 14.0  # m: edge of the cube that is mapped, around the first camera
-    solver: str = "gauss_newton"  # of the pose, a key of camera_filter.SOLVERS
+    solver: str = "gauss_newton"  # of the pose, a key of SOLVERS
     samples: int = 1  # odd, of the pose in the map update; from 3 on the map's uncertainty reaches the pose too
     seed: int = 0
     render_width: int = 160  # pixels: images are tracked at about this width

@@ -10,7 +10,6 @@ from tests.helpers.analytic_room import Room, camera_pose
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.aliasing import is_unique
 from vssm_gym.inference.alignment.residuals import AlignConfig
-from vssm_gym.inference.tracking.camera_filter import _unobstructed
 from vssm_gym.model.emission import RGBD
 
 CAMERA = Camera.from_hfov(80, 60, np.radians(70.0))
@@ -56,22 +55,3 @@ def test_an_image_without_any_reading_is_not_unique() -> None:
     empty = jax.tree.map(jnp.zeros_like, image)
     assert not unique(jnp.eye(4), image, empty) and not unique(jnp.eye(4), empty, image)
     assert not unique(jnp.full((4, 4), jnp.nan), image, image)
-
-
-BACK, TURNS = jnp.array([-0.2, 0.0, -0.3]), np.array([False, False, True])
-
-
-@pytest.mark.parametrize(
-    ("moved", "beyond"),
-    [
-        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),  # as commanded
-        ((-0.2, 0.0, -0.3), (0.0, 0.0, 0.0)),  # it did not move
-        ((-0.1, 0.1, -0.1), (0.0, 0.0, 0.0)),  # it slid along a wall at 45 degrees, and turned by less
-        ((-0.1, -0.1, 0.0), (0.0, 0.0, 0.0)),
-        ((0.05, 0.0, 0.1), (0.05, 0.0, 0.1)),  # it went and turned too far
-        ((-0.1, 0.15, -0.4), (0.0, 0.05, -0.1)),  # aside, and the wrong way round
-        ((-0.25, 0.0, 0.0), (-0.05, 0.0, 0.0)),  # backwards
-    ],
-)
-def test_an_obstacle_explains_a_shorter_step(moved: tuple[float, ...], beyond: tuple[float, ...]) -> None:
-    np.testing.assert_allclose(_unobstructed(jnp.array(moved), BACK, TURNS), beyond, atol=1e-6)

@@ -8,6 +8,7 @@ CAMERA_FILTER, PRISM = "vssm_gym/inference/tracking/camera_filter.py", "vssm_gym
 OF_ALIGNMENT, OF_PRISM = "tests/inference/alignment/test_alignment.py", "tests/inference/test_prism.py"
 OF_ALGEBRA, OF_DRIFT = "tests/inference/test_linear_gaussian.py", "tests/inference/test_drift.py"
 OF_NOISE, OF_AGREEMENT = "tests/inference/test_process_noise.py", "tests/inference/alignment/test_agreement.py"
+POSE_UPDATE = "vssm_gym/inference/tracking/pose_update.py"
 ERRORS = "vssm_gym/inference/tracking/error_covariance.py"
 OF_ERRORS = "tests/inference/test_error_covariance.py"
 BY_HAND = (f"{OF_ALIGNMENT}::test_the_information_of_a_wall_by_hand",)
@@ -64,28 +65,28 @@ INFERENCE = (
     ),
     Mutant(
         "rotation-not-used-as-a-start",
-        CAMERA_FILTER,
-        "jnp.stack([T_ref_world @ T_world_turned, T_prior])",
+        "vssm_gym/inference/tracking/start_poses.py",
+        "jnp.stack([inverse(reference.T_world_cam) @ T_world_turned, T_prior])",
         "jnp.stack([T_prior, T_prior])",
         (f"{OF_PRISM}::test_a_turn_that_nothing_predicts_is_tracked",),
     ),
     Mutant(
         "laplace-step-forgets-the-prior",
-        CAMERA_FILTER,
-        "2.0 * fit_quality.information + precision",
-        "2.0 * fit_quality.information + 1e-6 * precision",
+        POSE_UPDATE,
+        "2.0 * information + precision",
+        "2.0 * information + 1e-6 * precision",
         ("tests/inference/test_tracking.py::test_the_published_posterior_adds_information",),
     ),
     Mutant(
         "laplace-step-with-half-the-information",
-        CAMERA_FILTER,
-        "2.0 * fit_quality.information + precision",
-        "fit_quality.information + precision",
+        POSE_UPDATE,
+        "2.0 * information + precision",
+        "information + precision",
         ("tests/inference/test_tracking.py::test_the_published_posterior_adds_information",),
     ),
     Mutant(
         "gain-forgets-the-prior",
-        CAMERA_FILTER,
+        POSE_UPDATE,
         "laplace = jnp.linalg.inv(given.curvature + precision)",
         "laplace = jnp.linalg.inv(given.curvature + 1e-6 * precision)",
         (f"{OF_ERRORS}::test_in_a_linear_gaussian_world_the_filter_is_the_kalman_filter",),
@@ -124,13 +125,32 @@ INFERENCE = (
     Mutant(
         "obstacles-do-not-widen-the-prior",
         CAMERA_FILTER,
-        "wide = pose_covariance + _obstruction(back, manifold.turns[:p])",
-        "wide = pose_covariance",
+        "blocked = pose_covariance + obstacles.obstruction(back, turns)",
+        "blocked = pose_covariance",
         ("tests/inference/test_tracking.py::test_a_blocked_robot_is_uncertain_by_its_commanded_step",),
     ),
     Mutant(
+        "an-obstacle-is-forgotten-unseen",
+        "vssm_gym/inference/tracking/obstacles.py",
+        "return translation @ covariance @ translation < (SHOWN * translation @ translation) ** 2",
+        "return translation @ translation > 0.0",
+        (
+            "tests/inference/test_obstacles.py::test_only_an_estimate_of_the_commanded_translation_shows_that_a_body_is_free",
+        ),
+    ),
+    Mutant(
+        "a-surface-is-displaced-as-a-whole-alone",
+        "vssm_gym/inference/alignment/surface_error.py",
+        "noise += shift.T @ shift + blur.T @ blur",
+        "noise += 0.0 * shift.T @ shift",
+        (
+            "tests/inference/alignment/test_surface_error.py"
+            "::test_the_influence_is_the_sum_over_the_pixels_of_each_patch",
+        ),
+    ),
+    Mutant(
         "velocity-does-not-follow-the-pose",
-        CAMERA_FILTER,
+        POSE_UPDATE,
         "moved = jnp.concatenate([moved, rest.A @ moved])",
         "moved = jnp.concatenate([moved, 0.0 * rest.A @ moved])",
         (f"{OF_PRISM}::test_a_step_is_the_linear_gaussian_algebra",),

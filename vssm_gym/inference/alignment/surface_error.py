@@ -29,6 +29,7 @@ from vssm_gym.inference.alignment.residuals import (
 from vssm_gym.model.emission import RGBD
 
 SLOTS = 256  # of the table of patches; patches of one slot count as one
+PIECES = 1024  # slots of the table of pieces
 _PRIMES = (73856093, 19349663, 83492791, 39916801)  # of the spatial hash (Teschner et al., 2003)
 
 
@@ -37,6 +38,7 @@ class SurfaceErrorConfig:
     """Configure the errors of reference surfaces; chosen on the scenes for training."""
 
     patch: float = 1.0  # m, edge of the cubes, and the distance over which an error is forgotten as the view changes
+    piece: float = 0.3  # m, edge of smaller cubes, each with an error of its own, new in every image
     pixels: int = 1250  # about so many are looked at: patches are large
     least_residual: float = 0.25  # share of a displacement that is left in the residuals, at least
 
@@ -91,7 +93,7 @@ def influence(
     precision = jnp.linalg.norm(normal, axis=0)  # 1 / sigma
     T_world_cam = reference.T_world_cam @ T
     points = T_world_cam[:3, :3] @ obs.points + T_world_cam[:3, 3][:, None]
-    slots = _slots(points, reference.T_world_cam[:3, :3] @ normal, surface.patch)
+    slots = _slots(points, reference.T_world_cam[:3, :3] @ normal, surface.patch, SLOTS)
     jacobians = [twists.T @ term.jacobian for term in terms]
     weighted = [J * term.weight for J, term in zip(jacobians, terms, strict=True)]
     every_J, every_wJ = jnp.concatenate(jacobians, axis=1), jnp.concatenate(weighted, axis=1)
@@ -100,22 +102,29 @@ def influence(
     weight = terms[0].weight * precision
     colour = sum(wJ * term.residual for wJ, term in zip(weighted[1:], terms[1:], strict=True))
     rows = [jacobians[0] * weight, colour, (weight * precision)[None], (weight * terms[0].residual)[None]]
-    summed = jax.ops.segment_sum(jnp.concatenate(rows).T, slots, SLOTS)
     p = basis.shape[1]
+    summed = jax.ops.segment_sum(jnp.concatenate(rows).T, slots, SLOTS)
     shifts, colours, total, mean = summed[:, :p], summed[:, p : 2 * p], summed[:, 2 * p], summed[:, 2 * p + 1]
+    # Within a patch the error varies: a tilt of the surface, or a blur that differs from edge to edge.
+    pieces = _slots(points, reference.T_world_cam[:3, :3] @ normal, surface.piece, PIECES)
+    apart = jax.ops.segment_sum(jnp.concatenate(rows[:2]).T, pieces, PIECES)
+    shift, blur = reference.displacement * apart[:, :p], apart[:, p:]
+    noise += shift.T @ shift + blur.T @ blur
     variance = _variance(shifts, total, mean / jnp.maximum(total, 1e-9), H, reference.displacement, surface)
     return Influence(H, noise, jnp.concatenate([-shifts * jnp.sqrt(variance)[:, None], -colours]))
 
 
-def _slots(points: Float[Array, "3 pixels"], normals: Float[Array, "3 pixels"], patch: float) -> Int[Array, "pixels"]:
+def _slots(
+    points: Float[Array, "3 pixels"], normals: Float[Array, "3 pixels"], edge: float, count: int
+) -> Int[Array, "pixels"]:
     """Return the slot of each point's patch: its cube and the axis that its normal is nearest to, hashed."""
     axis = jnp.argmax(jnp.abs(normals), axis=0)
     facing = jnp.take_along_axis(normals, axis[None], axis=0)[0] > 0.0
-    cells = [*jnp.floor(points / patch).astype(jnp.int32), 2 * axis + facing]
+    cells = [*jnp.floor(points / edge).astype(jnp.int32), 2 * axis + facing]
     mixed = jnp.zeros(points.shape[1], jnp.uint32)
     for cell, prime in zip(cells, _PRIMES, strict=True):
         mixed ^= cell.astype(jnp.uint32) * jnp.uint32(prime)
-    return (mixed % SLOTS).astype(jnp.int32)
+    return (mixed % count).astype(jnp.int32)
 
 
 def _variance(

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from vssm_gym.errors import InputError
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig
-from vssm_gym.inference.tracking.camera_filter import COMMANDED, TrackingConfig
+from vssm_gym.inference.tracking.config import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.model.transition.rigid import Rigid, RigidNoise
 

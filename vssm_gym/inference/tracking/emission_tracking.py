@@ -19,8 +19,9 @@ from vssm_gym.inference.alignment.residuals import AlignInfo, fit_quality, make_
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.camera_filter import begin, camera_twists
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.localise import checked, seconds
-from vssm_gym.inference.tracking.map_tracker import ROBOT_TRACKING, TrackerState, TrackingConfig
+from vssm_gym.inference.tracking.map_tracker import ROBOT_TRACKING, TrackerState
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import RGBD

@@ -25,13 +25,13 @@ from vssm_gym.inference.tracking import keyframes, process_noise
 from vssm_gym.inference.tracking.camera_filter import (
     Past,
     Tracked,
-    TrackingConfig,
     TrackingInput,
     at_rest,
     camera_pose,
     camera_twists,
     track,
 )
+from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.error_covariance import Considered, estranged
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.recovery import RecoveryConfig, recover
@@ -84,6 +84,7 @@ def localise(
             tracked.considered,
             tracked.correlation,
             tracked.noise_scale,
+            tracked.obstructed,
             image,
             tracked.T_world_cam,
         )
@@ -103,7 +104,16 @@ def localise(
     status = Status.REPEATED if repeated else Status.LOST if has_depth else Status.NO_READING
     considered = tracked.carried if repeated or transition.commanded else estranged(tracked.carried)
     none = jnp.zeros_like(tracked.laplace)
-    now = Past(belief, none, considered, past.correlation, process_noise.full(), past.image, past.T_world_cam)
+    now = Past(
+        belief,
+        none,
+        considered,
+        past.correlation,
+        process_noise.full(),
+        tracked.obstructed,
+        past.image,
+        past.T_world_cam,
+    )
     return Located(status, now, tracked.gain, tracked.fit_quality)
 
 
@@ -169,7 +179,16 @@ def search(
     K = jnp.linalg.inv(given.curvature + jnp.eye(basis.shape[1]))
     T_world_body = attempt.T_world_cam @ inverse(rig.T_body_cam)
     belief = at_rest(manifold, T_world_body, K @ given.covariance @ K, config.start_velocity)
-    now = Past(belief, K, estranged(considered), jnp.ones(()), process_noise.full(), image, camera_pose(belief, rig))
+    now = Past(
+        belief,
+        K,
+        estranged(considered),
+        jnp.ones(()),
+        process_noise.full(),
+        jnp.zeros((), bool),
+        image,
+        camera_pose(belief, rig),
+    )
     return Located(Status.RECOVERED, now, attempt.gain, attempt.fit_quality)
 
 

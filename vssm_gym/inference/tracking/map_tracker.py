@@ -21,16 +21,15 @@ from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import keyframes
 from vssm_gym.inference.tracking.camera_filter import (
-    COMMANDED,
     Past,
     Tracked,
-    TrackingConfig,
     TrackingInput,
     begin,
     camera_pose,
     expected_pose,
     track,
 )
+from vssm_gym.inference.tracking.config import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.error_covariance import nothing
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, search, seconds, shrunk
