@@ -23,6 +23,7 @@ from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.alignment.surface_error import SurfaceErrorConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
+from vssm_gym.inference.prism.filter import FIRST_SHARE
 from vssm_gym.inference.tracking.config import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.confirmation import ConfirmationConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM
@@ -232,7 +233,7 @@ STATED = [
     ("I16", "slot of 256", surface_error.SLOTS, 256),
     ("I16", "slot of 1024", surface_error.PIECES, 1024),
     ("I16", "cube of 0.3 m", SurfaceErrorConfig().piece, 0.3),
-    ("I16", "0.15 cells in a learned map", reference_view.LEARNED, 0.15),
+    ("I16", "0.12 cells in a learned map", reference_view.LEARNED, 0.12),
     ("I16", "0.05 cells in one just written", reference_view.JUST_WRITTEN, 0.05),
     ("I16", "0.0006 m in a camera image", reference_view.TAKEN, 0.0006),
     ("I17", "exp(-d / 1 m)", SurfaceErrorConfig().patch, 1.0),
@@ -240,6 +241,7 @@ STATED = [
     ("I18", "0.2^2 <= s^2", ProcessNoiseConfig().floor, 0.2),
     ("I19", "trunc = 2 voxels", MapUpdateConfig().truncation, 2.0),
     ("I20", "w = 1", MapUpdateConfig().std, 1.0),
+    ("I23", "writes 0.99", FIRST_SHARE, 0.99),
     ("I24", "s_t = 0.01 s,  s_c = 0.003", (PrismConfig().stamp_std, PrismConfig().calibration_std), (0.01, 0.003)),
     ("I25", "0.15 m", PrismConfig().reference_distance, 0.15),
     ("I25", "0.15 rad", PrismConfig().reference_angle, 0.15),

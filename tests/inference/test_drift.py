@@ -56,8 +56,8 @@ def random_covariance(rng: np.random.Generator, std: float) -> np.ndarray:
 def of_drift(P: np.ndarray, cross: np.ndarray | None = None) -> Considered:
     """Return what is considered: a drift of covariance P and, 6 x 12, its covariance with the state's error."""
     none = nothing(12)
-    drift_state = none.drift_state if cross is None else jnp.asarray(cross, jnp.float32)
-    return replace(none, drift=jnp.asarray(P, jnp.float32), drift_state=drift_state)
+    frames_state = none.frames_state if cross is None else jnp.tile(jnp.asarray(cross, jnp.float32), (2, 1))
+    return replace(none, frames=jnp.tile(jnp.asarray(P, jnp.float32), (2, 2)), frames_state=frames_state)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -94,7 +94,7 @@ def test_an_image_writes_its_share_of_the_map_in_view() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_frame_takes_over_the_error_that_it_is_written_with(seed: int) -> None:
-    """The covariances of ``d + nu Ad_T e`` with itself and with ``e``, of any joint covariance, in float64."""
+    """The covariances of ``m = d + nu Ad_T e`` with itself and with ``e``, of any joint covariance, in float64."""
     rng = np.random.default_rng(seed)
     T = expm(twist_matrix(rng.standard_normal(6)))
     root = rng.standard_normal((12, 16)) / 400.0
@@ -107,9 +107,9 @@ def test_the_frame_takes_over_the_error_that_it_is_written_with(seed: int) -> No
     carry[:6, 6:] = share * np.asarray(se3_adjoint(jnp.asarray(T, jnp.float32)), float)
     expected = carry @ joint @ carry.T
     np.testing.assert_allclose(written.drift, expected[:6, :6], atol=1e-3 * np.abs(expected).max())
-    np.testing.assert_allclose(written.drift_state[:, :6], expected[:6, 6:], atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(written.frames_state[6:, :6], expected[:6, 6:], atol=1e-3 * np.abs(expected).max())
     still = of_drift(joint[:6, :6], cross).write(belief, jnp.float32(0.0))
-    np.testing.assert_array_equal(still.drift, of_drift(joint[:6, :6]).drift)
+    np.testing.assert_allclose(still.drift, of_drift(joint[:6, :6]).drift, rtol=1e-6)
 
 
 def location_stds(frames, rate: float) -> np.ndarray:
@@ -147,8 +147,8 @@ def test_a_belief_in_the_world_includes_the_drift() -> None:
         T = after.past.belief.mean.T_world_body
         back = np.asarray(se3_adjoint(inverse(T)), float)
         considered = after.past.considered
-        cross = back @ np.asarray(considered.drift_state, float)[:, :6]
-        carried = back @ np.asarray(considered.drift, float) @ back.T + cross + cross.T
+        cross = back @ np.asarray(considered.frames_state, float)[:6, :6]
+        carried = back @ np.asarray(considered.frames, float)[:6, :6] @ back.T + cross + cross.T
         later = CONFIG.stamp_std * np.asarray(after.past.belief.mean.velocity, float)
         R = np.asarray(T, float)[:3, :3]
         moved = np.concatenate([R.T @ later[:3], R.T @ later[3:]])

@@ -14,7 +14,9 @@ from tests.helpers.prism_room import (
     CONFIG,
     DT,
     EXPECTED,
+    EXTENT,
     ROOM,
+    VOXEL,
     copy,
     error,
     image,
@@ -36,10 +38,12 @@ from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import PrismState, _draw_poses
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import camera_filter, process_noise
-from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingInput
+from vssm_gym.inference.tracking.camera_filter import Tracked, TrackingInput, at_rest
 from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.error_covariance import nothing
+from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
+from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import RIGID, Rigid, RigidNoise, Transition, rigid_belief
 
 OK = Status.OK
@@ -142,6 +146,18 @@ def test_a_turn_that_nothing_predicts_is_tracked(axis: tuple[int, ...]) -> None:
     assert bool(tracked.accepted)
     assert metres < 0.01
     assert degrees < 0.2
+
+
+def test_an_uncertain_start_stays_uncertain_in_the_world() -> None:
+    """Images show a camera where it is against its own map alone: what was unknown at the start stays unknown."""
+    known = at_rest(RIGID, jnp.eye(4), 0.05**2 * jnp.eye(6), CONFIG.tracking.start_velocity)
+    prior = Posterior(known, VoxelMap.cube((0.0, 0.0, 0.0), EXTENT, VOXEL))
+    state = prism_of(CONFIG).init(prior, image(0), jax.random.key(0))
+    for k in range(1, 4):
+        state, info = step(state, image(k))
+        stds = np.sqrt(np.diag(np.asarray(info.belief.covariance, float))[:6])
+        assert stds[3:].min() > 0.045 and stds.max() < 0.1
+        assert np.sqrt(np.diag(np.asarray(state.past.belief.covariance, float))[:6]).max() < 0.02
 
 
 def test_an_overwhelming_prior_holds_the_pose() -> None:

@@ -59,9 +59,10 @@ def test_the_influence_is_the_sum_over_the_pixels_of_each_patch(seed: int) -> No
     N, tau0 = (JB * w**2) @ JB.T + (JcB * wc**2) @ JcB.T, reference_view.TAKEN
     inverse_sigma = np.linalg.norm(J[:3], axis=0)
     for pixels in cubes(SURFACE.piece):
-        shift = tau0 * JB[:, pixels] @ (w[pixels] * inverse_sigma[pixels])
+        shift = JB[:, pixels] @ (w[pixels] * J[:3, pixels]).T + JcB[:, pixels] @ (wc[pixels] * Jc[:3, pixels]).T
+        shift *= tau0  # along each axis: the surface, and its texture
         blur = JcB[:, pixels] @ (wc[pixels] * rc[pixels])
-        N += np.outer(shift, shift) + np.outer(blur, blur)
+        N += shift @ shift.T + np.outer(blur, blur)
     # Pixels on the border of two cubes, and cubes of one slot, differ from the dictionaries'.
     scale = np.sqrt(np.diag(N))
     np.testing.assert_allclose(got.noise / np.outer(scale, scale), N / np.outer(scale, scale), atol=0.1)
@@ -101,10 +102,10 @@ def test_a_displaced_surface_moves_the_estimate_as_its_influence_says() -> None:
 
 def test_correlation_is_one_for_independent_data_and_grows_with_shared_errors() -> None:
     H = jnp.diag(jnp.asarray([3.0, 10.0, 200.0]))
-    P = 2.0 * jnp.eye(3)
+    K = jnp.linalg.inv(H + 2.0 * jnp.eye(3))
     independent = Influence(H, H, jnp.zeros((4, 3)))
-    assert float(independent.correlation(P)) == pytest.approx(1.0, rel=1e-5)
+    assert float(independent.correlation(K)) == pytest.approx(1.0, rel=1e-5)
     shared = eqx.tree_at(lambda i: i.surfaces, independent, jnp.sqrt(H)[:3] * 2.0)
     shared = Influence(H, H, jnp.concatenate([shared.surfaces, jnp.zeros((1, 3))]))
-    assert float(shared.correlation(P)) == pytest.approx(5.0, rel=1e-5)
-    assert np.isfinite(float(Influence(0.0 * H, 0.0 * H, jnp.zeros((4, 3))).correlation(P)))
+    assert float(shared.correlation(K)) == pytest.approx(5.0, rel=1e-5)
+    assert np.isfinite(float(Influence(0.0 * H, 0.0 * H, jnp.zeros((4, 3))).correlation(K)))

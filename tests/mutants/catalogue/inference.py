@@ -87,8 +87,8 @@ INFERENCE = (
     Mutant(
         "gain-forgets-the-prior",
         POSE_UPDATE,
-        "laplace = jnp.linalg.inv(given.curvature + precision)",
-        "laplace = jnp.linalg.inv(given.curvature + 1e-6 * precision)",
+        "root = jnp.linalg.cholesky(correlation * one + L.T @ curvature @ L)",
+        "root = jnp.linalg.cholesky(0.1 * correlation * one + L.T @ curvature @ L)",
         (f"{OF_ERRORS}::test_in_a_linear_gaussian_world_the_filter_is_the_kalman_filter",),
     ),
     Mutant(
@@ -116,6 +116,27 @@ INFERENCE = (
         (f"{OF_ERRORS}::test_covariances_are_those_of_simulated_errors",),
     ),
     Mutant(
+        "the-map-takes-over-an-error-that-the-pose-keeps",
+        ERRORS,
+        "covariance = belief.covariance + apart @ self.frames @ apart.T + both + both.T",
+        "covariance = belief.covariance",
+        (f"{OF_ERRORS}::test_neither_writing_nor_rendering_changes_the_belief_in_the_world",),
+    ),
+    Mutant(
+        "the-first-image-keeps-its-error-against-the-map",
+        PRISM,
+        "past = _renewed(_wrote(past, jnp.float32(FIRST_SHARE)))",
+        "past = _renewed(_wrote(past, jnp.float32(0.0)))",
+        (f"{OF_PRISM}::test_an_uncertain_start_stays_uncertain_in_the_world",),
+    ),
+    Mutant(
+        "an-obstacle-stops-all-steps-since-the-last-image",
+        CAMERA_FILTER,
+        "to(T_ref_world @ manifold.pose(past.belief.mean) @ rig.T_body_cam)",
+        "to(T_ref_world @ past.T_world_cam)",
+        ("tests/inference/test_tracking.py::test_an_obstacle_is_remembered_until_a_step_is_seen_that_is_as_commanded",),
+    ),
+    Mutant(
         "unobserved-cells-colour-the-reference",
         "vssm_gym/inference/alignment/reference_view.py",
         "known = rendered.known & (m.observed_at(points) > 0.999)",
@@ -141,8 +162,8 @@ INFERENCE = (
     Mutant(
         "a-surface-is-displaced-as-a-whole-alone",
         "vssm_gym/inference/alignment/surface_error.py",
-        "noise += shift.T @ shift + blur.T @ blur",
-        "noise += 0.0 * shift.T @ shift",
+        'noise += jnp.einsum("bia,bja->ij", shift, shift) + blur.T @ blur',
+        "noise += 0.0 * noise",
         (
             "tests/inference/alignment/test_surface_error.py"
             "::test_the_influence_is_the_sum_over_the_pixels_of_each_patch",

@@ -18,7 +18,7 @@ from vssm_gym.model import emission, emission_uncertainty
 from vssm_gym.model.emission import RGBD
 
 # Standard deviations of the displacement of a surface; chosen on the scenes for training.
-LEARNED = 0.15  # cells, in a map learned before
+LEARNED = 0.12  # cells, in a map learned before
 JUST_WRITTEN = 0.05  # cells, in a map that was written from about the same place
 TAKEN = 0.0006  # m, in a camera image
 

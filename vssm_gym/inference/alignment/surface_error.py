@@ -55,9 +55,8 @@ class Influence(eqx.Module):
         """``S = G^T G + N``: of the gradient, when no error is known."""
         return self.surfaces.T @ self.surfaces + self.noise
 
-    def correlation(self, precision: Float[Array, "p p"]) -> Float[Array, ""]:
-        """``tr((H + P)^-1 S) / tr((H + P)^-1 H)``: how many data are alike, on average over what the data fix."""
-        K = jnp.linalg.inv(self.curvature + precision)
+    def correlation(self, K: Float[Array, "p p"]) -> Float[Array, ""]:
+        """``tr(K S) / tr(K H)`` with the gain ``K``: how many data are alike, on average over what the data fix."""
         return jnp.sum(K * self.covariance) / jnp.maximum(jnp.sum(K * self.curvature), 1e-9)
 
 
@@ -105,11 +104,13 @@ def influence(
     p = basis.shape[1]
     summed = jax.ops.segment_sum(jnp.concatenate(rows).T, slots, SLOTS)
     shifts, colours, total, mean = summed[:, :p], summed[:, p : 2 * p], summed[:, 2 * p], summed[:, 2 * p + 1]
-    # Within a patch the error varies: a tilt of the surface, or a blur that differs from edge to edge.
+    # Within a patch errors vary: pieces are displaced with their texture, and their colours blurred, each by itself.
     pieces = _slots(points, reference.T_world_cam[:3, :3] @ normal, surface.piece, PIECES)
-    apart = jax.ops.segment_sum(jnp.concatenate(rows[:2]).T, pieces, PIECES)
-    shift, blur = reference.displacement * apart[:, :p], apart[:, p:]
-    noise += shift.T @ shift + blur.T @ blur
+    along = weighted[0][:, None] * terms[0].jacobian[:3] + weighted[1][:, None] * terms[1].jacobian[:3]
+    apart = jax.ops.segment_sum(jnp.concatenate([along.reshape(3 * p, -1), colour]).T, pieces, PIECES)
+    shift = reference.displacement * apart[:, : 3 * p].reshape(-1, p, 3)
+    blur = apart[:, 3 * p :]
+    noise += jnp.einsum("bia,bja->ij", shift, shift) + blur.T @ blur
     variance = _variance(shifts, total, mean / jnp.maximum(total, 1e-9), H, reference.displacement, surface)
     return Influence(H, noise, jnp.concatenate([-shifts * jnp.sqrt(variance)[:, None], -colours]))
 

@@ -1,4 +1,4 @@
-"""``d <- d + nu Ad_T e``: the drift of the map's frame around the camera (ours, beyond PRISM).
+"""``m <- (1 - nu) m + nu (d + Ad_T e)``: the drift of the map's frame around the camera (ours, beyond PRISM).
 
 Alignment measures the pose against the map, and the map was itself placed by poses: what an image writes into the map
 takes over the error ``e`` of its pose. The map's frame around the camera therefore moves by the share ``nu`` of the map

@@ -47,6 +47,8 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
+FIRST_SHARE = 0.99  # of the map in view that the first image writes; the rest keeps the pose's covariance regular
+
 
 class PrismState(eqx.Module):
     """Hold the filter's state between steps."""
@@ -99,6 +101,8 @@ class Prism:
         past = begin(prior.belief, small, view)
         T = past.T_world_cam
         m = map_update.update(prior.map, image.depth, image.rgb, T, self.rig.camera, config.update)
+        # The map is where the first image is, to its share: what follows is known against it, not in the world.
+        past = _renewed(_wrote(past, jnp.float32(FIRST_SHARE)))
         m, kept = clock("map", m), None
         if config.recovery is not None:
             settings = config.recovery.keyframe
@@ -142,6 +146,7 @@ class Prism:
         if alone:
             T_expected = expected_pose(self.transition, state.past.belief, control, seconds(dt), view)
             reference = reference_view.from_map(state.map, T_expected, view.camera, max_depth)
+            state = eqx.tree_at(lambda s: s.past, state, _renewed(state.past))
         if config.recovery is not None and state.keyframes is not None:
             relocalisation = Relocalisation(state.map, state.keyframes, max_depth, config.recovery)
         given = TrackingInput(
@@ -169,6 +174,7 @@ class Prism:
             kept = keyframes.remember(kept, T, luminance(small.rgb), view.camera, config.recovery.keyframe)
         moved_on = reference_view.has_left(reference, T, config.reference_distance, config.reference_angle)
         if alone or status is Status.RECOVERED or moved_on:
+            past = _renewed(past)
             reference = clock(
                 "reference", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
             )
@@ -185,13 +191,11 @@ class Prism:
             The belief over the body in the map's frame, without that frame's drift in the world, and the map; they
             share the state's arrays. With keyframes, the drift is stated as errors of their poses about the last.
         """
-        errors, kept = None, state.keyframes
+        errors, kept, past = None, state.keyframes, _renewed(state.past)
         if kept is not None:
             reach = self.config.update.max_depth
-            errors = PoseErrors.of_ring(
-                kept.T_world_cam, kept.count, state.past.considered.drift, self.rig.camera, reach
-            )
-        return Posterior(state.past.belief, state.map, state.measurement_noise, errors)
+            errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, past.considered.drift, self.rig.camera, reach)
+        return Posterior(past.belief, state.map, state.measurement_noise, errors)
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
         """Return the image and its rig at tracking size."""
@@ -223,8 +227,19 @@ def _draw_poses(posterior: GaussianBelief, rig: Rig, key: Array, samples: int) -
 @jax.jit
 def _written(past: Past, before: Array, after: Array, image: RGBD) -> Past:
     """Return the past after its pose's error has entered the map."""
-    considered = past.considered.write(past.belief, drift.share(before, after, image))
-    return eqx.tree_at(lambda p: p.considered, past, considered)
+    return _wrote(past, drift.share(before, after, image))
+
+
+@jax.jit
+def _wrote(past: Past, share: Array) -> Past:
+    return eqx.tree_at(lambda p: p.considered, past, past.considered.write(past.belief, share))
+
+
+@jax.jit
+def _renewed(past: Past) -> Past:
+    """Return the past against a new view of the map."""
+    belief, considered = past.considered.renew(past.belief)
+    return eqx.tree_at(lambda p: (p.belief, p.considered), past, (belief, considered))
 
 
 @partial(jax.jit, static_argnums=2)

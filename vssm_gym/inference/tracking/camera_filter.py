@@ -24,7 +24,7 @@ from vssm_gym.inference.tracking import obstacles, process_noise, start_poses
 from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.confirmation import colour_confirms
 from vssm_gym.inference.tracking.error_covariance import Considered, nothing
-from vssm_gym.inference.tracking.pose_update import propagated, published, surprise
+from vssm_gym.inference.tracking.pose_update import gain, propagated, published, surprise
 from vssm_gym.inference.tracking.solvers import SOLVERS, Problem
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.base import Transition
@@ -166,7 +166,7 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         start = jax.lax.cond(wide, best, lambda _: start, T_prior @ se3_exp(turned @ basis.T))
     solve = lambda precision, start: SOLVERS[config.solver](problem, precision, start, config.align, config.adam, key)
     T, fit_quality = solve(precision, start)
-    met, back = jnp.zeros((), bool), to(T_ref_world @ past.T_world_cam)
+    met, back = past.obstructed, to(T_ref_world @ manifold.pose(past.belief.mean) @ rig.T_body_cam)
     if transition.commanded and config.surface_error is not None:
         met = past.obstructed | (surprise(to(T), predicted) > config.max_unconfirmed**2)
         blocked = pose_covariance + obstacles.obstruction(back, turns)
@@ -189,9 +189,10 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     else:
         errors = influence(T, basis, reference, image, rig.camera, config.align, config.surface_error)
         fit_quality = eqx.tree_at(lambda q: q.information, fit_quality, errors.curvature)
-        both, laplace, considered = propagated(carried, predicted, moved, precision, errors)
-        smoothed = laplace = past.correlation * laplace
-        correlation = jnp.clip(errors.correlation(precision), 1.0, config.most_correlated)
+        made = gain(predicted.covariance[:p, :p], past.correlation, errors.curvature)
+        both, considered = propagated(carried, predicted, moved, made, errors)
+        smoothed = laplace = past.correlation * made.K
+        correlation = jnp.clip(errors.correlation(made.K), 1.0, config.most_correlated)
     posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
     accepted = (score(fit_quality) >= config.min_score) & (fit_quality.photometric <= config.max_photometric)
     accepted &= jnp.mean(image.hit) >= config.min_reading
@@ -211,7 +212,7 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     repeated = jnp.all(image.depth == past.image.depth) & (not transition.commanded)
     repeated &= _displacement(past.belief, predicted, image, rig) > config.repeated_displacement
     accepted &= ~repeated
-    accepted &= jnp.all(jnp.isfinite(both.covariance))
+    accepted &= jnp.all(jnp.isfinite(both.covariance)) & jnp.all(jnp.diagonal(both.covariance) > 0.0)
     noise_scale = past.noise_scale
     if config.adaptation is not None:
         noise = transition.noise_covariance(past.belief.mean, control, dt)[:p, :p]
@@ -227,7 +228,7 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         carried=carried,
         predicted=possible,
         noise_scale=noise_scale,
-        obstructed=met,
+        obstructed=jnp.where(accepted, met, past.obstructed),
         T_world_turned=begun.T_world_turned,
         gain=begun.gain,
         fit_quality=fit_quality,

@@ -186,16 +186,22 @@ class FrameTracker:
     ) -> tuple[TrackerState, FilterInfo]:
         """Align the image to the one before (eq. I35); see :class:`Filter`."""
         h, control = seconds(dt), checked(self.transition, control)
-        tracked, carried = clock(
+        tracked, belief = clock(
             "track",
             _track_from_frame(state.past, self.transition, control, h, image, self.rig, state.key, self.config),
         )
         accepted = bool(tracked.accepted)
         both = readable(image, self.config) and bool(jnp.any(image.hit)) and bool(jnp.any(state.past.image.hit))
         status = Status.OK if accepted else Status.LOST if both else Status.NO_READING
-        belief = carried if accepted else _predicted(self.transition, state.past.belief, control, h)
         T_world_cam = tracked.T_world_cam if accepted else camera_pose(belief, self.rig)
-        past = replace(state.past, belief=belief, image=image, T_world_cam=T_world_cam)
+        past = replace(
+            state.past,
+            belief=belief,
+            correlation=tracked.correlation if accepted else state.past.correlation,
+            obstructed=tracked.obstructed,
+            image=image,
+            T_world_cam=T_world_cam,
+        )
         info = FilterInfo(status, belief, tracked.fit_quality)
         return TrackerState(past, None, None, not accepted, state.key, state.measurement_noise), info
 
@@ -243,7 +249,7 @@ def _track_from_frame(
     key: Array,
     config: TrackingConfig,
 ) -> tuple[Tracked, GaussianBelief]:
-    """Track as if the pose before were known, and return the belief with both covariances added."""
+    """Track as if the pose before were known; return the belief, without an accepted image the prediction, of both."""
     belief = past.belief
     known = replace(
         past,
@@ -252,9 +258,9 @@ def _track_from_frame(
     )
     reference = reference_view.of_image(belief.manifold.pose(belief.mean) @ rig.T_body_cam, past.image)
     tracked = track(TrackingInput(known, transition, control, dt, reference, image, rig, key, False), config)
-    step = tracked.belief
+    kept = jax.tree.map(partial(jnp.where, tracked.accepted), tracked.belief, tracked.predicted)
     carried = transition.predict(belief, control, dt, 0.0).covariance
-    return tracked, replace(step, covariance=carried + step.covariance)
+    return tracked, replace(kept, covariance=carried + kept.covariance)
 
 
 _predicted = jax.jit(lambda transition, belief, control, dt: transition.predict(belief, control, dt))

@@ -1,6 +1,9 @@
 """Update a belief by an aligned pose: with errors by their sources (ours), or as published (PRISM, step 4)."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from vssm_gym.inference import linear_gaussian
@@ -41,29 +44,55 @@ def published(
     return both, laplace, smoothed
 
 
+class Gain(NamedTuple):
+    """Hold what an estimator makes of errors: ``e <- (1 - K H) e + K g``."""
+
+    K: Float[Array, "p p"]  # (kappa P^-1 + H)^-1
+    kept: Float[Array, "p p"]  # 1 - K H = kappa K P^-1
+
+
+def gain(covariance: Float[Array, "p p"], correlation: Float[Array, ""], curvature: Float[Array, "p p"]) -> Gain:
+    """``K = L M L^T,  1 - K H = kappa L M L^-1,  M = (kappa 1 + L^T H L)^-1,  P = L L^T``: the gain (eq. I15).
+
+    In these coordinates a direction that the image does not show keeps its prior in single precision, too.
+
+    Args:
+        covariance: P of the predicted pose.
+        correlation: kappa, by which the prior counts more.
+        curvature: H of the image.
+    """
+    one = jnp.eye(len(covariance))
+    L = jnp.linalg.cholesky(covariance)
+    root = jnp.linalg.cholesky(correlation * one + L.T @ curvature @ L)
+    left = solve_triangular(root, L.T, lower=True)
+    right = solve_triangular(root, solve_triangular(L, one, lower=True), lower=True)
+    return Gain(left.T @ left, correlation * left.T @ right)
+
+
 def propagated(
-    carried: Considered,
-    predicted: GaussianBelief,
-    moved: Float[Array, "p"],
-    precision: Float[Array, "p p"],
-    given: Influence,
-) -> tuple[Gaussian, Float[Array, "p p"], Considered]:
-    """``e <- (1 - K H) e + K g``, ``K = (P^-1 + H)^-1``: the errors that the estimate has, by their sources (eq. I15).
+    carried: Considered, predicted: GaussianBelief, moved: Float[Array, "p"], made: Gain, given: Influence
+) -> tuple[Gaussian, Considered]:
+    """``e <- (1 - K H) e + K g``: the errors that the estimate has, by their sources (eq. I17).
+
+    Args:
+        carried: What is considered before the image.
+        predicted: The belief before the image, of the whole state.
+        moved: From the predicted pose to the estimate.
+        made: The gain.
+        given: Errors of the gradient.
 
     Returns:
-        The step of the state with its covariance, the covariance of the pose if pixels had independent errors, and
-        what is considered.
+        The step of the state with its covariance, and what is considered.
     """
     p, n = len(moved), predicted.covariance.shape[0]
-    laplace = jnp.linalg.inv(given.curvature + precision)
-    K = laplace
-    if p < n:
+    A, K = made.kept, made.K
+    if p < n:  # velocities follow the pose
         _, rest = linear_gaussian.split(Gaussian(jnp.zeros(n), predicted.covariance), p)
-        K = jnp.concatenate([laplace, rest.A @ laplace])
+        A = jnp.block([[A, jnp.zeros((p, n - p))], [rest.A @ (A - jnp.eye(p)), jnp.eye(n - p)]])
+        K = jnp.concatenate([K, rest.A @ K])
         moved = jnp.concatenate([moved, rest.A @ moved])
-    A = jnp.eye(n) - jnp.pad(K @ given.curvature, ((0, 0), (0, n - p)))
     covariance, considered = carried.correct(predicted.covariance, A, K, given)
-    return Gaussian(moved, covariance), laplace, considered
+    return Gaussian(moved, covariance), considered
 
 
 def surprise(moved: Float[Array, "p"], predicted: GaussianBelief) -> Float[Array, ""]:

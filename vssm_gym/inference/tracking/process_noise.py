@@ -1,6 +1,6 @@
 """Adapt the process noise: learn from the prediction errors how much a hand changes its velocity.
 
-    s^2 <- s^2 + (1 - exp(-dt / tau)) (c^2 mean(e^2) / E[e^2 | s = 1] - f s^2),   floor^2 <= s^2 <= 1
+    s^2 <- s^2 + (1 - exp(-dt / tau)) (min(f, c^2 mean(e^2) / E[e^2 | s = 1]) - f s^2),   floor^2 <= s^2 <= 1
 
 ``e`` is the correction of the predicted pose by the alignment, and ``s`` scales the standard deviations of a
 transition's noise, one scale for translation and one for rotation (ours; innovation-based adaptive estimation after
