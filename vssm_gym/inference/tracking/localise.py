@@ -34,7 +34,8 @@ from vssm_gym.inference.tracking.camera_filter import (
 from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.error_covariance import Considered, estranged
 from vssm_gym.inference.tracking.keyframes import Keyframes
-from vssm_gym.inference.tracking.recovery import RecoveryConfig, recover
+from vssm_gym.inference.tracking.pose_update import gain, propagated
+from vssm_gym.inference.tracking.recovery import RecoveryConfig, prior_precision, recover
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.base import Transition
@@ -175,19 +176,23 @@ def search(
     if config.exposure:
         image = _expose(image, attempt.gain)
     at_pose = reference_view.from_map(relocalisation.map, attempt.T_world_cam, rig.camera, relocalisation.max_depth)
-    given = influence(jnp.eye(4), basis, at_pose, image, rig.camera, config.align, SurfaceErrorConfig())
-    K = jnp.linalg.inv(given.curvature + jnp.eye(basis.shape[1]))
-    T_world_body = attempt.T_world_cam @ inverse(rig.T_body_cam)
-    belief = at_rest(manifold, T_world_body, K @ given.covariance @ K, config.start_velocity)
+    T_world_body, settings = attempt.T_world_cam @ inverse(rig.T_body_cam), relocalisation.config
+    around = jnp.linalg.inv(prior_precision(basis, settings))
+    start = at_rest(manifold, T_world_body, around, config.start_velocity)
+    errors = influence(
+        jnp.eye(4), basis, at_pose, image, rig.camera, settings.align, config.surface_error or SurfaceErrorConfig()
+    )
+    made = gain(around, jnp.ones(()), errors.curvature)
+    both, related = propagated(estranged(considered), start, jnp.zeros(basis.shape[1]), made, errors)
     now = Past(
-        belief,
-        K,
-        estranged(considered),
-        jnp.ones(()),
-        process_noise.full(),
-        jnp.zeros((), bool),
-        image,
-        camera_pose(belief, rig),
+        belief=replace(start, covariance=both.covariance),
+        laplace=made.K,
+        considered=related,
+        correlation=jnp.ones(()),
+        noise_scale=process_noise.full(),
+        obstructed=jnp.zeros((), bool),
+        image=image,
+        T_world_cam=attempt.T_world_cam,
     )
     return Located(Status.RECOVERED, now, attempt.gain, attempt.fit_quality)
 

@@ -61,6 +61,12 @@ class Attempt(eqx.Module):
     accepted: Bool[Array, ""]  # by itself: without a comparison with the others
 
 
+def prior_precision(basis: Float[Array, "6 p"], config: RecoveryConfig) -> Float[Array, "p p"]:
+    """Return the precision of a pose around a start, in the coordinates of the camera's twists ``basis``."""
+    std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
+    return basis.T @ (basis * std[:, None] ** -2)
+
+
 @partial(jax.jit, static_argnums=5)
 def _align(
     T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, basis: Array, config: RecoveryConfig
@@ -68,8 +74,7 @@ def _align(
     # Match the brightness of the rendering where both are known; exact in the second call, at the right pose.
     brightness = gain(luminance(rendered.rgb), luminance(image.rgb), rendered.known)
     image = expose(image, brightness)
-    std = jnp.asarray([config.translation_std] * 3 + [config.rotation_std] * 3)
-    identity, precision = jnp.eye(4), basis.T @ (basis * std[:, None] ** -2)
+    identity, precision = jnp.eye(4), prior_precision(basis, config)
     T, info = gauss_newton.align(identity, precision, identity, basis, rendered, image, camera, config.align)
     # An image of low contrast differs little from any other. Below one sigma it carries no information.
     grey = luminance(image.rgb)
