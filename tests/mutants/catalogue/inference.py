@@ -132,8 +132,8 @@ INFERENCE = (
     Mutant(
         "an-obstacle-stops-all-steps-since-the-last-image",
         CAMERA_FILTER,
-        "to(T_ref_world @ manifold.pose(past.belief.mean) @ rig.T_body_cam)",
-        "to(T_ref_world @ past.T_world_cam)",
+        "_from_prediction(problem, T_ref_world @ manifold.pose(past.belief.mean) @ rig.T_body_cam)",
+        "_from_prediction(problem, T_ref_world @ past.T_world_cam)",
         ("tests/inference/test_tracking.py::test_an_obstacle_is_remembered_until_a_step_is_seen_that_is_as_commanded",),
     ),
     Mutant(

@@ -147,62 +147,43 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         scale = process_noise.scale(manifold, past.noise_scale)
         predicted = transition.predict(past.belief, control, dt, scale)
     p = past.laplace.shape[0]
-    turns = manifold.turns[:p]
-    pose_covariance = predicted.covariance[:p, :p]
+    turns, pose_covariance = manifold.turns[:p], predicted.covariance[:p, :p]
     basis = camera_twists(manifold, rig)
-    coordinates = jnp.linalg.pinv(basis)
     T_ref_world = inverse(reference.T_world_cam)
     T_prior = T_ref_world @ manifold.pose(predicted.mean) @ rig.T_body_cam
-    to = lambda T: coordinates @ se3_log(inverse(T_prior) @ T)  # from the predicted pose, in its tangent
     begun = start_poses.first(T_prior, reference, past.T_world_cam, past.image, image, rig.camera, config)
-    image, start = begun.image, begun.poses[0]
-    problem = Problem(T_prior, basis, reference, image, rig.camera)
-    # Data whose errors are alike weigh less against the prior.
-    precision = past.correlation * jnp.linalg.inv(pose_covariance)
-    if config.heading_starts:
-        turned = start_poses.turned(pose_covariance, turns, config.heading_starts)
-        wide = jnp.max(jnp.where(turns, jnp.diagonal(pose_covariance), 0.0)) > config.search_reach**2
-        best = lambda starts: start_poses.best(starts, precision, problem, config.align)
-        start = jax.lax.cond(wide, best, lambda _: start, T_prior @ se3_exp(turned @ basis.T))
-    solve = lambda precision, start: SOLVERS[config.solver](problem, precision, start, config.align, config.adam, key)
-    T, fit_quality = solve(precision, start)
-    met, back = past.obstructed, to(T_ref_world @ manifold.pose(past.belief.mean) @ rig.T_body_cam)
-    if transition.commanded and config.surface_error is not None:
-        met = past.obstructed | (surprise(to(T), predicted) > config.max_unconfirmed**2)
-        blocked = pose_covariance + obstacles.obstruction(back, turns)
-        precision = jnp.where(met, past.correlation * jnp.linalg.inv(blocked), precision)
-        covariance = predicted.covariance.at[:p, :p].set(jnp.where(met, blocked, pose_covariance))
-        slid = jnp.concatenate([T[None], T_prior @ se3_exp(obstacles.slid(back, turns) @ basis.T)])
-        again = lambda: solve(precision, start_poses.best(slid, precision, problem, config.align))
-        T, fit_quality = jax.lax.cond(met, again, lambda: (T, fit_quality))
-        free, predicted = predicted, replace(predicted, covariance=covariance)
+    image, problem = begun.image, Problem(T_prior, basis, reference, begun.image, rig.camera)
+    back = _from_prediction(problem, T_ref_world @ manifold.pose(past.belief.mean) @ rig.T_body_cam)
+    solved = _solve(past, transition.commanded, predicted, back, begun.poses[0], problem, key, config)
+    T, fit_quality, prior = solved.T_ref_cam, solved.fit_quality, solved.prior
     # The new pose's error is measured from the new mean, the conditional's from the predicted one: to first order,
     # and a step is short, the two tangents are one.
-    moved = to(T)
+    moved = _from_prediction(problem, T)
     distance = jnp.linalg.norm(manifold.pose(predicted.mean)[:3, 3] - manifold.pose(past.belief.mean)[:3, 3])
     carried = _carried(past, transition, control, dt, distance, config)
     if config.surface_error is None:
         both, laplace, smoothed = published(
-            past.laplace, predicted, moved, precision, fit_quality.information, config.smoothing
+            past.laplace, prior, moved, solved.precision, fit_quality.information, config.smoothing
         )
         considered, correlation = carried, past.correlation
     else:
         errors = influence(T, basis, reference, image, rig.camera, config.align, config.surface_error)
         fit_quality = eqx.tree_at(lambda q: q.information, fit_quality, errors.curvature)
-        made = gain(predicted.covariance[:p, :p], past.correlation, errors.curvature)
-        both, considered = propagated(carried, predicted, moved, made, errors)
+        made = gain(prior.covariance[:p, :p], past.correlation, errors.curvature)
+        both, considered = propagated(carried, prior, moved, made, errors)
         smoothed = laplace = past.correlation * made.K
         correlation = jnp.clip(errors.correlation(made.K), 1.0, config.most_correlated)
-    posterior = GaussianBelief(manifold.perturb(predicted.mean, both.mean), both.covariance, manifold)
+    posterior = GaussianBelief(manifold.perturb(prior.mean, both.mean), both.covariance, manifold)
     accepted = (score(fit_quality) >= config.min_score) & (fit_quality.photometric <= config.max_photometric)
     accepted &= jnp.mean(image.hit) >= config.min_reading
     accepted &= surprise(moved, possible) <= config.max_surprise**2
     unexplained = obstacles.unobstructed(moved, back, turns) if transition.commanded else moved
     expected = jnp.logical_not(lost) & (surprise(unexplained, possible) <= config.max_unconfirmed**2)
+    met = past.obstructed
     if transition.commanded and config.surface_error is not None:
         shown = obstacles.is_shown(both.covariance[:p, :p], back, turns)
-        met &= ~(shown & (surprise(moved, free) <= config.max_unconfirmed**2))
-        possible = replace(possible, covariance=jnp.where(past.obstructed, predicted.covariance, possible.covariance))
+        met = solved.met & ~(shown & (surprise(moved, predicted) <= config.max_unconfirmed**2))
+        possible = replace(possible, covariance=jnp.where(past.obstructed, prior.covariance, possible.covariance))
     if config.confirmation is not None:
         accepted &= colour_confirms(
             T, begun.poses, expected, reference, image, rig.camera, config.align, config.confirmation
@@ -236,6 +217,56 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
         expected=expected,
         repeated=repeated,
     )
+
+
+class _Solved(NamedTuple):
+    """Hold a pose that was searched for."""
+
+    T_ref_cam: Float[Array, "4 4"]
+    fit_quality: AlignInfo
+    prior: GaussianBelief  # that it was searched with
+    precision: Float[Array, "p p"]  # of that prior's pose, as it counts against the data
+    met: Bool[Array, ""]  # an obstacle
+
+
+def _solve(
+    past: Past,
+    commanded: bool,
+    predicted: GaussianBelief,
+    back: Float[Array, "p"],
+    start: Float[Array, "4 4"],
+    problem: Problem,
+    key: PRNGKeyArray,
+    config: TrackingConfig,
+) -> _Solved:
+    """Search for the pose; where a command does not explain it, again from where an obstacle may have left the body."""
+    p = len(back)
+    turns, pose_covariance = predicted.manifold.turns[:p], predicted.covariance[:p, :p]
+    T_prior, basis = problem.T_prior, problem.basis
+    # Data whose errors are alike weigh less against the prior.
+    precision = past.correlation * jnp.linalg.inv(pose_covariance)
+    if config.heading_starts:
+        turned = start_poses.turned(pose_covariance, turns, config.heading_starts)
+        wide = jnp.max(jnp.where(turns, jnp.diagonal(pose_covariance), 0.0)) > config.search_reach**2
+        best = lambda starts: start_poses.best(starts, precision, problem, config.align)
+        start = jax.lax.cond(wide, best, lambda _: start, T_prior @ se3_exp(turned @ basis.T))
+    solver = lambda precision, start: SOLVERS[config.solver](problem, precision, start, config.align, config.adam, key)
+    T, fit_quality = solver(precision, start)
+    if not commanded or config.surface_error is None:
+        return _Solved(T, fit_quality, predicted, precision, past.obstructed)
+    met = past.obstructed | (surprise(_from_prediction(problem, T), predicted) > config.max_unconfirmed**2)
+    blocked = pose_covariance + obstacles.obstruction(back, turns)
+    precision = jnp.where(met, past.correlation * jnp.linalg.inv(blocked), precision)
+    slid = jnp.concatenate([T[None], T_prior @ se3_exp(obstacles.slid(back, turns) @ basis.T)])
+    again = lambda: solver(precision, start_poses.best(slid, precision, problem, config.align))
+    T, fit_quality = jax.lax.cond(met, again, lambda: (T, fit_quality))
+    covariance = predicted.covariance.at[:p, :p].set(jnp.where(met, blocked, pose_covariance))
+    return _Solved(T, fit_quality, replace(predicted, covariance=covariance), precision, met)
+
+
+def _from_prediction(problem: Problem, T_ref_cam: Float[Array, "4 4"]) -> Float[Array, "p"]:
+    """Return the step from the predicted pose to another one, in the tangent of the predicted pose."""
+    return jnp.linalg.pinv(problem.basis) @ se3_log(inverse(problem.T_prior) @ T_ref_cam)
 
 
 def _carried(
