@@ -242,8 +242,8 @@ INFERENCE = (
     Mutant(
         "frame-tracker-forgets-earlier-uncertainty",
         "vssm_gym/inference/tracking/map_tracker.py",
-        "covariance=carried + step.covariance",
-        "covariance=step.covariance",
+        "covariance=carried + kept.covariance",
+        "covariance=kept.covariance",
         ("tests/inference/test_tracking.py::test_frame_to_frame_tracking_drifts_within_its_covariance",),
     ),
     Mutant(
