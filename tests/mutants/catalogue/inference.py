@@ -151,6 +151,23 @@ INFERENCE = (
         ("tests/inference/test_tracking.py::test_a_blocked_robot_is_uncertain_by_its_commanded_step",),
     ),
     Mutant(
+        "an-image-that-fits-nowhere-is-no-obstacle",
+        CAMERA_FILTER,
+        "past.obstructed | (jnp.any(image.hit) & ~accepted)",
+        "past.obstructed",
+        ("tests/inference/test_tracking.py::test_an_image_that_fits_nowhere_may_show_what_stopped_the_robot",),
+    ),
+    Mutant(
+        "a-view-of-the-unknown-costs-as-much-as-a-misfit",
+        "vssm_gym/inference/alignment/residuals.py",
+        "jnp.minimum(jnp.abs(geo.residual), config.cost_limit), config.unseen_cost)",
+        "jnp.minimum(jnp.abs(geo.residual), config.cost_limit), config.cost_limit)",
+        (
+            "tests/inference/alignment/test_alignment.py"
+            "::test_a_view_without_overlap_costs_more_than_a_fit_and_less_than_a_misfit",
+        ),
+    ),
+    Mutant(
         "an-obstacle-is-forgotten-unseen",
         "vssm_gym/inference/tracking/obstacles.py",
         "return translation @ covariance @ translation < (SHOWN * translation @ translation) ** 2",

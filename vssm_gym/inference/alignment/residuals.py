@@ -39,6 +39,7 @@ class AlignConfig:
     tolerance: float = 1e-5  # m and rad: a smaller step ends the level
     inlier: float = 2.5  # standard deviations: smaller residuals are inliers
     cost_limit: float = 3.0  # standard deviations, of a residual in the alignment cost
+    unseen_cost: float = 2.0  # in the alignment cost, of a pixel that falls on nothing known: likelier than an outlier
     edge: float = 0.05  # relative depth jump to a neighbour that makes a reference pixel unusable
 
 
@@ -280,12 +281,13 @@ def alignment_cost(
 ) -> Float[Array, ""]:
     """Return the alignment cost: the mean of ``min(|r|, cost_limit)`` in standard deviations over all observed pixels.
 
-    It ranks start poses. A pixel that falls on nothing known costs the limit, so that looking away from the reference
-    has no advantage.
+    It ranks start poses. A pixel that falls on nothing known costs :attr:`AlignConfig.unseen_cost`: more than one that
+    fits, so that looking away from the reference has no advantage, and less than one that contradicts it, so that a
+    turn into the unknown has none over it.
     """
     geo, rgb, *_ = linearise(T, ref, obs, camera, factor, config)
-    far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), config.cost_limit), config.cost_limit)
-    off = jnp.where(rgb.usable, jnp.minimum(jnp.abs(rgb.residual), config.cost_limit), config.cost_limit)
+    far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), config.cost_limit), config.unseen_cost)
+    off = jnp.where(rgb.usable, jnp.minimum(jnp.abs(rgb.residual), config.cost_limit), config.unseen_cost)
     return jnp.sum((far + config.rgb_weight * off) * obs.valid) / jnp.maximum(jnp.sum(obs.valid), 1)
 
 

@@ -183,7 +183,6 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     if transition.commanded and config.surface_error is not None:
         shown = obstacles.is_shown(both.covariance[:p, :p], back, turns)
         met = solved.met & ~(shown & (surprise(moved, predicted) <= config.max_unconfirmed**2))
-        possible = replace(possible, covariance=jnp.where(past.obstructed, prior.covariance, possible.covariance))
     if config.confirmation is not None:
         accepted &= colour_confirms(
             T, begun.poses, expected, reference, image, rig.camera, config.align, config.confirmation
@@ -194,6 +193,11 @@ def track(given: TrackingInput, config: TrackingConfig) -> Tracked:
     repeated &= _displacement(past.belief, predicted, image, rig) > config.repeated_displacement
     accepted &= ~repeated
     accepted &= jnp.all(jnp.isfinite(both.covariance)) & jnp.all(jnp.diagonal(both.covariance) > 0.0)
+    if transition.commanded and config.surface_error is not None:
+        # A readable image that fits nowhere may show what stopped the body.
+        blocked = possible.covariance.at[:p, :p].add(obstacles.obstruction(back, turns))
+        doubtful = past.obstructed | (jnp.any(image.hit) & ~accepted)
+        possible = replace(possible, covariance=jnp.where(doubtful, blocked, possible.covariance))
     noise_scale = past.noise_scale
     if config.adaptation is not None:
         noise = transition.noise_covariance(past.belief.mean, control, dt)[:p, :p]

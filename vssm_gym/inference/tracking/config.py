@@ -55,7 +55,7 @@ class TrackingConfig:
 # further from the predicted one than the search reaches from there.
 COMMANDED = TrackingConfig(
     rotation=None,
-    heading_starts=(-2.0, -1.0, 1.0, 2.0),
+    heading_starts=(-3.0, -2.0, -1.0, 1.0, 2.0, 3.0),
     exposure=False,
     adaptation=None,
     most_correlated=10.0,
