@@ -289,7 +289,7 @@ def test_explorers_from_start_to_report(tmp_path):
 
     lines = log.read_bytes().splitlines(keepends=True)
     (tmp_path / "cut").mkdir()
-    (tmp_path / "cut" / FILE).write_bytes(b"".join(lines[:4]) + lines[4][: len(lines[4]) // 2])
+    (tmp_path / "cut" / FILE).write_bytes(b"".join(lines[:5]) + lines[5][: len(lines[5]) // 2])
     (tmp_path / "cut" / MANIFEST).write_bytes((tmp_path / "whole" / MANIFEST).read_bytes())
     resumed = run_sweep(config, tmp_path / "cut", resume=True, workers=1)
     first, second = (

@@ -111,7 +111,7 @@ def test_bad_options_are_named(tmp_path, field: str, change: dict) -> None:
 @pytest.mark.slow
 def test_the_study_on_a_real_sequence(shared_data, tmp_path) -> None:
     """The closed form is better than as many milliseconds of gradient descent (PRISM, fig. 6)."""
-    map_update(shared_data / "tum_fr1_xyz", tmp_path, size="80x60", frames=40, voxel=0.08)
+    map_update(shared_data / "tum_fr1_xyz", tmp_path, size="80x60", frames=20, voxel=0.08)
     figures = json.loads((tmp_path / "map-update.json").read_text())["figures"]
     assert set(figures) == {"closed form", "1 steps", "4 steps", "16 steps", "64 steps"}
     assert figures["closed form"]["log_likelihood"] > figures["1 steps"]["log_likelihood"]

@@ -55,10 +55,10 @@ def test_the_gap_is_imagined_minus_simulated(tmp_path):
     file, out, scene = tmp_path / "straight.npz", tmp_path / "out", str(tmp_path / "rooms.json")
     policy_file.save(file, straight())
     save_scene(two_rooms(), tmp_path / "rooms.json")
-    found = evaluate_policy(file, out, scene=scene, tasks=4)
+    found = evaluate_policy(file, out, scene=scene, tasks=2)
     real = [{**row, "return": real_return(row)} for row in read_rows(out / "episodes.jsonl")]
     tasks, map_file = files_of(out, scene)
-    imagined = imagine(straight(), map_file, load(tasks).tasks[:4], "low", 0)
+    imagined = imagine(straight(), map_file, load(tasks).tasks[:2], "low", 0)
     stored = json.loads((out / "evaluation.json").read_text())
     assert found.imagined is not None and found.gap is not None and found.notice == ""
     assert sorted(row["task"] for row in real) == [row["task"] for row in imagined]
@@ -72,18 +72,18 @@ def test_the_gap_is_imagined_minus_simulated(tmp_path):
     # A given map is that of the agents and of imagination: nothing is recorded, and the same map gives the same rows.
     given, again = tmp_path / "given.npz", tmp_path / "again"
     given.write_bytes(map_file.read_bytes())
-    same = evaluate_policy(file, again, scene=scene, tasks=4, map_file=given)
+    same = evaluate_policy(file, again, scene=scene, tasks=2, map_file=given)
     assert same == found and not (again / "recordings").exists()
     assert files_of(again, scene)[1].read_bytes() == given.read_bytes()
     hashes = {row["map_hash"] for row in read_rows(again / "episodes.jsonl")}
     assert hashes == {map_hash(given)} == {json.loads((again / "evaluation.json").read_text())["map"]}
-    assert evaluate_policy(file, again, scene=scene, tasks=4, map_file=given, resume=True) == found
+    assert evaluate_policy(file, again, scene=scene, tasks=2, map_file=given, resume=True) == found
     shipped = evaluate_policy(Path("reactive"), tmp_path / "shipped", scene=scene, tasks=1, map_file=given)
     assert shipped.label.startswith("reactive@")
     room().save(tmp_path / "room.npz")
     for other in (tmp_path / "room.npz", None):
         with pytest.raises(InputError, match=r"map_hash: expected .* another sweep belongs into another folder"):
-            evaluate_policy(file, again, scene=scene, tasks=4, map_file=other, resume=True)
+            evaluate_policy(file, again, scene=scene, tasks=2, map_file=other, resume=True)
 
 
 def test_a_map_that_the_agent_cannot_use_is_refused(tmp_path):
