@@ -31,13 +31,14 @@ def record_flight(
     speed: float = 2.0,
     yaw: Yaw = "forward",
     rate: float = 20.0,
+    seconds: float | None = None,
     noise: str = "low",
     sensor_noise: str = "none",
     camera: CameraConfig | None = None,
     seed: int = 0,
     on_progress: OnProgress | None = None,
 ) -> int:
-    """Fly a reference once, from hover to hover; returns the number of frames.
+    """Fly a reference once, from hover to hover, or the beginning of it; returns the number of frames.
 
     Args:
         scene: built-in name, path of a scene file, or the scene.
@@ -46,6 +47,7 @@ def record_flight(
         speed: its peak, m/s.
         yaw: heading of the body along the path.
         rate: frames a second.
+        seconds: recorded from the start; None: all.
         noise: gusts and actuator errors; the recorded poses are the true ones.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
@@ -69,19 +71,21 @@ def record_flight(
     )
     about = {"motion": "flight", "flight": flight, "speed": speed, "yaw": yaw, "rate": rate, "noise": noise}
     about |= {"sensor_noise": sensor_noise, "imu_noise": "adis16448", "renderer": env.renderer_name, "seed": seed}
+    about |= {} if seconds is None else {"seconds": seconds}
     try:
         with folder_for(out, env.apartment, about) as unfinished:
-            return _fly(env, unfinished, seed, on_progress)
+            return _fly(env, unfinished, seed, seconds, on_progress)
     finally:
         env.close()
 
 
-def _fly(env: FlightEnv, folder: Path, seed: int, on_progress: OnProgress | None) -> int:
+def _fly(env: FlightEnv, folder: Path, seed: int, seconds: float | None, on_progress: OnProgress | None) -> int:
     writer = SequenceWriter(folder, env.camera, env.body.T_body_cam, depth_scale=FLIGHT_DEPTH_SCALE)
     pilot = FlightController(env.body)
     observation, info = env.reset(seed=seed)
     assert env.task is not None
-    total, terminated, lines = int(np.ceil(env.task.duration / env.dt)) + 1, False, []
+    duration = env.task.duration if seconds is None else min(seconds, env.task.duration)
+    total, terminated, lines = int(np.ceil(duration / env.dt)) + 1, False, []
     for frame in range(total):
         if frame:
             command = pilot(env.state, env.task, env.time, env.dt)

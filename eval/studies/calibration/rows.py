@@ -1,7 +1,8 @@
 """List the rows of the table: each runs one filter on simulated runs, built by the functions that its users call."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.data.flights import record_flight
 from vssm_gym.data.recording import record_handheld
-from vssm_gym.data.sequences import load_sequence
+from vssm_gym.data.sequences import Sequence, load_sequence
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import Split
 from vssm_gym.envs.tasks.reference_flights import HOVER
@@ -34,6 +35,7 @@ FLIGHT_OPTIONS = SlamOptions(rate=20.0, voxel=0.125, extent=25.0, max_depth=20.0
 FLIGHT_SCENE = "hall"
 FLIGHT_SPEEDS = (4.0, 2.0, 3.0)  # m/s, peak
 FLIGHT_SEGMENT = HOVER + 4.0  # s
+FLIGHT_STARTS = 4  # segments of a run
 
 
 @dataclass(frozen=True)
@@ -123,29 +125,40 @@ def flights(given: Given) -> list[RunErrors]:
     """Fly reference curves through the hall; PRISM runs as by ``vssm-gym slam --depth stereo --imu``.
 
     The IMU's gravity and bias are measured at rest, so that a filter can start only where a flight does: a flight has
-    one segment, its hover at the start and some seconds more.
+    one segment, its hover at the start and some seconds more. Each run flies its curve some more times for that alone.
     """
     done: list[RunErrors] = []
-    curves = DIVISIONS[given.split].flights
     for number in range(given.runs):
-        flight = curves[number % len(curves)]
-        with tempfile.TemporaryDirectory(prefix="vssm-gym-flight-") as folder:
-            record_flight(
-                FLIGHT_SCENE,
-                Path(folder) / "flight",
-                flight=flight,
-                speed=FLIGHT_SPEEDS[number // len(curves) % len(FLIGHT_SPEEDS)],
-                yaw=YAWS[flight],
-                rate=FLIGHT_OPTIONS.rate,
-                sensor_noise="stereo",
-                camera=CameraConfig(*FLIGHT_OPTIONS.size),
-                seed=seed_of(given.split, given.seed, number),
-            )
-            recording = load_sequence(Path(folder) / "flight")
-            first = recordings.parts(recording, FLIGHT_SEGMENT)[:1]
-            done.append(recordings.measure(recording, FLIGHT_OPTIONS, first))
+        with _flown(given, number, 0) as flight:
+            whole = recordings.errors_of(recordings.estimate(flight, FLIGHT_OPTIONS))
+        ends = []
+        for start in range(FLIGHT_STARTS):
+            with _flown(given, number, start, FLIGHT_SEGMENT) as flight:
+                ends.append(recordings.last_nees(recordings.estimate(flight, FLIGHT_OPTIONS)))
+        done.append(RunErrors(whole, tuple(ends)))
         given.on_run(len(done))
     return done
+
+
+@contextmanager
+def _flown(given: Given, number: int, start: int, seconds: float | None = None) -> Iterator[Sequence]:
+    """Fly a run's curve for some seconds, or all of it, with gusts and readings of its own for each ``start``."""
+    curves = DIVISIONS[given.split].flights
+    flight = curves[number % len(curves)]
+    with tempfile.TemporaryDirectory(prefix="vssm-gym-flight-") as folder:
+        record_flight(
+            FLIGHT_SCENE,
+            Path(folder) / "flight",
+            flight=flight,
+            speed=FLIGHT_SPEEDS[number // len(curves) % len(FLIGHT_SPEEDS)],
+            yaw=YAWS[flight],
+            rate=FLIGHT_OPTIONS.rate,
+            seconds=seconds,
+            sensor_noise="stereo",
+            camera=CameraConfig(*FLIGHT_OPTIONS.size),
+            seed=seed_of(given.split, given.seed, number + start * given.runs),
+        )
+        yield load_sequence(Path(folder) / "flight")
 
 
 def _map_of(name: str, scene: str, given: Given) -> replay.MapOf:
