@@ -24,6 +24,7 @@ from vssm_gym.inference.alignment.surface_error import SurfaceErrorConfig
 from vssm_gym.inference.mapping.observation import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
 from vssm_gym.inference.prism.filter import FIRST_SHARE
+from vssm_gym.inference.tracking import start_poses
 from vssm_gym.inference.tracking.config import COMMANDED, TrackingConfig
 from vssm_gym.inference.tracking.confirmation import ConfirmationConfig
 from vssm_gym.inference.tracking.emission_tracking import TRACKER_ADAM

@@ -152,7 +152,9 @@ def test_a_belief_in_the_world_includes_the_drift() -> None:
         later = CONFIG.stamp_std * np.asarray(after.past.belief.mean.velocity, float)
         R = np.asarray(T, float)[:3, :3]
         moved = np.concatenate([R.T @ later[:3], R.T @ later[3:]])
+        away = np.concatenate([R.T @ (np.asarray(T, float)[:3, 3] - np.asarray(after.start, float)), np.zeros(3)])
         carried += np.outer(moved, moved) + CONFIG.calibration_std**2 * np.eye(6)
+        carried += CONFIG.scale_std**2 * np.outer(away, away)
         covariance = np.asarray(info.belief.covariance, float)
         grown = covariance - np.asarray(after.past.belief.covariance, float)
         std = np.sqrt(np.diag(covariance)[:6])

@@ -24,6 +24,7 @@ class PrismConfig:
     reference_angle: float = 0.15  # rad: the reference view serves until the camera is farther from it than either
     stamp_std: float = 0.01  # s, of an image's time stamp: colour and depth are taken up to half a frame apart
     calibration_std: float = 0.003  # m and rad, of the pose by the intrinsics and by where the camera is on its body
+    scale_std: float = 0.005  # of the depth's scale, by which all of the map is larger or smaller about its first image
     window_margin: float | None = 0.25  # of the map's edge: the window moves beyond this from its middle; None: never
 
     def __post_init__(self) -> None:
@@ -36,5 +37,11 @@ HAND_HELD = PrismConfig()
 # For a robot whose commands are known. After an image that is not accepted, the map stays unchanged and the pose
 # follows the commands; the next images are compared with the map at the predicted pose, until one is accepted.
 ROBOT_PRISM = PrismConfig(
-    tracking=COMMANDED, recovery=None, window_margin=None, track_width=None, stamp_std=0.0, calibration_std=0.0
+    tracking=COMMANDED,
+    recovery=None,
+    window_margin=None,
+    track_width=None,
+    stamp_std=0.0,
+    calibration_std=0.0,
+    scale_std=0.0,
 )

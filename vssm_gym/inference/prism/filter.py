@@ -56,6 +56,7 @@ class PrismState(eqx.Module):
     map: VoxelMap  # q_t(M)
     past: Past  # q_t(z_t), of the body against the map; and the image behind it
     reference: ReferenceView
+    start: Float[Array, "3"]  # m, of the body at the first image
     keyframes: Keyframes | None  # None: no recovery
     lost: bool  # the last image was not accepted
     key: PRNGKeyArray
@@ -112,7 +113,8 @@ class Prism:
             "reference",
             reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1),
         )
-        return PrismState(m, past, reference, kept, False, key, prior.measurement_noise)
+        start = past.belief.manifold.pose(past.belief.mean)[:3, 3]
+        return PrismState(m, past, reference, start, kept, False, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -156,7 +158,8 @@ class Prism:
         past, status = located.past, located.status
         if not status.accepted:
             lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
-            return lost, FilterInfo(status, _in_world(past, self.transition, config), located.fit_quality)
+            in_world = _in_world(past, state.start, self.transition, config)
+            return lost, FilterInfo(status, in_world, located.fit_quality)
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
             image = _expose(image, located.gain)
@@ -178,8 +181,9 @@ class Prism:
             reference = clock(
                 "reference", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
             )
-        info = FilterInfo(status, _in_world(past, self.transition, config), located.fit_quality, dropped)
-        return PrismState(m, past, reference, kept, False, key, state.measurement_noise), info
+        in_world = _in_world(past, state.start, self.transition, config)
+        info = FilterInfo(status, in_world, located.fit_quality, dropped)
+        return PrismState(m, past, reference, state.start, kept, False, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``.
@@ -242,17 +246,23 @@ def _renewed(past: Past) -> Past:
     return eqx.tree_at(lambda p: (p.belief, p.considered), past, (belief, considered))
 
 
-@partial(jax.jit, static_argnums=2)
-def _in_world(past: Past, transition: Transition, config: PrismConfig) -> GaussianBelief:
-    """``Sigma_w + m m^T + s_c^2 1``, ``m = log(T^-1 T(t + s_t))``: the belief in the world (eq. I24)."""
+@partial(jax.jit, static_argnums=3)
+def _in_world(past: Past, start: Float[Array, "3"], transition: Transition, config: PrismConfig) -> GaussianBelief:
+    """``Sigma_w + v v^T + s_c^2 1 + s_d^2 l l^T``: the belief in the world (eq. I24).
+
+    ``v = log(T^-1 T(t + s_t))`` is the motion during the stamp's error, ``l`` the displacement since the first image;
+    both in the body frame.
+    """
     belief = past.considered.in_world(past.belief)
-    if not config.stamp_std and not config.calibration_std:
+    if not (config.stamp_std or config.calibration_std or config.scale_std):
         return belief
     manifold, mean = belief.manifold, belief.mean
-    later = transition.mean(mean, jnp.zeros(transition.controls), config.stamp_std)
-    moved = manifold.twists.T @ se3_log(inverse(manifold.pose(mean)) @ manifold.pose(later))
+    pose = manifold.pose(mean)
+    later = manifold.pose(transition.mean(mean, jnp.zeros(transition.controls), config.stamp_std))
+    moved = manifold.twists.T @ se3_log(inverse(pose) @ later)
     p = len(moved)
-    added = moved[:, None] * moved + config.calibration_std**2 * jnp.eye(p)
+    away = manifold.twists.T @ jnp.concatenate([pose[:3, :3].T @ (pose[:3, 3] - start), jnp.zeros(3)])
+    added = moved[:, None] * moved + config.scale_std**2 * away[:, None] * away + config.calibration_std**2 * jnp.eye(p)
     return eqx.tree_at(lambda q: q.covariance, belief, belief.covariance.at[:p, :p].add(added))
 
 
