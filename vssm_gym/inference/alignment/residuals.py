@@ -84,7 +84,8 @@ def score(info: AlignInfo) -> Float[Array, ""]:
 
 def luminance(rgb: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
     """Return the mean of the colour channels, [0, 1] (eq. I8)."""
-    return jnp.mean(rgb, axis=-1)
+    # As a product it takes a quarter of the time of a reduction along so short an axis.
+    return jnp.matmul(rgb, jnp.full(3, 1.0 / 3.0, rgb.dtype), precision="highest")
 
 
 def shrink_depth(depth: Array, factor: int) -> Array:
