@@ -100,7 +100,9 @@ def pixel_log_prob(
     stds = [np.hypot(float(own), std[:, None] * rgb_std) for own in (scales.rgb, scales.textured_rgb)]
     ends = [[(end - predicted_rgb) / s for end in (0.0, 1.0)] for s in stds]
     plain, rough = (stats.truncnorm.pdf(rgb, *e, predicted_rgb, s).prod(-1) for e, s in zip(ends, stds, strict=True))
-    of_depth = (1 - outlier) * truncated(depth, predicted_depth, scale, max_depth) + outlier / max_depth
+    other = stats.fisk(3.0, scale=float(scales.outlier_depth))
+    any_depth = other.pdf(depth) / other.cdf(max_depth)
+    of_depth = (1 - outlier) * truncated(depth, predicted_depth, scale, max_depth) + outlier * any_depth
     textured = float(scales.textured)
     of_rgb = (1 - rgb_outlier) * ((1 - textured) * plain + textured * rough) + rgb_outlier
     with np.errstate(divide="ignore"):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import fisk
 
 from tests.helpers.analytic_room import camera_pose
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM
@@ -172,7 +173,9 @@ def test_an_empty_map_pays_for_every_reading() -> None:
     """It predicts no surface: each reading has the density of an outlier, in depth and in colour."""
     got = held_out(VoxelMap.prior(*GRID), unseen(), SCALES)
     assert (unseen().depth > 0.0).all()
-    assert got.log_likelihood == pytest.approx(np.log((1.0 - SCALES.empty_miss) / MAX_DEPTH), rel=1e-4)
+    other = fisk(3.0, scale=float(SCALES.outlier_depth))
+    of_depth = other.logpdf(np.asarray(unseen().depth, float)).mean() - other.logcdf(MAX_DEPTH)
+    assert got.log_likelihood == pytest.approx(np.log(1.0 - SCALES.empty_miss) + of_depth, rel=1e-3)
     assert got.log_likelihood < held_out(known_map(), unseen(), SCALES).log_likelihood - 2.0
     assert np.isnan(got.depth_l1)
     assert got.hit_share == 0.0

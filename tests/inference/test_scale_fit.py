@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import fisk
 
 from vssm_gym.geometry.camera import MAX_DEPTH
 from vssm_gym.inference.mapping.scale_fit import SMALLEST_SHARE, PixelPairs, fit
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.emission_density import EmissionScales, log_prob
 
-DRAWN = EmissionScales(0.02, 0.004, 0.01, 0.08, 0.4, 0.08, 0.6, 0.15, 0.7, 0.1, 0.3, 0.6)
+DRAWN = EmissionScales(0.02, 0.004, 0.01, 0.08, 0.4, 0.08, 0.6, 1.8, 0.15, 0.7, 0.1, 0.3, 0.6)
 N = 200, 200  # pixels
 
 
@@ -23,7 +24,9 @@ def pairs(scales: EmissionScales, known: float = 0.6, hit: float = 0.8) -> Pixel
     location, light = rng.uniform(0.5, 6.0, N), rng.uniform(0.3, 0.7, (*N, 3))
     outlier = rng.random(N) < pick(scales.outlier, scales.guess_outlier, 1.0)
     depth = rng.laplace(location, np.asarray(scales.depth_at(jnp.asarray(location))))
-    depth = np.where(outlier, rng.uniform(1e-3, MAX_DEPTH, N), np.clip(depth, 1e-3, MAX_DEPTH))
+    other = fisk(3.0, scale=float(scales.outlier_depth))
+    any_depth = other.ppf(rng.uniform(1e-6, other.cdf(MAX_DEPTH), N))
+    depth = np.where(outlier, any_depth, np.clip(depth, 1e-3, MAX_DEPTH))
     stray = rng.random(N) < pick(scales.rgb_outlier, scales.guess_rgb_outlier, 1.0)
     rough = rng.random(N) < scales.textured
     noise = rng.normal(0.0, np.where(rough, scales.textured_rgb, scales.rgb)[..., None], (*N, 3))

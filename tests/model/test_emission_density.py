@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import fisk
 
 from tests.helpers.analytic_room import camera_pose
 from tests.helpers.field_oracle import EMPTY, GUESSED, KNOWN, pixel_log_prob
@@ -27,6 +28,7 @@ scales = st.builds(
     textured=share,
     outlier=share,
     guess_outlier=share,
+    outlier_depth=st.floats(0.3, 8.0),
     rgb_outlier=share,
     guess_rgb_outlier=share,
     miss=share,
@@ -149,7 +151,10 @@ def test_a_camera_that_sees_nothing_is_less_likely_than_the_true_pose() -> None:
     assert not bool(at(away).hit.any())
     of = lambda predicted: float(log_prob_jit(image, predicted, EmissionScales(), f32(MAX_DEPTH)).total.mean())
     assert of(at(T)) > of(at(away)) + 2.0
-    assert of(at(away)) == pytest.approx(np.log((1.0 - EmissionScales().empty_miss) / MAX_DEPTH), rel=1e-4)
+    depth = np.asarray(image.depth, float)[np.asarray(image.hit)]
+    other = fisk(3.0, scale=float(EmissionScales().outlier_depth))
+    expected = np.log((1.0 - EmissionScales().empty_miss) / other.cdf(MAX_DEPTH)) + other.logpdf(depth).mean()
+    assert of(at(away)) == pytest.approx(expected, rel=1e-3)
 
 
 def test_gradients_of_scales_and_prediction_are_finite_where_they_meet() -> None:

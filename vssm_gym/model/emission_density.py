@@ -4,14 +4,15 @@ A pixel has either no reading, or a depth ``d`` in ``(0, D]`` with a colour ``c`
 there decides the shares: a surface that was observed, a surface that follows from the prior mean, or none.
 
     p(no reading) = m,    p(d, c) = (1 - m) p(d) p(c),    s(d*)^2 = (s_0 + s_2 d*^2)^2 + var(d*) / 2
-    p(d) = (1 - o) Laplace(d; d*, s(d*)) + o / D
+    p(d) = (1 - o) Laplace(d; d*, s(d*)) + o p_o(d),    p_o(d) ~ (d / d_o)^2 / (1 + (d / d_o)^3)^2
     p(c) = (1 - o_c) [(1 - w) prod N(c; c*, s_c^2) + w prod N(c; c*, s_w^2)] + o_c
 
-The cores are truncated to ``(0, D)`` and ``[0, 1]``. Colour has two scales, that of plain surfaces and that
-of surfaces whose texture is finer than the map's cells. Where no surface is predicted ``o = o_c = 1``. The
-density integrates to one over {no reading} and all readings, so that poses and maps that predict surfaces at different
-pixels can be compared: a pose that sees nothing pays the price of every reading there. It is stated in nats with
-respect to metres of depth and to units of colour.
+The cores are truncated to ``(0, D)`` and ``[0, 1]``, and so is ``p_o``, a log-logistic distribution of median ``d_o``:
+what is not predicted is some surface of a room, seldom at the lens and seldom at the end of the range. Colour has two
+scales, that of plain surfaces and that of surfaces whose texture is finer than the map's cells. Where no surface is
+predicted ``o = o_c = 1``. The density integrates to one over {no reading} and all readings, so that poses and maps that
+predict surfaces at different pixels can be compared: a pose that sees nothing pays the price of every reading there. It
+is stated in nats with respect to metres of depth and to units of colour.
 """
 
 from typing import NamedTuple
@@ -40,8 +41,9 @@ class EmissionScales(eqx.Module):
         rgb: ``s_c``, standard deviation of a colour channel of a plain surface, in [0, 1].
         textured_rgb: ``s_w``, the same of a textured surface.
         textured: ``w``, share of the textured surfaces.
-        outlier: share of the readings of an observed surface whose depth is anywhere in the range.
+        outlier: share of the readings of an observed surface whose depth is that of any surface.
         guess_outlier: the same for a surface that was not observed.
+        outlier_depth: ``d_o``, median depth of an outlier, m.
         rgb_outlier: share of the readings of an observed surface whose colour is any colour.
         guess_rgb_outlier: the same for a surface that was not observed.
         miss: probability of no reading where an observed surface is predicted.
@@ -54,8 +56,9 @@ class EmissionScales(eqx.Module):
     rgb: Float[Array, ""] | float = 0.02
     textured_rgb: Float[Array, ""] | float = 0.078
     textured: Float[Array, ""] | float = 0.53
-    outlier: Float[Array, ""] | float = 0.02
-    guess_outlier: Float[Array, ""] | float = 0.85
+    outlier: Float[Array, ""] | float = 0.025
+    guess_outlier: Float[Array, ""] | float = 0.89
+    outlier_depth: Float[Array, ""] | float = 0.9
     rgb_outlier: Float[Array, ""] | float = 0.03
     guess_rgb_outlier: Float[Array, ""] | float = 0.9
     miss: Float[Array, ""] | float = 0.11
@@ -130,7 +133,8 @@ def log_prob(
     shares, read = _Shares.of(predicted, scales), has_reading(image, max_depth)
     location, scale = _depth_core(predicted, scales, max_depth, depth_std)
     core = _log_laplace(jnp.where(read, image.depth, location), location, scale, max_depth)
-    given = _log_mixture(core, -jnp.log(max_depth), shares.outlier)
+    other = _log_any_depth(jnp.where(read, image.depth, 1.0), scales.outlier_depth, max_depth)
+    given = _log_mixture(core, other, shares.outlier)
     depth = jnp.where(read, _log(1.0 - shares.miss) + given, _log(shares.miss))
     location, plain, textured = _rgb_cores(predicted, scales, rgb_std)
     plain, textured = (_log_normal(image.rgb, location, std).sum(-1) for std in (plain, textured))
@@ -154,7 +158,8 @@ def depth_cdf(
     outlier = _Shares.of(predicted, scales).outlier
     location, scale = _depth_core(predicted, scales, max_depth, depth_std)
     depth = jnp.clip(depth, 0.0, max_depth)
-    return (1.0 - outlier) * _laplace_cdf(depth, location, scale, max_depth) + outlier * depth / max_depth
+    any_depth = _any_depth_cdf(depth, scales.outlier_depth, max_depth)
+    return (1.0 - outlier) * _laplace_cdf(depth, location, scale, max_depth) + outlier * any_depth
 
 
 def rgb_cdf(
@@ -199,6 +204,19 @@ def _laplace_cdf(x: Array, location: Array, scale: Array, end: float | Array) ->
     below = lambda t: 0.5 - 0.5 * jnp.sign(location - t) * (1.0 - jnp.exp(-jnp.abs(location - t) / scale))
     low, high = below(jnp.zeros_like(location)), below(jnp.full_like(location, end))
     return (below(x) - low) / jnp.maximum(high - low, TINY)
+
+
+def _log_any_depth(x: Array, median: float | Array, end: float | Array) -> Array:
+    """Return the log density of a log-logistic distribution of exponent 3, truncated to ``(0, end)``."""
+    ratio, last = x / median, end / median
+    inside = last**3 / (1.0 + last**3)
+    return jnp.log(3.0 * ratio**2 / median) - 2.0 * jnp.log1p(ratio**3) - jnp.log(inside)
+
+
+def _any_depth_cdf(x: Array, median: float | Array, end: float | Array) -> Array:
+    """Return the distribution function of the density of :func:`_log_any_depth`."""
+    share = lambda ratio: ratio**3 / (1.0 + ratio**3)
+    return share(x / median) / share(end / median)
 
 
 def _log_normal(x: Array, mean: Array, std: Array) -> Array:

@@ -15,6 +15,7 @@ from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition import planar_belief
 
 SCALES = EmissionScales(0.1, 0.0, 0.1, textured=0.0, outlier=0.1, rgb_outlier=0.2, miss=0.3, empty_miss=0.9)
+ANY_DEPTH = stats.fisk(3.0, scale=float(SCALES.outlier_depth))  # of a reading that is not the predicted surface's
 BELIEF = planar_belief(jnp.array([1.0, 2.0, 0.5]), jnp.diag(jnp.array([0.1, 0.2, 0.3]) ** 2))
 
 
@@ -47,8 +48,8 @@ def test_distribution_functions_are_conditional_on_a_reading() -> None:
     """One sample sees a surface at 2 m, the other none, whose reading is anywhere and rare: 0.7 against 0.1."""
     both = prediction(np.array([[2.0], [0.0]]), np.full((2, 1, 3), 0.5))
     below = np.asarray(both.depth_cdf(jnp.array([[[1.0]], [[4.0]]])))[:, 0, 0]
-    surface = 0.9 * np.array([0.0, 1.0]) + 0.1 * np.array([1.0, 4.0]) / MAX_DEPTH
-    expected = (0.7 * surface + 0.1 * np.array([1.0, 4.0]) / MAX_DEPTH) / 0.8
+    anywhere = ANY_DEPTH.cdf([1.0, 4.0]) / ANY_DEPTH.cdf(MAX_DEPTH)
+    expected = (0.7 * (0.9 * np.array([0.0, 1.0]) + 0.1 * anywhere) + 0.1 * anywhere) / 0.8
     np.testing.assert_allclose(below, expected, atol=1e-4)
     light = np.asarray(both.rgb_cdf(jnp.full((1, 1, 3), 0.5)))
     np.testing.assert_allclose(light, 0.5, atol=1e-5)
@@ -60,7 +61,8 @@ def test_draws_from_a_prediction_are_calibrated() -> None:
     depth, rgb = rng.uniform(1.5, 3.0, (k, n)), rng.uniform(0.3, 0.7, (k, n, 3))
     which = rng.integers(k, size=n)
     at = which, np.arange(n)
-    seen = np.where(rng.random(n) < SCALES.outlier, rng.uniform(0, MAX_DEPTH, n), rng.laplace(depth[at], 0.1))
+    other = ANY_DEPTH.ppf(rng.uniform(0, ANY_DEPTH.cdf(MAX_DEPTH), n))
+    seen = np.where(rng.random(n) < SCALES.outlier, other, rng.laplace(depth[at], 0.1))
     light = np.where(rng.random((n, 1)) < SCALES.rgb_outlier, rng.random((n, 3)), rng.normal(rgb[at], 0.1))
     inside = ((light > 0) & (light < 1)).all(1)
     seen, light = seen * inside, np.rint(light * 255) / 255

@@ -17,9 +17,10 @@ from vssm_gym.model.emission_density import EmissionScales, log_prob
 FITTED_PIXELS = 60_000  # drawn from all pairs; more change no scale by a per cent
 SMALLEST_SCALE = 1e-3  # m and colour: lower bound for maps that predict some pixels exactly
 LARGEST_SCALE = 1.0  # m and colour
+OUTLIER_DEPTHS = (0.1, 10.0)  # m, least and greatest median
 LARGEST_GROWTH = 1.0  # 1/m
 SMALLEST_SHARE = 1e-3  # of outliers and misses: what was never seen in a fit stays possible
-SCALED = ("depth", "rgb", "textured_rgb")  # positive, fitted by their logarithms
+SCALED = ("depth", "outlier_depth", "rgb", "textured_rgb")  # positive, fitted by their logarithms
 GROWTH_UNIT = 1e-3  # 1/m, so that all coordinates of the search are of order one
 FIT_STEPS = 200  # of L-BFGS at most; some dozens suffice
 
@@ -103,6 +104,7 @@ def _scales(free: dict[str, Array]) -> EmissionScales:
 def _bounds() -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the least and greatest coordinates."""
     shares = dict.fromkeys(vars(EmissionScales()), (SMALLEST_SHARE, 1.0 - SMALLEST_SHARE))
-    ends = shares | dict.fromkeys(SCALED, (SMALLEST_SCALE, LARGEST_SCALE)) | {"growth": (0.0, LARGEST_GROWTH)}
+    ends = shares | dict.fromkeys(SCALED, (SMALLEST_SCALE, LARGEST_SCALE))
+    ends |= {"growth": (0.0, LARGEST_GROWTH), "outlier_depth": OUTLIER_DEPTHS}
     low, high = ({name: _coordinate(name, jnp.float32(end[i])) for name, end in ends.items()} for i in (0, 1))
     return low, high
