@@ -64,9 +64,17 @@ def step(
     return prism_of(config).step(state, jnp.zeros(6) if control is None else control, taken, dt)
 
 
-def start(config: PrismConfig = CONFIG, extent: float = EXTENT, seed: int = 0, first: RGBD | None = None) -> PrismState:
-    known = at_rest(RIGID, jnp.eye(4), 1e-8 * jnp.eye(6), config.tracking.start_velocity)
-    prior = Posterior(known, VoxelMap.cube((0.0, 0.0, 0.0), extent, VOXEL))
+def start(
+    config: PrismConfig = CONFIG,
+    extent: float = EXTENT,
+    seed: int = 0,
+    first: RGBD | None = None,
+    T_world_body: jax.Array | None = None,
+) -> PrismState:
+    """Begin at a known pose in the middle of an empty map; by default it is the world's origin."""
+    T = jnp.eye(4) if T_world_body is None else T_world_body
+    known = at_rest(RIGID, T, 1e-8 * jnp.eye(6), config.tracking.start_velocity)
+    prior = Posterior(known, VoxelMap.cube(tuple(np.asarray(T[:3, 3], float)), extent, VOXEL))
     return prism_of(config).init(prior, image(0) if first is None else first, jax.random.key(seed))
 
 

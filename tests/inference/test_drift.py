@@ -137,6 +137,23 @@ def test_drift_in_new_space_does_not_depend_on_the_rate() -> None:
     assert fine[-1] == pytest.approx(coarse[-1], rel=0.5)
 
 
+def test_the_scale_of_the_depth_moves_a_pose_along_its_displacement() -> None:
+    """With a scale of ``s_d`` all else is equal, and the covariance grows by that of a pose that far from the first."""
+    T_first = small_exp(np.array([0.4, -0.3, 0.2, 0.3, -0.5, 0.2]))
+    grown = []
+    for std in (CONFIG.scale_std, 0.0):
+        config = replace(CONFIG, scale_std=std)
+        state = start(config, T_world_body=jnp.asarray(T_first, jnp.float32))
+        for k in (1.0, 2.0, 3.0):
+            state, info = step(state, image(k), config=config)
+        grown.append(np.asarray(info.belief.covariance, float))
+    T = np.asarray(info.belief.mean.T_world_body, float)
+    away = np.concatenate([T[:3, :3].T @ (T[:3, 3] - T_first[:3, 3]), np.zeros(3)])
+    added = (grown[0] - grown[1])[:6, :6] / CONFIG.scale_std**2
+    assert np.linalg.norm(away) > 0.05
+    np.testing.assert_allclose(added, np.outer(away, away), atol=0.02 * (away @ away))
+
+
 def test_a_belief_in_the_world_includes_the_drift() -> None:
     """It is that against the map with the drift, where the image was accepted and where it was not."""
     state, infos = walked()

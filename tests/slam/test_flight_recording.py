@@ -53,6 +53,24 @@ def test_a_recorded_flight_is_a_closed_path_with_commands_and_imu(recording):
     assert (depth > 0.0).all()
 
 
+def test_a_flight_is_recorded_for_some_seconds_from_its_start(recording, tmp_path):
+    frames = record_flight(
+        recording.parent / "hall.json",
+        tmp_path / "begun",
+        flight="figure8",
+        speed=4.0,
+        seconds=0.5,
+        camera=SMALL,
+        seed=1,
+    )
+    begun, whole = load_sequence(tmp_path / "begun"), load_sequence(recording)
+    assert frames == len(begun.frames) == 11
+    np.testing.assert_array_equal(begun.true_poses(), whole.true_poses()[:11])
+    assert read_provenance(tmp_path / "begun")["seconds"] == 0.5
+    with pytest.raises(InputError, match="seconds"):
+        record_flight(recording.parent / "hall.json", tmp_path / "none", seconds=0.0)
+
+
 def test_the_recorded_imu_agrees_with_the_poses(recording):
     """Mean force and rate between two frames are those of the true poses, up to bias and noise."""
     sequence = load_sequence(recording)

@@ -57,6 +57,8 @@ def record_flight(
     Raises:
         InputError: an unknown name, a flight that does not fit, or a folder that is not empty.
     """
+    if seconds is not None and not seconds > 0.0:
+        raise InputError("flight", "seconds", f"above 0; found {seconds!r}")
     check_new_folder(out)
     env = FlightEnv(
         scene=scene,

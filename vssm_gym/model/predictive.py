@@ -82,7 +82,7 @@ def inside(manifold: Manifold, region: Envelope, states: Any) -> Bool[Array, "*b
 def image_summary(images: RGBD, scales: EmissionScales) -> ImageSummary:
     """``E[x]`` and ``var[x] = var[mu] + 2 sigma^2`` of each pixel: spread between futures plus Laplace emission noise.
 
-    Outliers are left out: a few per cent of them, anywhere in the range, would decide every variance.
+    Outliers are left out: a few per cent of them, at the depth of any surface, would decide every variance.
 
     Args:
         images: Arrays (samples, ..., height, width[, 3]) of :class:`~vssm_gym.model.spatial_model.Rollouts`.

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
+import numpy as np
+
 from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.data.flights import record_flight
 from vssm_gym.data.recording import record_handheld
@@ -125,38 +127,43 @@ def flights(given: Given) -> list[RunErrors]:
     """Fly reference curves through the hall; PRISM runs as by ``vssm-gym slam --depth stereo --imu``.
 
     The IMU's gravity and bias are measured at rest, so that a filter can start only where a flight does: a flight has
-    one segment, its hover at the start and some seconds more. Each run flies its curve some more times for that alone.
+    one segment, its hover at the start and some seconds more. Each run begins its curve some more times for that alone,
+    at other speeds and with gusts and readings of their own.
     """
     done: list[RunErrors] = []
+    curves = DIVISIONS[given.split].flights
+    slowest, fastest = min(FLIGHT_SPEEDS), max(FLIGHT_SPEEDS)
     for number in range(given.runs):
-        with _flown(given, number, 0) as flight:
-            whole = recordings.errors_of(recordings.estimate(flight, FLIGHT_OPTIONS))
-        ends = []
-        for start in range(FLIGHT_STARTS):
-            with _flown(given, number, start, FLIGHT_SEGMENT) as flight:
+        seeds = [seed_of(given.split, given.seed, FLIGHT_STARTS * number + start) for start in range(FLIGHT_STARTS)]
+        curve = curves[number % len(curves)]
+        with _flown(curve, FLIGHT_SPEEDS[number // len(curves) % len(FLIGHT_SPEEDS)], seeds[0]) as flight:
+            first = recordings.parts(flight, FLIGHT_SEGMENT)[:1]
+            run = recordings.measure(flight, FLIGHT_OPTIONS, first)
+        ends = list(run.ends)
+        for seed in seeds[1:]:
+            speed = float(np.random.default_rng(seed).uniform(slowest, fastest))
+            with _flown(curve, speed, seed, FLIGHT_SEGMENT) as flight:
                 ends.append(recordings.last_nees(recordings.estimate(flight, FLIGHT_OPTIONS)))
-        done.append(RunErrors(whole, tuple(ends)))
+        done.append(RunErrors(run.whole, tuple(ends)))
         given.on_run(len(done))
     return done
 
 
 @contextmanager
-def _flown(given: Given, number: int, start: int, seconds: float | None = None) -> Iterator[Sequence]:
-    """Fly a run's curve for some seconds, or all of it, with gusts and readings of its own for each ``start``."""
-    curves = DIVISIONS[given.split].flights
-    flight = curves[number % len(curves)]
+def _flown(flight: str, speed: float, seed: int, seconds: float | None = None) -> Iterator[Sequence]:
+    """Fly a curve for some seconds, or all of it."""
     with tempfile.TemporaryDirectory(prefix="vssm-gym-flight-") as folder:
         record_flight(
             FLIGHT_SCENE,
             Path(folder) / "flight",
             flight=flight,
-            speed=FLIGHT_SPEEDS[number // len(curves) % len(FLIGHT_SPEEDS)],
+            speed=speed,
             yaw=YAWS[flight],
             rate=FLIGHT_OPTIONS.rate,
             seconds=seconds,
             sensor_noise="stereo",
             camera=CameraConfig(*FLIGHT_OPTIONS.size),
-            seed=seed_of(given.split, given.seed, number + start * given.runs),
+            seed=seed,
         )
         yield load_sequence(Path(folder) / "flight")
 

@@ -32,12 +32,13 @@ NOTES = (
     "small. In brackets the 95 % bootstrap interval over runs: frames of one run are correlated, runs are not.",
     "Inside 95 %: the share of poses inside their 95 % region, counted over segments with the interval of Clopper "
     "and Pearson. A run is cut into consecutive segments of 4 s (walks, recordings), 5 s (robots) or 3 s (cars) "
-    "that share no image and no command; of a flight there is one, its first 5 s, because the IMU is calibrated "
-    "at rest. The filter starts anew at the first frame of each, where it is given the true pose (and, if it "
-    "learns a map, an empty one), and only the residual at the segment's last frame is counted. Noise is drawn "
-    "anew for every image and step, so that these residuals are independent given the scene; segments in a "
-    "learned map share its errors, those of one drive of a car its gain and trim, and the exposure of a Kinect "
-    "changes over 3 s. Segments that end lost are left out; the figures hold their number.",
+    "that share no image and no command; a flight has one, its first 5 s, because the IMU is calibrated at rest, "
+    "and its curve is begun three more times at other speeds. The filter starts anew at the first frame of each, "
+    "where it is given the true pose (and, if it learns a map, an empty one), and only the residual at the "
+    "segment's last frame is counted. Noise is drawn anew for every image and step, so that these residuals are "
+    "independent given the scene; segments in a learned map share its errors, those of a curve that is flown its "
+    "start, those of one drive of a car its gain and trim, and the exposure of a Kinect changes over 3 s. "
+    "Segments that end lost are left out; the figures hold their number.",
     "Error: RMSE of the location over all tracked frames of all runs, the first pose known. Stated: the root of the "
     "mean variance of the location that the filter states at the same frames. Velocity: the share of components inside "
     "their 95 % band, linear (v) and angular (ω), of states that hold one.",

@@ -217,9 +217,23 @@ INFERENCE = (
     Mutant(
         "drift-left-out-of-a-prediction",
         PRISM,
-        "FilterInfo(status, _in_world(past, self.transition, config), located.fit_quality)",
-        "FilterInfo(status, past.belief, located.fit_quality)",
+        "return lost, FilterInfo(status, in_world, located.fit_quality)",
+        "return lost, FilterInfo(status, past.belief, located.fit_quality)",
         (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
+    ),
+    Mutant(
+        "scale-about-the-origin-of-the-world",
+        PRISM,
+        "(pose[:3, 3] - start)",
+        "pose[:3, 3]",
+        (f"{OF_DRIFT}::test_the_scale_of_the_depth_moves_a_pose_along_its_displacement",),
+    ),
+    Mutant(
+        "scale-along-the-axes-of-the-world",
+        PRISM,
+        "pose[:3, :3].T @ (pose[:3, 3] - start)",
+        "(pose[:3, 3] - start)",
+        (f"{OF_DRIFT}::test_the_scale_of_the_depth_moves_a_pose_along_its_displacement",),
     ),
     Mutant(
         "drift-carried-to-the-wrong-frame",

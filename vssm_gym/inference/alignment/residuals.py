@@ -283,8 +283,8 @@ def alignment_cost(
     """Return the alignment cost: the mean of ``min(|r|, cost_limit)`` in standard deviations over all observed pixels.
 
     It ranks start poses. A pixel that falls on nothing known costs :attr:`AlignConfig.unseen_cost`: more than one that
-    fits, so that looking away from the reference has no advantage, and less than one that contradicts it, so that a
-    turn into the unknown has none over it.
+    fits, so that looking away from the reference does not beat a fit, and less than one that contradicts it, so that a
+    pose that contradicts the reference does not beat a turn into the unknown.
     """
     geo, rgb, *_ = linearise(T, ref, obs, camera, factor, config)
     far = jnp.where(geo.usable, jnp.minimum(jnp.abs(geo.residual), config.cost_limit), config.unseen_cost)
