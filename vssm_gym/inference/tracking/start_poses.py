@@ -27,8 +27,8 @@ from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.solvers import Problem
 from vssm_gym.model.emission import RGBD
 
-SEARCHED = 300  # observed pixels that the search from each start uses, and
-COMPARED = 1250  # those by which the found poses are compared: about so many
+SEARCHED_PIXELS = 300  # observed pixels that the search from each start uses, and
+COMPARED_PIXELS = 1250  # those by which the found poses are compared: about so many
 
 
 def turned(
@@ -51,12 +51,12 @@ def best(
         align: Its configuration; the first level is searched, poses are compared at the last one.
     """
     T_prior, basis, reference, image, camera = problem
-    small = replace(align, levels=align.levels[:1], iterations=align.iterations[:1], pixels=SEARCHED)
+    small = replace(align, levels=align.levels[:1], iterations=align.iterations[:1], pixels=SEARCHED_PIXELS)
     search = lambda T: gauss_newton.align(
         T_prior, precision, T, basis, reference.image, image, camera, small, reference.seen, reference.spread
     )[0]
     found = jax.vmap(search)(starts)
-    align, factor = replace(align, pixels=COMPARED), align.levels[-1]
+    align, factor = replace(align, pixels=COMPARED_PIXELS), align.levels[-1]
     ref = make_reference(reference.image, camera, align, factor)
     every = stride(camera, factor, align)
     obs = make_observed(image, camera, factor, every)
