@@ -27,6 +27,7 @@ from vssm_gym.agents.navigation.dist_bug import DistBugAgent
 from vssm_gym.agents.navigation.no_map import NoMapAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
+from vssm_gym.agents.navigation.slam_nav import SlamNavAgent
 from vssm_gym.agents.policy.agent import PolicyAgent
 from vssm_gym.agents.policy.policy_file import PREFIX
 from vssm_gym.agents.renamed import refuse_former
@@ -40,6 +41,7 @@ AGENTS: dict[str, type[Agent]] = {
         NoMapAgent,
         DeadReckoningAgent,
         OracleAgent,
+        SlamNavAgent,
         RandomAgent,
         ViMpcAgent,
         ViIpoptAgent,

@@ -5,6 +5,7 @@
 
 from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.surroundings import KnownMap
 
 CONFIG = NavigationConfig()
 
@@ -20,5 +21,5 @@ class AStarAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(FilteredPose("tracker"), config)
+        navigator = Navigator(KnownMap(FilteredPose("tracker")), config)
         self.reset, self.act = navigator.reset, navigator.act

@@ -5,6 +5,7 @@
 
 from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.surroundings import KnownMap
 
 CONFIG = NavigationConfig()
 
@@ -20,5 +21,5 @@ class DeadReckoningAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(FilteredPose("dead_reckoning"), config)
+        navigator = Navigator(KnownMap(FilteredPose("dead_reckoning")), config)
         self.reset, self.act = navigator.reset, navigator.act

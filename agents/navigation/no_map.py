@@ -6,6 +6,7 @@
 
 from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.surroundings import KnownMap
 
 CONFIG = NavigationConfig()
 
@@ -21,5 +22,5 @@ class NoMapAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(FilteredPose("frames"), config)
+        navigator = Navigator(KnownMap(FilteredPose("frames")), config)
         self.reset, self.act = navigator.reset, navigator.act

@@ -6,6 +6,7 @@
 
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.surroundings import KnownMap
 
 # The pose is certain but for its rounding to float32, so the robot may stop 2 mm inside the success radius.
 CONFIG = NavigationConfig(stop_margin=0.002)
@@ -22,5 +23,5 @@ class OracleAgent:
     needs_map = True
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        navigator = Navigator(TruePose(), config)
+        navigator = Navigator(KnownMap(TruePose()), config)
         self.reset, self.act = navigator.reset, navigator.act

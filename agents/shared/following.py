@@ -17,7 +17,7 @@ from vssm_gym.agents.base import AgentContext
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
-from vssm_gym.planning.pursuit import steer
+from vssm_gym.planning.pursuit import BEND_PASSED, steer
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class FollowingConfig:
     least_step: float = 0.02  # a shorter step would add more noise than progress
     tries: int = 4  # blocked steps within ``blocked_radius`` after which a goal is given up
     blocked_radius: float = 0.5
+    bend_passed: float = BEND_PASSED  # distance at which a bend counts as passed
     retreat: float = 0.15  # length of the step to where there is more room, when no other step is possible
 
 
@@ -86,17 +87,37 @@ class Follower:
         ahead = points_along(planned.path, self.config.lookahead)
         return bool(near.at(ahead[1:]).min(initial=math.inf) < min(least, float(near.at(planar[:2])) - 0.01))
 
-    def step(self, planned: PlannedPath, planar: np.ndarray, near: ClearanceMap, failures: int) -> np.ndarray:
-        """Return the next command along a path; ``failures`` steps in a row could not be taken before it.
+    def step(
+        self,
+        planned: PlannedPath,
+        planar: np.ndarray,
+        near: ClearanceMap,
+        failures: int,
+        std: np.ndarray = np.zeros(3),
+    ) -> np.ndarray:
+        """Return the next command along a path.
+
+        Args:
+            planned: the path.
+            planar: ``(3,)`` where the robot is, m and rad.
+            near: clearance as it is known now.
+            failures: steps in a row that could not be taken before it.
+            std: ``(3,)`` standard deviations of ``planar`` against the map, m and rad.
 
         Returns:
             ``(turn, o, s)``: rad, rad, m; all zero where no step may be taken.
         """
-        command = steer(planar, planned.path, self.limits)
-        return self._careful(planned, planar, command, near, failures) if command[2] > 0.0 else command
+        command = steer(planar, planned.path, self.limits, self.config.bend_passed)
+        return self._careful(planned, planar, command, near, failures, std) if command[2] > 0.0 else command
 
     def _careful(
-        self, planned: PlannedPath, planar: np.ndarray, command: np.ndarray, near: ClearanceMap, failures: int
+        self,
+        planned: PlannedPath,
+        planar: np.ndarray,
+        command: np.ndarray,
+        near: ClearanceMap,
+        failures: int,
+        std: np.ndarray,
     ) -> np.ndarray:
         """Shorten the step of a command so that the noise does not carry the body into an obstacle."""
         c, (turn_std, step_std) = self.config, self.noise
@@ -104,10 +125,11 @@ class Follower:
         sigmas = c.sigmas * c.daring**failures
         direction = planar[2] + command[1]
         unit = np.array([math.cos(direction), math.sin(direction)])
-        spread = math.sin(min(sigmas * turn_std, 0.5 * math.pi))
+        spread = math.sin(min(sigmas * math.hypot(turn_std, std[2]), 0.5 * math.pi))
+        guard = c.guard + sigmas * float(np.max(std[:2]))
         far = sigmas * step_std
         t = np.arange(0.01, float(command[2]) + far + 0.005, 0.01)
-        asked = self.radius + np.minimum(c.guard + spread * np.maximum(t - far, 0.0), c.held_share * planned.margin)
+        asked = self.radius + np.minimum(guard + spread * np.maximum(t - far, 0.0), c.held_share * planned.margin)
         # A robot that is too near to an obstacle already may move along it.
         have, here = near.at(planar[:2] + t[:, None] * unit), float(near.at(planar[:2]))
         bad = np.flatnonzero(have < np.minimum(asked, here - 0.004))

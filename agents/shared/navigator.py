@@ -1,55 +1,63 @@
-"""Navigate to a goal: localise, plan, steer, and decide when to stop.
+"""Navigate to a goal: localise, look where to drive, plan, step with care, respond to failures, and decide when to stop.
 
-The planning agents share this navigator and differ only in their localizer, as published (TNP-SM). The planner is any
-of :mod:`vssm_gym.planning.planners`, A* by default. The map is static: its clearance is computed once per map, and the
-planner runs once per goal. After that each step shortens what is left of the plan from the newest estimate, and the
-planner runs again only where that fails. A robot whose estimate is not believed never arrives: it drives on by its
-commands for a while, then looks around, and in the end gives up (:class:`~vssm_gym.agents.shared.trust.LostConfig`).
+The navigating agents share this navigator. They differ in how they localise and in their
+:class:`~vssm_gym.agents.shared.surroundings.Surroundings`: a map that they were given, or one that they build. The
+planner is any of :mod:`vssm_gym.planning.planners`, A* by default. Every step shortens what is left of the path from the
+newest estimate. The planner runs again where that fails, and where a place has changed through which a path could lead
+that costs less: ``|robot - place| + |place - goal| < cost of the path``. A robot whose estimate is not believed never
+arrives (:mod:`vssm_gym.agents.shared.trust`). What it does about failures is a table
+(:mod:`vssm_gym.agents.shared.recovery`).
 """
 
 import math
 import time
-from collections import deque
-from dataclasses import dataclass, field
+from collections import Counter, deque
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
-from vssm_gym.agents.shared.localization import Localization, Localizer
+from vssm_gym.agents.shared.following import Follower, FollowingConfig, PlannedPath, points_along
+from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.agents.shared.manoeuvres import Manoeuvre, Nothing, Turn, around, back_off, retraced
+from vssm_gym.agents.shared.recovery import RESPONSES, Failure, Recovery, Response, Table
+from vssm_gym.agents.shared.surroundings import Surroundings, Terrain
 from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
-from vssm_gym.errors import InputError
-from vssm_gym.maps.columns import BODY_HEIGHTS
-from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
-from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
+from vssm_gym.planning.exploration.candidates import Roadmap
+from vssm_gym.planning.exploration.frontier import frontiers
+from vssm_gym.planning.grid_search.clearance_requirement import path_free, requirement_from
+from vssm_gym.planning.grid_search.path_cost import path_cost
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.planners import Planner, find_planner
-from vssm_gym.planning.pursuit import steer
-from vssm_gym.planning.result import PlanResult
+from vssm_gym.planning.result import PlanResult, PlanStatus
 
 
 @dataclass(frozen=True)
 class NavigationConfig:
-    """Configure how carefully to plan, when to stop, and when the robot is stuck; lengths in metres."""
+    """Configure how to plan, when to stop, and when something has failed; lengths in metres."""
 
     planner: str | Planner = "astar"  # a name of vssm_gym.planning.planners, or any planner
-    heights: tuple[float, float] = BODY_HEIGHTS  # of the robot's body above the floor
-    resolution: float = 0.025  # of the clearance grid
-    # Extra clearance of a plan: a comfortable one; none; less than the radius, because learned walls have an error.
-    margins: tuple[float, float, float] = (0.03, 0.0, -0.03)
-    tight_share: float = 0.9  # the plan without margin is taken where its length is below this fraction of the other's
-    slack: float = (
-        0.015  # clearance by which following requires less than planning, so that small errors cause no new plan
-    )
+    # Clearance beyond the radius that a path must have, tried in turn; less than none, because surfaces have an error.
+    margins: tuple[float, ...] = (0.01, -0.03)
+    slack: float = 0.015  # by which following requires less than planning, so that small errors cause no new plan
+    gain: float = 0.03  # share of its cost by which a new path must be cheaper to replace one that is still free
     stop_margin: float = 0.01  # inside the success radius, for errors that the estimate's covariance leaves out
     stop_sigmas: float = 2.5  # further inside, in standard deviations of the estimated position
     least_radius: float = 0.05  # the robot stops so near to the goal, however uncertain its estimate is
     landing: float = 0.002  # the path ends so far inside the stop radius; a step that ended short would cost another
+    arrival: float = 0.1  # distance at which the goal of a detour is reached
     stuck_length: float = 0.4  # length of driving commands over which progress is measured
     stuck_share: float = 0.35  # fraction of it that the estimate must have moved; less means that the robot is stuck
+    patience: int = 24  # steps within ``arrival`` of one place, while driving, after which it is stuck, too: 1.5 turns
     obstacle_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
-    max_failures: int = 12  # steps without any plan after which the robot stops with a reason
-    lost: LostConfig = field(default_factory=LostConfig)  # what to do without an estimate that may be believed
+    doubted: float = 1.5  # radius within which obstacles are doubted
+    most_uncertain: tuple[float, float] = (0.15, 0.15)  # m, rad: standard deviations against the map
+    look_first: bool = False  # whether an episode begins with a full turn
+    # A bend nearer than the estimate errs would turn the robot back and forth; the test of the step keeps it safe.
+    following: FollowingConfig = field(default_factory=lambda: FollowingConfig(bend_passed=0.08))
+    lost: LostConfig = field(default_factory=LostConfig)  # when an estimate that is not believed fails the task
+    responses: Table = field(default_factory=lambda: RESPONSES)
 
 
 @dataclass
@@ -57,176 +65,306 @@ class _Task:
     """Hold what the navigator remembers about the present goal."""
 
     goal: np.ndarray
-    path: np.ndarray | None = None  # (n, 2) what is left of the plan, from the last estimate
-    margin: float = 0.0  # m, extra clearance of the plan
+    recovery: Recovery
+    path: PlannedPath | None = None
     rim: float = 0.0  # m, radius of the goal region where the plan could not lead to a safer one
-    failures: int = 0  # steps in a row without a plan
+    detour: np.ndarray | None = None  # (2,) m, a frontier's place to drive to before the goal
+    facing: float = 0.0  # rad, heading to look in at the detour's end
+    seen: list[np.ndarray] = field(default_factory=list)  # (n, 2) cells of frontiers that were driven to
     before: np.ndarray | None = None  # xy where the last driving command was given
     driven: deque[tuple[float, float]] = field(default_factory=deque)  # m commanded and m moved, of recent commands
+    place: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))  # m, that the robot has not got away from
+    idle: int = 0  # steps that it has driven there
 
 
 class Navigator:
-    """Drive to ``observation["goal"]`` by the pose that a localizer estimates, then stop."""
+    """Drive to ``observation["goal"]`` through its surroundings, then stop."""
 
-    def __init__(self, localizer: Localizer, config: NavigationConfig) -> None:
-        self._localizer, self._config = localizer, config
+    def __init__(self, surroundings: Surroundings, config: NavigationConfig) -> None:
+        self.surroundings, self._config = surroundings, config
         self._plan = find_planner(config.planner)
-        self._map: VoxelMap | None = None
-        self._static: ClearanceMap  # of that map, kept over episodes
+        self.terrain: Terrain | None = None  # as it was last looked at
+
+    @property
+    def responses(self) -> Counter[str]:
+        """Return how often each response to a failure was begun in this task."""
+        return self._task.recovery.counts
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode; nothing here is random, so ``seed`` changes nothing.
 
         A plan is made and dropped: the latencies include the first step's plan and no compilation.
         """
-        if context.map is None:
-            raise InputError("AgentContext", "map", "a learned map: this agent plans in one")
-        if context.map is not self._map:
-            low, high = self._config.heights
-            self._static = ClearanceMap.from_voxel_map(context.map, low, high, self._config.resolution)
-            self._map = context.map
-        self._context = context
-        self._command: np.ndarray | None = None
-        self._estimate = self._localizer.reset(context, observation)
+        self._context, self._follower = context, Follower.of(context, self._config.following)
+        estimate = self.surroundings.reset(context, observation)
+        self._open(estimate, observation)
+        self._decide(estimate)
+        self._open(self.surroundings.reset(context, observation), observation)
+
+    def _open(self, estimate: Localization, observation: Observation) -> None:
+        self._estimate, self._command = estimate, None
+        self._track = [estimate.planar.copy()]  # poses that were believed
         self._begin(observation["goal"])
-        for _ in range(2):  # to plan, and to follow the plan
-            self._follow(self._estimate)
-        self._begin(observation["goal"])
+        if self._config.look_first:
+            self._task.recovery.manoeuvre = around(float(estimate.planar[2]), self._most_turn)
 
     def act(self, observation: Observation) -> Decision:
         """Return the next action from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
         began = time.perf_counter()
         if self._command is not None:
-            self._estimate = self._localizer.update(self._command, observation)
+            self._estimate = self.surroundings.update(self._command, observation)
         estimate = self._estimate
         tracked = time.perf_counter()
         if not np.array_equal(observation["goal"], self._task.goal):
             self._begin(observation["goal"])
         activity, stop, command = self._decide(estimate)
-        planned = time.perf_counter()
-        if command is None:
-            assert self._task.path is not None
-            command = steer(estimate.planar, self._task.path, self._context.limits)
         self._remember(estimate, command)
-        ended = time.perf_counter()
-        latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
+        latency = {"tracking": tracked - began, "planning": time.perf_counter() - tracked}
         action = np.array([*command, float(stop)], np.float32)
         status = f"{activity}; localization: {estimate.status}"
+        path = None if self._task.path is None else self._task.path.path
         gives_up = activity.startswith("gave up")
-        return Decision(action, estimate.planar.copy(), status, latency, self._task.path, gives_up, estimate.covariance)
+        return Decision(action, estimate.planar.copy(), status, latency, path, gives_up, estimate.covariance)
 
     def _begin(self, goal: np.ndarray) -> None:
-        """Begin a task, with no plan and without the obstacles that were assumed before."""
-        self._task, self._clearance = _Task(np.array(goal, np.float64)), self._static
+        """Begin a task with no plan."""
+        self._task = _Task(np.array(goal, np.float64), Recovery(self._config.responses))
 
-    def _decide(self, estimate: Localization) -> tuple[str, bool, np.ndarray | None]:
-        """Return the activity, True to stop, and the command where it is not to follow the path."""
-        task, still = self._task, np.array(STOP_COMMAND)
-        stuck = self._stuck(estimate)
-        if stuck:
-            self._assume_obstacle(estimate)
-        distance = math.hypot(*(estimate.planar[:2] - task.goal))
-        near = distance <= self._stop_radius(estimate)
-        turn, lost = np.array([self._context.limits[0], 0.0, 0.0]), "looking around: lost"
+    def _decide(self, estimate: Localization) -> tuple[str, bool, np.ndarray]:
+        """Return the activity, True to stop, and the command."""
+        task, still, lost = self._task, np.array(STOP_COMMAND), bool(estimate.lost)
         match self._config.lost.conduct(estimate.lost, estimate.status):
             case Conduct.GIVE_UP:
                 return gave_up(estimate.lost), True, still
             case Conduct.WAIT:
                 return "waiting: lost", False, still
             case Conduct.SEARCH:
-                return lost, False, turn
-        if near:
-            return (lost, False, turn) if estimate.lost else ("arrived", True, still)
-        failure = self._follow(estimate)
-        if distance <= task.rim + self._config.landing and task.path is not None:
-            return (lost, False, turn) if estimate.lost else ("arrived as near as a path leads", True, still)
-        if failure is None:
-            return ("stuck: leaving" if stuck else "driving"), False, None
-        task.failures += 1
-        if task.failures > self._config.max_failures:
-            return f"gave up: {failure.status.message}", True, still
-        # Standing still changes nothing: turning may correct the estimate from which no path starts.
-        return f"looking around: {failure.status.message}", False, turn
+                return self._search(estimate)
+        if not lost:
+            self._believe(estimate)
+            if task.recovery.of is Failure.LOST:
+                task.recovery.end()
+        if (command := task.recovery.manoeuvre.command(estimate.planar)) is not None:
+            task.idle = 0
+            return task.recovery.activity, False, command
+        task.recovery.end()
+        distance = math.hypot(*(estimate.planar[:2] - task.goal))
+        if distance <= self._stop_radius(estimate):
+            return ("looking around: lost", False, self._turn()) if lost else ("arrived", True, still)
+        held, dithers = self._is_held(estimate), self._dithers(estimate)
+        if held:
+            self._meet_obstacle(estimate)
+        if held or dithers:
+            if (response := self._respond(Failure.STUCK, estimate)) is not None:
+                return response
+        if not lost and self._is_uncertain(estimate) and (response := self._respond(Failure.UNCERTAIN, estimate)):
+            return response
+        terrain = self.terrain = self.surroundings.look(estimate.planar, task.goal)
+        failure = self._follow(estimate, terrain)
+        if failure is not None:
+            response = self._respond(Failure.NO_PATH, estimate, failure.status.message)
+            return response or ("looking around: no path", False, self._turn())
+        assert task.path is not None
+        if task.detour is None and distance <= task.rim + self._config.landing:
+            return ("looking around: lost", False, self._turn()) if lost else (NEAREST, True, still)
+        if task.detour is not None and math.hypot(*(task.detour - estimate.planar[:2])) <= self._config.arrival:
+            return self._look_from_detour(estimate)
+        command = self._step(estimate, terrain, task.path)
+        if not np.any(command):
+            response = self._respond(Failure.BLOCKED, estimate)
+            return response or ("looking around: blocked", False, self._turn())
+        if command[2] > 0.0:
+            task.recovery.overcome(Failure.NO_PATH)
+        return "driving" if task.detour is None else "exploring", False, command
+
+    # --- the path
 
     def _stop_radius(self, estimate: Localization) -> float:
         """Return the distance to the goal (m) at which a stop is safe for the uncertainty of the estimate."""
-        c = self._config
-        spread = float(np.max(estimate.std[:2]))
+        c, spread = self._config, float(np.max(estimate.std[:2]))
+        if estimate.covariance is not None:
+            spread = math.sqrt(max(0.0, float(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1])))
         return max(c.least_radius, self._context.success_radius - c.stop_margin - c.stop_sigmas * spread)
 
-    def _follow(self, estimate: Localization) -> PlanResult | None:
+    def _follow(self, estimate: Localization, terrain: Terrain) -> PlanResult | None:
         """Update the task's path; return None, or the planner's last result where there is no path."""
         task, c = self._task, self._config
         target = self._stop_radius(estimate) - c.landing
-        if task.path is not None:
-            radius = max(target, task.rim)
-            path = self._extended(task.path, radius)
-            if path is not None:
-                points = np.concatenate([estimate.planar[None, :2], path[1:]])
-                asked = requirement_from(self._clearance, points[0], self._radius + task.margin - c.slack)
-                path = shorten_path(self._clearance, points, task.goal, radius, asked)
-            task.path = path
-        return self._replan(estimate, target) if task.path is None else None
+        end, radius = (task.goal, max(target, task.rim)) if task.detour is None else (task.detour, 0.0)
+        kept = None if task.path is None else self._shortened(task.path, estimate, terrain.space, end, radius)
+        if kept is not None and not self._may_improve(terrain, kept, estimate, end):
+            task.path = kept
+            return None
+        result, rim, margin = self._planned(estimate, terrain.space, target)
+        if result.found:
+            found = PlannedPath(result.path, terrain.space, margin)
+            if kept is None or task.detour is not None or result.cost < (1.0 - c.gain) * _cost(kept):
+                task.path, task.rim, task.detour = found, rim, None
+            else:
+                task.path = kept
+            return None
+        if kept is not None:  # of a detour
+            task.path = kept
+            return None
+        task.path, task.detour = None, None
+        return result
 
-    def _extended(self, path: np.ndarray, radius: float) -> np.ndarray | None:
+    def _shortened(
+        self, old: PlannedPath, estimate: Localization, space: ClearanceMap, end: np.ndarray, radius: float
+    ) -> PlannedPath | None:
+        """Return what is left of a path in the present space; None where it is not free any more."""
+        path = self._extended(old, space, end, radius)
+        if path is None:
+            return None
+        points = np.concatenate([estimate.planar[None, :2], path[1:]])
+        asked = requirement_from(space, points[0], self._radius + old.margin - self._config.slack)
+        shorter = shorten_path(space, points, end, radius, asked)
+        if shorter is None or not path_free(space.clearance, space.resolution, space.to_grid(shorter), asked):
+            return None
+        return PlannedPath(shorter, space, old.margin)
+
+    def _extended(self, old: PlannedPath, space: ClearanceMap, end: np.ndarray, radius: float) -> np.ndarray | None:
         """Extend the path straight to the goal's disc where that has shrunk since; None where that is not free."""
-        offset = path[-1] - self._task.goal
+        path, offset = old.path, old.path[-1] - end
         away = math.hypot(*offset)
-        if away <= radius + 1e-9:
+        if away <= radius + 1e-9 or radius == 0.0:
             return path
-        end = self._task.goal + offset * (radius / away)
-        between = np.linspace(path[-1], end, 2 + int((away - radius) / self._clearance.resolution))
-        asked = self._radius + self._task.margin - self._config.slack
-        return np.concatenate([path, [end]]) if self._clearance.at(between).min() >= asked else None
+        rim = end + offset * (radius / away)
+        between = np.linspace(path[-1], rim, 2 + int((away - radius) / space.resolution))
+        asked = self._radius + old.margin - self._config.slack
+        return np.concatenate([path, [rim]]) if space.at(between).min() >= asked else None
 
-    def _replan(self, estimate: Localization, target: float) -> PlanResult | None:
-        """Plan with a margin and without one; the path without is taken where it is much shorter.
+    def _may_improve(self, terrain: Terrain, path: PlannedPath, estimate: Localization, end: np.ndarray) -> bool:
+        """Return True where a place has changed through which a path could lead that costs less than this one."""
+        if not len(terrain.changed):
+            return False
+        here, there = (np.hypot(*(terrain.changed - place).T) for place in (estimate.planar[:2], end))
+        return bool(np.any(here + there < _cost(path)))
 
-        Where neither exists, plan with less than the radius, because a learned wall may stand too far out; then to all
-        of the success region; then without the assumed obstacles.
-        """
-        c, task = self._config, self._task
+    def _planned(
+        self, estimate: Localization, space: ClearanceMap, target: float
+    ) -> tuple[PlanResult, float, float]:
+        """Plan to the goal with each margin in turn, then to all of the success region; return result, rim, margin."""
+        c, goal = self._config, self._task.goal
         rim = self._context.success_radius - 2.0 * c.landing
-        wide, tight, squeezed = c.margins
+        for radius, kept in ((target, 0.0), (rim, rim)):
+            for margin in c.margins:
+                result = self._plan(estimate.planar, goal, space, self._radius, margin=margin, goal_radius=radius)
+                if result.found:
+                    return result, kept, margin
+        return result, 0.0, 0.0
 
-        def attempt(clearance: ClearanceMap, margin: float, radius: float) -> PlanResult:
-            return self._plan(estimate.planar, task.goal, clearance, self._radius, margin=margin, goal_radius=radius)
+    def _step(self, estimate: Localization, terrain: Terrain, planned: PlannedPath) -> np.ndarray:
+        """Return the next command along the path, at the least risk at which the robot moves; zeros where none is."""
+        # The path's margin is what it has here: a narrow place elsewhere asks for no care now.
+        ahead = points_along(planned.path, self._config.following.lookahead)
+        margin = float(np.min(terrain.near.at(ahead))) - self._radius
+        planned = replace(planned, margin=max(planned.margin, margin))
+        for failures in range(self._config.following.tries + 2):
+            command = self._follower.step(planned, estimate.planar, terrain.near, failures, estimate.std)
+            if np.any(command):
+                return command
+        return np.zeros(3)
 
-        def adopt(result: PlanResult, clearance: ClearanceMap, margin: float, radius: float) -> None:
-            self._clearance, task.failures = clearance, 0
-            task.path, task.margin, task.rim = result.path, margin, radius if radius > target else 0.0
+    # --- failures
 
-        spare = attempt(self._clearance, wide, target)
-        close = attempt(self._clearance, tight, target)
-        if spare.found and close.cost >= c.tight_share * spare.cost:
-            adopt(spare, self._clearance, wide, target)
-            return None
-        if close.found:
-            adopt(close, self._clearance, tight, target)
-            return None
-        last = close
-        for settings in (
-            (self._clearance, squeezed, target),
-            (self._clearance, squeezed, rim),
-            (self._static, tight, target),
-            (self._static, squeezed, rim),
-        ):
-            last = attempt(*settings)
-            if last.found:
-                adopt(last, *settings)
+    def _respond(self, failure: Failure, estimate: Localization, why: str = "") -> tuple[str, bool, np.ndarray] | None:
+        """Begin the next response to a failure; return its first command, a stop where there is none left, or None.
+
+        None: the response has changed the plan, or there is nothing to be done but to go on.
+        """
+        recovery = self._task.recovery
+        while (response := recovery.response(failure, estimate.planar)) is not None:
+            manoeuvre = self._manoeuvre(response, estimate)
+            if manoeuvre is None:
+                continue
+            command = manoeuvre.command(estimate.planar)
+            if command is None:
                 return None
-        task.path = None
-        return last
+            recovery.begin(failure, response, manoeuvre)
+            return recovery.activity, False, command
+        if failure in (Failure.UNCERTAIN, Failure.LOST):
+            return None
+        return f"gave up: {why or failure.value}", True, np.array(STOP_COMMAND)
 
-    @property
-    def _radius(self) -> float:
-        return 0.5 * self._context.body_length
+    def _manoeuvre(self, response: Response, estimate: Localization) -> Manoeuvre | None:
+        """Return what a response makes the robot do; None where it cannot be done."""
+        planar, c = estimate.planar, self._config
+        match response:
+            case Response.LOOK_BACK:
+                return Turn([float(self._known_view(planar)[2])], self._most_turn)
+            case Response.TURN_AROUND:
+                return around(float(planar[2]), self._most_turn)
+            case Response.RETRACE:
+                return retraced(self._track, planar, self._context.limits)
+            case Response.BACK_OFF:
+                near = self.surroundings.look(planar, self._task.goal).near
+                return back_off(planar, near, c.following.retreat, self._context.limits) or Nothing()
+            case Response.LOOK_AGAIN:
+                self.surroundings.doubt(planar[:2], c.doubted)
+                self._task.path = None
+                return around(float(planar[2]), self._most_turn)
+            case Response.EXPLORE:
+                return Nothing() if self._detour(estimate) else None
+            case Response.GO_ON:
+                return Nothing()
 
-    def _remember(self, estimate: Localization, command: np.ndarray) -> None:
-        self._command = np.asarray(command, np.float32)
-        self._task.before = estimate.planar[:2].copy() if command[2] > 0.0 else None
+    def _search(self, estimate: Localization) -> tuple[str, bool, np.ndarray]:
+        """Look for an image that fits."""
+        recovery = self._task.recovery
+        if recovery.of is Failure.LOST:
+            command = recovery.manoeuvre.command(estimate.planar)
+            if command is not None:
+                return recovery.activity, False, command
+        recovery.end()
+        response = self._respond(Failure.LOST, estimate)
+        return response or ("looking around: lost", False, self._turn())
 
-    def _stuck(self, estimate: Localization) -> bool:
+    def _detour(self, estimate: Localization) -> bool:
+        """Plan to the frontier that is nearest on the way to the goal; return True where there is one."""
+        task, c = self._task, self._config
+        terrain = self.terrain
+        if terrain is None or terrain.plan is None:
+            return False
+        roadmap = Roadmap.of(terrain.plan, estimate.planar[:2], self._radius + c.margins[0])
+        seen = np.concatenate(task.seen) if task.seen else np.empty((0, 2))
+        found = frontiers(terrain.plan, roadmap.distance, dismissed=seen)
+        for frontier in sorted(found, key=lambda f: f.distance + math.hypot(*(f.goal - task.goal))):
+            for margin in c.margins:
+                result = self._plan(
+                    estimate.planar, frontier.goal, roadmap.clearance, self._radius, margin=margin, goal_radius=0.0
+                )
+                if result.status is PlanStatus.FOUND:
+                    dx, dy = frontier.xy.mean(axis=0) - frontier.goal
+                    task.path, task.rim = PlannedPath(result.path, terrain.space, margin), 0.0
+                    task.detour, task.facing = frontier.goal, math.atan2(dy, dx)
+                    task.seen.append(frontier.xy)
+                    return True
+        return False
+
+    def _look_from_detour(self, estimate: Localization) -> tuple[str, bool, np.ndarray]:
+        """Turn to the frontier that was driven to; the plan to the goal is made anew then."""
+        task = self._task
+        task.detour, task.path = None, None
+        task.recovery.overcome(Failure.NO_PATH)
+        turn = Turn([task.facing, *around(task.facing, self._most_turn).headings], self._most_turn)
+        task.recovery.begin(Failure.NO_PATH, Response.EXPLORE, turn)
+        command = turn.command(estimate.planar)
+        return task.recovery.activity, False, self._turn() if command is None else command
+
+    def _is_uncertain(self, estimate: Localization) -> bool:
+        place, heading = self._config.most_uncertain
+        return bool(np.max(estimate.std[:2]) > place or estimate.std[2] > heading)
+
+    def _dithers(self, estimate: Localization) -> bool:
+        """Return True where the robot has driven for long without getting away from a place."""
+        task = self._task
+        if math.hypot(*(estimate.planar[:2] - task.place)) > self._config.arrival:
+            task.place, task.idle = estimate.planar[:2].copy(), 0
+        task.idle += 1
+        return task.idle > self._config.patience
+
+    def _is_held(self, estimate: Localization) -> bool:
         """Return True where the last driving commands moved the estimate by much less than they commanded."""
         task, c = self._task, self._config
         if task.before is not None and self._command is not None:
@@ -237,11 +375,47 @@ class Navigator:
             task.driven.popleft()
         return asked >= c.stuck_length and moved < c.stuck_share * asked
 
-    def _assume_obstacle(self, estimate: Localization) -> None:
+    def _meet_obstacle(self, estimate: Localization) -> None:
         """Assume an obstacle at the robot's front and plan a path around it."""
-        heading = estimate.planar[2]
-        front = self._radius + self._config.obstacle_radius
+        heading, front = estimate.planar[2], self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
-        self._clearance = self._clearance.with_obstacle(centre, self._config.obstacle_radius)
+        self.surroundings.meet(centre, self._config.obstacle_radius)
         self._task.path = None
         self._task.driven.clear()
+
+    # --- memory
+
+    @property
+    def _radius(self) -> float:
+        return 0.5 * self._context.body_length
+
+    @property
+    def _most_turn(self) -> float:
+        return float(self._context.limits[0])
+
+    def _turn(self) -> np.ndarray:
+        return np.array([self._most_turn, 0.0, 0.0])
+
+    def _remember(self, estimate: Localization, command: np.ndarray) -> None:
+        self._command = np.asarray(command, np.float32)
+        self._task.before = estimate.planar[:2].copy() if command[2] > 0.0 else None
+
+    def _believe(self, estimate: Localization) -> None:
+        """Remember a pose that is believed, where it is another one."""
+        moved = estimate.planar - self._track[-1]
+        if math.hypot(*moved[:2]) > 0.1 or abs(moved[2]) > 0.2:
+            self._track.append(estimate.planar.copy())
+
+    def _known_view(self, planar: np.ndarray) -> np.ndarray:
+        """Return the believed pose nearest to here, the latest of several."""
+        track = np.array(self._track)
+        away = np.hypot(*(track[:, :2] - planar[:2]).T)
+        return track[np.flatnonzero(away <= away.min() + 0.1)[-1]]
+
+
+NEAREST = "arrived as near as a path leads"
+
+
+def _cost(path: PlannedPath) -> float:
+    space = path.clearance
+    return space.resolution * float(path_cost(space.weights, space.to_grid(path.path)))

@@ -54,6 +54,7 @@ class OwnMap:
         self._corner = np.asarray(prior.origin, np.float64)[:2]
         self._body, self._near = np.zeros(shape, bool), np.zeros(shape, bool)
         self._seen = np.zeros(shape, np.int16)
+        self._met = np.zeros(shape, bool)
         self._rays = np.asarray(self.camera.rays(), np.float64)[::2, ::2]
         self.estimate = mapper.reset(prior, context, observation)
         self._mark(observation)
@@ -82,21 +83,37 @@ class OwnMap:
         self._stand(planar[:2])
         self._notice(depth[::2, ::2], planar_to_matrix(planar) @ self.T_body_cam)
 
-    def plan(self) -> FloorPlan:
-        """Read the floor plan of the present belief."""
+    def plan(self, keep: np.ndarray | None = None) -> FloorPlan:
+        """Read the floor plan of the present belief, with places to ``keep`` ``(n, 2)``, m, in it."""
         low, high = self.config.heights
-        return FloorPlan.of(self.map, low, high, self._body, self._near, self._seen >= 2)
+        return FloorPlan.of(self.map, low, high, self._body, self._near, (self._seen >= 2) | self._met, keep)
+
+    def meet(self, xy: np.ndarray, radius: float) -> None:
+        """Remember an obstacle that was met and not seen: a disc at ``xy`` ``(2,)``, m."""
+        window, away = self._around(xy, radius)
+        self._met[window] |= away <= radius
+        self._body[window] &= away > radius
+
+    def doubt(self, xy: np.ndarray, radius: float) -> None:
+        """Forget what was seen from nearby or met within ``radius`` of ``xy`` (m): it has to be seen again."""
+        window, away = self._around(xy, radius)
+        self._seen[window] = np.where(away <= radius, 0, self._seen[window])
+        self._met[window] &= away > radius
 
     def _stand(self, xy: np.ndarray) -> None:
         """Mark the columns of the body at ``xy`` (m) and of the ring around it."""
         reach = self.radius + self.config.ring
-        first = np.floor((xy - reach - self._corner) / self.config.voxel).astype(int)
-        size = int(2.0 * reach / self.config.voxel) + 2
-        window = tuple(slice(max(0, f), max(0, f + size)) for f in first)
-        x, y = (self._corner[a] + self.config.voxel * np.arange(w.start, w.stop) - xy[a] for a, w in enumerate(window))
-        away = np.hypot(x[:, None], y[None, :])[: self._body[window].shape[0], : self._body[window].shape[1]]
+        window, away = self._around(xy, reach)
         self._body[window] |= away <= self.radius
         self._near[window] |= away <= reach
+
+    def _around(self, xy: np.ndarray, reach: float) -> tuple[tuple[slice, ...], np.ndarray]:
+        """Return the columns of the box within ``reach`` of ``xy`` (m), and their distances to it."""
+        first = np.floor((xy - reach - self._corner) / self.config.voxel).astype(int)
+        size = int(2.0 * reach / self.config.voxel) + 2
+        window = tuple(slice(max(0, f), min(max(0, f + size), n)) for f, n in zip(first, self._body.shape, strict=True))
+        x, y = (self._corner[a] + self.config.voxel * np.arange(w.start, w.stop) - xy[a] for a, w in enumerate(window))
+        return window, np.hypot(x[:, None], y[None, :])
 
     def _notice(self, depth: np.ndarray, T_world_cam: np.ndarray) -> None:
         """Count measurements at the body's height nearby; a camera's errors grow with the square of the depth."""

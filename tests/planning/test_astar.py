@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from tests.helpers.box_rooms import ROOM, free_space, layouts, seeds
 from tests.helpers.planning_worlds import clearance_map, grids
 from vssm_gym.envs.tasks.geodesic import Geodesics
-from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.clearance import UNIFORM, ClearanceMap
 from vssm_gym.planning.grid_search.astar import plan, search
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
@@ -79,7 +79,7 @@ def test_cost_is_dijkstras(occupied, seed, radius):
     i, j = np.indices(free.shape)
     exact = distances(free, start)[np.hypot(i - goal[0], j - goal[1]) <= radius].min(initial=np.inf)
     seed_row = np.array([[*start, 0.0]])
-    code, path, cost, _ = search(free.astype(np.uint8), seed_row, goal[0], goal[1], radius, 10_000)
+    code, path, cost, _ = search(free.astype(np.uint8), UNIFORM, seed_row, goal[0], goal[1], radius, 10_000)
     assert cost == pytest.approx(exact)
     assert (code == 0) == np.isfinite(exact)
     if code == 0:

@@ -7,7 +7,7 @@ obstacles, so that a robot whose pose estimate overlaps a wall still knows which
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -18,6 +18,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, level_distance, observed_columns
 from vssm_gym.maps.voxel_map import VoxelMap
 
+UNIFORM = np.empty((0, 0), np.float32)  # as a weight: 1 everywhere
 OUTSIDE = -1.0  # m, clearance beyond the grid, where nothing is known; deep enough that no planner starts there
 BORDER_ROUNDING = 1e-6  # cells; a border cell taken to world coordinates and back still lies on the grid
 
@@ -30,11 +31,13 @@ class ClearanceMap:
         clearance: ``(nx, ny)`` float32, metres, indexed ``[ix, iy]`` along world x, y; C-contiguous.
         origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, metres.
         resolution: metres between cell centres.
+        weight: ``(nx, ny)`` float32 >= 1, cost of a path a metre; None: 1 everywhere, the cost is the length.
     """
 
     clearance: np.ndarray
     origin: np.ndarray
     resolution: float
+    weight: np.ndarray | None = None
 
     @classmethod
     def from_occupancy(cls, occupancy: np.ndarray, origin: np.ndarray, resolution: float) -> "ClearanceMap":
@@ -134,9 +137,13 @@ class ClearanceMap:
         """
         x, y = (self.origin[a] + self.resolution * np.arange(self.clearance.shape[a]) for a in (0, 1))
         disc = np.hypot(x[:, None] - centre[0], y[None, :] - centre[1]) - radius
-        return ClearanceMap(
-            np.minimum(self.clearance, disc).astype(np.float32, order="C"), self.origin, self.resolution
-        )
+        clearance = np.minimum(self.clearance, disc).astype(np.float32, order="C")
+        return replace(self, clearance=clearance)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Return the weight as searches take it: :data:`UNIFORM` where there is none."""
+        return UNIFORM if self.weight is None else self.weight
 
 
 @dataclass(frozen=True)

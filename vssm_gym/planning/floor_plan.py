@@ -48,6 +48,7 @@ class FloorPlan:
         body: np.ndarray | None = None,
         near: np.ndarray | None = None,
         seen: np.ndarray | None = None,
+        keep: np.ndarray | None = None,
     ) -> "FloorPlan":
         """Read the plan of the heights ``z_min..z_max`` (m), cut to what is known with :data:`PAD` metres around it.
 
@@ -58,6 +59,7 @@ class FloorPlan:
             body: ``(cells x, cells y)`` bool over the whole map: where the robot's body has been: free.
             near: the same of a ring around it: free where it is unknown, because the camera looks over it.
             seen: the same: where something was seen at the body's height: occupied.
+            keep: ``(n, 2)`` places, m, that the plan holds as if they were known, as far as the map reaches.
         """
         origin, voxel = np.asarray(voxel_map.origin, np.float64), float(voxel_map.voxel_size)
         first, last = (int(np.clip(round((z - origin[2]) / voxel), 0, voxel_map.shape[2] - 1)) for z in (z_min, z_max))
@@ -80,7 +82,11 @@ class FloorPlan:
             unknown, occupied = unknown & ~body, occupied & ~body
             top = np.where(body, -voxel, top)
         cells = np.where(occupied, OCCUPIED, np.where(unknown, UNKNOWN, FREE)).astype(np.int8)
-        window = _around(cells != UNKNOWN, round(PAD / voxel))
+        held = cells != UNKNOWN
+        if keep is not None:
+            places = np.floor((keep - origin[:2]) / voxel + 0.5).astype(int)
+            held[tuple(np.clip(places, 0, np.array(held.shape) - 1).T)] = True
+        window = _around(held, round(PAD / voxel))
         start = np.array([window[0].start, window[1].start])
         cut_cells, cut_top = (np.ascontiguousarray(a[window]) for a in (cells, top.astype(np.float32)))
         return cls(cut_cells, cut_top, origin[:2] + start * voxel, voxel)
@@ -115,6 +121,17 @@ class FloorPlan:
         inside = np.all((cell >= 0) & (cell < self.cells.shape), axis=-1)
         held = np.where(inside[..., None], cell, 0)
         return np.where(inside, self.cells[held[..., 0], held[..., 1]], UNKNOWN)
+
+
+def changed_cells(before: FloorPlan, after: FloorPlan) -> np.ndarray:
+    """Return the cells ``(n, 2)`` of ``after`` whose state differs; both plans were read from one map."""
+    was = np.full(after.cells.shape, UNKNOWN, np.int8)
+    i, j = np.rint((before.origin - after.origin) / after.resolution).astype(int)
+    a, b = before.cells.shape
+    inside = was[max(0, i) : max(0, i + a), max(0, j) : max(0, j + b)]
+    x, y = max(0, -i), max(0, -j)  # of the part of `before` that lies in `after`
+    inside[...] = before.cells[x : x + inside.shape[0], y : y + inside.shape[1]]
+    return np.argwhere(was != after.cells)
 
 
 def _around(known: np.ndarray, pad: int) -> tuple[slice, slice]:

@@ -16,8 +16,9 @@ from vssm_gym.planning.result import PlanResult
 
 
 class Planner(Protocol):
-    """Plan a path of a disc through a space, or report why there is none; metres, world frame.
+    """``min integral of w ds``: plan a path of a disc through a space, or report why there is none; m, world frame.
 
+    The weight w is the space's; without one the path is short, with one cheap.
     The path is a polyline from the start. Everywhere on it the clearance is at least ``radius + margin``. A start with
     less clearance is left along a ramp, see
     :func:`vssm_gym.planning.grid_search.clearance_requirement.requirement_from`. Equal arguments give equal results.
@@ -47,7 +48,7 @@ class Planner(Protocol):
             max_expansions: closed nodes after which the search gives up: a count, so that runs repeat exactly.
 
         Returns:
-            Status, path, cost (the path's length) and time. A start or a goal that cannot be reached is a status;
+            Status, path, its cost (eq. P2b) and time. A start or a goal that cannot be reached is a status;
             :class:`InputError` is raised only for arguments that are not finite numbers.
         """
         ...

@@ -16,7 +16,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 BEND_PASSED = 0.02
 
 
-def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarray:
+def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray, passed: float = BEND_PASSED) -> np.ndarray:
     """Return the command that follows ``path`` from ``planar``.
 
     A step never passes a waypoint, so the robot moves along the path's segments and cuts no corner. The step that
@@ -27,6 +27,7 @@ def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarra
         planar: ``(3,)`` the robot's x, y (m) and heading (rad).
         path: ``(n, 2)`` waypoints, metres, world frame; the first is where the robot is and is not aimed at.
         limits: ``(3,)`` largest turn (rad), direction offset (rad) and step (m).
+        passed: m, distance at which a bend counts as passed.
 
     Returns:
         ``(turn, o, s)`` float64 within the limits; all zero at the path's end.
@@ -34,7 +35,7 @@ def steer(planar: np.ndarray, path: np.ndarray, limits: np.ndarray) -> np.ndarra
     max_turn, max_offset, max_step = (float(v) for v in limits)
     x, y, heading = (float(v) for v in planar)
     ahead = [(float(px), float(py)) for px, py in np.asarray(path)[1:]]
-    while len(ahead) > 1 and math.hypot(ahead[0][0] - x, ahead[0][1] - y) < BEND_PASSED:
+    while len(ahead) > 1 and math.hypot(ahead[0][0] - x, ahead[0][1] - y) < passed:
         ahead = ahead[1:]
     px, py = ahead[0] if ahead else (x, y)
     distance = math.hypot(px - x, py - y)

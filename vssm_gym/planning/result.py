@@ -33,7 +33,7 @@ class PlanResult:
         status: how the search ended.
         path: ``(n, 2)`` waypoints in the world frame, metres, the start first; empty ``(0, 2)`` where there is no path,
             the best partial path after a time-out.
-        cost: length of ``path``, metres; infinite where there is no path.
+        cost: of ``path``: its length in metres where the space has no weight (eq. P2b); infinite without a path.
         seconds: wall-clock time of the whole call.
         expansions: nodes that the search closed.
     """

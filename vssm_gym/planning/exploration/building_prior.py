@@ -35,15 +35,22 @@ def main_direction(plan: FloorPlan) -> float:
     return float(angles[np.argmax(sharp)])
 
 
-def outline(plan: FloorPlan) -> np.ndarray:
-    """Mark the cells that lie in the rectangle around all that is known; bool ``(nx, ny)``."""
+def outline(plan: FloorPlan, also: np.ndarray | None = None) -> np.ndarray:
+    """Mark the cells in the rectangle around all that is known, and around places ``also (n, 2)``, m.
+
+    Returns:
+        Bool ``(nx, ny)``.
+    """
     known = plan.cells != UNKNOWN
     inside = np.ones(known.shape, bool)
     if not known.any():
         return inside
     every = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float64) for n in known.shape), indexing="ij"), axis=-1)
-    for shadow in _along(every, main_direction(plan)):
-        inside &= (shadow >= shadow[known].min()) & (shadow <= shadow[known].max())
+    angle = main_direction(plan)
+    places = (np.reshape(also, (-1, 2)) - plan.origin) / plan.resolution if also is not None else np.empty((0, 2))
+    for shadow, further in zip(_along(every, angle), _along(places, angle), strict=True):
+        held = np.concatenate([shadow[known], further])
+        inside &= (shadow >= held.min()) & (shadow <= held.max())
     return inside
 
 

@@ -1,7 +1,8 @@
-"""Plan by A* over a uniform 2D grid: ``min sum |edges|`` to the goal's region, then shortened (eq. P3, P5).
+"""Plan by A* over a uniform 2D grid: ``min sum w |edges|`` to the goal's region, then shortened (eq. P3, P5).
 
 The planner of TNP-SM. Nodes are the cells of a clearance grid, each joined to 16 neighbours. All of an edge's segment
-must be free. The cost of an edge is its length, and the heuristic is the Euclidean distance to the goal's disc.
+must be free. The cost of an edge is its length times its weight (1 where the space has none, never less), and the
+heuristic is the Euclidean distance to the goal's disc.
 """
 
 import math
@@ -18,17 +19,24 @@ from vssm_gym.planning.result import PlanResult
 
 @njit(cache=True, nogil=True)
 def search(
-    free: np.ndarray, seeds: np.ndarray, gx: float, gy: float, radius: float, max_expansions: int
+    free: np.ndarray,
+    weight: np.ndarray,
+    seeds: np.ndarray,
+    gx: float,
+    gy: float,
+    radius: float,
+    max_expansions: int,
 ) -> tuple[int, np.ndarray, float, int]:
     """Search by A* from ``seeds`` (rows ``i, j, cost so far``) to the first node within ``radius`` of ``(gx, gy)``.
 
-    All in cells.
+    All in cells. An edge costs its length times the mean weight of its ends.
 
     Returns:
         Code, nodes of the path ``(n, 2)``, its cost in cells, closed nodes. After a time-out the path leads to the
         closed node with the least heuristic.
     """
     nx, ny = free.shape
+    weighted = weight.shape[0] > 0
     cost, key, parent, place, heap, size = opened(nx, ny, seeds, gx, gy, radius)
     closed, nearest, least, code = 0, -1, np.inf, NO_PATH
     while size > 0:
@@ -51,7 +59,10 @@ def search(
             if not (0 <= i + di < nx and 0 <= j + dj < ny):
                 continue
             other = (i + di) * ny + j + dj
-            through = cost[node] + LENGTHS[m]
+            length = LENGTHS[m]
+            if weighted:
+                length *= 0.5 * (weight[i, j] + weight[i + di, j + dj])
+            through = cost[node] + length
             # Cheap tests first: most neighbours are reached already. Rounding may make a closed node look cheaper.
             if through >= cost[other] or place[other] == -2:
                 continue
@@ -131,5 +142,5 @@ def plan(
 
 
 def _search(q: Query) -> tuple[int, np.ndarray, int]:
-    code, cells, _, closed = search(q.free, q.seeds, q.goal_x, q.goal_y, q.goal_radius, q.max_expansions)
+    code, cells, _, closed = search(q.free, q.weight, q.seeds, q.goal_x, q.goal_y, q.goal_radius, q.max_expansions)
     return code, cells, closed

@@ -60,6 +60,16 @@ def segment_free(
         t = min(length, t + max(0.5, 0.9 * slack / rate))  # 0.9: the interpolation may fall a little faster
 
 
+@njit(cache=True, nogil=True)
+def path_free(clearance: np.ndarray, resolution: float, path: np.ndarray, required: ClearanceRequirement) -> bool:
+    """Return True where every segment of a path ``(n, 2)``, in cells, has the clearance that is required."""
+    for k in range(path.shape[0] - 1):
+        a, b = path[k], path[k + 1]
+        if not segment_free(clearance, resolution, a[0], a[1], b[0], b[1], required):
+            return False
+    return True
+
+
 def requirement_from(clearance_map: ClearanceMap, start: np.ndarray, clearance: float) -> ClearanceRequirement:
     """Require ``clearance`` (m) everywhere, and along a ramp from a start ``(2,)`` (m) that has less.
 

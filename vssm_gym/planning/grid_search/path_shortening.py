@@ -1,7 +1,8 @@
-"""Shorten a grid path to an any-angle path: ``min sum |p_i+1 - p_i|`` with sufficient clearance everywhere (eq. P5).
+"""Shorten a grid path to an any-angle path: ``min sum w |p_i+1 - p_i|`` with sufficient clearance everywhere (eq. P5).
 
 A path is feasible when every point of every segment has the clearance that :class:`ClearanceRequirement` asks for.
-Every move below keeps a path feasible and shortens it, so the result is never longer than the path it started from.
+Every move below keeps a path feasible and lowers its cost (eq. P2b), which is its length where the space has no weight:
+the result never costs more than the path it started from.
 Coordinates are grid cells; clearances are metres.
 """
 
@@ -12,10 +13,11 @@ from numba import njit
 
 from vssm_gym.planning.clearance import ClearanceMap, bilinear
 from vssm_gym.planning.grid_search.clearance_requirement import ClearanceRequirement, required_at, segment_free
+from vssm_gym.planning.grid_search.path_cost import path_cost, segment_cost
 
 # Effort of the local search, chosen on furnished apartments with cells of 2.5 cm.
 SWEEPS = 12  # of all moves over all bends, at most; 3 to 6 are enough there
-GAIN = 0.02  # cells; a sweep that shortens the path by less is the last: 0.5 mm
+GAIN = 0.02  # cells; a sweep that saves less is the last: 0.5 mm
 ADDED_SPACING = 6.0  # cells between the points that are added to a segment as ends of shortcuts: 15 cm
 SHARP = 0.6  # rad; a sharper bend is split in two, because two bends follow the arc around a corner more closely
 
@@ -51,16 +53,22 @@ def _resample(clearance, path, required):
 
 
 @njit(cache=True, nogil=True)
-def _skip_bends(clearance, resolution, path, required):
-    """Connect each kept bend to the last point of the path that a free segment reaches."""
+def _skip_bends(clearance, weight, resolution, path, required):
+    """Connect each kept bend to the last point of the path that a free segment reaches at no higher cost."""
     n = path.shape[0]
+    along = np.zeros(n)
+    for i in range(n - 1):
+        along[i + 1] = along[i] + segment_cost(weight, path[i, 0], path[i, 1], path[i + 1, 0], path[i + 1, 1])
     keep = np.empty(n, np.int64)
     keep[0], count, i = 0, 1, 0
     while i < n - 1:
         j = n - 1
-        while j > i + 1 and not segment_free(
-            clearance, resolution, path[i, 0], path[i, 1], path[j, 0], path[j, 1], required
-        ):
+        while j > i + 1:
+            straight = segment_cost(weight, path[i, 0], path[i, 1], path[j, 0], path[j, 1])
+            if straight <= along[j] - along[i] + 1e-9 and segment_free(
+                clearance, resolution, path[i, 0], path[i, 1], path[j, 0], path[j, 1], required
+            ):
+                break
             j -= 1
         keep[count] = j
         count += 1
@@ -69,22 +77,25 @@ def _skip_bends(clearance, resolution, path, required):
 
 
 @njit(cache=True, nogil=True)
-def _move_bend(clearance, resolution, path, i, required):
-    """Move bend ``i`` by a pattern search to where the path is shortest; the step halves from 4 to 1/8 cell."""
+def _move_bend(clearance, weight, resolution, path, i, required):
+    """Move bend ``i`` by a pattern search to where the path costs least; the step halves from 4 to 1/8 cell."""
     ax, ay, bx, by = path[i - 1, 0], path[i - 1, 1], path[i + 1, 0], path[i + 1, 1]
     x, y = path[i, 0], path[i, 1]
-    best = math.hypot(x - ax, y - ay) + math.hypot(bx - x, by - y)
+    best = segment_cost(weight, ax, ay, x, y) + segment_cost(weight, x, y, bx, by)
     step = 4.0
     while step > 0.1:
         moved = False
         for k in range(12):
             px, py = x + step * math.cos(k * math.pi / 6), y + step * math.sin(k * math.pi / 6)
-            length = math.hypot(px - ax, py - ay) + math.hypot(bx - px, by - py)
-            if length < best - 1e-4 and _bend_free(clearance, px, py, required):
+            # The straight lengths bound the cost from below, and are cheaper to compute.
+            if math.hypot(px - ax, py - ay) + math.hypot(bx - px, by - py) >= best - 1e-4:
+                continue
+            cost = segment_cost(weight, ax, ay, px, py) + segment_cost(weight, px, py, bx, by)
+            if cost < best - 1e-4 and _bend_free(clearance, px, py, required):
                 if not segment_free(clearance, resolution, ax, ay, px, py, required):
                     continue
                 if segment_free(clearance, resolution, px, py, bx, by, required):
-                    x, y, best, moved = px, py, length, True
+                    x, y, best, moved = px, py, cost, True
                     break
         if not moved:
             step *= 0.5
@@ -92,29 +103,31 @@ def _move_bend(clearance, resolution, path, i, required):
 
 
 @njit(cache=True, nogil=True)
-def _shorten_end(clearance, resolution, path, gx, gy, radius, required):
+def _shorten_end(clearance, weight, resolution, path, gx, gy, radius, required):
     """Move the last point along the rim of the goal's disc (radius in cells) to where the last segment enters it."""
     n = path.shape[0]
     ax, ay = path[n - 2, 0], path[n - 2, 1]
     to_goal = math.hypot(gx - ax, gy - ay)
     if to_goal <= radius:
         return
-    best = math.hypot(path[n - 1, 0] - ax, path[n - 1, 1] - ay)
+    best = segment_cost(weight, ax, ay, path[n - 1, 0], path[n - 1, 1])
     aim = math.atan2(ay - gy, ax - gx)
     here = math.atan2(path[n - 1, 1] - gy, path[n - 1, 0] - gx) - aim
     here = math.atan2(math.sin(here), math.cos(here))
-    for k in range(33):  # from the rim's nearest point round to where the path ends now: the first free one is shortest
+    for k in range(33):  # from the rim's nearest point round to where the path ends now: the first free one that costs less
         angle = aim + here * k / 32
         px, py = gx + radius * math.cos(angle), gy + radius * math.sin(angle)
         if math.hypot(px - ax, py - ay) >= best:
             return
+        if segment_cost(weight, ax, ay, px, py) >= best:
+            continue
         if _bend_free(clearance, px, py, required) and segment_free(clearance, resolution, ax, ay, px, py, required):
             path[n - 1, 0], path[n - 1, 1] = px, py
             return
 
 
 @njit(cache=True, nogil=True)
-def _split_sharp_bends(clearance, resolution, path, required):
+def _split_sharp_bends(clearance, weight, resolution, path, required):
     """Replace each sharp bend by two on a circle around the corner, whose tangents keep ``required.limit`` from it."""
     n = path.shape[0]
     out = np.empty((2 * n, 2))
@@ -140,8 +153,10 @@ def _split_sharp_bends(clearance, resolution, path, required):
         one, two = outward + side * 0.25 * bend, outward - side * 0.25 * bend
         px, py = cx + radius * math.cos(one), cy + radius * math.sin(one)
         qx, qy = cx + radius * math.cos(two), cy + radius * math.sin(two)
-        length = math.hypot(px - a[0], py - a[1]) + math.hypot(qx - px, qy - py) + math.hypot(b[0] - qx, b[1] - qy)
-        if length >= da + db - GAIN:
+        before = segment_cost(weight, a[0], a[1], v[0], v[1]) + segment_cost(weight, v[0], v[1], b[0], b[1])
+        after = segment_cost(weight, a[0], a[1], px, py) + segment_cost(weight, px, py, qx, qy)
+        after += segment_cost(weight, qx, qy, b[0], b[1])
+        if after >= before - GAIN:
             continue
         if not (_bend_free(clearance, px, py, required) and _bend_free(clearance, qx, qy, required)):
             continue
@@ -158,16 +173,9 @@ def _split_sharp_bends(clearance, resolution, path, required):
 
 
 @njit(cache=True, nogil=True)
-def _length(path):
-    total = 0.0
-    for i in range(path.shape[0] - 1):
-        total += math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1])
-    return total
-
-
-@njit(cache=True, nogil=True)
 def shorten_cells(
     clearance: np.ndarray,
+    weight: np.ndarray,
     resolution: float,
     path: np.ndarray,
     gx: float,
@@ -176,20 +184,20 @@ def shorten_cells(
     required: ClearanceRequirement,
 ) -> np.ndarray:
     """Shorten a feasible path ``(n, 2)`` in cells; its end may move within the disc ``radius`` of the goal."""
-    path = _skip_bends(clearance, resolution, path, required)
-    length = _length(path)
+    path = _skip_bends(clearance, weight, resolution, path, required)
+    cost = path_cost(weight, path)
     for _ in range(SWEEPS):
         if path.shape[0] < 2:
             break
         for i in range(1, path.shape[0] - 1):
-            _move_bend(clearance, resolution, path, i, required)
-        _shorten_end(clearance, resolution, path, gx, gy, radius, required)
-        path = _skip_bends(clearance, resolution, _resample(clearance, path, required), required)
-        path = _split_sharp_bends(clearance, resolution, path, required)
-        shorter = _length(path)
-        if shorter > length - GAIN:
+            _move_bend(clearance, weight, resolution, path, i, required)
+        _shorten_end(clearance, weight, resolution, path, gx, gy, radius, required)
+        path = _skip_bends(clearance, weight, resolution, _resample(clearance, path, required), required)
+        path = _split_sharp_bends(clearance, weight, resolution, path, required)
+        cheaper = path_cost(weight, path)
+        if cheaper > cost - GAIN:
             break
-        length = shorter
+        cost = cheaper
     return path
 
 
@@ -201,10 +209,10 @@ def shorten_path(
     A robot follows its plan by this: the first point is its position now, the others are the rest of the plan.
     """
     cells = clearance_map.to_grid(path)
-    c, r = clearance_map.clearance, clearance_map.resolution
+    c, w, r = clearance_map.clearance, clearance_map.weights, clearance_map.resolution
     for k in range(len(cells) - 1, 0, -1):
         if segment_free(c, r, cells[0, 0], cells[0, 1], cells[k, 0], cells[k, 1], required):
             gx, gy = clearance_map.to_grid(goal)
             left = np.concatenate([cells[:1], cells[k:]])
-            return clearance_map.to_world(shorten_cells(c, r, left, gx, gy, goal_radius / r, required))
+            return clearance_map.to_world(shorten_cells(c, w, r, left, gx, gy, goal_radius / r, required))
     return None

@@ -23,6 +23,7 @@ from vssm_gym.planning.grid_search.clearance_requirement import (
     requirement_from,
     segment_free,
 )
+from vssm_gym.planning.grid_search.path_cost import path_cost, segment_cost
 from vssm_gym.planning.grid_search.path_shortening import shorten_cells
 from vssm_gym.planning.result import PlanResult, PlanStatus
 
@@ -38,9 +39,10 @@ class Query(NamedTuple):
 
     Attributes:
         clearance: ``(nx, ny)`` float32, m.
+        weight: ``(nx, ny)`` float32, cost a metre, or ``UNIFORM``.
         resolution: m between cell centres.
         free: ``(nx, ny)`` uint8: cells that have the required clearance.
-        seeds: ``(k, 3)`` rows ``i, j, distance`` of the nodes that the start reaches in a straight line.
+        seeds: ``(k, 3)`` rows ``i, j, cost`` of the nodes that the start reaches in a straight line.
         goal_x: of the goal.
         goal_y: of the goal.
         goal_radius: the search ends at the first node so near to the goal.
@@ -49,6 +51,7 @@ class Query(NamedTuple):
     """
 
     clearance: np.ndarray
+    weight: np.ndarray
     resolution: float
     free: np.ndarray
     seeds: np.ndarray
@@ -88,13 +91,13 @@ def plan_by_search(
         if not (math.isfinite(value) and (value >= 0.0 or name == "margin")):
             raise InputError("plan", name, f"a length in metres; found {value!r:.80}")
     clearance_map = on_grid(space)
-    c, r = clearance_map.clearance, clearance_map.resolution
+    c, w, r = clearance_map.clearance, clearance_map.weights, clearance_map.resolution
     required = requirement_from(clearance_map, start, radius + margin)
     gx, gy = (float(v) for v in clearance_map.to_grid(goal))
     disc = max(goal_radius / r, NODE_REACH)
 
     def result(status: PlanStatus, path: np.ndarray, closed: int) -> PlanResult:
-        cost = float(np.hypot(*np.diff(path, axis=0).T).sum()) if len(path) else math.inf
+        cost = r * path_cost(w, clearance_map.to_grid(path)) if len(path) else math.inf
         return PlanResult(status, path, cost, time.perf_counter() - began, closed)
 
     nothing = np.empty((0, 2))
@@ -105,10 +108,10 @@ def plan_by_search(
         return result(PlanStatus.FOUND, start[None], 0)
     if not _goal_free(free, gx, gy, disc):
         return result(PlanStatus.GOAL_BLOCKED, nothing, 0)
-    seeds = _seeds(c, r, free, required.x, required.y, required)
+    seeds = _seeds(c, w, r, free, required.x, required.y, required)
     if len(seeds) == 0:
         return result(PlanStatus.START_BLOCKED, nothing, 0)
-    code, cells, closed = search(Query(c, r, free, seeds, gx, gy, disc, required, max_expansions))
+    code, cells, closed = search(Query(c, w, r, free, seeds, gx, gy, disc, required, max_expansions))
     if code == NO_PATH:
         return result(PlanStatus.NO_PATH, nothing, closed)
     cells = np.concatenate([[[required.x, required.y]], cells])
@@ -118,7 +121,7 @@ def plan_by_search(
     if shorten:
         # A partial path keeps its end: the disc around it has no size.
         end_x, end_y, rim = (gx, gy, goal_radius / r) if found else (cells[-1, 0], cells[-1, 1], 0.0)
-        cells = shorten_cells(c, r, cells, end_x, end_y, rim, required)
+        cells = shorten_cells(c, w, r, cells, end_x, end_y, rim, required)
     return result(_STATUS[code], clearance_map.to_world(cells), closed)
 
 
@@ -140,8 +143,8 @@ def _free_cells(clearance, required):
 
 
 @njit(cache=True, nogil=True)
-def _seeds(clearance, resolution, free, x, y, required):
-    """Return the corners of the start's cell that it reaches in a straight line: rows ``i, j, distance``."""
+def _seeds(clearance, weight, resolution, free, x, y, required):
+    """Return the corners of the start's cell that it reaches in a straight line: rows ``i, j, cost``."""
     rows = np.empty((4, 3))
     count = 0
     for k in range(4):
@@ -149,7 +152,7 @@ def _seeds(clearance, resolution, free, x, y, required):
         if not (0 <= i < free.shape[0] and 0 <= j < free.shape[1]) or not free[i, j]:
             continue
         if segment_free(clearance, resolution, x, y, float(i), float(j), required):
-            rows[count, 0], rows[count, 1], rows[count, 2] = i, j, math.hypot(i - x, j - y)
+            rows[count, 0], rows[count, 1], rows[count, 2] = i, j, segment_cost(weight, x, y, float(i), float(j))
             count += 1
     return rows[:count]
 

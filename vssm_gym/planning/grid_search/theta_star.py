@@ -1,6 +1,6 @@
 """Plan by Theta*: A* over the grid, in which the parent of a node is any node, or the start, that sees it (eq. P4).
 
-    g(s') = g(p) + |s' - p|   where p, the parent of s, sees s';   otherwise g(s) + |s' - s|
+    g(s') = g(p) + w |s' - p|   where p, the parent of s, sees s';   or g(s) + w |s' - s| if that is less
 
 The path therefore bends at obstacles only and needs no shortening afterwards (Nash, Daniel, Koenig and Felner, "Theta*:
 any-angle path planning on grids", AAAI 2007). It visits nodes, so each bend is up to about a cell away from the corner.
@@ -11,11 +11,12 @@ import math
 import numpy as np
 from numba import njit
 
-from vssm_gym.geometry.grid_graph import LENGTHS, MOVES, edge_free
+from vssm_gym.geometry.grid_graph import MOVES, edge_free
 from vssm_gym.planning.clearance import Space
 from vssm_gym.planning.grid_search.astar import opened, path_to
 from vssm_gym.planning.grid_search.clearance_requirement import ClearanceRequirement, segment_free
 from vssm_gym.planning.grid_search.heap import pop, sift_up
+from vssm_gym.planning.grid_search.path_cost import segment_cost
 from vssm_gym.planning.grid_search.query import FOUND, NO_PATH, TIME_OUT, plan_by_search
 from vssm_gym.planning.result import PlanResult
 
@@ -50,6 +51,7 @@ def plan(
 @njit(cache=True, nogil=True)
 def search(
     clearance: np.ndarray,
+    weight: np.ndarray,
     resolution: float,
     free: np.ndarray,
     seeds: np.ndarray,
@@ -86,12 +88,13 @@ def search(
                 continue
             other = (i + di) * ny + j + dj
             x, y = float(i + di), float(j + dj)
-            through, before = so_far + math.hypot(x - px, y - py), p
-            # By the triangle inequality the line from the parent is the shorter one: where it is no gain, none is.
-            if through >= cost[other] or place[other] == -2 or not edge_free(free, i, j, di, dj):
+            through, before = so_far + segment_cost(weight, px, py, x, y), p
+            edge = cost[node] + segment_cost(weight, float(i), float(j), x, y)
+            # Without a weight the line from the parent is never the longer one, by the triangle inequality.
+            if min(through, edge) >= cost[other] or place[other] == -2 or not edge_free(free, i, j, di, dj):
                 continue
-            if not segment_free(clearance, resolution, px, py, x, y, required):
-                through, before = cost[node] + LENGTHS[m], node
+            if edge < through or not segment_free(clearance, resolution, px, py, x, y, required):
+                through, before = edge, node
                 if through >= cost[other]:
                     continue
             cost[other], parent[other] = through, before

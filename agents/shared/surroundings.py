@@ -1,0 +1,163 @@
+"""Provide what a navigator plans in: a map that it was given, or one that it builds as it drives.
+
+A :class:`Surroundings` localises the robot and says where it can drive. The navigator
+(:mod:`vssm_gym.agents.shared.navigator`) is the same for both.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.agents.shared.localization import Localization, Localizer
+from vssm_gym.agents.shared.mapping import Mapper
+from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
+from vssm_gym.errors import InputError
+from vssm_gym.maps.columns import BODY_HEIGHTS
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.floor_plan import FloorPlan, changed_cells
+from vssm_gym.planning.traversability import TraversabilityConfig, of_clearance, of_plan
+
+NEAR = 1.2  # m around the robot within which steps are tested
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Hold where the robot can drive, as it is known now.
+
+    Attributes:
+        space: that paths are planned in, with weights; unknown space may be free at a cost.
+        near: clearance around the robot; unknown space is not free.
+        changed: ``(n, 2)`` places, m, whose state has changed since the last look.
+        plan: the floor plan of the belief; None where the map was given.
+    """
+
+    space: ClearanceMap
+    near: ClearanceMap
+    changed: np.ndarray
+    plan: FloorPlan | None = None
+
+
+class Surroundings(Protocol):
+    """Localise the robot and look where it can drive."""
+
+    @property
+    def map(self) -> VoxelMap:
+        """Return the belief over the apartment, valid until the next observation."""
+        ...
+
+    def reset(self, context: AgentContext, observation: Observation) -> Localization:
+        """Begin at ``context.start_pose``, from where ``observation`` was seen."""
+        ...
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """Return the belief over the pose after ``command``, which ``observation`` followed."""
+        ...
+
+    def look(self, planar: np.ndarray, goal: np.ndarray) -> Terrain:
+        """Return where a robot at ``planar`` can drive on its way to ``goal`` ``(2,)``, m."""
+        ...
+
+    def meet(self, xy: np.ndarray, radius: float) -> None:
+        """Remember an obstacle that the map does not show: a disc at ``xy``, m."""
+        ...
+
+    def doubt(self, xy: np.ndarray, radius: float) -> None:
+        """Forget obstacles within ``radius`` of ``xy`` (m) that were met, or seen once and not since."""
+        ...
+
+
+class KnownMap:
+    """Plan in the learned map of the context, which does not change; its clearance is computed once per map."""
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        traversability: TraversabilityConfig = TraversabilityConfig(),
+        heights: tuple[float, float] = BODY_HEIGHTS,
+        resolution: float = 0.025,
+    ) -> None:
+        self._localizer, self._traversability = localizer, traversability
+        self._heights, self._resolution = heights, resolution
+        self._map: VoxelMap | None = None
+        self._static: ClearanceMap  # of that map, kept over episodes
+
+    @property
+    def map(self) -> VoxelMap:
+        """Return the learned map."""
+        assert self._map is not None
+        return self._map
+
+    def reset(self, context: AgentContext, observation: Observation) -> Localization:
+        """Start the localizer; raise :class:`InputError` without a map."""
+        if context.map is None:
+            raise InputError("AgentContext", "map", "a learned map: this agent plans in one")
+        if context.map is not self._map:
+            static = ClearanceMap.from_voxel_map(context.map, *self._heights, self._resolution)
+            self._static = of_clearance(static, 0.5 * context.body_length, self._traversability)
+            self._map = context.map
+        self._space = self._static
+        return self._localizer.reset(context, observation)
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """Run the localizer."""
+        return self._localizer.update(command, observation)
+
+    def look(self, planar: np.ndarray, goal: np.ndarray) -> Terrain:
+        """Return the map's clearance with the obstacles that were met."""
+        return Terrain(self._space, self._space, np.empty((0, 2)))
+
+    def meet(self, xy: np.ndarray, radius: float) -> None:
+        """Add a disc to the clearance until the episode's end, or until it is doubted."""
+        self._space = self._space.with_obstacle(xy, radius)
+
+    def doubt(self, xy: np.ndarray, radius: float) -> None:
+        """Forget all discs: few are ever met."""
+        self._space = self._static
+
+
+class GrowingMap:
+    """Plan in the map that a mapper builds as the robot drives."""
+
+    def __init__(
+        self,
+        mapper: Mapper,
+        traversability: TraversabilityConfig = TraversabilityConfig(),
+        own: OwnMapConfig = OwnMapConfig(),
+    ) -> None:
+        self._mapper, self._traversability, self._own_config = mapper, traversability, own
+        self._own: OwnMap
+
+    @property
+    def map(self) -> VoxelMap:
+        """Return the belief over the apartment."""
+        return self._own.map
+
+    def reset(self, context: AgentContext, observation: Observation) -> Localization:
+        """Begin an empty map with the first image."""
+        self._own = OwnMap(context, self._mapper, self._own_config, observation)
+        self._last: FloorPlan | None = None
+        return self._own.estimate
+
+    def update(self, command: np.ndarray, observation: Observation) -> Localization:
+        """Filter pose and map."""
+        self._own.take(command, observation)
+        return self._own.estimate
+
+    def look(self, planar: np.ndarray, goal: np.ndarray) -> Terrain:
+        """Read the floor plan of the belief, and where it differs from the last one."""
+        plan = self._own.plan(keep=np.stack([planar[:2], goal]))
+        changed = np.empty((0, 2)) if self._last is None else plan.centres(changed_cells(self._last, plan))
+        self._last = plan
+        space = of_plan(plan, goal, self._own.radius, self._traversability)
+        return Terrain(space, plan.clearance(planar[:2], NEAR), changed, plan)
+
+    def meet(self, xy: np.ndarray, radius: float) -> None:
+        """Mark the columns of a disc as occupied."""
+        self._own.meet(xy, max(radius, 0.75 * self._own_config.voxel))
+
+    def doubt(self, xy: np.ndarray, radius: float) -> None:
+        """Forget what was seen at the body's height from nearby, and what was met."""
+        self._own.doubt(xy, radius)
