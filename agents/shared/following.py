@@ -92,7 +92,7 @@ class Follower:
         planned: PlannedPath,
         planar: np.ndarray,
         near: ClearanceMap,
-        failures: int,
+        failures: float,
         std: np.ndarray = np.zeros(3),
     ) -> np.ndarray:
         """Return the next command along a path.
@@ -116,7 +116,7 @@ class Follower:
         planar: np.ndarray,
         command: np.ndarray,
         near: ClearanceMap,
-        failures: int,
+        failures: float,
         std: np.ndarray,
     ) -> np.ndarray:
         """Shorten the step of a command so that the noise does not carry the body into an obstacle."""

@@ -260,7 +260,8 @@ class Navigator:
         ahead = points_along(planned.path, self._config.following.lookahead)
         margin = float(np.min(terrain.near.at(ahead))) - self._radius
         planned = replace(planned, margin=max(planned.margin, margin))
-        for failures in range(self._config.following.tries + 2):
+        # In the end it is enough that the step is free where it is executed as commanded.
+        for failures in (*range(self._config.following.tries + 2), math.inf):
             command = self._follower.step(planned, estimate.planar, terrain.near, failures, estimate.std)
             if np.any(command):
                 return command

@@ -18,7 +18,7 @@ from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan, changed_cells
-from vssm_gym.planning.traversability import TraversabilityConfig, of_clearance, of_plan
+from vssm_gym.planning.traversability import Body, TraversabilityConfig, of_clearance, of_plan
 
 NEAR = 1.2  # m around the robot within which steps are tested
 
@@ -82,7 +82,8 @@ class KnownMap:
         self._localizer, self._traversability = localizer, traversability
         self._heights, self._resolution = heights, resolution
         self._map: VoxelMap | None = None
-        self._static: ClearanceMap  # of that map, kept over episodes
+        self._clearance: ClearanceMap  # of that map, kept over episodes
+        self._static: ClearanceMap  # the same with the weights of this episode's robot
 
     @property
     def map(self) -> VoxelMap:
@@ -96,8 +97,8 @@ class KnownMap:
             raise InputError("AgentContext", "map", "a learned map: this agent plans in one")
         if context.map is not self._map:
             static = ClearanceMap.from_voxel_map(context.map, *self._heights, self._resolution)
-            self._static = of_clearance(static, 0.5 * context.body_length, self._traversability)
-            self._map = context.map
+            self._clearance, self._map = static, context.map
+        self._static = of_clearance(self._clearance, _body(context), self._traversability)
         self._space = self._static
         return self._localizer.reset(context, observation)
 
@@ -137,6 +138,7 @@ class GrowingMap:
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Begin an empty map with the first image."""
+        self._body = _body(context)
         self._own = OwnMap(context, self._mapper, self._own_config, observation)
         self._last: FloorPlan | None = None
         return self._own.estimate
@@ -151,7 +153,7 @@ class GrowingMap:
         plan = self._own.plan(keep=np.stack([planar[:2], goal]))
         changed = np.empty((0, 2)) if self._last is None else plan.centres(changed_cells(self._last, plan))
         self._last = plan
-        space = of_plan(plan, goal, self._own.radius, self._traversability)
+        space = of_plan(plan, goal, self._body, self._traversability)
         return Terrain(space, plan.clearance(planar[:2], NEAR), changed, plan)
 
     def meet(self, xy: np.ndarray, radius: float) -> None:
@@ -161,3 +163,7 @@ class GrowingMap:
     def doubt(self, xy: np.ndarray, radius: float) -> None:
         """Forget what was seen at the body's height from nearby, and what was met."""
         self._own.doubt(xy, radius)
+
+
+def _body(context: AgentContext) -> Body:
+    return Body(0.5 * context.body_length, context.noise[1])
