@@ -50,8 +50,9 @@ _BY_AREA: tuple[tuple[float, tuple[str, ...]], ...] = (
 def furnish_plan(apartment: Apartment, seed: int) -> Apartment:
     """Return a plan with furniture, a pure function of (plan, seed): the same content hash for the same seed.
 
-    A room without a place for anything on its floor gets a note, as does one whose kind was chosen by its area. The
-    default robot reaches the rooms that it reached before.
+    A room without a place for anything on its floor gets a note, as does one whose kind was chosen by its area, or one
+    that is no home's: of less than 1 or within more than 150 m^2, or of a hundred corners and more. The default robot
+    reaches the rooms that it reached before.
 
     Args:
         apartment: rooms, walls and doors, without furniture except pictures.
@@ -110,7 +111,7 @@ def _furniture(bare: Apartment, rng: np.random.Generator) -> tuple[list[Furnitur
             PROGRAMS[kind](Fitting(site, own))
             placed = site.furniture
         if not any(map(_stands, placed)):
-            notes.append(f"{room.name} has no place for furniture")
+            notes.append(f"{room.name} stays without furniture")
         elif not known:
             notes.append(f"{room.name}, whose kind the file does not give, is furnished as a {kind}")
         furniture += placed

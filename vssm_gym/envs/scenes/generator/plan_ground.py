@@ -1,7 +1,7 @@
 """Describe the floor of a room of any outline by an axis-parallel one inside of it, on which furniture is placed.
 
 A plan from a file has walls that run askew, bends of a centimetre and corners cut off. Lines through its corners make a
-grid; the ground is the union of the grid's cells that are free from wall to wall. Lines closer than `JOG` count as one
+grid; the ground is the union of the grid's cells that are free from wall to wall. Lines closer than `_JOG` count as one
 thick line, so that a wall with small bends is straight, along the part of it that stands furthest into the room.
 """
 
@@ -18,17 +18,18 @@ from vssm_gym.envs.scenes.generator.ground import BACK_GAP, Edge, Ground, kept_f
 from vssm_gym.envs.scenes.importers.rectangles import cover
 from vssm_gym.envs.scenes.solids import SolidBox, footprint
 
-JOG = 0.03  # m, bends of a wall up to which it counts as straight
-THICKEST_LINE = 0.06  # m, lines that count as one together
-STEP = 0.1  # m between the lines through a wall that runs askew
-MOST_LINES = 400  # either way; the plans of HouseExpo have a hundred
-LEAST_GROUND = 1.0  # m^2 of a room that is furnished
+_JOG = 0.03  # m, bends of a wall up to which it counts as straight
+_THICKEST_LINE = 0.06  # m, lines that count as one together
+_ASKEW_STEP = 0.1  # m between the lines through a wall that runs askew
+_MOST_LINES = 400  # either way; the plans of HouseExpo have a hundred
+_MOST_CORNERS = 160  # of a ground; the most of a HouseExpo plan at hand are 112, along a wall askew
+_LEAST_GROUND, _MOST_BOUNDS = 1.0, 150.0  # m^2 of a room that is furnished, and of the rectangle around it
 _AROUND = 0.2  # m of wall around the outline
 _TOLERANCE = 1e-4  # m by which a cell may reach over the free floor: files round
 
 
 def plan_ground(apartment: Apartment, boxes: list[SolidBox], room: Room) -> Ground | None:
-    """Return the ground of a room, or None for one that is too small or has more corners than a home's.
+    """Return the ground of a room; None where it is smaller or larger than a home's, or has too many corners.
 
     Everything outside of the ground counts as wall, up to the ceiling; the room's doorways are before the door's face.
 
@@ -38,14 +39,14 @@ def plan_ground(apartment: Apartment, boxes: list[SolidBox], room: Room) -> Grou
         room: one of its rooms, of any outline.
     """
     free = _free_floor(apartment, boxes, room)
-    if free.area < LEAST_GROUND:
+    if free.area < _LEAST_GROUND or free.envelope.area > _MOST_BOUNDS:
         return None
     lines = [_lines(free, axis) for axis in range(2)]
-    if max(len(along) for along in lines) > 2 * MOST_LINES:
+    if max(len(along) for along in lines) > 2 * _MOST_LINES:
         return None
     kept = _kept(free, lines)
     outline = _largest(lines, kept)
-    if outline is None:
+    if outline is None or len(outline.exterior.coords) > _MOST_CORNERS:
         return None
     corners = np.round(shapely.get_coordinates(outline.exterior)[:-1], 6)
     x, y = lines
@@ -85,12 +86,12 @@ def _lines(free: Polygon, axis: int) -> Float[np.ndarray, "lines"]:
         corners = shapely.get_coordinates(ring)
         values += corners[:, axis].tolist()
         for a, b in itertools.pairwise(corners):
-            if np.abs(b - a).min() > JOG:  # askew
-                count = int(np.ceil(np.linalg.norm(b - a) / STEP))
+            if np.abs(b - a).min() > _JOG:  # askew
+                count = int(np.ceil(np.linalg.norm(b - a) / _ASKEW_STEP))
                 values += (a[axis] + (b - a)[axis] * np.arange(1, count) / count).tolist()
     thick: list[list[float]] = []
     for value in sorted(values):
-        if thick and value - thick[-1][1] < JOG and value - thick[-1][0] < THICKEST_LINE:
+        if thick and value - thick[-1][1] < _JOG and value - thick[-1][0] < _THICKEST_LINE:
             thick[-1][1] = value
         else:
             thick.append([value, value])
@@ -126,7 +127,7 @@ def _largest(lines: list[np.ndarray], kept: Bool[np.ndarray, "columns rows"]) ->
     whole = shapely.union_all(cells[shapely.area(cells) > 0.0])
     parts = [part for part in shapely.get_parts(whole) if isinstance(part, Polygon)]
     best = max(parts, key=lambda part: part.area, default=Polygon())
-    if best.area < LEAST_GROUND:
+    if best.area < _LEAST_GROUND:
         return None
     return Polygon(shapely.orient_polygons(best).simplify(0.0).exterior)
 
