@@ -133,7 +133,7 @@ def furnished_pair(which: str, seed: int) -> tuple[Apartment, Apartment]:
     return bare, furnish_plan(bare, seed)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("which", ["two", "jagged"])
 def test_laws_of_a_furnished_plan(which: str, seed: int) -> None:
     bare, furnished = furnished_pair(which, seed)
