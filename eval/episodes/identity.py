@@ -3,13 +3,12 @@
 import hashlib
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from vssm_gym.agents.policy.policy_file import agent_label
-from vssm_gym.envs.scenes.generator import PREFIX
+from vssm_gym.envs.scenes.specs import scene_name
 
 
 class ExploreSettings(BaseModel):
@@ -70,11 +69,6 @@ class Episode:
         c = self.condition
         where = f"scene {scene_name(c.scene)}, task {self.task}, noise {c.noise}, seed {self.seed}"
         return f"agent {agent_label(self.agent)}, {where}"
-
-
-def scene_name(scene: str) -> str:
-    """Return a scene's name in rows and files: a built-in name, a seed with dashes, or a file's stem."""
-    return scene.replace(":", "-") if scene.startswith(PREFIX) else Path(scene).stem
 
 
 def episode_seed(seed: int, scene_hash: str, task: int) -> int:

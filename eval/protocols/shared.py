@@ -33,8 +33,9 @@ def conditions() -> Mapping[str, Sequence[str]]:
     return {"noise": tuple(NOISE_LEVELS), "sensor_noise": tuple(PRESETS), "renderer": tuple(RENDERERS)}
 
 
+@lru_cache(maxsize=1)
 def load(scene: str) -> Apartment:
-    """Load the apartment of a built-in name, a seed or a file."""
+    """Load the apartment of a built-in name, a seed or a file; a process keeps the last one."""
     return load_scene(scene)
 
 
@@ -74,20 +75,23 @@ def _read(path: Path, kind: type[TaskSet] | type[CarTaskSet]) -> TaskSet | CarTa
 @lru_cache(maxsize=1)
 def sampler_of(scene: str) -> TaskSampler:
     """Return the task sampler of an apartment, with the holonomic robot's free space and shortest paths."""
-    return TaskSampler(load_scene(scene), HolonomicRobot())
+    return TaskSampler(load(scene), HolonomicRobot())
 
 
 def world(condition: Condition, env: str | None = None, **keywords: Any) -> gym.Env:
     """Return the environment of a condition, or ``env`` in its place, made once with these keywords."""
     shared = {name: getattr(condition, name) for name in WORLD}
-    return made(env or condition.env, **shared | keywords)
+    return _made(env or condition.env, tuple(sorted((shared | keywords).items())), load)
 
 
 def made(env: str, **keywords: Any) -> gym.Env:
     """Return an environment with the sparse reward, made once with these keywords."""
-    return _made(env, tuple(sorted(keywords.items())))
+    return _made(env, tuple(sorted(keywords.items())), None)
 
 
 @lru_cache(maxsize=3)  # with and without the observed pose, and PointNav on an explorer's map
-def _made(env: str, keywords: tuple[tuple[str, Any], ...]) -> gym.Env:
-    return gym.make(env, **dict(keywords), reward="sparse", disable_env_checker=True)
+def _made(env: str, keywords: tuple[tuple[str, Any], ...], load: Callable[[str], Apartment] | None) -> gym.Env:
+    chosen = dict(keywords)
+    if load is not None:
+        chosen["scene"] = load(chosen["scene"])
+    return gym.make(env, **chosen, reward="sparse", disable_env_checker=True)

@@ -7,18 +7,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from vssm_gym.agents.base import ANY_TASK
 from vssm_gym.agents.policy.policy_file import PREFIX as POLICY
 from vssm_gym.agents.policy.policy_file import agent_label, policy_at
 from vssm_gym.agents.renamed import refuse_former
 from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
+from vssm_gym.envs.scenes.specs import scene_file, scene_name
 from vssm_gym.errors import InputError
-from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings, scene_name
+from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.files.bounded import is_file
-from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, read_yaml
+from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, first_problem, read_yaml
 
 CONDITIONS = ("robot", "noise", "sensor_noise", "renderer", "physics")
 MOST_TASKS = 100_000  # of a scene
@@ -48,8 +49,9 @@ def _task_ids(value: Any) -> Any:
 class SweepConfig(BaseModel):
     """Define a sweep: the product of all lists, over the chosen test tasks of each scene.
 
-    ``scenes`` are built-in names or paths of scene files, ``agents`` are names of the registry, also with a planner
-    (``astar+theta_star``), or ``policy:FILE``; a relative path starts at the folder of the YAML file.
+    ``scenes`` are built-in names, ``procedural:SEED`` or scene files (``houses.jsonl.gz#7``), ``agents`` are names of
+    the registry, also with a planner (``astar+theta_star``), or ``policy:FILE``; a relative path starts at the folder
+    of the YAML file.
     ``voxel`` (m) is the cell size of the agents' maps; ``map_poses`` sets whether these are learned at the recorded
     poses or at PRISM's estimates. ``explore`` is for Explore alone.
     """
@@ -85,11 +87,12 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
             yield Episode(condition, task, seed, agent, config.explore)
 
 
-def load_config(path: str | Path) -> SweepConfig:
+def load_config(path: str | Path, scenes: Sequence[str] = ()) -> SweepConfig:
     """Read and check the configuration of a sweep.
 
     Args:
         path: YAML file; relative scenes and policies in it start at its folder.
+        scenes: take the place of those in the file, unless empty; relative ones start at the working folder.
 
     Returns:
         The configuration, every name of which is known.
@@ -98,20 +101,30 @@ def load_config(path: str | Path) -> SweepConfig:
         InputError: no such file, not YAML, a field that is unknown, missing or malformed, or an unknown name.
     """
     path = Path(path)
-    config = read_yaml(path, SweepConfig)
+    config, folder = read_yaml(path, SweepConfig), path.parent
+    if scenes:
+        config, folder = _in_scenes(config, scenes), Path()
     check_environments(config, path)
     lists = (getattr(config, name) for name in ("env", "scenes", "agents", *CONDITIONS, "tasks", "seeds"))
     if (episodes := math.prod(map(len, lists))) > MOST_EPISODES:
         raise InputError(path, "file", f"lists that multiply to at most {MOST_EPISODES:,} episodes; found {episodes:,}")
     protocol = protocol_of(config.env[0])
-    scenes = tuple(
-        scene if scene in protocol.scene_names() or scene.startswith(PREFIX) else str((path.parent / scene).resolve())
+    found = tuple(
+        scene if scene in protocol.scene_names() or scene.startswith(PREFIX) else str((folder / scene).resolve())
         for scene in config.scenes
     )
     agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
-    config = config.model_copy(update={"scenes": scenes, "agents": agents})
+    config = config.model_copy(update={"scenes": found, "agents": agents})
     check_names(config, path)
     return config
+
+
+def _in_scenes(config: SweepConfig, scenes: Sequence[str]) -> SweepConfig:
+    """Return the configuration with other scenes."""
+    try:
+        return SweepConfig.model_validate(config.model_dump() | {"scenes": tuple(scenes)})
+    except ValidationError as error:
+        raise first_problem(Path("sweep"), error, SweepConfig) from error
 
 
 def check_environments(config: SweepConfig, source: object) -> None:
@@ -162,7 +175,7 @@ def check_names(config: SweepConfig, source: object) -> None:
     for scene in config.scenes:
         if scene.startswith(PREFIX):
             parse_spec(scene)
-        elif scene not in names and not is_file(scene):
+        elif scene not in names and not is_file(scene_file(scene)):
             expected = f"a built-in scene ({', '.join(names)}), {PREFIX}SEED or an existing file; found {scene!r}"
             raise InputError(source, "scenes", expected)
 

@@ -22,8 +22,9 @@ from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.agents.renamed import hashed_name
 from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.envs.scenes.scene import Apartment
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
-from vssm_gym.eval.episodes.identity import Episode, scene_name
+from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
@@ -110,7 +111,7 @@ def run_sweep(
                 batch = [episode for episode in todo if episode.condition.scene == scene]
                 if map_file is not None:
                     _copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
-                jobs = _jobs(batch, scene, out, config, manifest, on_progress)
+                jobs = _jobs(batch, scene, apartments[scene], out, config, manifest, on_progress)
                 worker.release_memory()
                 _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
     return out / FILE
@@ -156,6 +157,7 @@ def _manifest(
 def _jobs(
     episodes: Sequence[Episode],
     scene: str,
+    apartment: Apartment,
     out: Path,
     config: SweepConfig,
     manifest: dict[str, Any],
@@ -164,7 +166,7 @@ def _jobs(
     """Draw the tasks of a scene and learn its map if an agent needs it; return the jobs of its episodes."""
     from vssm_gym.agents.registry import agent_type
 
-    apartment, map_file = protocol_of(config.env[0]).load(scene), None
+    map_file = None
     task_files = {}
     for env in dict.fromkeys(episode.condition.env for episode in episodes):
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{SWEPT_ENVIRONMENTS[env].robot}.json"

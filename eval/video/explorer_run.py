@@ -9,7 +9,8 @@ from PIL import Image
 
 from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
-from vssm_gym.eval.episodes.identity import Episode, scene_name
+from vssm_gym.envs.scenes.specs import scene_name
+from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.protocols import explore as explore_protocol
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.protocols.explore_episode import map_of

@@ -494,6 +494,20 @@ def test_scene_import_writes_scene_and_picture(vssm, tmp_path):
     assert (tmp_path / "flat.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_scene_import_furnishes_a_plan_by_a_seed(vssm, tmp_path):
+    plan = {"verts": [[0, 0], [4, 0], [4, 3], [0, 3]], "room_category": {"Bedroom": [[0, 0, 4, 3]]}}
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    hashes = set()
+    for name in ("a", "b"):
+        code, out, _ = vssm(
+            *("scene", "import", str(tmp_path / "plan.json"), "--furnish", "4", "--out", str(tmp_path / f"{name}.json"))
+        )
+        assert code == 0 and "plan-furnished-4: 1 room" in out
+        hashes.add(load_scene(tmp_path / f"{name}.json").content_hash())
+    assert len(hashes) == 1
+    assert "bed" in {piece.category for piece in load_scene(tmp_path / "a.json").furniture}
+
+
 def test_scene_preview_draws_a_built_in_scene(vssm, tmp_path):
     code, out, _ = vssm("scene", "preview", "oak", "--out", str(tmp_path / "oak.png"), "--height", "240")
     assert code == 0
@@ -522,6 +536,7 @@ def test_scene_import_of_a_map_asks_for_its_yaml(vssm, tmp_path):
         (("scene", "preview", "oak", "--out", "oak.png", "--height", "9"), "120 to 4320 pixels"),
         (("scene", "import", "no-such-file.xml", "--out", "flat.json"), "the path of an existing file"),
         (("scene", "import", "oak", "--out", "flat.txt"), "a name that ends in .json"),
+        (("scene", "import", "oak", "--furnish", "1", "--out", "flat.json"), "a plan without furniture"),
     ],
 )
 def test_scene_commands_report_errors_in_one_line(vssm, tmp_path, monkeypatch, arguments, complaint):

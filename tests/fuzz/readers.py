@@ -19,6 +19,7 @@ from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
 from vssm_gym.data.trajectories import read_trajectory
+from vssm_gym.envs.scenes.generator import furnish_plan
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks import navigation
 from vssm_gym.eval.episodes.log import read_rows
@@ -222,6 +223,10 @@ READERS: dict[str, Reader] = {
     "houseexpo": Reader(
         _scene_file("plan.json", json.dumps({"verts": ROOM, "room_category": {"Bedroom": [[0, 0, 5, 3]]}})),
         _scene("plan.json"),
+    ),
+    "furnished plan": Reader(
+        _scene_file("plan.json", json.dumps({"verts": ROOM, "room_category": {"Bedroom": [[0, 0, 5, 3]]}})),
+        lambda d: furnish_plan(load_scene(d / "plan.json"), 0).boxes(),
     ),
     "procthor": Reader(_houses, _scene("houses.jsonl.gz#1")),
     "ros map": Reader(_ros_map, _scene("map.yaml")),

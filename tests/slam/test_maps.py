@@ -10,7 +10,8 @@ import pytest
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.data.recording import PROVENANCE, read_provenance, record
 from vssm_gym.data.sequences import FrameReader, load_sequence
-from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.envs.scenes.scene import load_scene, save_scene
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
 from vssm_gym.slam import map_building
@@ -181,6 +182,16 @@ def test_a_map_or_drive_is_used_again_where_all_that_decides_it_agrees_and_never
     with pytest.raises(InputError, match=r"rooms\.npz: voxel: expected a map with 0\.2; found 0\.1"):
         ensure_map(scene, tmp_path, voxel=0.2, seed=0)
     assert len(drives) == 1
+
+
+@pytest.mark.parametrize(
+    ("scene", "name"), [("procedural:3:small", "procedural-3-small"), ("houses.jsonl.gz#4", "houses-4")]
+)
+def test_a_map_has_the_name_of_its_scene_in_rows(scene, name, recording, drives, monkeypatch, tmp_path):
+    """A report finds the map of a row's scene by this name; each house of a file has a map of its own."""
+    monkeypatch.setattr(map_building, "load_scene", lambda spec: load_scene(recording[0].parent / "rooms.json"))
+    assert ensure_map(scene, tmp_path, voxel=0.1, seed=0) == tmp_path / "maps" / f"{scene_name(scene)}.npz"
+    assert drives == [tmp_path / "recordings" / name]
 
 
 def test_other_files_are_neither_removed_nor_replaced(recording, drives, tmp_path):

@@ -34,7 +34,11 @@ def preview(
     say(*_summary(apartment), out)
 
 
-def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")], out: Path) -> None:
+def import_(
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")],
+    out: Path,
+    furnish: Annotated[int | None, tyro.conf.arg(metavar="SEED")] = None,
+) -> None:
     """Check a scene of another format and write it in ours, with a picture.
 
     FILE is a ProcTHOR house (JSON, or a line of JSONL as in houses.jsonl.gz#7), a HouseExpo plan (JSON), a ROS map
@@ -43,8 +47,11 @@ def import_(file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FI
     Args:
         file: the scene file.
         out: the scene to write (.json), a new file; the picture gets the same name and the ending .png.
+        furnish: furnish a plan without furniture, such as HouseExpo's, by this seed.
     """
-    _write(out, lambda: _load(file))
+    from vssm_gym.envs.scenes.generator import furnish_plan
+
+    _write(out, lambda: _load(file) if furnish is None else furnish_plan(_load(file), furnish))
 
 
 def generate(out: Path, seed: int = 0, size: Literal["small", "medium", "large"] = "medium") -> None:

@@ -15,6 +15,7 @@ def sweep(
     out: Path,
     resume: bool = False,
     workers: int = 2,
+    scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SCENE")] = (),
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     seed: int = 0,
 ) -> None:
@@ -29,6 +30,8 @@ def sweep(
         out: new or empty folder for the results.
         resume: continue a sweep of the same configuration in OUT.
         workers: number of processes that run episodes.
+        scenes: built-in names, procedural:SEED or scene files in place of the configuration's scenes; relative files
+            start at the working folder.
         shard: run part I of N only, counted from 1, as on one of N machines; `vssm-gym merge` joins the parts.
         seed: seed of the recorded drives from which maps are learned; episodes take theirs from the configuration.
     """
@@ -37,6 +40,6 @@ def sweep(
     from vssm_gym.eval.sweep.shards import Shard
 
     part = None if shard is None else Shard.parse(shard)
-    log = run_sweep(load_config(config), out, resume=resume, workers=workers, seed=seed, shard=part)
+    log = run_sweep(load_config(config, scenes), out, resume=resume, workers=workers, seed=seed, shard=part)
     following = f"report {out}" if part is None else f"merge SHARD ... --out DIR, when all {part.of} have finished"
     say(f"episodes: {log}", f"next: vssm-gym {following}")

@@ -14,6 +14,7 @@ from vssm_gym.data.recording import read_provenance, record
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
 from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.camera import Camera
@@ -191,7 +192,7 @@ def ensure_map(
         InputError: a scene that cannot be used, or a map or recording of another origin at its place.
     """
     apartment = load_scene(scene)
-    name = Path(scene).stem
+    name = scene_name(scene)
     origin: dict[str, str | int] = {
         "scene_hash": apartment.content_hash(),
         "seed": seed,

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.agents.policy import policy_file
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.envs.tasks.navigation import load
 from vssm_gym.errors import InputError
-from vssm_gym.eval.episodes.identity import scene_name
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.aggregate import Interval

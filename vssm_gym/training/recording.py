@@ -18,8 +18,8 @@ from vssm_gym.agents.registry import make_agent
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.envs.tasks.navigation import Task, load
-from vssm_gym.eval.episodes.identity import scene_name
 from vssm_gym.eval.protocols import pointnav as pointnav_protocol
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.sweep.config import SweepConfig, expand

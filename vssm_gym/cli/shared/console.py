@@ -65,7 +65,7 @@ def print_results(log: Path) -> None:
 def print_notices(scenes: Sequence[str], env: str = "vssm_gym/PointNav-v0") -> None:
     """Print warnings about scenes on stderr, one line each, before anything runs in them."""
     from vssm_gym.envs.scenes.faults import SceneWarning
-    from vssm_gym.eval.episodes.identity import scene_name
+    from vssm_gym.envs.scenes.specs import scene_name
     from vssm_gym.eval.protocols.registry import protocol_of
 
     protocol = protocol_of(env)

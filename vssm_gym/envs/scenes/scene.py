@@ -16,6 +16,7 @@ from vssm_gym.envs.scenes.importers.houseexpo import import_houseexpo, is_housee
 from vssm_gym.envs.scenes.importers.procthor import asset_database_of, import_procthor, is_procthor, read_assets
 from vssm_gym.envs.scenes.importers.ros_map import import_ros_map
 from vssm_gym.envs.scenes.solids import SolidBox
+from vssm_gym.envs.scenes.specs import LINES, house_line
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import is_file
@@ -38,7 +39,6 @@ __all__ = [
 ]
 
 ASSETS = Path(__file__).parents[1] / "assets"
-LINES = (".jsonl", ".jsonl.gz")
 
 
 def built_in_scenes() -> list[str]:
@@ -76,9 +76,8 @@ def load_scene(spec: str | Path | Apartment) -> Apartment:
 
 def _from_file(spec: str) -> Apartment:
     """Read the apartment in a file, whose format is recognised by its name, or by its content if it is JSON."""
-    name, _, number = spec.rpartition("#")
-    if name.endswith(LINES) and number.isdigit():
-        return _from_lines(Path(name), int(number[:9]))
+    if (found := house_line(spec)) is not None:
+        return _from_lines(*found)
     path = Path(spec)
     if not is_file(path):
         names = ", ".join(built_in_scenes())

@@ -11,6 +11,7 @@ from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.apartment_parts import Furniture
 from vssm_gym.envs.scenes.generator.fitting import Fitting
 from vssm_gym.envs.scenes.generator.furniture import bathroom, bedroom, decor, kitchen, living, work
+from vssm_gym.envs.scenes.generator.ground import ground_of
 from vssm_gym.envs.scenes.generator.placement import Site
 
 Bare = dict[str, frozenset[int]]
@@ -22,7 +23,8 @@ def furnish(apartment: Apartment, seeds: dict[str, int], bare: Bare) -> Apartmen
     furniture: list[Furniture] = []
     boxes = apartment.boxes()
     for room in apartment.rooms:
-        site = Site(apartment, boxes, room, bare.get(room.name, frozenset()))
+        ground = ground_of(apartment, boxes, room)
+        site = Site(room.name, ground, apartment.ceiling_height, bare.get(room.name, frozenset()))
         fitting = Fitting(site, np.random.default_rng(seeds[room.name]))
         PROGRAMS.get(room.kind, _hall)(fitting)
         furniture += site.furniture

@@ -6,136 +6,51 @@ free floor wide enough to drive on. Rooms are axis-parallel and pieces stand in 
 comparison of numbers: the same on every machine.
 """
 
-import itertools
-import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import shapely
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from vssm_gym.envs.scenes.apartment import Apartment
-from vssm_gym.envs.scenes.apartment_parts import ROUNDING, Box, Door, Furniture, Room, Window
+from vssm_gym.envs.scenes.apartment_parts import ROUNDING, Box, Furniture
 from vssm_gym.envs.scenes.free_space import STEP_HEIGHT
 from vssm_gym.envs.scenes.generator.furniture.pieces import LOW_BLOCK, Block, Piece
+from vssm_gym.envs.scenes.generator.ground import BACK_GAP, Ground
 from vssm_gym.envs.scenes.generator.quarter_turns import contains, gaps, overlap, overlap3, turned, turned3
-from vssm_gym.envs.scenes.solids import SolidBox, footprint
 
 CLOSED, PASSAGE = 0.11, 0.47  # m: gaps between two things are at most the one or at least the other
 WIDE_DISC = 0.21  # m, radius of the disc that reaches every door of a room
-BACK_GAP = 0.01  # m between a piece's back and the wall
-APPROACH = 0.6  # m before and behind a door that stay free
-_WINDOW_DEPTH = 0.15  # m before a window that stay free
 _CELL = 0.02  # m, grid on which passages are traced
 _POCKET = 0.15  # m^2 of floor that a piece may cut off
 _TRIES = 12  # places that would block a passage, after which a piece is given up
-
-_TURNS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # the piece's x axis after q quarter turns
-
-
-class Edge:
-    """Hold a wall of one thickness as seen from a room: from ``start``, on its face, along ``u`` for ``length`` m.
-
-    The room lies to its left; ``turn`` are the quarter turns of u, ``side`` is the edge of the room's outline.
-    """
-
-    def __init__(self, start: np.ndarray, end: np.ndarray, thickness: float, side: int) -> None:
-        self.length = float(np.abs(end - start).sum())
-        self.u = np.round((end - start) / self.length)
-        self.n = np.array([-self.u[1], self.u[0]])
-        self.start = start + self.n * 0.5 * thickness
-        self.turn = int(np.flatnonzero((self.u == _TURNS).all(axis=1))[0])
-        self.side = side
-
 
 Score = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Origins (n, 2) and quarter turns (n,) of places to what they are worth (n,); the highest is taken."""
 
 
 class Site:
-    """Hold one room of an unfurnished apartment while it is being furnished.
+    """Hold one room while it is being furnished.
 
     Args:
-        apartment: walls, doors and windows.
-        boxes: the apartment's boxes.
-        room: one of its rooms.
+        name: of the room; its furniture is named after it.
+        ground: the floor and what stands there before.
+        ceiling: height, m.
         bare: edges of the room whose walls stay without pictures.
     """
 
-    def __init__(self, apartment: Apartment, boxes: list[SolidBox], room: Room, bare: frozenset[int]) -> None:
-        self.room, self.bare, self.ceiling = room, bare, apartment.ceiling_height
-        corners = np.array(room.polygon)
-        self.low, self.high = corners.min(axis=0), corners.max(axis=0)
-        self._margin = max(wall.thickness for wall in apartment.walls) / 2 + BACK_GAP
-        solids, floor = [], shapely.Polygon(room.polygon)
-        for box in boxes:
-            if box.kind not in ("wall", "door", "window"):
-                continue
-            # Only this room's half of a wall: a leaf behind it leaves no gap here.
-            here = footprint(box).intersection(floor)
-            if here.area > 1e-6:
-                a, b, c, d = here.bounds
-                z, h = box.center[2], 0.5 * box.size[2]
-                solids.append((a, b, z - h, c, d, z + h))
-        self.solids = np.round(np.array(solids), 6)  # (n, 6) low and high corners of the placed blocks
+    def __init__(self, name: str, ground: Ground, ceiling: float, bare: frozenset[int]) -> None:
+        self.name, self.bare, self.ceiling = name, bare, ceiling
+        self.low, self.high = ground.corners.min(axis=0), ground.corners.max(axis=0)
+        self.edges, self.entries, self.closed, self._margin = ground.edges, ground.entries, ground.closed, ground.margin
+        self.solids = ground.solids  # (n, 6) low and high corners of the placed blocks
         low = (self.solids[:, 2] < LOW_BLOCK) & (self.solids[:, 5] > STEP_HEIGHT)
         self.obstacles = self.solids[low][:, [0, 1, 3, 4]]  # (n, 4) obstacles of a ground robot
         self.airy = np.zeros(len(self.obstacles), dtype=bool)
         self.fronts = np.zeros((0, 4))
-        self._inside = contains(corners)
-        self.entries: list[np.ndarray] = []  # a free point before each door
+        self._inside = contains(ground.corners)
         self.furniture: list[Furniture] = []
-        self._holes(apartment)
-        sides = enumerate(itertools.pairwise([*corners, corners[0]]))
-        self.edges = [edge for i, (a, b) in sides for edge in self._edges(apartment, i, a, b)]
         self._names: dict[str, int] = {}
-
-    @staticmethod
-    def _edges(apartment: Apartment, side: int, a: np.ndarray, b: np.ndarray) -> list[Edge]:
-        """Return the walls along edge a -> b, joined where they are equally thick."""
-        axis = int(abs(b[1] - a[1]) > abs(b[0] - a[0]))
-        low, high = sorted((a[axis], b[axis]))
-        runs: list[tuple[float, float, float]] = []  # from, to, thickness
-        for wall in sorted(apartment.walls, key=lambda w: min(w.start[axis], w.end[axis])):
-            p, q = sorted((wall.start[axis], wall.end[axis]))
-            on_line = max(abs(end[1 - axis] - a[1 - axis]) for end in (wall.start, wall.end)) < ROUNDING
-            if not on_line or not low < 0.5 * (p + q) < high:
-                continue
-            if runs and runs[-1][2] == wall.thickness:
-                runs[-1] = (runs[-1][0], q, wall.thickness)
-            else:
-                runs.append((p, q, wall.thickness))
-        edges = []
-        for p, q, thickness in runs:
-            start, end = a.copy(), b.copy()
-            start[axis], end[axis] = (p, q) if a[axis] < b[axis] else (q, p)
-            edges.append(Edge(start, end, thickness, side))
-        return edges
-
-    def _holes(self, apartment: Apartment) -> None:
-        """Reserve the floor that doors need in this room and the air before its windows."""
-        zones = []
-        holes: list[Door | Window] = [*apartment.doors, *apartment.windows]
-        for hole in holes:
-            wall = apartment.walls[hole.wall]
-            c, s = math.cos(wall.yaw), math.sin(wall.yaw)
-            u, n = np.array([c, s]).round(), np.array([-s, c]).round()
-            middle = np.array(wall.start) + u * (hole.offset + 0.5 * hole.width)
-            reach = _WINDOW_DEPTH
-            if isinstance(hole, Door):
-                reach = max(hole.width, APPROACH) if hole.leaves else APPROACH
-            for inward in (n, -n):
-                if not self._inside((middle + 0.3 * inward)[None])[0]:
-                    continue
-                far = middle + 0.5 * hole.width * u + (0.5 * wall.thickness + reach) * inward
-                ends = np.stack([middle - 0.5 * hole.width * u, far])
-                z0 = wall.base + hole.sill
-                zones.append((*ends.min(axis=0), z0, *ends.max(axis=0), z0 + hole.height))
-                if isinstance(hole, Door):
-                    self.entries.append(middle + (0.5 * wall.thickness + 0.3) * inward)
-        self.closed = np.round(np.array(zones, dtype=np.float64).reshape(-1, 6), 6)
 
     # ---- places
 
@@ -275,7 +190,7 @@ class Site:
             if blocks[:, 5].max() > STEP_HEIGHT:  # rugs lie under the rest
                 self.solids = np.concatenate([self.solids, blocks])
             count = self._names[part.category] = self._names.get(part.category, 0) + 1
-            name = f"{self.room.name} {part.category}" + (f" {count}" if count > 1 else "")
+            name = f"{self.name} {part.category}" + (f" {count}" if count > 1 else "")
             made = tuple(_box(row, b) for row, b in zip(blocks, part.blocks, strict=True))
             self.furniture.append(Furniture(name=name, category=part.category, boxes=made))
 
