@@ -14,10 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
+from vssm_gym.geometry.axes import DirectionFrame
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
-from vssm_gym.planning.pursuit import steer
+from vssm_gym.planning.pursuit import direction_of_travel, steer
 
 
 @dataclass(frozen=True)
@@ -56,20 +57,22 @@ class Follower:
 
     Attributes:
         radius: of the robot, m.
-        limits: ``(3,)`` largest turn (rad), direction offset (rad) and step (m).
+        limits: ``(3,)`` largest turn (rad), direction (rad) and step (m).
         noise: standard deviations of the execution noise: turn (rad), step (m).
         config: how carefully to step.
+        direction_frame: of the commands.
     """
 
     radius: float
     limits: np.ndarray
     noise: tuple[float, float]
     config: FollowingConfig
+    direction_frame: DirectionFrame = "body"
 
     @classmethod
     def of(cls, context: AgentContext, config: FollowingConfig) -> "Follower":
         """Make a follower for the robot of ``context``."""
-        return cls(0.5 * context.body_length, context.limits, context.noise, config)
+        return cls(0.5 * context.body_length, context.limits, context.noise, config, context.direction_frame)
 
     def shortened(self, planned: PlannedPath, planar: np.ndarray) -> PlannedPath | None:
         """Return the path from where the robot is now, ``(3,)`` m and rad; None where no part of it can be reached."""
@@ -92,7 +95,7 @@ class Follower:
         Returns:
             ``(turn, o, s)``: rad, rad, m; all zero where no step may be taken.
         """
-        command = steer(planar, planned.path, self.limits)
+        command = steer(planar, planned.path, self.limits, self.direction_frame)
         return self._careful(planned, planar, command, near, failures) if command[2] > 0.0 else command
 
     def _careful(
@@ -102,7 +105,7 @@ class Follower:
         c, (turn_std, step_std) = self.config, self.noise
         # Blocked again and again, the robot accepts what the noise does with small probability only.
         sigmas = c.sigmas * c.daring**failures
-        direction = planar[2] + command[1]
+        direction = direction_of_travel(planar, command, self.direction_frame)
         unit = np.array([math.cos(direction), math.sin(direction)])
         spread = math.sin(min(sigmas * turn_std, 0.5 * math.pi))
         far = sigmas * step_std
@@ -114,7 +117,9 @@ class Follower:
         if len(bad) == 0:
             return command
         step = float(t[bad[0]]) - 0.01 - far
-        return np.array([0.0, command[1], step]) if step >= c.least_step else np.zeros(3)
+        # A step that ends before the bend does not turn yet; in the world frame the robot turns to where it drives.
+        turn = 0.0 if self.direction_frame == "body" else float(command[0])
+        return np.array([turn, command[1], step]) if step >= c.least_step else np.zeros(3)
 
 
 @dataclass

@@ -106,7 +106,8 @@ class Navigator:
         planned = time.perf_counter()
         if command is None:
             assert self._task.path is not None
-            command = steer(estimate.planar, self._task.path, self._context.limits)
+            context = self._context
+            command = steer(estimate.planar, self._task.path, context.limits, context.direction_frame)
         self._remember(estimate, command)
         ended = time.perf_counter()
         latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
@@ -238,8 +239,9 @@ class Navigator:
         return asked >= c.stuck_length and moved < c.stuck_share * asked
 
     def _assume_obstacle(self, estimate: Localization) -> None:
-        """Assume an obstacle at the robot's front and plan a path around it."""
-        heading = estimate.planar[2]
+        """Assume an obstacle at the robot's front, or where it drives to in the world frame, and plan around it."""
+        in_world = self._context.direction_frame == "world" and self._command is not None
+        heading = float(self._command[1]) if in_world else estimate.planar[2]
         front = self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self._clearance = self._clearance.with_obstacle(centre, self._config.obstacle_radius)

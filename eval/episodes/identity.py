@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.envs.scenes.generator import PREFIX
+from vssm_gym.eval.episodes.row import without_defaults
 
 
 class ExploreSettings(BaseModel):
@@ -36,6 +37,7 @@ class Condition:
     sensor_noise: str
     renderer: str
     physics: str
+    direction_frame: str = "body"
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class Episode:
             "sensor_noise": c.sensor_noise,
             "renderer": c.renderer,
             "physics": c.physics,
+            **without_defaults({"direction_frame": c.direction_frame}),
             "task": self.task,
             "seed": self.seed,
             "agent": agent_label(self.agent),
