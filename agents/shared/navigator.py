@@ -240,8 +240,9 @@ class Navigator:
 
     def _assume_obstacle(self, estimate: Localization) -> None:
         """Assume an obstacle at the robot's front, or where it drives to in the world frame, and plan around it."""
-        in_world = self._context.direction_frame == "world" and self._command is not None
-        heading = float(self._command[1]) if in_world else estimate.planar[2]
+        heading = estimate.planar[2]
+        if self._context.direction_frame == "world" and self._command is not None:
+            heading = float(self._command[1])
         front = self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self._clearance = self._clearance.with_obstacle(centre, self._config.obstacle_radius)

@@ -13,7 +13,7 @@ Errors = tuple[float, float, float]
 
 
 class BiasedNoise(eqx.Module):
-    """Hold mean and standard deviation of the errors of a reference drive and of a reference turn (eq. M33).
+    """Hold mean and standard deviation of the errors of a reference drive and of a reference turn (eq. M23).
 
     With ``d = s / drive_length`` and ``r = |turn| / turn_angle``, independent,
 

@@ -54,7 +54,7 @@ class Planar(Transition):
     def expected(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], dt: float | Array
     ) -> Float[Array, "*batch 3"]:
-        """``E[z' | z, u]``: noise lengthens short motions, bends long ones, and may have a mean (eqs. M23, M33)."""
+        """``E[z' | z, u]``: noise lengthens short motions, bends long ones, and may have a mean (eq. M23)."""
         return _moved(state, self._moments(state, control)[0])
 
     def jacobian(self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array) -> Float[Array, "3 3"]:
@@ -72,7 +72,7 @@ class Planar(Transition):
     def noise_covariance(
         self, state: Float[Array, "3"], control: Float[Array, "3"], dt: float | Array
     ) -> Float[Array, "3 3"]:
-        """Return the covariance of execution noise and slip in the body frame after the step (eqs. M23, M33).
+        """Return the covariance of execution noise and slip in the body frame after the step (eq. M23).
 
         ``e_a`` of eq. M23 moves both heading and direction, so that the two are correlated: positively where the robot
         turns left, negatively where it turns right.
@@ -114,7 +114,7 @@ class Planar(Transition):
     def executed(
         self, state: Float[Array, "*batch 3"], control: Float[Array, "*batch 3"], normal: Float[Array, "*batch n"]
     ) -> Float[Array, "*batch 3"]:
-        """Return the pose after the executed command (eqs. M23, M33).
+        """Return the pose after the executed command (eq. M23).
 
         Noise acts only where the robot tries to move, and never reverses a motion.
 
