@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 FORMAT: Literal[2] = 2  # of a row; 1 has other names for some fields
 KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics", "task", "seed", "agent")
 """The fields that identify an episode, with those of :data:`DEFAULTS`; each combination appears once in a sweep."""
-DEFAULTS = {"direction_frame": "body"}
+DEFAULTS: dict[str, str] = {"direction_frame": "body"}
 """Fields that identify an episode, too, and are written where they differ from these values: they came later."""
 RENAMED_FIELDS = {"touched": "collided", "touches": "collision_events"}
 """Fields of format 1 and their present names."""
@@ -80,7 +80,7 @@ class EpisodeRow(_Strict):
     sensor_noise: str
     renderer: str
     physics: str
-    direction_frame: str = DEFAULTS["direction_frame"]
+    direction_frame: Literal["body", "world"] = "body"
     task: Count
     seed: Count
     agent: str

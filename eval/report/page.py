@@ -77,8 +77,8 @@ def _check(config: dict[str, Any], rows: list[dict[str, Any]], view: View, folde
         raise InputError(folder / MANIFEST, "config.voxel", f"metres; found {config.get('voxel')!r:.80}")
     for row in rows:
         for field in ORDERED:
-            if identified(row, field) not in config[LISTS[field]]:
-                expected = f"a value of config.{LISTS[field]} in {MANIFEST}; found {row[field]!r:.80}"
+            if (value := identified(row, field)) not in config[LISTS[field]]:
+                expected = f"a value of config.{LISTS[field]} in {MANIFEST}; found {value!r:.80}"
                 raise InputError(folder / FILE, field, expected)
 
 
