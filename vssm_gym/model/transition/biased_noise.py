@@ -47,6 +47,9 @@ class BiasedNoise(eqx.Module):
         Args:
             control: as commanded.
             normal: standard normals of the errors along, across, of the drive's and of the turn's heading.
+
+        Returns:
+            The control with this noise, rad, rad, m.
         """
         turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
         mean, std = self._errors(control)
@@ -57,7 +60,14 @@ class BiasedNoise(eqx.Module):
         return jnp.stack([turned, direction + jnp.arctan2(e_c, along), jnp.hypot(along, e_c)], axis=-1)
 
     def moments(self, control: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
-        """Return the expected control, and the covariance of (displacement along and across it, turn)."""
+        """Return the expected control, and the covariance of (displacement along and across it, turn).
+
+        Args:
+            control: as commanded.
+
+        Returns:
+            The control without noise that leads to the expected pose, rad, rad, m; and the covariance, m and rad.
+        """
         turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
         mean, std = self._errors(control)
         turned, driven = (

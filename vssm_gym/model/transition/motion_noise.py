@@ -28,6 +28,9 @@ class MotionNoise(eqx.Module):
         Args:
             control: as commanded.
             normal: standard normals for the direction and for the distance.
+
+        Returns:
+            The control with this noise, rad, rad, m.
         """
         turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
         e_a, e_s = normal[..., 0] * self.turn, normal[..., 1] * self.step
@@ -36,7 +39,14 @@ class MotionNoise(eqx.Module):
         return jnp.stack([turned, offset + e_a, moved], axis=-1)
 
     def moments(self, control: Float[Array, "*batch 3"]) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
-        """Return the expected control, and the covariance of (displacement along and across it, turn)."""
+        """Return the expected control, and the covariance of (displacement along and across it, turn).
+
+        Args:
+            control: as commanded.
+
+        Returns:
+            The control without noise that leads to the expected pose, rad, rad, m; and the covariance, m and rad.
+        """
         turn, offset, step = control[..., 0], control[..., 1], control[..., 2]
         turned, moved = rectified(jnp.abs(turn), self.turn), rectified(step, self.step)
         turns, drives = jnp.abs(jnp.sign(turn)), jnp.where(step > 0.0, 1.0, 0.0)
