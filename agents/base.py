@@ -11,6 +11,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.axes import DirectionFrame
 from vssm_gym.geometry.car import Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.transition.base import Transition
@@ -31,17 +32,18 @@ class AgentContext:
         K: ``(3, 3)`` intrinsic matrix, pixels; the identity without a camera.
         camera: image ``(width, height)``, pixels; ``(0, 0)`` without a camera.
         T_body_cam: ``(4, 4)`` pose of the camera in the body frame, metres.
-        limits: of one command: ``(3,)`` largest turn (rad), direction offset (rad) and step (m); of a car ``(2,)``
+        limits: of one command: ``(3,)`` largest turn (rad), direction (rad) and step (m); of a car ``(2,)``
             largest speed (m/s) and steering angle (rad); of a disc ``(2,)`` largest turn (rad) and step (m).
         dt: seconds a step.
         map: the learned map; None for an agent that needs none.
         start_pose: ``(3,)`` x (m), y (m), heading (rad) in the map frame.
         body_length: diameter of the robot's footprint, or length of the car's, metres.
         success_radius: a stop within this distance of the goal succeeds, metres; a car only has to come so near.
-        noise: standard deviations of a holonomic robot's execution noise: turn (rad), step (m); zeros of another's,
-            whose noise only ``transition`` holds.
+        noise: standard deviations of a holonomic robot's execution noise: turn (rad), step (m), or root mean squares of
+            a longest step where it has a mean; zeros of another's, whose noise only ``transition`` holds.
         transition: the robot's model of its own motion; its controls are the agent's commands.
         car: the car's measures; None for another robot.
+        direction_frame: of the direction in a holonomic robot's commands: relative to the heading, or in the world.
     """
 
     K: np.ndarray
@@ -56,6 +58,7 @@ class AgentContext:
     noise: tuple[float, float]
     transition: Transition
     car: Car | None = None
+    direction_frame: DirectionFrame = "body"
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.model.transition.differential import DifferentialNoise as DifferentialNoise
     from vssm_gym.model.transition.imu import Imu as Imu
     from vssm_gym.model.transition.imu import ImuNoise as ImuNoise
-    from vssm_gym.model.transition.planar import MotionNoise as MotionNoise
+    from vssm_gym.model.transition.motion_noise import MotionNoise as MotionNoise
     from vssm_gym.model.transition.planar import Planar as Planar
     from vssm_gym.model.transition.rigid import Rigid as Rigid
     from vssm_gym.model.transition.rigid import RigidNoise as RigidNoise
@@ -87,7 +87,7 @@ PUBLIC: dict[str, str] = {
     # the model: its transitions, its beliefs, its futures
     "Transition": "vssm_gym.model.transition.base",
     "Planar": "vssm_gym.model.transition.planar",
-    "MotionNoise": "vssm_gym.model.transition.planar",
+    "MotionNoise": "vssm_gym.model.transition.motion_noise",
     "Bicycle": "vssm_gym.model.transition.bicycle",
     "BicycleNoise": "vssm_gym.model.transition.bicycle",
     "DifferentialDrive": "vssm_gym.model.transition.differential",

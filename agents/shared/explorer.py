@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
-from vssm_gym.agents.shared.following import BlockedSteps, Follower, FollowingConfig, PlannedPath, retreat
+from vssm_gym.agents.shared.following import BlockedSteps, Follower, FollowingConfig, PlannedPath, roomier
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAtObservedPose, Mapper
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
@@ -258,8 +258,9 @@ class Explorer:
         self._failures += 1
         if self._blocked_steps.add(planar[:2]):
             self._give_up()
-        self._choice, self._path = None, retreat(planned, planar, near, self._config.following.retreat)
-        if self._path is not None:
+        self._choice, self._path = None, None
+        if (place := roomier(planar, near, self._config.following.retreat)) is not None:
+            self._path = replace(planned, path=np.stack([planar[:2], place]))
             self._choice, self._age = (
                 Choice(self._path.path[-1], (), None, "retreats from an obstacle"),
                 -self._config.retreat_steps,

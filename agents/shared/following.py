@@ -14,10 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
+from vssm_gym.geometry.axes import DirectionFrame
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
-from vssm_gym.planning.pursuit import BEND_PASSED, steer
+from vssm_gym.planning.pursuit import BEND_PASSED, direction_of_travel, steer
+
+
+CERTAIN = np.zeros(3)  # standard deviations of a pose that is observed
 
 
 @dataclass(frozen=True)
@@ -57,20 +61,22 @@ class Follower:
 
     Attributes:
         radius: of the robot, m.
-        limits: ``(3,)`` largest turn (rad), direction offset (rad) and step (m).
+        limits: ``(3,)`` largest turn (rad), direction (rad) and step (m).
         noise: standard deviations of the execution noise: turn (rad), step (m).
         config: how carefully to step.
+        direction_frame: of the commands.
     """
 
     radius: float
     limits: np.ndarray
     noise: tuple[float, float]
     config: FollowingConfig
+    direction_frame: DirectionFrame = "body"
 
     @classmethod
     def of(cls, context: AgentContext, config: FollowingConfig) -> "Follower":
         """Make a follower for the robot of ``context``."""
-        return cls(0.5 * context.body_length, context.limits, context.noise, config)
+        return cls(0.5 * context.body_length, context.limits, context.noise, config, context.direction_frame)
 
     def shortened(self, planned: PlannedPath, planar: np.ndarray) -> PlannedPath | None:
         """Return the path from where the robot is now, ``(3,)`` m and rad; None where no part of it can be reached."""
@@ -93,7 +99,7 @@ class Follower:
         planar: np.ndarray,
         near: ClearanceMap,
         failures: float,
-        std: np.ndarray = np.zeros(3),
+        std: np.ndarray = CERTAIN,
     ) -> np.ndarray:
         """Return the next command along a path.
 
@@ -107,7 +113,7 @@ class Follower:
         Returns:
             ``(turn, o, s)``: rad, rad, m; all zero where no step may be taken.
         """
-        command = steer(planar, planned.path, self.limits, self.config.bend_passed)
+        command = steer(planar, planned.path, self.limits, self.direction_frame, self.config.bend_passed)
         return self._careful(planned, planar, command, near, failures, std) if command[2] > 0.0 else command
 
     def _careful(
@@ -123,7 +129,7 @@ class Follower:
         c, (turn_std, step_std) = self.config, self.noise
         # Blocked again and again, the robot accepts what the noise does with small probability only.
         sigmas = c.sigmas * c.daring**failures
-        direction = planar[2] + command[1]
+        direction = direction_of_travel(planar, command, self.direction_frame)
         unit = np.array([math.cos(direction), math.sin(direction)])
         spread = math.sin(min(sigmas * math.hypot(turn_std, std[2]), 0.5 * math.pi))
         guard = c.guard + sigmas * float(np.max(std[:2]))
@@ -136,7 +142,9 @@ class Follower:
         if len(bad) == 0:
             return command
         step = float(t[bad[0]]) - 0.01 - far
-        return np.array([0.0, command[1], step]) if step >= c.least_step else np.zeros(3)
+        # A step that ends before the bend does not turn yet; in the world frame the robot turns to where it drives.
+        turn = 0.0 if self.direction_frame == "body" else float(command[0])
+        return np.array([turn, command[1], step]) if step >= c.least_step else np.zeros(3)
 
 
 @dataclass
@@ -155,11 +163,10 @@ class BlockedSteps:
         return self.count % self.config.tries == 0
 
 
-def retreat(planned: PlannedPath, planar: np.ndarray, near: ClearanceMap, length: float) -> PlannedPath | None:
-    """Plan a straight step of ``length`` (m) to where there is most clearance; None where it falls along each.
+def roomier(planar: np.ndarray, near: ClearanceMap, length: float) -> np.ndarray | None:
+    """Return the place ``(2,)`` with most clearance, ``length`` (m) straight away; None where it falls along each step.
 
     Args:
-        planned: the path that cannot be driven; the margin stays the same.
         planar: ``(3,)`` the robot's x, y (m) and heading (rad).
         near: clearance as it is known now.
         length: of the step, m.
@@ -169,9 +176,7 @@ def retreat(planned: PlannedPath, planar: np.ndarray, near: ClearanceMap, length
     have = np.stack([near.at(planar[:2] + step * away) for step in (0.05, 0.1, length)])
     have[:, have.min(axis=0) < float(near.at(planar[:2]))] = -math.inf
     best = int(np.argmax(have[-1]))
-    if not math.isfinite(have[-1, best]):
-        return None
-    return replace(planned, path=np.stack([planar[:2], planar[:2] + length * away[best]]))
+    return planar[:2] + length * away[best] if math.isfinite(have[-1, best]) else None
 
 
 def points_along(path: Sequence[np.ndarray] | np.ndarray, length: float, spacing: float = 0.05) -> np.ndarray:

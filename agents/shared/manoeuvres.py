@@ -6,6 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
+from vssm_gym.agents.base import AgentContext
+from vssm_gym.agents.shared.following import roomier
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.pursuit import steer
@@ -55,7 +57,7 @@ class Drive:
     """Drive along places ``(n, 2)``, m, without looking: only where the robot has been, or has seen that it can."""
 
     places: list[np.ndarray]
-    limits: np.ndarray
+    context: AgentContext
     steps: int = 0
 
     def command(self, planar: np.ndarray) -> np.ndarray | None:
@@ -65,7 +67,8 @@ class Drive:
         self.steps += 1
         if not self.places or self.steps > PATIENCE:
             return None
-        return steer(planar, np.array([planar[:2], *self.places]), self.limits)
+        path, context = np.array([planar[:2], *self.places]), self.context
+        return steer(planar, path, context.limits, context.direction_frame)
 
 
 def around(heading: float, most: float) -> Turn:
@@ -73,7 +76,7 @@ def around(heading: float, most: float) -> Turn:
     return Turn([float(wrap_angle(heading + turn)) for turn in (2.0 * math.pi / 3.0, 4.0 * math.pi / 3.0, 0.0)], most)
 
 
-def retraced(track: list[np.ndarray], planar: np.ndarray, limits: np.ndarray) -> Drive | None:
+def retraced(track: list[np.ndarray], planar: np.ndarray, context: AgentContext) -> Drive | None:
     """Return the drive back along the poses ``(3,)`` that were believed; None where there are none but here."""
     places, length, last = [], 0.0, planar[:2]
     for pose in reversed(track):
@@ -83,14 +86,10 @@ def retraced(track: list[np.ndarray], planar: np.ndarray, limits: np.ndarray) ->
             length, last = length + step, pose[:2]
         if length > RETRACED:
             break
-    return Drive(places, limits) if places else None
+    return Drive(places, context) if places else None
 
 
-def back_off(planar: np.ndarray, near: ClearanceMap, length: float, limits: np.ndarray) -> Drive | None:
+def back_off(planar: np.ndarray, near: ClearanceMap, length: float, context: AgentContext) -> Drive | None:
     """Return a straight drive of ``length`` (m) to where there is most clearance; None where it falls everywhere."""
-    angles = np.arange(16) * math.pi / 8.0
-    away = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    have = np.stack([near.at(planar[:2] + step * away) for step in (0.05, 0.1, length)])
-    have[:, have.min(axis=0) < float(near.at(planar[:2])) - 0.005] = -math.inf
-    best = int(np.argmax(have[-1]))
-    return Drive([planar[:2] + length * away[best]], limits) if math.isfinite(have[-1, best]) else None
+    place = roomier(planar, near, length)
+    return None if place is None else Drive([place], context)

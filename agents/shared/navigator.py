@@ -30,6 +30,7 @@ from vssm_gym.planning.grid_search.clearance_requirement import path_free, requi
 from vssm_gym.planning.grid_search.path_cost import path_cost
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.planners import Planner, find_planner
+from vssm_gym.planning.pursuit import direction_of_travel
 from vssm_gym.planning.result import PlanResult, PlanStatus
 
 
@@ -241,9 +242,7 @@ class Navigator:
         here, there = (np.hypot(*(terrain.changed - place).T) for place in (estimate.planar[:2], end))
         return bool(np.any(here + there < _cost(path)))
 
-    def _planned(
-        self, estimate: Localization, space: ClearanceMap, target: float
-    ) -> tuple[PlanResult, float, float]:
+    def _planned(self, estimate: Localization, space: ClearanceMap, target: float) -> tuple[PlanResult, float, float]:
         """Plan to the goal with each margin in turn, then to all of the success region; return result, rim, margin."""
         c, goal = self._config, self._task.goal
         rim = self._context.success_radius - 2.0 * c.landing
@@ -297,10 +296,10 @@ class Navigator:
             case Response.TURN_AROUND:
                 return around(float(planar[2]), self._most_turn)
             case Response.RETRACE:
-                return retraced(self._track, planar, self._context.limits)
+                return retraced(self._track, planar, self._context)
             case Response.BACK_OFF:
                 near = self.surroundings.look(planar, self._task.goal).near
-                return back_off(planar, near, c.following.retreat, self._context.limits) or Nothing()
+                return back_off(planar, near, c.following.retreat, self._context) or Nothing()
             case Response.LOOK_AGAIN:
                 self.surroundings.doubt(planar[:2], c.doubted)
                 self._task.path = None
@@ -377,8 +376,10 @@ class Navigator:
         return asked >= c.stuck_length and moved < c.stuck_share * asked
 
     def _meet_obstacle(self, estimate: Localization) -> None:
-        """Assume an obstacle at the robot's front and plan a path around it."""
-        heading, front = estimate.planar[2], self._radius + self._config.obstacle_radius
+        """Assume an obstacle where the robot drives to, and plan a path around it."""
+        command = np.zeros(3) if self._command is None else self._command
+        heading = direction_of_travel(estimate.planar, command, self._context.direction_frame)
+        front = self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self.surroundings.meet(centre, self._config.obstacle_radius)
         self._task.path = None

@@ -65,8 +65,7 @@ def drive(
     """
     rng = np.random.default_rng([seed, 7])
     observation, info = env.reset(seed=seed, options={"task": sampler.draw(rng)})
-    noise = (env.noise.turn, env.noise.step)
-    context = context_in(env, info, voxel_map, noise)
+    context = context_in(env, info, voxel_map, env.noise)
     driver.reset(context, _shown(observation, driver.needs_pose), seed)
     blind = _shown(observation, pose=False)
     poses = {name: [rider.reset(context, blind).planar] for name, rider in riders.items()}

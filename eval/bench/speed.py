@@ -169,7 +169,7 @@ def speed(scene: str, map_file: Path, *, seed: int, on_progress: OnProgress) -> 
     agent, loops, alone = AStarAgent(), [], []
     for i in range(3):
         observation, info = env.reset(seed=seed + i, options={"task": ends[i]})
-        agent.reset(context_in(env, info, learned, noise), observation, seed)
+        agent.reset(context_in(env, info, learned, env.noise), observation, seed)
         before = counter.count
         for _ in range(60):
             began = time.perf_counter()

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.envs.scenes.specs import scene_name
+from vssm_gym.eval.episodes.row import without_defaults
 
 
 class ExploreSettings(BaseModel):
@@ -35,6 +36,7 @@ class Condition:
     sensor_noise: str
     renderer: str
     physics: str
+    direction_frame: str = "body"
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Episode:
             "sensor_noise": c.sensor_noise,
             "renderer": c.renderer,
             "physics": c.physics,
+            **without_defaults({"direction_frame": c.direction_frame}),
             "task": self.task,
             "seed": self.seed,
             "agent": agent_label(self.agent),

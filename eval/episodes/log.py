@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
-from vssm_gym.eval.episodes.row import KEY, checked, written
+from vssm_gym.eval.episodes.row import DEFAULTS, KEY, checked, identified, written
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
 from vssm_gym.files.line_file import LineFile
@@ -27,7 +27,7 @@ LOG_BYTES = 256 << 20  # 200,000 episodes
 
 def episode_key(row: Mapping[str, Any]) -> tuple:
     """Return the identity of an episode among all others of a sweep."""
-    return tuple(row[name] for name in KEY)
+    return tuple(identified(row, name) for name in (*KEY, *DEFAULTS))
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ from typing import Any
 
 from vssm_gym.agents.renamed import current_name
 from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.row import DEFAULTS, without_defaults
 from vssm_gym.files.json_file import LARGEST_WHOLE, read_json
 from vssm_gym.files.numbers import whole
 
@@ -13,6 +14,7 @@ MANIFEST = "sweep.json"
 FIELDS = ("config", "config_hash", "version", "seed", "episodes")
 # Fields of a row, and the lists of the configuration that their values come from.
 LISTS = {name: name for name in ("env", "robot", "noise", "sensor_noise", "renderer", "physics")}
+LISTS |= {name: name for name in DEFAULTS}  # which a configuration may leave out
 LISTS |= {"scene": "scenes", "agent": "agents", "task": "tasks", "seed": "seeds"}
 
 
@@ -58,7 +60,7 @@ def completed(row: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, 
     config = manifest["config"]
     lists = {field: config.get(name) for field, name in LISTS.items()}
     only = {field: values[0] for field, values in lists.items() if isinstance(values, list) and len(values) == 1}
-    complete = {**only, **manifest.get("common", {}), **row}
+    complete = {**without_defaults(only), **manifest.get("common", {}), **row}
     hashes = manifest.get("scene_hashes", {})
     if "scene_hash" not in complete and isinstance(complete.get("scene"), str) and complete["scene"] in hashes:
         complete["scene_hash"] = hashes[complete["scene"]]

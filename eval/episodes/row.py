@@ -14,7 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 FORMAT: Literal[2] = 2  # of a row; 1 has other names for some fields
 KEY = ("env", "scene_hash", "robot", "noise", "sensor_noise", "renderer", "physics", "task", "seed", "agent")
-"""The fields that identify an episode; each combination appears once in a sweep."""
+"""The fields that identify an episode, with those of :data:`DEFAULTS`; each combination appears once in a sweep."""
+DEFAULTS: dict[str, str] = {"direction_frame": "body"}
+"""Fields that identify an episode, too, and are written where they differ from these values: they came later."""
 RENAMED_FIELDS = {"touched": "collided", "touches": "collision_events"}
 """Fields of format 1 and their present names."""
 
@@ -78,6 +80,7 @@ class EpisodeRow(_Strict):
     sensor_noise: str
     renderer: str
     physics: str
+    direction_frame: Literal["body", "world"] = "body"
     task: Count
     seed: Count
     agent: str
@@ -136,6 +139,17 @@ class EpisodeRow(_Strict):
     budget: dict[str, float] | None = None
     navigation: Navigation | None = None
     explored: str | None = None
+
+
+def identified(row: Mapping[str, Any], name: str) -> Any:
+    """Return a field that identifies a row's episode; a row may leave out one that has its default."""
+    return row.get(name, DEFAULTS[name]) if name in DEFAULTS else row[name]
+
+
+def without_defaults(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields without those that have the value, or the list of it alone, that :data:`DEFAULTS` states."""
+    stated = lambda name: name in DEFAULTS and fields[name] in (DEFAULTS[name], [DEFAULTS[name]])
+    return {name: value for name, value in fields.items() if not stated(name)}
 
 
 def upgraded(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,12 +11,12 @@ from functools import lru_cache
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.episodes.row import KEY
+from vssm_gym.eval.episodes.row import DEFAULTS, KEY, identified
 from vssm_gym.eval.metrics.metric import Row, check_name
 
 RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
 # Fields that the two episodes of a pair share.
-CONDITION = tuple(name for name in KEY if name not in ("task", "seed", "agent"))
+CONDITION = tuple(name for name in (*KEY, *DEFAULTS) if name not in ("task", "seed", "agent"))
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,9 @@ def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[t
     """Map each episode with ``by == value``, identified by its other fields, to its metric and task."""
     same = [name for name in (*CONDITION, "agent") if name != by]
     return {
-        (*(row[name] for name in same), row["task"], row["seed"]): (float(row[metric]), task_key(row))
+        (*(identified(row, name) for name in same), row["task"], row["seed"]): (float(row[metric]), task_key(row))
         for row in rows
-        if row[by] == value and row.get(metric) is not None
+        if identified(row, by) == value and row.get(metric) is not None
     }
 
 
@@ -128,5 +128,5 @@ def group_rows(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[str, ...], 
     """Group rows by the values of the fields ``by``, in the order in which the groups first appear."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault(tuple(str(row[name]) for name in by), []).append(row)
+        groups.setdefault(tuple(str(identified(row, name)) for name in by), []).append(row)
     return groups

@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics.aggregate import CONDITION, RESAMPLES, Interval, bootstrap_mean, task_key
 from vssm_gym.eval.metrics.metric import Row
 
@@ -134,7 +135,7 @@ def pairs(rows: Iterable[Row], first: str, second: str) -> list[tuple[Row, Row]]
     of: dict[str, dict[tuple, Row]] = {first: {}, second: {}}
     for row in rows:
         if row["agent"] in of:
-            of[row["agent"]][tuple(row[name] for name in names)] = row
+            of[row["agent"]][tuple(identified(row, name) for name in names)] = row
     return [(row, of[second][key]) for key, row in of[first].items() if key in of[second]]
 
 

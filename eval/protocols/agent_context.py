@@ -1,18 +1,22 @@
 """Build the context that an agent receives before an episode; it contains no scene."""
 
+from dataclasses import asdict
 from functools import singledispatch
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
-from vssm_gym.envs.robots.differential import DifferentialRobot
+from vssm_gym.envs.robots import NOISE_LEVELS, BiasedExecutionNoise, ExecutionNoise
+from vssm_gym.envs.robots.differential import DifferentialExecutionNoise, DifferentialRobot
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
+from vssm_gym.model.transition import BiasedNoise, Bicycle, BicycleNoise, MotionNoise, Planar, Transition
 from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 
+KnownNoise: TypeAlias = ExecutionNoise | BiasedExecutionNoise | DifferentialExecutionNoise
+"""The execution noise of a robot, as its environment has it and as its agent assumes it."""
 SCANNER_COMMANDS = (0, 2)  # of the robot's limits: with a laser scanner it turns and drives, and never sideways
 
 
@@ -40,18 +44,29 @@ CAR_MODEL_ERROR = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, sli
 
 
 @singledispatch
-def transition_of(body: Any, noise: tuple[float, float]) -> Transition:
+def transition_of(body: Any, noise: Any) -> Transition:
     """Return the transition model of a robot: :class:`Planar`, unless its type is registered here.
 
     Args:
         body: the robot.
-        noise: standard deviations of its execution noise.
+        noise: its execution noise, a :data:`KnownNoise`.
     """
-    return Planar(MotionNoise(*noise))
+    biased = isinstance(noise, BiasedExecutionNoise)
+    model = BiasedNoise(**asdict(noise)) if biased else MotionNoise(noise.turn, noise.step)
+    return Planar(model, direction_frame=body.direction_frame)
 
 
 transition_of.register(Car, lambda body, noise: Bicycle(CAR_MODEL_ERROR, body.wheelbase))
-transition_of.register(DifferentialRobot, lambda body, noise: DifferentialDrive(DifferentialNoise(*noise), body.track))
+transition_of.register(
+    DifferentialRobot, lambda body, noise: DifferentialDrive(DifferentialNoise(noise.slip, noise.play), body.track)
+)
+
+
+def _deviations(body: Any, noise: KnownNoise) -> tuple[float, float]:
+    """Return how far a step strays, (direction rad, distance m), for agents that keep clear of it; see AgentContext."""
+    if isinstance(noise, DifferentialExecutionNoise):
+        return 0.0, 0.0
+    return noise.deviations(body.max_step) if isinstance(noise, BiasedExecutionNoise) else (noise.turn, noise.step)
 
 
 def context_of(
@@ -60,7 +75,7 @@ def context_of(
     start_pose: np.ndarray,
     *,
     success_radius: float,
-    noise: tuple[float, float],
+    noise: KnownNoise = NOISE_LEVELS["none"],
     voxel_map: VoxelMap | None = None,
     camera: Any = None,
     K: np.ndarray | None = None,
@@ -73,7 +88,7 @@ def context_of(
         length: diameter of the robot's footprint, or length of the car's, m.
         start_pose: ``(3,)`` x, y (m), heading (rad).
         success_radius: around the goal, m; 0 without a goal.
-        noise: standard deviations of the execution noise that the agent assumes, rad and m.
+        noise: the execution noise that the agent assumes; a car has its own model.
         voxel_map: the learned map, None for an agent that needs none.
         camera: an object with ``width`` and ``height`` in pixels; None without one.
         K: ``(3, 3)`` of the camera, pixels; None without one.
@@ -89,9 +104,10 @@ def context_of(
         start_pose=np.array(start_pose),
         body_length=length,
         success_radius=success_radius,
-        noise=noise,
+        noise=_deviations(body, noise),
         transition=transition_of(body, noise),
         car=body if isinstance(body, Car) else None,
+        direction_frame=getattr(body, "direction_frame", "body"),  # the holonomic robot has it
     )
 
 
@@ -114,20 +130,19 @@ def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None
             car.length,
             info["start_pose"],
             success_radius=GOAL_RADIUS,
-            noise=(0.0, 0.0),
             voxel_map=voxel_map,
             camera=world.camera,
             K=info["K"],
         )
     limits = None if hasattr(world, "camera") else world.robot.limits[list(SCANNER_COMMANDS)]
-    return context_in(world, info, voxel_map, (world.noise.turn, world.noise.step), limits)
+    return context_in(world, info, voxel_map, world.noise, limits)
 
 
 def context_in(
     world: Any,
     info: dict[str, Any],
     voxel_map: VoxelMap | None,
-    noise: tuple[float, float],
+    noise: KnownNoise,
     limits: np.ndarray | None = None,
 ) -> AgentContext:
     """Build the context of a round robot in a world that was just reset; ``info`` is that of the reset."""

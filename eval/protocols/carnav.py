@@ -1,6 +1,7 @@
 """Run CarNav in a sweep: chains of target poses, the environment, and single episodes."""
 
 import time
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.agents.base import Agent, Decision, decide
+from vssm_gym.envs.robots.car_noise import NOISE_LEVELS
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks import car_sets
 from vssm_gym.envs.tasks.car import CarTask
@@ -16,16 +18,24 @@ from vssm_gym.envs.tasks.car_sets import CarTaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
+from vssm_gym.eval.protocols import shared
 from vssm_gym.eval.protocols.agent_context import context_of
 from vssm_gym.eval.protocols.episode import calibration_of, estimates_of, latency_of, thinned, trace_of
-from vssm_gym.eval.protocols.shared import conditions, keep_or_write, load, notice, scene_names, tasks_in, world
+from vssm_gym.eval.protocols.shared import WORLD, keep_or_write, load, notice, scene_names, tasks_in, world
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car import reeds_shepp
 
 __all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
+KEYWORDS = tuple(name for name in WORLD if name != "direction_frame")  # of a condition
 MOVING_SPEED = 0.05  # m/s: slower commands count as standing when direction changes are counted
+
+
+def conditions() -> Mapping[str, Sequence[str]]:
+    """Return the names that a configuration may hold for the car."""
+    own = {"noise": tuple(NOISE_LEVELS), "direction_frame": ("body",)}
+    return {**shared.conditions(), **own}
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
@@ -39,6 +49,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | N
     tasks = tasks_in(task_file, CarTaskSet)
     env = world(
         episode.condition,
+        fields=KEYWORDS,
         physics=episode.condition.physics,
         observe_pose=agent.needs_pose,
         images=not agent.needs_pose,  # an agent that observes the pose needs none; rendering takes half of the time
@@ -71,7 +82,6 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         car.length,
         info["start_pose"],
         success_radius=GOAL_RADIUS,
-        noise=(0.0, 0.0),
         voxel_map=voxel_map,
         camera=body.camera,
         K=info["K"],

@@ -14,7 +14,7 @@ from vssm_gym.envs.tasks.navigation import Task, TaskSampler
 from vssm_gym.eval.metrics.failure import failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.metrics.pose_calibration import pose_calibration
-from vssm_gym.eval.protocols.agent_context import context_in
+from vssm_gym.eval.protocols.agent_context import KnownNoise, context_in
 from vssm_gym.maps.voxel_map import VoxelMap
 
 TRACE_POINTS = 80  # points of a path kept in a row, enough for a picture
@@ -53,7 +53,7 @@ def run_episode(
     *,
     seed: int,
     voxel_map: VoxelMap | None,
-    noise: tuple[float, float],
+    noise: KnownNoise,
     limits: np.ndarray | None = None,
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def run_episode(
         task: start and goal.
         seed: of the environment's streams and, mixed, of the agent; the same for every agent.
         voxel_map: the learned map, None for an agent that needs none.
-        noise: standard deviations of the execution noise in the agent's context, rad and m.
+        noise: the execution noise in the agent's context.
         limits: largest commands, where they are not all of the robot's limits.
         spectator: called with every step, in order; its time does not count as the agent's.
 

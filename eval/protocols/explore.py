@@ -11,7 +11,7 @@ import numpy as np
 
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.navigation.astar import AStarAgent
-from vssm_gym.envs.robots import NOISE_LEVELS
+from vssm_gym.envs.robots import HOLONOMIC_NOISES
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.eval.episodes.identity import Episode, ExploreSettings, episode_seed
@@ -65,7 +65,6 @@ def navigate(episode: Episode, tasks: TaskSet, explored: VoxelMap, n: int) -> di
         ``tasks`` (how many), ``success`` and ``spl`` (means), ``failures`` (reasons).
     """
     chosen = [tasks.tasks[(episode.task + 1 + k) % len(tasks.tasks)] for k in range(n)]
-    noise = NOISE_LEVELS[episode.condition.noise]
     rows = [
         run_navigation(
             world(episode.condition, POINTNAV),
@@ -74,7 +73,7 @@ def navigate(episode: Episode, tasks: TaskSet, explored: VoxelMap, n: int) -> di
             task,
             seed=episode_seed(episode.seed, tasks.scene_hash, task.id),
             voxel_map=explored,
-            noise=(noise.turn, noise.step),
+            noise=HOLONOMIC_NOISES[episode.condition.noise],
         )
         for task in chosen
     ]

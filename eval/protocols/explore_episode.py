@@ -63,7 +63,7 @@ def run_episode(
     """
     observation, info = env.reset(seed=seed, options={"start": start})
     world: Any = env.unwrapped
-    context = context_in(world, info, None, (world.noise.turn, world.noise.step))
+    context = context_in(world, info, None, world.noise)
     surface = _surface(world.simulation.scene_cache)
     sampled = _thinned(surface)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))

@@ -26,7 +26,8 @@ def scene_names() -> Sequence[str]:
 
 def conditions() -> Mapping[str, Sequence[str]]:
     """Return the names that a configuration may hold; ranges are always ray-cast."""
-    return {"noise": tuple(MOTION_NOISE), "sensor_noise": tuple(RANGE_NOISE), "renderer": ("raycast",)}
+    own = {"renderer": ("raycast",), "direction_frame": ("body",)}
+    return {"noise": tuple(MOTION_NOISE), "sensor_noise": tuple(RANGE_NOISE), **own}
 
 
 def load(scene: str) -> Apartment:
@@ -47,7 +48,6 @@ def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
 def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
     """Run one episode and return the measured fields of its row."""
     c, tasks = episode.condition, tasks_in(task_file, TaskSet)
-    noise = MOTION_NOISE[c.noise]
     return run_episode(
         made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, observe_pose=agent.needs_pose),
         _maze(c.scene).sampler,
@@ -55,7 +55,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | N
         tasks.tasks[episode.task],
         seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
         voxel_map=voxel_map,
-        noise=(noise.turn, noise.step),
+        noise=MOTION_NOISE[c.noise],
         limits=ROBOT.limits[list(SCANNER_COMMANDS)],
     )
 

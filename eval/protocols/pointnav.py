@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.agents.base import Agent
-from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
+from vssm_gym.envs.robots import HOLONOMIC_NOISES, HolonomicRobot
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks import navigation
 from vssm_gym.envs.tasks.navigation import TaskSet
@@ -43,7 +43,7 @@ def run(
     spectator: Spectator | None = None,
 ) -> dict[str, Any]:
     """Run one episode and return the measured fields of its row."""
-    tasks, noise = tasks_in(task_file, TaskSet), NOISE_LEVELS[episode.condition.noise]
+    tasks = tasks_in(task_file, TaskSet)
     return run_episode(
         world(episode.condition, observe_pose=agent.needs_pose),
         sampler_of(episode.condition.scene),
@@ -51,6 +51,6 @@ def run(
         tasks.tasks[episode.task],
         seed=episode_seed(episode.seed, tasks.scene_hash, episode.task),
         voxel_map=voxel_map,
-        noise=(noise.turn, noise.step),
+        noise=HOLONOMIC_NOISES[episode.condition.noise],
         spectator=spectator,
     )

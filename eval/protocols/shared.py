@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 
-from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
+from vssm_gym.envs.robots import DIRECTION_FRAMES, HOLONOMIC_NOISES, HolonomicRobot
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment, built_in_scenes, load_scene
 from vssm_gym.envs.sensors import RENDERERS
@@ -20,7 +20,8 @@ from vssm_gym.envs.tasks.navigation import TaskSampler, TaskSet, read
 from vssm_gym.eval.episodes.identity import Condition
 
 S = TypeVar("S", TaskSet, CarTaskSet)
-WORLD = ("scene", "noise", "sensor_noise", "renderer")  # fields of a condition that are keywords of environments
+# Fields of a condition that are keywords of environments
+WORLD = ("scene", "noise", "sensor_noise", "renderer", "direction_frame")
 
 
 def scene_names() -> Sequence[str]:
@@ -29,8 +30,13 @@ def scene_names() -> Sequence[str]:
 
 
 def conditions() -> Mapping[str, Sequence[str]]:
-    """Return the names that a configuration may hold in an apartment."""
-    return {"noise": tuple(NOISE_LEVELS), "sensor_noise": tuple(PRESETS), "renderer": tuple(RENDERERS)}
+    """Return the names that a configuration may hold for the holonomic robot in an apartment."""
+    return {
+        "noise": tuple(HOLONOMIC_NOISES),
+        "sensor_noise": tuple(PRESETS),
+        "renderer": tuple(RENDERERS),
+        "direction_frame": DIRECTION_FRAMES,
+    }
 
 
 @lru_cache(maxsize=1)
@@ -78,9 +84,12 @@ def sampler_of(scene: str) -> TaskSampler:
     return TaskSampler(load(scene), HolonomicRobot())
 
 
-def world(condition: Condition, env: str | None = None, **keywords: Any) -> gym.Env:
-    """Return the environment of a condition, or ``env`` in its place, made once with these keywords."""
-    shared = {name: getattr(condition, name) for name in WORLD}
+def world(condition: Condition, env: str | None = None, fields: Sequence[str] = WORLD, **keywords: Any) -> gym.Env:
+    """Return the environment of a condition, or ``env`` in its place, made once with these keywords.
+
+    ``fields`` of the condition are keywords of it, too.
+    """
+    shared = {name: getattr(condition, name) for name in fields}
     return _made(env or condition.env, tuple(sorted((shared | keywords).items())), load)
 
 

@@ -194,7 +194,7 @@ SUMMARY = {
 
 EXPLORE_VIEW = View(
     template="explore.html.j2",
-    conditions=("renderer", "robot", "noise", "sensor_noise"),
+    conditions=("renderer", "robot", "noise", "sensor_noise", "direction_frame"),
     measures=explore_tables.EXPLORE,
     ranking=Ranking(
         by_median(COVERAGE_GOAL),

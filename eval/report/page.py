@@ -8,6 +8,7 @@ from typing import Any
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.manifest import LISTS, MANIFEST, read_manifest
+from vssm_gym.eval.episodes.row import DEFAULTS, identified
 from vssm_gym.eval.metrics.aggregate import group_rows
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import measured
@@ -20,7 +21,8 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 from vssm_gym.viz.html import Image, Table, render, svg_image, webp_image
 
-ORDERED = ("noise", "sensor_noise", "renderer", "physics", "agent")  # fields in the order of the configuration's lists
+# Fields in the order of the configuration's lists
+ORDERED = ("noise", "sensor_noise", "renderer", "physics", "direction_frame", "agent")
 FAILURES_DRAWN, FAILURES_OF_ONE, SUCCESSES_DRAWN = 24, 6, 10  # a page stays below 5 MB
 
 
@@ -42,6 +44,7 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
     if out is not None:
         check_file(out, (".html",))
     manifest = read_manifest(folder / MANIFEST)
+    manifest["config"] = {name: [value] for name, value in DEFAULTS.items()} | manifest["config"]
     view: View = view_of(_environment(manifest, folder))
     rows = read_rows(folder / FILE)
     _check(manifest["config"], rows, view, folder)
@@ -74,18 +77,16 @@ def _check(config: dict[str, Any], rows: list[dict[str, Any]], view: View, folde
         raise InputError(folder / MANIFEST, "config.voxel", f"metres; found {config.get('voxel')!r:.80}")
     for row in rows:
         for field in ORDERED:
-            if row[field] not in config[LISTS[field]]:
-                expected = f"a value of config.{LISTS[field]} in {MANIFEST}; found {row[field]!r:.80}"
+            if (value := identified(row, field)) not in config[LISTS[field]]:
+                expected = f"a value of config.{LISTS[field]} in {MANIFEST}; found {value!r:.80}"
                 raise InputError(folder / FILE, field, expected)
 
 
 def _in_config_order(rows: list[dict[str, Any]], config: dict[str, Any]) -> list[dict[str, Any]]:
     """Sort rows by scene, by the order of the configuration's lists, then by task and seed."""
     rank = {field: {name: i for i, name in enumerate(config[LISTS[field]])} for field in ORDERED}
-    return sorted(
-        rows,
-        key=lambda row: (row["scene"], *(rank[field][row[field]] for field in ORDERED), row["task"], row["seed"]),
-    )
+    order = lambda row: (rank[field][identified(row, field)] for field in ORDERED)
+    return sorted(rows, key=lambda row: (row["scene"], *order(row), row["task"], row["seed"]))
 
 
 def _best_first(view: View, rows: Sequence[Row]) -> list[Row]:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics import aggregate, proportions
 from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.metrics.metric import Metric, Row, check_name
@@ -73,12 +74,13 @@ POINTNAV = Measures("navigation")
 # Fields that the list of failures shows, where the environment measures them.
 ENDS = {"distance_to_goal": "to goal m", "location_error_final": "error m"}
 # Columns of the condition, in order; constant ones are not shown.
-BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "agent")
+BY = ("scene", "noise", "sensor_noise", "renderer", "physics", "direction_frame", "agent")
 
 
 def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
     """Return the condition columns that vary over rows, and always scene and agent."""
-    return tuple(name for name in BY if name in ("scene", "agent") or len({str(row[name]) for row in rows}) > 1)
+    varies = lambda name: len({str(identified(row, name)) for row in rows}) > 1
+    return tuple(name for name in BY if name in ("scene", "agent") or varies(name))
 
 
 def results(
@@ -190,7 +192,7 @@ def failure_list(rows: Sequence[Row]) -> Table:
     ends = {name: label for name, label in ENDS.items() if any(row.get(name) is not None for row in failed)}
     lines = [
         [
-            *(str(row[name]) for name in by),
+            *(str(identified(row, name)) for name in by),
             str(row["task"]),
             str(row["seed"]),
             row["failure"],

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import figures, summary, tables
 from vssm_gym.eval.report.ranking import Ranking, by_metric, paired_difference
@@ -92,7 +93,7 @@ def _headline(rows: Sequence[Row], seed: int, reference: str | None) -> Table | 
     """Return the table of conditions; None with one, whose metrics the ranking and the results show."""
     del reference
     by = tables.grouping(rows)
-    if len({tuple(str(row[name]) for name in by[:-1]) for row in rows}) < 2:
+    if len({tuple(str(identified(row, name)) for name in by[:-1]) for row in rows}) < 2:
         return None
     return tables.headline(rows, seed, tables.POINTNAV, by)
 
@@ -105,7 +106,7 @@ SUMMARY = {
 
 POINTNAV_VIEW = View(
     template="pointnav.html.j2",
-    conditions=("renderer", "robot", "noise", "sensor_noise"),
+    conditions=("renderer", "robot", "noise", "sensor_noise", "direction_frame"),
     measures=tables.POINTNAV,
     ranking=Ranking(
         by_metric("spl", "the highest SPL"),

@@ -21,7 +21,7 @@ from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.files.bounded import is_file
 from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, first_problem, read_yaml
 
-CONDITIONS = ("robot", "noise", "sensor_noise", "renderer", "physics")
+CONDITIONS = ("robot", "noise", "sensor_noise", "renderer", "physics", "direction_frame")
 MOST_TASKS = 100_000  # of a scene
 MOST_EPISODES = 1_000_000  # of a sweep; a thousand hours of them
 _RANGE = re.compile(r"\s*([0-9]{1,9})\s*-\s*([0-9]{1,9})\s*")
@@ -66,6 +66,7 @@ class SweepConfig(BaseModel):
     sensor_noise: Names = ("none",)
     renderer: Names = ("raycast",)
     physics: Names = ("mujoco",)
+    direction_frame: Names = ("body",)
     tasks: Annotated[Seeds, BeforeValidator(_task_ids)]
     seeds: Seeds = (0,)
     voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
@@ -78,11 +79,9 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
 
     Agents vary fastest: a sweep that is stopped early still has the same tasks for every agent.
     """
-    worlds = itertools.product(
-        config.scenes, config.env, config.robot, config.noise, config.sensor_noise, config.renderer, config.physics
-    )
-    for scene, env, robot, noise, sensor_noise, renderer, physics in worlds:
-        condition = Condition(env, scene, robot, noise, sensor_noise, renderer, physics)
+    lists = (getattr(config, name) for name in CONDITIONS)
+    for scene, env, *condition_fields in itertools.product(config.scenes, config.env, *lists):
+        condition = Condition(env, scene, *condition_fields)
         for task, seed, agent in itertools.product(config.tasks, config.seeds, config.agents):
             yield Episode(condition, task, seed, agent, config.explore)
 

@@ -27,6 +27,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.episodes.manifest import MANIFEST
+from vssm_gym.eval.episodes.row import without_defaults
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
@@ -126,6 +127,7 @@ def leave_unguarded_import() -> None:
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
     """Hash what determines the results (configuration, scenes, policies, own agents' code, seed); 16 hex digits."""
     content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
+    content = without_defaults(content)
     content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
     content["agents"] = [hashed_name(agent_label(agent)) for agent in config.agents]
     if codes := code_hashes(own_agents(config.agents)):
@@ -138,7 +140,7 @@ def _manifest(
 ) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     protocol = protocol_of(config.env[0])
-    shown = config.model_dump(mode="json") | {
+    shown = without_defaults(config.model_dump(mode="json")) | {
         "scenes": [scene_name(scene) for scene in config.scenes],
         "agents": [agent_label(agent) for agent in config.agents],
     }
@@ -220,7 +222,8 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
     first = (episode.task, episode.seed) == (config.tasks[0], config.seeds[0])
     if SWEPT_ENVIRONMENTS[c.env].task != "explore" or not first:
         return None
-    world = (scene_name(c.scene), c.noise, c.sensor_noise, c.renderer, episode.agent)
+    frame = without_defaults({"direction_frame": c.direction_frame}).values()
+    world = (scene_name(c.scene), c.noise, c.sensor_noise, c.renderer, *frame, episode.agent)
     return out / "explored" / f"{'-'.join(world)}.npz"
 
 

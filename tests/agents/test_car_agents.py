@@ -158,7 +158,7 @@ def test_the_prior_of_a_car_is_its_arc(speed, steering, heading):
     chord = way * np.sinc(0.5 * turn / np.pi)
     direction = heading + 0.5 * turn
     start = np.array([0.3, -0.2, heading])
-    motion = transition_of(CAR, (0.0, 0.0))
+    motion = transition_of(CAR, None)
     after = np.asarray(motion.mean(jnp.asarray(start), jnp.asarray([speed, steering]), CAR.dt), np.float64)
     np.testing.assert_allclose(
         after[:2], start[:2] + chord * np.array([math.cos(direction), math.sin(direction)]), atol=1e-6

@@ -11,7 +11,7 @@ from tests.helpers.planning_worlds import voxel_map
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy.agent import PolicyAgent
 from vssm_gym.agents.registry import AGENTS
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.car import CarTask
 from vssm_gym.envs.tasks.mazes import ROBOT
@@ -23,6 +23,7 @@ from vssm_gym.eval.protocols.episode import run_episode
 ROOMS = two_rooms()
 SMALL = CameraConfig(width=64, height=48)
 STEPS = 4
+NOISE = ExecutionNoise(0.05, 0.01)
 LIMITS = ROBOT.limits[list(SCANNER_COMMANDS)]  # of the maze's robot
 WITHOUT = ("oracle", "random", "dist_bug")  # its pose is observed; no estimate; an estimate without a belief
 STATING = [name for name, kind in AGENTS.items() if not kind.needs_pose and name not in WITHOUT] + ["policy"]
@@ -49,7 +50,7 @@ def run(name):
     keywords = {"max_episode_steps": STEPS, "observe_pose": agent.needs_pose, "disable_env_checker": True}
     if robot == "disc":
         env = gym.make("vssm_gym/LidarMaze-v0", scene=MAZE.apartment, **keywords)
-        row = run_episode(env, MAZE.sampler, agent, TASK, seed=3, voxel_map=None, noise=(0.05, 0.01), limits=LIMITS)
+        row = run_episode(env, MAZE.sampler, agent, TASK, seed=3, voxel_map=None, noise=NOISE, limits=LIMITS)
     elif robot == "car":
         env = gym.make("vssm_gym/CarNav-v0", scene=ROOMS, camera=SMALL, images=not agent.needs_pose, **keywords)
         target = CarTask(id=0, scene=ROOMS.name, start=(0.8, 2.6, 0.3), goal=(2.2, 0.7, 2.5))
@@ -63,7 +64,7 @@ def run(name):
             TaskSampler(ROOMS, HolonomicRobot()),
         )
         way = sampler.task((1.0, 1.0, 0.5), (2.6, 3.0))
-        row = run_episode(env, sampler, agent, way, seed=5, voxel_map=learned, noise=(0.05, 0.01))
+        row = run_episode(env, sampler, agent, way, seed=5, voxel_map=learned, noise=NOISE)
     env.close()
     return agent.decisions, row
 

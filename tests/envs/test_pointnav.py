@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.envs.pointnav import POINTNAV_REWARD, PointNavEnv
-from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute
+from vssm_gym.envs.robots import HOLONOMIC_NOISES, NOISE_LEVELS, ExecutionNoise, HolonomicRobot, execute
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.tasks.geodesic import Geodesics
@@ -364,6 +364,40 @@ def test_other_misuse_is_named():
         make().step(act())
     with pytest.raises(InputError, match="'task'"):
         make().reset(options={"goal": (1.0, 1.0)})
+
+
+def test_directions_may_be_those_of_the_world():
+    env = make(noise="none", direction_frame="world")
+    np.testing.assert_allclose(env.action_space.high[:3], [ROBOT.max_turn, math.pi, ROBOT.max_step], rtol=1e-6)
+    env.reset(seed=0, options={"task": TASK})
+    start = env.planar.copy()
+    *_, info = env.step(act(offset=start[2] + 0.5 * math.pi, step=0.1))  # sideways, to the left
+    left = [-math.sin(start[2]), math.cos(start[2])]
+    assert not info["collision"]
+    np.testing.assert_allclose(env.planar, [*(start[:2] + 0.1 * np.array(left)), start[2]], atol=1e-3)
+    reckoning = make(noise="none", direction_frame="world", goal="sensed")
+    reckoning.reset(seed=0, options={"task": TASK})
+    seen, *_ = reckoning.step(act(offset=start[2] + 0.5 * math.pi, step=0.1))
+    np.testing.assert_allclose(seen["goal"][0], np.hypot(*(reckoning.planar[:2] - TASK.goal)), atol=1e-2)
+    for keywords in ({"robot": "differential"}, {"actions": "discrete"}):
+        with pytest.raises(InputError, match="direction_frame: expected 'body'"):
+            make(direction_frame="world", **keywords)
+    with pytest.raises(InputError, match="direction_frame: expected one of 'body', 'world'"):
+        make(direction_frame="map")
+
+
+def test_the_robot_of_habitat_moves_by_its_own_law():
+    env = make(noise="locobot")
+    env.reset(seed=11, options={"task": TASK})
+    stream = np.random.default_rng(np.random.SeedSequence(11).spawn(4)[2])
+    expected = np.array(TASK.start)
+    for action in (act(turn=0.1), act(step=0.05, offset=-0.05), act()):
+        *_, info = env.step(action)
+        expected = HOLONOMIC_NOISES["locobot"].execute(expected, info["control"], stream)
+        np.testing.assert_allclose(env.planar, expected, atol=1e-6)
+    with pytest.raises(InputError, match="noise: expected two noise levels of one law"):
+        make(randomize={"noise": ["none", "locobot"]})
+    make(randomize={"noise": ["locobot", "locobot"]}).reset(seed=0)
 
 
 def test_noise_may_be_given_in_numbers():

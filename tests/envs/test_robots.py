@@ -105,6 +105,27 @@ def test_the_camera_faces_along_body_x_at_its_height():
     np.testing.assert_allclose((T @ point_cam)[:3], [2.0, -0.3, ROBOT.camera_height + 0.2])
 
 
+WORLD = HolonomicRobot(direction_frame="world")
+
+
+@given(planars, turns, st.floats(-math.pi, math.pi), steps, noises, seeds)
+def test_a_direction_in_the_world_does_not_depend_on_the_heading(planar, turn, direction, step, noise, seed):
+    command, other = np.array([turn, direction, step]), planar + np.array([0.0, 0.0, 1.3])
+    a, b = (WORLD.execute(start, command, noise, np.random.default_rng(seed)) for start in (planar, other))
+    np.testing.assert_allclose(a[:2], b[:2], atol=1e-12)
+    assert abs(float(wrap_angle(np.array(b[2] - a[2] - 1.3)))) < 1e-12
+    relative = np.array([turn, direction - planar[2], step])
+    np.testing.assert_allclose(ROBOT.execute(planar, relative, noise, np.random.default_rng(seed)), a, atol=1e-12)
+
+
+def test_the_robot_with_a_compass_drives_anywhere():
+    np.testing.assert_array_equal(WORLD.bounds[1], [ROBOT.max_turn, math.pi, ROBOT.max_step])
+    north = WORLD.execute(np.zeros(3), np.array([0.0, math.pi / 2, 0.1]), NONE, np.random.default_rng(0))
+    np.testing.assert_allclose(north, [0.0, 0.1, 0.0], atol=1e-12)
+    with pytest.raises(InputError, match="direction_frame: expected one of 'body', 'world'; found 'map'"):
+        HolonomicRobot(direction_frame="map")
+
+
 @given(st.lists(st.floats(-10, 10), min_size=3, max_size=3))
 def test_clip_is_the_nearest_allowed_command(command):
     clipped = ROBOT.clip(np.array(command))

@@ -12,7 +12,7 @@ from tests.helpers.box_rooms import two_rooms
 from tests.helpers.planning_worlds import voxel_map
 from vssm_gym.agents.base import Decision
 from vssm_gym.agents.registry import AGENTS
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, HolonomicRobot
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.errors import InputError
@@ -68,7 +68,7 @@ def moved(start, x, y):
 
 def run(env, sampler, agent, start=(1.0, 2.0, 0.0), goal=(5.0, 2.0), seed=0):
     task = sampler.task(start, goal)
-    return run_episode(env, sampler, agent, task, seed=seed, voxel_map=None, noise=(0.0, 0.0))
+    return run_episode(env, sampler, agent, task, seed=seed, voxel_map=None, noise=NOISE_LEVELS["none"])
 
 
 def test_success_and_its_numbers(env, sampler):
@@ -289,7 +289,7 @@ def test_no_agent_uses_info(name, sampler):
     actions = []
     for seed in range(2):
         env, task = Scrambled(made, seed), sampler.task((1.0, 1.0, 0.5), (2.6, 3.0))
-        run_episode(env, sampler, agent, task, seed=5, voxel_map=learned, noise=(0.05, 0.01))
+        run_episode(env, sampler, agent, task, seed=5, voxel_map=learned, noise=ExecutionNoise(0.05, 0.01))
         actions.append(np.array(env.actions))
     made.close()
     assert len(actions[0]) == 6

@@ -187,8 +187,7 @@ def test_the_environment_and_the_protocol_agree_on_coverage_path_length_and_time
     agent = _AsAgent(policy())
     row = run(env, agent, seed=7)
     observation, info = env.reset(seed=7, options={"start": START})
-    noise = env.unwrapped.noise
-    context = context_in(env.unwrapped, info, None, (noise.turn, noise.step))
+    context = context_in(env.unwrapped, info, None, env.unwrapped.noise)
     agent.reset(context, observation, int(np.random.SeedSequence([7, 1]).generate_state(1)[0]))
     seen, steps = [(0.0, info["coverage"])], 0
     ended = False

@@ -48,7 +48,7 @@ def test_every_protocol_has_the_functions_of_the_contract(name):
     offered = {method for method in vars(EpisodeProtocol) if not method.startswith("_")}
     assert {method for method in offered if callable(getattr(protocol, method, None))} == offered
     assert isinstance(view_of(name), View)
-    assert {"noise", "sensor_noise", "renderer"} == protocol.conditions().keys()
+    assert {"noise", "sensor_noise", "renderer", "direction_frame"} == protocol.conditions().keys()
     assert protocol.scene_names()
     assert any(agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK) for agent in AGENTS.values())
 

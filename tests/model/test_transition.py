@@ -17,6 +17,7 @@ from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, execute
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, se3_exp
 from vssm_gym.model.transition import (
     Belief,
+    BiasedNoise,
     Bicycle,
     GaussianBelief,
     Imu,
@@ -189,11 +190,17 @@ def _rigid(seed: int) -> RigidState:
 
 LOOSE = RigidNoise(0.5, 0.3, 0.5, 0.6)
 PUSH = f32([0.5, 0.2, -0.1, 1.0, -0.4, 0.3])
+BIASED = BiasedNoise((0.01, -0.03, 0.02), (0.02, 0.03, 0.04), (0.01, 0.02, 0.03), (0.02, 0.01, 0.05), 0.25, 0.5)
 EVERY = {
     "rigid": Case(Rigid(LOOSE), _rigid(1), PUSH),
     "rigid, pose first": Case(Rigid(LOOSE, velocity_first=False), _rigid(2), PUSH, 0.2),
     "imu": Case(Imu(ImuNoise(0.1, 0.6, 0.2, 0.3)), _rigid(3), f32([0.3, 0.1, 9.5, 0.5, -1.0, 0.2])),
     "planar": Case(Planar(MotionNoise(0.02, 0.004), (0.01, 0.01, 0.02)), f32(START), f32([0.15, 0.05, 0.12])),
+    "planar, world": Case(
+        Planar(MotionNoise(0.02, 0.004), (0.01, 0.01, 0.02), "world"), f32(START), f32([0.15, 0.7, 0.12])
+    ),
+    "planar, biased": Case(Planar(BIASED, (0.01, 0.01, 0.02)), f32(START), f32([0.15, 0.05, 0.12])),
+    "planar, biased turn": Case(Planar(BIASED, (0.01, 0.01, 0.02), "world"), f32(START), f32([0.15, 0.3, 0.0])),
     "bicycle": Case(Bicycle(), f32(START), f32([1.0, 0.3])),
 }
 each = pytest.mark.parametrize("name", EVERY)

@@ -8,7 +8,7 @@ from hypothesis import given
 
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.geometry.transforms import wrap_angle
-from vssm_gym.planning.pursuit import BEND_PASSED, steer
+from vssm_gym.planning.pursuit import BEND_PASSED, FACING, direction_of_travel, steer
 
 ROBOT = HolonomicRobot()
 LIMITS = ROBOT.limits
@@ -107,3 +107,32 @@ def test_the_last_step_lands_on_the_end():
     # However near the end is, the robot goes there: a region that must be entered may begin just behind it.
     assert np.allclose(steer(np.array([0.297, 0.0, 0.0]), path, LIMITS), [0.0, 0.0, 0.003])
     assert np.array_equal(steer(np.array([0.3, 0.0, 0.0]), path, LIMITS), np.zeros(3))
+
+
+WORLD = HolonomicRobot(direction_frame="world")
+
+
+@given(points, headings, st.lists(points, min_size=2, max_size=5))
+def test_in_the_world_frame_it_drives_at_once_and_turns_meanwhile(xy, heading, path):
+    planar, path = np.array([*xy, heading]), np.array(path)
+    command = steer(planar, path, WORLD.limits, "world")
+    np.testing.assert_array_equal(WORLD.clip(command), command)
+    ahead = [p for p in path[1:-1] if np.linalg.norm(p - planar[:2]) >= BEND_PASSED] + [path[-1]]
+    away = ahead[0] - planar[:2]
+    distance = float(np.hypot(*away))
+    after = WORLD.execute(planar, command, EXACT, np.random.default_rng(0))
+    expected = planar[:2] + away * min(1.0, WORLD.max_step / max(distance, 1e-12))
+    np.testing.assert_allclose(after[:2], expected, atol=1e-9)
+    if distance > WORLD.max_step:  # it turns to where it drives, and rests within 5 degrees of it
+        error = float(wrap_angle(np.arctan2(away[1], away[0]) - heading))
+        assert abs(command[0] - (np.clip(error, -LIMITS[0], LIMITS[0]) if abs(error) > FACING else 0.0)) < 1e-9
+
+
+@given(points, headings, st.floats(-math.pi, math.pi), st.floats(0.01, 0.16))
+def test_the_direction_of_travel_is_that_of_the_robot(xy, heading, direction, step):
+    planar, command = np.array([*xy, heading]), np.array([0.0, direction, step])
+    for robot in (ROBOT, WORLD):
+        after = robot.execute(planar, command, EXACT, np.random.default_rng(0))
+        angle = direction_of_travel(planar, command, robot.direction_frame)
+        moved = step * np.array([math.cos(angle), math.sin(angle)])
+        np.testing.assert_allclose(after[:2] - planar[:2], moved, atol=1e-9)

@@ -32,7 +32,7 @@ def evaluate(
         out: new or empty folder for the results.
         scene: built-in name or path of a scene file.
         tasks: number of the scene's test tasks.
-        noise: execution noise: none, low, mid or high.
+        noise: execution noise: none, low, mid, high or locobot.
         map: map file in which the policy's agent tracks its pose and in which the tasks are imagined, such as the one
             trained in; by default one is learned from a recorded drive.
         resume: continue the same evaluation in OUT.

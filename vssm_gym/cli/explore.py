@@ -31,7 +31,7 @@ def explore(
         agent: an explorer: mi_explorer, frontier_nearest, frontier_gain, frontier_gain_scan, random_viewpoint or
             random_walk; mi_explorer_estimated_pose, frontier_gain_estimated_pose or frontier_gain_scan_estimated_pose.
         start: number of the scene's test task whose start is taken, 0 to 99.
-        noise: execution noise: none, low, mid or high.
+        noise: execution noise: none, low, mid, high or locobot.
         steps: time limit in steps of 0.2 s.
         seed: seed of the noise and of the agent.
     """

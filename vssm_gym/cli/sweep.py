@@ -25,8 +25,8 @@ def sweep(
     kept, and --resume runs the others.
 
     Args:
-        config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, physics, seeds, voxel,
-            map_poses, explore].
+        config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, physics,
+            direction_frame, seeds, voxel, map_poses, explore].
         out: new or empty folder for the results.
         resume: continue a sweep of the same configuration in OUT.
         workers: number of processes that run episodes.

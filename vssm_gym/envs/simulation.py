@@ -6,6 +6,7 @@ goals, rewards and terminations of its own. Moving and sensing are separate: ima
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -23,8 +24,8 @@ from vssm_gym.envs.physics import FloorWorld
 from vssm_gym.envs.rendering.captions import Panel
 from vssm_gym.envs.rendering.frames import Frames
 from vssm_gym.envs.rendering.topdown import PICTURE, PLAN_LEGEND, TopDown, at_height
-from vssm_gym.envs.robots import ExecutionNoise
-from vssm_gym.envs.robots.base import camera_ahead
+from vssm_gym.envs.robots import DIRECTION_FRAMES, ExecutionNoise, HolonomicRobot
+from vssm_gym.envs.robots.base import Robot, camera_ahead
 from vssm_gym.envs.robots.registry import ROBOTS
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import RENDERERS, CameraConfig, camera_config, rgbd_noise
@@ -39,7 +40,7 @@ from vssm_gym.envs.streams import STREAMS, seeded_streams
 from vssm_gym.envs.tasks.scene_cache import SceneCache
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.axes import DirectionFrame, Matrix4, PlanarPose
 from vssm_gym.geometry.transforms import planar_to_matrix
 
 
@@ -58,8 +59,10 @@ class Simulation:
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         robot: a name of :data:`~vssm_gym.envs.robots.registry.ROBOTS`.
+        direction_frame: of the holonomic robot's ``o``: ``body``, the direction of travel relative to the heading, or
+            ``world``, an absolute direction, which gives the robot a free compass.
         noise: execution noise: ``none``, ``low``, ``mid``, ``high`` or the robot's noise: an :class:`ExecutionNoise` of
-            the holonomic one.
+            the holonomic one, which also has ``locobot``.
         sensor_noise: errors of the camera: ``none``, ``kinect``, ``stereo`` or a :class:`SensorNoise`.
         camera: size and field of view of the images: a :class:`CameraConfig` or a mapping of its fields.
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL. The environment's ``renderer_name`` is recorded
@@ -80,6 +83,7 @@ class Simulation:
         self,
         scene: Any = "oak",
         robot: str = "holonomic",
+        direction_frame: DirectionFrame = "body",
         noise: str | ExecutionNoise | Any = "low",
         sensor_noise: str | SensorNoise = "none",
         camera: CameraConfig | Mapping[str, Any] | None = None,
@@ -100,7 +104,8 @@ class Simulation:
         shown = parse_images("environment", images)
         if not isinstance(observe_pose, bool):
             raise InputError("environment", "observe_pose", f"True or False; found {observe_pose!r:.80}")
-        self.robot, self.frames = ROBOTS[robot](), Frames("environment", render_mode, captions)
+        self.robot = _in_frame(ROBOTS[robot](), direction_frame, actions)
+        self.frames = Frames("environment", render_mode, captions)
         self.noise = self.robot.parse_noise(noise)
         self._carried, seen = parse_sensors("environment", sensors), rgbd_noise.sensor_noise(sensor_noise)
         self._random = parse_randomization(randomize)
@@ -277,3 +282,15 @@ class Simulation:
         plan = self._plan.draw(np.array(self.path), self.planar, self.robot.radius, goal, goal_radius)
         legend = {name: colour for name, colour in PLAN_LEGEND.items() if name != "goal" or goal is not None}
         return [Panel(at_height(self.sensors.reading("rgb"), PICTURE), "camera"), Panel(plan, "plan", legend)]
+
+
+def _in_frame(robot: Robot, frame: DirectionFrame, actions: ActionForm) -> Robot:
+    """Return the robot with its directions in ``frame``; raise :class:`InputError` where it has none there."""
+    choose("environment", "direction_frame", frame, DIRECTION_FRAMES)
+    if frame == "body":
+        return robot
+    if not isinstance(robot, HolonomicRobot):
+        raise InputError("environment", "direction_frame", "'body': only the holonomic robot drives in any direction")
+    if actions == "discrete":
+        raise InputError("environment", "direction_frame", "'body' with discrete actions: forward is along the heading")
+    return replace(robot, direction_frame=frame)

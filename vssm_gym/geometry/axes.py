@@ -13,10 +13,11 @@ planar    x (m), y (m), heading (rad) of a robot on the floor, counter-clockwise
 ========  ==================================================================================
 """
 
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 Matrix4: TypeAlias = Float[Any, "4 4"]  # not a `type` statement: what jaxtyping checks must be evaluated
 PlanarPose: TypeAlias = Float[np.ndarray, "3"]
+DirectionFrame: TypeAlias = Literal["body", "world"]  # a direction on the floor is relative to the heading, or to x

@@ -83,7 +83,9 @@ def of_plan(plan: FloorPlan, goal: np.ndarray, body: Body, config: Traversabilit
     """
     unknown = plan.cells == UNKNOWN
     half = 0.5 * plan.resolution
-    beyond = -half if config.crosses_unknown else half  # half a cell is the unbiased place of a border without a surface
+    beyond = (
+        -half if config.crosses_unknown else half
+    )  # half a cell is the unbiased place of a border without a surface
     occupancy = np.where(np.isfinite(plan.occupancy), plan.occupancy, -1.0)
     signed = np.where(unknown, beyond, np.where(plan.cells == OCCUPIED, np.maximum(occupancy, 1e-3), occupancy))
     clearance = near_level_distance(signed, plan.resolution, REACH)

@@ -127,9 +127,7 @@ class Experts:
 
     def __init__(self, m: VoxelMap, n: int) -> None:
         robot = HolonomicRobot()
-        self._context = partial(
-            context_of, robot, robot.body_length, success_radius=BODY.success_radius, noise=(0.0, 0.0), voxel_map=m
-        )
+        self._context = partial(context_of, robot, robot.body_length, success_radius=BODY.success_radius, voxel_map=m)
         self._navigators = [Navigator(TruePose(), NavigationConfig()) for _ in range(n)]
         self._goals = np.zeros((n, 2))
 

@@ -18,9 +18,9 @@ NOISE = NOISE_LEVELS["low"]
 def drive(seed: int, frames: int = 51) -> Drive:
     """Drive on an empty floor with the robot's own noise; there are no images, and no slip either."""
     robot, rng = HolonomicRobot(), np.random.default_rng(seed)
-    start, noise = np.array([1.0, 2.0, 0.5]), (NOISE.turn, NOISE.step)
-    context = context_of(robot, robot.body_length, start, success_radius=0.0, noise=noise)
-    context = replace(context, transition=Planar(MotionNoise(*noise), slip=(1e-4, 1e-4, 1e-4)))
+    start = np.array([1.0, 2.0, 0.5])
+    context = context_of(robot, robot.body_length, start, success_radius=0.0, noise=NOISE)
+    context = replace(context, transition=Planar(MotionNoise(NOISE.turn, NOISE.step), slip=(1e-4, 1e-4, 1e-4)))
     planar, commands = [start], []
     path = rng.uniform(-6.0, 6.0, (30, 2))
     for _ in range(frames - 1):

@@ -80,7 +80,12 @@ class Randomization:
 
     def noises(self, parse: Callable[[Any], Any]) -> tuple[Any, Any] | None:
         """Return the ends of the noise range, parsed by the robot; None where the noise does not vary."""
-        return None if self.noise is None else (parse(self.noise[0]), parse(self.noise[1]))
+        if self.noise is None:
+            return None
+        low, high = parse(self.noise[0]), parse(self.noise[1])
+        if type(low) is not type(high):
+            raise InputError("randomize", "noise", f"two noise levels of one law; found {self.noise!r:.80}")
+        return low, high
 
 
 parse_randomization = Presets("environment", "randomize", Randomization, {}, default=Randomization())
@@ -88,7 +93,9 @@ parse_randomization = Presets("environment", "randomize", Randomization, {}, def
 
 def between_noises(low: Any, high: Any, u: float) -> Any:
     """Return the noise whose every parameter is ``(1 - u) low + u high``; both are one dataclass."""
-    mixed = {one.name: (1.0 - u) * getattr(low, one.name) + u * getattr(high, one.name) for one in fields(low)}
+    mix = lambda a, b: (1.0 - u) * a + u * b
+    ends = {one.name: (getattr(low, one.name), getattr(high, one.name)) for one in fields(low)}
+    mixed = {name: tuple(map(mix, a, b)) if isinstance(a, tuple) else mix(a, b) for name, (a, b) in ends.items()}
     return replace(low, **mixed)
 
 

@@ -9,9 +9,13 @@ import numpy as np
 
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.robots.base import camera_ahead
+from vssm_gym.envs.robots.biased_noise import BIASED_LEVELS, BiasedExecutionNoise
+from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.axes import Matrix4, PlanarPose
+from vssm_gym.geometry.axes import DirectionFrame, Matrix4, PlanarPose
 from vssm_gym.geometry.transforms import wrap_angle
+
+DIRECTION_FRAMES: tuple[DirectionFrame, ...] = ("body", "world")
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,8 @@ class HolonomicRobot:
 
     Its camera looks along body x from the cylinder's axis.
 
-    One command ``(turn, o, s)`` lasts ``dt``: turn by ``turn`` rad, and move ``s`` m in the direction ``heading + o``.
+    One command ``(turn, o, s)`` lasts ``dt``: turn by ``turn`` rad, and move ``s`` m in the direction ``heading + o``;
+    with ``direction_frame="world"`` in the direction ``o``, which may be any (TNP-SM as published: a free compass).
     """
 
     body_length: float = 0.2  # m, the cylinder's diameter
@@ -30,8 +35,12 @@ class HolonomicRobot:
     max_offset: float = math.radians(5.0)  # rad, |o| <= max_offset
     max_step: float = 0.16  # m a step, 0 <= s <= max_step: 0.8 body lengths
     dt: float = 0.2  # s
+    direction_frame: DirectionFrame = "body"  # of o; in the world frame |o| <= pi
 
     commands: ClassVar[tuple[str, ...]] = ("turn", "o", "s")
+
+    def __post_init__(self) -> None:
+        choose("HolonomicRobot", "direction_frame", self.direction_frame, DIRECTION_FRAMES)
 
     @property
     def radius(self) -> float:
@@ -40,17 +49,24 @@ class HolonomicRobot:
 
     @property
     def limits(self) -> np.ndarray:
-        """Return ``(max_turn, max_offset, max_step)``, rad, rad, m; float64 ``(3,)``."""
-        return np.array([self.max_turn, self.max_offset, self.max_step])
+        """Return the largest ``(turn, o, s)``, rad, rad, m; float64 ``(3,)``."""
+        return np.array([self.max_turn, self._max_direction, self.max_step])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lowest and the highest ``(turn, o, s)``, rad, rad, m; float64 ``(3,)``."""
-        return np.array([-self.max_turn, -self.max_offset, 0.0]), self.limits
+        return np.array([-self.max_turn, -self._max_direction, 0.0]), self.limits
+
+    @property
+    def _max_direction(self) -> float:
+        return self.max_offset if self.direction_frame == "body" else math.pi
 
     @property
     def moves(self) -> tuple[np.ndarray, ...]:
-        """Return the commands ``(turn, o, s)`` of the discrete actions at their limits: forward, left, right."""
+        """Return the commands ``(turn, o, s)`` of the discrete actions at their limits: forward, left, right.
+
+        They are in the body frame: no command of the world frame is always forward.
+        """
         turn = np.array([self.max_turn, 0.0, 0.0])
         return np.array([0.0, 0.0, self.max_step]), turn, -turn
 
@@ -66,14 +82,24 @@ class HolonomicRobot:
         """Return the nearest command within the limits, component by component: ``(turn, o, s)`` float64 ``(3,)``."""
         return np.clip(np.asarray(command, dtype=np.float64), *self.bounds)
 
-    def parse_noise(self, level: "str | ExecutionNoise | Mapping[str, Any]") -> "ExecutionNoise":
-        """Return the noise of a named level, of a mapping of its fields, or the noise itself."""
-        return execution_noise(level)
+    def parse_noise(self, level: "str | HolonomicNoise | Mapping[str, Any]") -> "HolonomicNoise":
+        """Return the noise of a level of :data:`HOLONOMIC_NOISES`, of a mapping of fields, or the noise itself.
+
+        A mapping has the fields of :class:`ExecutionNoise`.
+        """
+        return level if isinstance(level, BiasedExecutionNoise) else holonomic_noise(level)
 
     def execute(
-        self, planar: PlanarPose, command: np.ndarray, noise: "ExecutionNoise", rng: np.random.Generator
+        self, planar: PlanarPose, command: np.ndarray, noise: "HolonomicNoise", rng: np.random.Generator
     ) -> PlanarPose:
-        """Execute one noisy step in free space; see :func:`execute`."""
+        """Execute one noisy step in free space; see :func:`execute` and :meth:`BiasedExecutionNoise.execute`.
+
+        A direction in the world frame is that of the body frame with the heading taken off: the noise is the same.
+        """
+        if self.direction_frame == "world":
+            command = np.array([command[0], command[1] - planar[2], command[2]])
+        if isinstance(noise, BiasedExecutionNoise):
+            return noise.execute(planar, command, rng)
         return execute(planar, command, noise, rng)
 
 
@@ -101,6 +127,12 @@ NOISE_LEVELS: dict[str, ExecutionNoise] = {
 
 
 execution_noise = Presets("environment", "noise", ExecutionNoise, NOISE_LEVELS)
+
+HolonomicNoise = ExecutionNoise | BiasedExecutionNoise
+HOLONOMIC_NOISES: dict[str, HolonomicNoise] = {**NOISE_LEVELS, **BIASED_LEVELS}
+"""The named levels of the robot's execution noise: those of TNP-SM, and Habitat's LoCoBot."""
+
+holonomic_noise: Presets[Any] = Presets("environment", "noise", ExecutionNoise, HOLONOMIC_NOISES)
 
 
 def execute(planar: PlanarPose, command: np.ndarray, noise: ExecutionNoise, rng: np.random.Generator) -> PlanarPose:

@@ -19,7 +19,7 @@ def rectified(size: Float[Array, "*batch"], std: Float[Array, "*#batch"] | float
     """``E[g] = a Phi(a / s) + s phi(a / s)``, ``E[g^2] = (a^2 + s^2) Phi + a s phi``, ``Cov[g, e] = s^2 Phi``.
 
     Args:
-        size: a >= 0, of the commanded motion; any unit.
+        size: a, of the commanded motion, with the mean of its noise; any unit.
         std: s >= 0, of the noise, in the same unit.
     """
     s = jnp.maximum(std, 1e-9)

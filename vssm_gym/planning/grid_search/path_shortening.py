@@ -114,7 +114,9 @@ def _shorten_end(clearance, weight, resolution, path, gx, gy, radius, required):
     aim = math.atan2(ay - gy, ax - gx)
     here = math.atan2(path[n - 1, 1] - gy, path[n - 1, 0] - gx) - aim
     here = math.atan2(math.sin(here), math.cos(here))
-    for k in range(33):  # from the rim's nearest point round to where the path ends now: the first free one that costs less
+    for k in range(
+        33
+    ):  # from the rim's nearest point round to where the path ends now: the first free one that costs less
         angle = aim + here * k / 32
         px, py = gx + radius * math.cos(angle), gy + radius * math.sin(angle)
         if math.hypot(px - ax, py - ay) >= best:
