@@ -71,12 +71,19 @@ def draw_background(axes: Axes, background: Background | None) -> None:
     axes.set_aspect("equal")
     axes.tick_params(labelsize=6, length=2)
     if background is not None:
-        pale = 1.0 - 0.6 * (1.0 - background.image)  # so that paths stand out
-        axes.imshow(pale, origin="lower", extent=background.extent, interpolation="nearest")
+        axes.imshow(pale(background.image), origin="lower", extent=background.extent, interpolation="nearest")
+
+
+def pale(colour: np.ndarray) -> np.ndarray:
+    """Return colours (RGB, [0, 1]) of a background, so light that paths stand out."""
+    return np.asarray(1.0 - 0.6 * (1.0 - colour))
 
 
 def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
-    """Draw one episode: true path, estimated path, start, goal with its success circle, and collisions."""
+    """Draw one episode: true path, estimated path, start, goal with its success circle, and collisions.
+
+    A goal that is None is left out.
+    """
     true = np.asarray(row["trace"]["true"], dtype=float).reshape(-1, 2)
     estimate = np.asarray(row["trace"]["estimate"] or [], dtype=float).reshape(-1, 2)
     goal = row["goal"]
@@ -89,7 +96,9 @@ def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
         axes.plot(*contacts.T, "x", color="black", markersize=4, markeredgewidth=1.0, zorder=5)
     axes.plot(*true[0], "o", color=TRUE_COLOUR, markersize=5, zorder=6)
     axes.plot(*true[-1], "s", color=TRUE_COLOUR, markersize=4, zorder=6)
-    axes.add_patch(Circle(goal, success_radius, facecolor=GOAL_COLOUR, edgecolor="black", alpha=0.55, lw=0.6, zorder=2))
+    if goal is not None:
+        circle = Circle(goal, success_radius, facecolor=GOAL_COLOUR, edgecolor="black", alpha=0.55, lw=0.6, zorder=2)
+        axes.add_patch(circle)
 
 
 def draw_outlines(axes: Axes, outlines: Float[np.ndarray, "n 4 2"], colour: str, filled: bool = False) -> None:
