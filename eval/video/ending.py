@@ -18,25 +18,29 @@ class Ending:
         goal: xy, m; None where nobody knows it, because the goal was given as an image.
         success_radius: around the goal, m.
         success: whether the run succeeded; None where that cannot be judged.
-        words: on how it ended.
+        reason: why it failed; empty of others.
     """
 
     goal: tuple[float, float] | None
     success_radius: float
     success: bool | None
-    words: str
+    reason: str
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> "Ending":
         """Read the ending from a row of a sweep, whose judged fields may be None."""
         success = row["success"]
-        words = "arrived" if success else str(row["failure"]) if success is not None else "ended, success not judged"
         goal = None if row["goal"] is None else (float(row["goal"][0]), float(row["goal"][1]))
-        return cls(goal, float(row["success_radius"]), success, words)
+        return cls(goal, float(row["success_radius"]), success, "" if success in (None, True) else str(row["failure"]))
+
+    @property
+    def word(self) -> str:
+        """Return the outcome in a word or two."""
+        return "not judged" if self.success is None else "arrived" if self.success else "failed"
 
     @property
     def colour(self) -> str:
-        """Return the colour of the words."""
+        """Return the colour of the word."""
         return NEUTRAL if self.success is None else GOOD if self.success else BAD
 
     @property

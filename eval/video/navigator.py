@@ -25,7 +25,6 @@ from vssm_gym.viz.text import shortened, visible
 
 ROBOT = HolonomicRobot()
 CHARACTERS = 92  # of a status: a line holds no more
-LETTERS = 46  # of the words about the ending
 CLOSE = (0.16, 1.5)  # m, least and largest half edge of the close-up
 CLOSE_CELLS = 120  # of the close-up along its edge
 CAMERA, GOAL_IMAGE, CLOSE_UP = (0.02, 0.475, 0.3, 0.445), (0.222, 0.062, 0.098, 0.1307), (0.02, 0.062, 0.19125, 0.34)
@@ -78,11 +77,12 @@ class Sheet:
             self._estimate.set_xy(pictures.robot_outline(moment.estimate))
         close = self._close.set(moment, driven, estimated)
         last = i == len(self._recording.moments) - 1
-        words = f"      {shortened(visible(ending.words), LETTERS)}" if last else ""
-        self._numbers.set_text(f"{moment.metres:.1f} m      {moment.seconds:.0f} s{words}")
+        word = f"      {ending.word}" if last else ""
+        self._numbers.set_text(f"{moment.metres:.1f} m      {moment.seconds:.0f} s{word}")
         self._numbers.set_color(ending.colour if last else "black")
         self._error.set_text("\n".join(_facts(moment, ending)))
-        self._status.set_text(shortened(visible(moment.status), CHARACTERS))
+        status = ending.reason if last and ending.reason else moment.status
+        self._status.set_text(shortened(visible(status), CHARACTERS))
         return self._page.frame([(self._image, moment.rgb), *self._pictures, plan, close])
 
     def _plan(self, first: Moment) -> None:
@@ -165,10 +165,14 @@ def _facts(moment: Moment, ending: Ending) -> list[str]:
     if ending.goal is not None:
         facts.append(f"goal {np.hypot(*(moment.planar[:2] - ending.goal)):.1f} m away")
     if moment.error is not None:
-        facts.append(f"estimate off by {100.0 * moment.error:.0f} cm")
+        facts.append(f"estimate off by {_length(moment.error)}")
     if moment.region is not None:
-        facts.append(f"95 %: up to {100.0 * _radius(moment):.0f} cm")
+        facts.append(f"95 %: up to {_length(_radius(moment))}")
     return facts
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.1f} m" if metres >= 1.0 else f"{100.0 * metres:.0f} cm"
 
 
 def _radius(moment: Moment) -> float:

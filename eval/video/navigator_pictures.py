@@ -1,5 +1,6 @@
 """Draw the picture of one run of navigation: the run on the map, and the belief at four times of it."""
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,12 @@ from vssm_gym.eval.video.pictures import (
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
 from vssm_gym.viz.pictures import GOAL_COLOUR, TRUE_COLOUR
+from vssm_gym.viz.text import visible
 
 TIMES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)  # parts of the run at which the belief is shown
-WIDTH = 8.2  # inches
-ROBOT_TIP = 0.6  # m from the robot's centre to its tip in a small panel
+WIDTH, LINE = 8.2, 0.22  # inches, of the picture and of a line of its title
+LETTERS = 56  # of a line of the title
+ROBOT_SHARE = 0.06  # of a small panel's longer edge, from the robot's centre to its tip
 
 
 def run(recording: Recording, m: VoxelMap | None, row: dict[str, Any]) -> Figure:
@@ -41,18 +44,19 @@ def run(recording: Recording, m: VoxelMap | None, row: dict[str, Any]) -> Figure
     ending, background = Ending.of(row), None if m is None else plan_of(m)
     bounds = recording.bounds(*ending.region)
     tall = float((bounds[1, 1] - bounds[0, 1]) / (bounds[1, 0] - bounds[0, 0]))
-    heights = np.clip(WIDTH * tall, 2.0, 9.0), np.clip(WIDTH / len(TIMES) * tall, 1.0, 3.0)
-    figure = Figure(figsize=(WIDTH, float(sum(heights)) + 1.2), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=[heights[0] + 0.7, heights[1] + 0.5])
+    heights = np.clip(WIDTH * tall, 2.0, 7.0), np.clip(WIDTH / len(TIMES) * tall, 1.0, 3.0)
+    driven = f"{row['path_length']:.1f} m, {recording.track.seconds[-1]:.0f} s"
+    title = [f"{row['agent']}: {driven}, {ending.word}", *textwrap.wrap(visible(ending.reason), LETTERS)]
+    edges = 0.5 + LINE * len(title), 0.6  # inches for titles and keys
+    figure = Figure(figsize=(WIDTH, float(sum(heights) + sum(edges))), layout="constrained")
+    rows: Any = figure.subfigures(2, 1, height_ratios=np.add(heights, edges))
     axes = rows[0].subplots()
     pictures.draw_background(axes, background)
     bare(axes)
     pictures.draw_run(axes, row, ending.success_radius)
     left, right, bottom, top = extent(bounds)
-    axes.set(xlim=(left, right), ylim=(bottom, top), facecolor=pictures.UNKNOWN_COLOUR.tolist())
-    axes.set_title(
-        f"{_words(ending)} after {row['path_length']:.1f} m, {recording.track.seconds[-1]:.0f} s", fontsize=10
-    )
+    axes.set(xlim=(left, right), ylim=(bottom, top), facecolor=pictures.pale(pictures.UNKNOWN_COLOUR).tolist())
+    rows[0].suptitle("\n".join(title), fontsize=10)
     draw_scale(axes, bounds)
     rows[0].legend(handles=_run_handles(row, ending), loc="outside lower center", **KEY)
     chosen = [recording.moments[round(part * (len(recording.moments) - 1))] for part in TIMES]
@@ -71,7 +75,9 @@ def _belief(axes: Axes, moment: Moment, recording: Recording, ending: Ending, bo
     axes.plot(*recording.track.until(moment.seconds).T, color=TRUE_COLOUR, linewidth=1.3, zorder=3)
     if moment.path is not None:
         axes.plot(*moment.path.T, color=PATH_COLOUR, linewidth=1.3, zorder=4)
-    axes.fill(*robot_outline(moment.planar, ROBOT_TIP).T, facecolor=TRUE_COLOUR, edgecolor="white", lw=0.4, zorder=7)
+    outline = robot_outline(moment.planar, ROBOT_SHARE * float((bounds[1] - bounds[0]).max()))
+    axes.fill(*outline.T, facecolor=TRUE_COLOUR, edgecolor="white", linewidth=0.4, zorder=7)
+    axes.set(xlim=bounds[:, 0], ylim=bounds[:, 1])
     axes.set_title(f"{moment.seconds:.0f} s, {moment.metres:.1f} m", fontsize=8)
 
 

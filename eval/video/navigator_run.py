@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from vssm_gym.agents.registry import agent_type, make_agent
+from vssm_gym.agents.registry import AGENTS, WITH, agent_type, make_agent
 from vssm_gym.data.images import colour_image
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
 from vssm_gym.envs.scenes.faults import SceneWarning
@@ -91,8 +91,8 @@ def prepare(drive: Drive) -> Prepared:
     """
     check_at_least(COMMAND, "seed", drive.seed, 0)
     check_at_least(COMMAND, "steps", drive.steps, 1)
-    kind = agent_type(drive.agent)
-    by_image = isinstance(drive.goal, Path) or kind.task == "imagegoal"
+    kind = AGENTS.get(drive.agent.partition(WITH)[0])  # an unknown one is named by the check below
+    by_image = isinstance(drive.goal, Path) or (kind is not None and kind.task == "imagegoal")
     config = SweepConfig(
         env=(IMAGENAV if by_image else POINTNAV,),
         scenes=(drive.scene,),
@@ -103,7 +103,7 @@ def prepare(drive: Drive) -> Prepared:
         seeds=(drive.seed,),
     )
     check_names(config, COMMAND)
-    map_file = _map_file(drive, kind.needs_map)
+    map_file = _map_file(drive, agent_type(drive.agent).needs_map)
     map_hash = None if map_file is None else scene_map_hash(map_file)
     image = _image(drive.goal) if isinstance(drive.goal, Path) else None
     (episode,) = expand(config)
