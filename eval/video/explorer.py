@@ -15,10 +15,8 @@ from vssm_gym.eval.video import pictures, writer
 from vssm_gym.eval.video.explorer_pictures import CANDIDATE, CHOSEN, GAIN_COLOURS, gain_norm, key_handles, label_gain
 from vssm_gym.eval.video.explorer_recording import EVERY, Recording
 from vssm_gym.eval.video.plan_panel import PlanPanel
-from vssm_gym.eval.video.writer import Page
+from vssm_gym.eval.video.writer import CAMERA_PLACE, STATUS_CHARACTERS, Page
 from vssm_gym.progress import OnProgress
-
-_CHARACTERS = 92  # of a status: a line holds no more
 
 
 def write_video(path: Path, recording: Recording, title: str, on_progress: OnProgress | None = None) -> None:
@@ -43,7 +41,7 @@ class Sheet:
         self._page, first = Page(), recording.moments[0]
         self._moves, figure = self._page.moves, self._page.figure
         self._page.head(title, EVERY * HolonomicRobot().dt)
-        self._image = self._page.camera((0.02, 0.475, 0.3, 0.445), first.rgb.shape)
+        self._image = self._page.camera(CAMERA_PLACE, first.rgb.shape)
         self._numbers = self._moves(figure.text(0.02, 0.425, "", fontsize=13))
         self._curve(figure)
         self._plan(figure)
@@ -64,7 +62,7 @@ class Sheet:
         self._numbers.set_text(
             f"{self._coverage[i]:.0f} % covered      {moment.metres:.1f} m      {moment.seconds:.0f} s"
         )
-        self._status.set_text(moment.status[:_CHARACTERS])
+        self._status.set_text(moment.status[:STATUS_CHARACTERS])
         return self._page.frame([(self._image, moment.rgb), plan])
 
     def _curve(self, figure: Figure) -> None:

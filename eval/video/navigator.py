@@ -18,17 +18,20 @@ from vssm_gym.eval.video import pictures, writer
 from vssm_gym.eval.video.ending import Ending
 from vssm_gym.eval.video.navigator_recording import Moment, Recording
 from vssm_gym.eval.video.plan_panel import PlanPanel
-from vssm_gym.eval.video.writer import Page, Window
+from vssm_gym.eval.video.writer import CAMERA_PLACE, STATUS_CHARACTERS, Page, Window
 from vssm_gym.progress import OnProgress
 from vssm_gym.viz.pictures import DASHES, ESTIMATE_COLOUR, GOAL_COLOUR, TRUE_COLOUR
 from vssm_gym.viz.text import shortened, visible
 
 ROBOT = HolonomicRobot()
-CHARACTERS = 92  # of a status: a line holds no more
-CLOSE = (0.16, 1.5)  # m, least and largest half edge of the close-up
+REACHES = (0.16, 1.5)  # m, least and largest half edge of the close-up
 CLOSE_CELLS = 120  # of the close-up along its edge
-CAMERA, GOAL_IMAGE, CLOSE_UP = (0.02, 0.475, 0.3, 0.445), (0.222, 0.062, 0.098, 0.1307), (0.02, 0.062, 0.19125, 0.34)
-PLAN = (0.345, 0.1, 0.635, 0.82)  # places on the page
+# Places on the page
+PLAN_PLACE, CLOSE_UP, GOAL_IMAGE = (
+    (0.345, 0.1, 0.635, 0.82),
+    (0.02, 0.062, 0.19125, 0.34),
+    (0.222, 0.062, 0.098, 0.1307),
+)
 GOAL: dict[str, Any] = {"facecolor": GOAL_COLOUR, "edgecolor": "black", "alpha": 0.55, "linewidth": 0.8}
 
 
@@ -56,7 +59,7 @@ class Sheet:
         page, figure = self._page, self._page.figure
         page.head(title, ROBOT.dt)
         self._pictures: list[tuple[Window, np.ndarray]] = []  # the same in every frame
-        self._image = page.camera(CAMERA, first.rgb.shape)
+        self._image = page.camera(CAMERA_PLACE, first.rgb.shape)
         self._numbers = page.moves(figure.text(0.02, 0.43, "", fontsize=13))
         self._error = page.moves(figure.text(0.222, 0.4, "", fontsize=10, va="top", linespacing=1.5))
         if recording.goal_rgb is not None:
@@ -82,14 +85,14 @@ class Sheet:
         self._numbers.set_color(ending.colour if last else "black")
         self._error.set_text("\n".join(_facts(moment, ending)))
         status = ending.reason if last and ending.reason else moment.status
-        self._status.set_text(shortened(visible(status), CHARACTERS))
+        self._status.set_text(shortened(visible(status), STATUS_CHARACTERS))
         return self._page.frame([(self._image, moment.rgb), *self._pictures, plan, close])
 
     def _plan(self, first: Moment) -> None:
         """Add the floor plan of the belief, with paths, goal and estimate."""
         page, figure, ending = self._page, self._page.figure, self._ending
         bounds = self._recording.bounds(*ending.region)
-        self._panel = PlanPanel(page, PLAN, bounds, first.plan.resolution, TRUE_COLOUR)
+        self._panel = PlanPanel(page, PLAN_PLACE, bounds, first.plan.resolution, TRUE_COLOUR)
         axes = self._panel.axes
         if ending.goal is not None:
             page.moves(axes.add_patch(Circle(ending.goal, ending.success_radius, **GOAL)))
@@ -185,7 +188,7 @@ def _radius(moment: Moment) -> float:
 def _reach_of(recording: Recording) -> float:
     """Return the half edge of the close-up: it shows error and region of most moments, m."""
     reaches = [(moment.error or 0.0) + _radius(moment) for moment in recording.moments]
-    return float(np.clip(1.2 * np.quantile(reaches, 0.95), *CLOSE))
+    return float(np.clip(1.2 * np.quantile(reaches, 0.95), *REACHES))
 
 
 def _ahead(planar: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 2"]:

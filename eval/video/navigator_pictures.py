@@ -28,8 +28,8 @@ from vssm_gym.viz.pictures import GOAL_COLOUR, TRUE_COLOUR
 from vssm_gym.viz.text import visible
 
 TIMES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)  # parts of the run at which the belief is shown
-WIDTH, LINE = 8.2, 0.22  # inches, of the picture and of a line of its title
-LETTERS = 56  # of a line of the title
+WIDTH, TITLE_LINE = 8.2, 0.22  # inches, of the picture and of a line of its title
+TITLE_LETTERS = 56  # of a line of the title
 ROBOT_SHARE = 0.06  # of a small panel's longer edge, from the robot's centre to its tip
 
 
@@ -46,8 +46,8 @@ def run(recording: Recording, m: VoxelMap | None, row: dict[str, Any]) -> Figure
     tall = float((bounds[1, 1] - bounds[0, 1]) / (bounds[1, 0] - bounds[0, 0]))
     heights = np.clip(WIDTH * tall, 2.0, 7.0), np.clip(WIDTH / len(TIMES) * tall, 1.0, 3.0)
     driven = f"{row['path_length']:.1f} m, {recording.track.seconds[-1]:.0f} s"
-    title = [f"{row['agent']}: {driven}, {ending.word}", *textwrap.wrap(visible(ending.reason), LETTERS)]
-    edges = 0.5 + LINE * len(title), 0.6  # inches for titles and keys
+    title = [f"{row['agent']}: {driven}, {ending.word}", *textwrap.wrap(visible(ending.reason), TITLE_LETTERS)]
+    edges = 0.5 + TITLE_LINE * len(title), 0.6  # inches for titles and keys
     figure = Figure(figsize=(WIDTH, float(sum(heights) + sum(edges))), layout="constrained")
     rows: Any = figure.subfigures(2, 1, height_ratios=np.add(heights, edges))
     axes = rows[0].subplots()

@@ -17,8 +17,8 @@ from vssm_gym.eval.video.track import Track
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import UNKNOWN
+from vssm_gym.viz.pictures import REGION_95
 
-REGION_95 = 5.991  # 95 % point of the chi-square distribution with two degrees of freedom
 CORNERS = 49  # of an ellipse, the first one again at the end
 EMPTY_CELL = 0.05  # m, of the plan of an agent without a map
 
@@ -118,7 +118,7 @@ class Recording:
 
 
 def region_95(estimate: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n 2"]:
-    """``{p : (p - p^)' S^-1 (p - p^) = 5.99}``: return the outline of the 95 % region of a position, ``(n, 2)`` m.
+    """``{p : (p - p^)' S^-1 (p - p^) = 2.448^2}``: return the outline of the 95 % region of a position, ``(n, 2)`` m.
 
     Args:
         estimate: x, y (m), heading (rad).
@@ -129,5 +129,5 @@ def region_95(estimate: Float[np.ndarray, "3"], covariance: Float[np.ndarray, "3
     variances, axes = np.linalg.eigh(np.asarray(covariance, float)[:2, :2])
     angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    stretched = np.sqrt(REGION_95 * np.maximum(variances, 0.0))[:, None] * circle
+    stretched = (REGION_95 * np.sqrt(np.maximum(variances, 0.0)))[:, None] * circle
     return np.asarray(estimate[:2] + (R_world_body @ axes @ stretched).T)

@@ -26,6 +26,8 @@ VIDEO_CRF = 20  # H.264's constant rate factor: 0 is lossless, 51 the worst
 VIDEO_SIZE, VIDEO_DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
 HOLD = 2.0  # s that the last frame is shown
 Place: TypeAlias = tuple[float, float, float, float]  # left, bottom, width, height of axes, as parts of the page
+CAMERA_PLACE: Place = (0.02, 0.475, 0.3, 0.445)  # of the robot's image
+STATUS_CHARACTERS = 92  # of an agent's status: a line holds no more
 HOW = "imageio-ffmpeg, which writes videos: pip install -c constraints.txt '.[viz]'"
 
 

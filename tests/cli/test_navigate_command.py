@@ -27,9 +27,10 @@ from vssm_gym.eval.protocols import pointnav
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.video import navigator_run
 from vssm_gym.eval.video.given_image import JUDGED
-from vssm_gym.eval.video.navigator_recording import REGION_95, region_95
+from vssm_gym.eval.video.navigator_recording import region_95
 from vssm_gym.eval.video.plans import CroppedPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+from vssm_gym.viz.pictures import REGION_95
 
 FILES = {"navigate.json", "run.mp4", "run.png", "run.json"}
 THERE = ("--start", "1.0,2.0", "--goal", "5.0,2.0")  # from the west through the door to the east
@@ -261,9 +262,9 @@ def test_the_region_holds_95_percent_of_errors_in_the_body_frame(heading):
     R_body_world = np.array([[c, s], [-s, c]])
     metric = np.linalg.inv((factor @ factor.T)[:2, :2])
     away = (outline - estimate[:2]) @ R_body_world.T
-    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", away, metric, away), REGION_95, rtol=1e-9)
+    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", away, metric, away), REGION_95**2, rtol=1e-9)
     draws = np.random.default_rng(0).normal(size=(20_000, 3)) @ factor.T
-    share = (np.einsum("ni,ij,nj->n", draws[:, :2], metric, draws[:, :2]) <= REGION_95).mean()
+    share = (np.einsum("ni,ij,nj->n", draws[:, :2], metric, draws[:, :2]) <= REGION_95**2).mean()
     assert share == pytest.approx(0.95, abs=0.006)
 
 

@@ -26,6 +26,7 @@ CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # of objects at the cut: walls, tall 
 UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])  # of space that was not observed
 TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#c2185b", "#e09f1f"
 DASHES = (0, (3, 1.5))  # offset, then lengths of dash and gap in line widths
+REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 LONGEST_IN_FIGURE = 60  # characters of a line of text
 
 
