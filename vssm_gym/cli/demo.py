@@ -5,7 +5,8 @@ from pathlib import Path
 from vssm_gym.cli.shared.console import say
 from vssm_gym.cli.shared.interruption import interruptible
 
-AGENT, GOAL = "astar", (2.36, 5.36)  # of the run that is shown: through the living room into the bedroom, m
+AGENT = "astar"  # of the run that is shown, from the kitchen through the living room into the bedroom
+START, GOAL = (9.76, 1.41, 2.43), (2.36, 5.36)  # x, y (m), heading (rad)
 RUN = "navigate"  # its folder
 
 
@@ -52,5 +53,5 @@ def show_run(out: Path) -> None:
     if not (folder / last).exists():
         map_file = out / "maps" / "oak.npz" if agent_type(AGENT).needs_map else None
         with progress_bars() as progress:
-            navigate(prepare(Drive("oak", GOAL, AGENT, map=map_file)), folder, video, progress)
+            navigate(prepare(Drive("oak", GOAL, AGENT, START, map_file)), folder, video, progress)
     say(*(folder / name for name in dict.fromkeys((PICTURE, last))))
