@@ -57,6 +57,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "envs",
         "envs.world_model",
         "data.trajectories",
+        "data.images",
         "data.sequences",
         "data.recording",
         "data.flights",

@@ -199,6 +199,11 @@ def _given_map_hash(config: SweepConfig, map_file: Path) -> str:
     """Return the hash of a map that agents are given; raise :class:`InputError` where it cannot be theirs."""
     if len(config.scenes) != 1:
         raise InputError("sweep", "map", f"a configuration of one scene; found {len(config.scenes)}")
+    return scene_map_hash(map_file)
+
+
+def scene_map_hash(map_file: Path) -> str:
+    """Return the hash of a map in a scene's frame; raise :class:`InputError` for one in a camera's frame."""
     if "sequence" in read_metadata(map_file):
         expected = "a map in the scene's frame, of `vssm-gym map build`; this one is in its first camera's frame"
         raise InputError(map_file, "frame", expected)

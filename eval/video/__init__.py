@@ -1,6 +1,8 @@
 """Draw pictures and videos of single runs.
 
-``writer`` writes MP4 files from pages whose static parts are drawn once. ``explorer_run`` runs one exploration with a
-``recording`` of it, drawn by ``pictures`` and ``explorer``. Of :mod:`vssm_gym.eval` this package imports every part but
-``bench`` and ``studies``.
+``explorer_run`` runs one exploration and ``navigator_run`` one navigation task, each with a recording of it
+(``*_recording``), pictures (``*_pictures``) and the page of its video (``explorer``, ``navigator``). They share floor
+plans (``plans``, ``plan_panel``), the robot's ``track``, the elements of ``pictures``, the ``run_files`` and the
+``writer`` of MP4 files, whose pages draw their static parts once. Of :mod:`vssm_gym.eval` this package imports every
+part but ``bench`` and ``studies``.
 """

@@ -1,6 +1,5 @@
 """Run one exploration and keep its row, final map, pictures and video."""
 
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -16,19 +15,18 @@ from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.runner import config_hash
-from vssm_gym.eval.video import pictures
+from vssm_gym.eval.video import explorer_pictures as pictures
 from vssm_gym.eval.video.explorer import write_video
-from vssm_gym.eval.video.recording import Recording
+from vssm_gym.eval.video.explorer_recording import Recording
+from vssm_gym.eval.video.run_files import PICTURE, VIDEO, write_map, write_picture, write_row
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import Owner, owned_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
-from vssm_gym.viz.pictures import png
 
-PICTURE_DPI = 110  # of the pictures
-MANIFEST, VIDEO = "explore.json", "run.mp4"
+MANIFEST = "explore.json"
 
 
 def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
@@ -80,15 +78,12 @@ def _explore(
     row = episode.identity(content) | signature | result
     explored = map_of(agent)
     assert explored is not None  # every explorer of the registry keeps one
-    explored.save(out / "map.npz", agent=row["agent"], scene_hash=content, package_version=version)
-    with atomic_write(out / "run.json") as temporary:
-        temporary.write_text(json.dumps(row, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    write_map(out, explored, row)
+    write_row(out, row)
     choice = recording.choice()
     if choice is not None:
-        with atomic_write(out / "candidates.png") as temporary:
-            temporary.write_bytes(png(pictures.candidates(choice, recording), PICTURE_DPI))
-    with atomic_write(out / "run.png") as temporary:
-        temporary.write_bytes(png(pictures.run(recording, explored, row), PICTURE_DPI))
+        write_picture(out / "candidates.png", pictures.candidates(choice, recording))
+    write_picture(out / PICTURE, pictures.run(recording, explored, row))
     with atomic_write(out / "mesh.png") as temporary:
         Image.fromarray(mesh_picture(surface_mesh(explored))).save(temporary, format="PNG")
     title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"

@@ -4,9 +4,9 @@ import contextlib
 import importlib
 import itertools
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import UInt8
@@ -16,6 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vssm_gym.errors import InputError
+from vssm_gym.eval.video.pictures import bare
+from vssm_gym.files.atomic import atomic_write
 from vssm_gym.progress import OnProgress
 from vssm_gym.viz.pictures import take_literally
 
@@ -23,6 +25,9 @@ VIDEO_RATE = 15  # frames a second
 VIDEO_CRF = 20  # H.264's constant rate factor: 0 is lossless, 51 the worst
 VIDEO_SIZE, VIDEO_DPI = (12.8, 7.2), 100  # inches and dots an inch: 1280 x 720
 HOLD = 2.0  # s that the last frame is shown
+Place: TypeAlias = tuple[float, float, float, float]  # left, bottom, width, height of axes, as parts of the page
+CAMERA_PLACE: Place = (0.02, 0.475, 0.3, 0.445)  # of the robot's image
+STATUS_CHARACTERS = 92  # of an agent's status: a line holds no more
 HOW = "imageio-ffmpeg, which writes videos: pip install -c constraints.txt '.[viz]'"
 
 
@@ -32,6 +37,27 @@ def check_writer(command: str) -> None:
         importlib.import_module("imageio_ffmpeg")  # of an extra; what imageio writes MP4 with
     except ImportError as reason:
         raise InputError(command, "video", f"{HOW} ({reason})") from reason
+
+
+def write_video(
+    path: Path,
+    draw: Callable[[int], UInt8[np.ndarray, "height width 3"]],
+    n: int,
+    on_progress: OnProgress | None = None,
+) -> None:
+    """Write ``n`` >= 1 frames, ``draw(0)`` to ``draw(n - 1)``, as MP4; the file appears whole or not at all.
+
+    Args:
+        path: of the file, which ends in ``.mp4``.
+        draw: returns the frame of a number.
+        n: number of frames.
+        on_progress: called with ("video", done, total).
+
+    Raises:
+        OSError: ffmpeg did not write the whole video.
+    """
+    with atomic_write(path) as temporary:
+        write_frames(temporary, (draw(i) for i in range(n)), n, on_progress)
 
 
 def write_frames(
@@ -120,6 +146,22 @@ class Page:
         artist.set_animated(True)
         self._moving.append(artist)
         return artist
+
+    def head(self, title: str, step: float) -> None:
+        """Write the title, and how fast frames of ``step`` s each are shown."""
+        self.figure.text(0.02, 0.95, title, fontsize=15, weight="bold")
+        faster = f"{step * VIDEO_RATE:g} x as fast as driven"
+        self.figure.text(0.98, 0.95, faster, fontsize=10, ha="right", color="0.35")
+
+    def camera(self, place: Place, shape: tuple[int, ...]) -> Window:
+        """Add axes for images of ``shape`` (height, width, ...), row 0 on top; return their place in frames."""
+        axes = self.figure.add_axes(place, xlim=(0, shape[1]), ylim=(0, shape[0]))
+        bare(axes)
+        return self.window(axes, shape, upwards=False)
+
+    def window(self, axes: Axes, shape: tuple[int, ...], upwards: bool) -> Window:
+        """Return the place of ``axes`` in frames, for pictures of ``shape``; with ``upwards`` row 0 is the lowest."""
+        return Window(axes, shape, self.size, upwards)
 
     def frame(
         self, pictures: Iterable[tuple[Window, UInt8[np.ndarray, "rows columns 3"]]]

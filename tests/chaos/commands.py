@@ -93,15 +93,15 @@ def train_result(out: Path) -> object:
     return steps[-1] >= TRAIN_STEPS, steps == sorted(steps), (out / "policy.npz").is_file()
 
 
-def explore_kept(out: Path) -> Kept:
-    """Return the names of what a run shows, and the map as it was explored."""
+def shown_kept(out: Path) -> Kept:
+    """Return the names of what an exploration or a navigation shows, and the map that was built."""
     names = ("run.json", "candidates.png", "run.png", "mesh.png", "run.mp4")
     return digests(out, ["map.npz"]) | {name: True for name in names if (out / name).is_file()}
 
 
-def explore_result(out: Path) -> object:
+def shown_result(out: Path) -> object:
     """Return the row and the map."""
-    return without_times(json.loads((out / "run.json").read_text())), explore_kept(out)
+    return without_times(json.loads((out / "run.json").read_text())), shown_kept(out)
 
 
 TRAIN_STEPS = 40_000
@@ -125,9 +125,17 @@ COMMANDS = {
     ),
     "explore": Command(
         "explore --scene {0}/home.json --steps 60",
-        explore_kept,
-        explore_result,
+        shown_kept,
+        shown_result,
         0.14,
+        "run.mp4",
+        needs=("imageio_ffmpeg",),
+    ),
+    "navigate": Command(
+        "navigate --scene {0}/home.json --start 1,2 --goal 5,2 --agent random --steps 60",
+        shown_kept,
+        shown_result,
+        0.1,
         "run.mp4",
         needs=("imageio_ffmpeg",),
     ),

@@ -13,8 +13,9 @@ from vssm_gym.agents.base import Decision
 from vssm_gym.agents.exploration.mi_explorer import Tour
 from vssm_gym.cli import main as main_module
 from vssm_gym.eval.protocols.episode import StepRecord
-from vssm_gym.eval.video import pictures as explore_pictures
-from vssm_gym.eval.video.recording import EVERY, CroppedPlan, Recording
+from vssm_gym.eval.video.explorer_recording import EVERY, Recording
+from vssm_gym.eval.video.pictures import plan_image
+from vssm_gym.eval.video.plans import CroppedPlan
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
@@ -105,7 +106,7 @@ def test_a_plan_keeps_its_place_in_a_larger_picture():
     cells = np.array([[FREE, OCCUPIED, UNKNOWN], [FREE, FREE, OCCUPIED]], np.int8)
     plan = CroppedPlan(cells, np.array([1.05, 2.05]), 0.1)
     np.testing.assert_allclose(plan.bounds, [[1.0, 2.0], [1.2, 2.3]])
-    image = explore_pictures.plan_image(plan, np.array([[0.8, 1.9], [1.3, 2.4]]))
+    image = plan_image(plan, np.array([[0.8, 1.9], [1.3, 2.4]]))
     assert image.shape == (5, 5, 3)  # rows are y, upwards
     free, occupied = (image == 255).all(axis=2), (image < 100).all(axis=2)
     assert sorted(map(tuple, np.argwhere(free).tolist())) == [(1, 2), (1, 3), (2, 3)]
@@ -147,7 +148,7 @@ def test_the_choice_shown_is_an_early_one_among_several(choices, step):
     recording = watched(choices)
     choice = recording.choice()
     assert (None if choice is None else round(choice.seconds / 0.2)) == step
-    assert len(recording.path) == len(choices)
+    assert len(recording.track.path) == len(choices)
     assert recording.moments[-1].tour is None  # it has stopped
     if choice is not None:
-        assert len(recording.driven(choice)) == step + 1
+        assert len(recording.track.until(choice.seconds)) == step + 1

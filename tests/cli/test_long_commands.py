@@ -63,8 +63,13 @@ COMMANDS = {
         NOTHING,
     ),
     "bench": ("bench tracker --scene {0}/rooms.json --out {1}", "progress: driving and recording: ", NOTHING),
+    "navigate": (
+        "navigate --scene {0}/rooms.json --start 1,2 --goal 5,2 --agent random --out {1}",
+        r"progress: (navigating|video): [1-9]\d* of \d+, ",
+        r"(nothing of this run is kept|{1} keeps .*run\.json); start it again with: ",
+    ),
 }
-NEEDS = {"train": "stable_baselines3", "explore": "imageio_ffmpeg"}
+NEEDS = {"train": "stable_baselines3", "explore": "imageio_ffmpeg", "navigate": "imageio_ffmpeg"}
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.cli import main as main_module
 from vssm_gym.envs.scenes.scene import save_scene
-from vssm_gym.eval.video.recording import CroppedPlan
+from vssm_gym.eval.video.plans import CroppedPlan
 from vssm_gym.eval.video.writer import HOLD, VIDEO_RATE
 from vssm_gym.geometry.scan import BEAMS
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN

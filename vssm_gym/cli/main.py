@@ -30,6 +30,7 @@ COMMANDS: dict[str, Any] = {
     "train": "train.train",
     "curves": "curves.curves",
     "evaluate": "evaluate.evaluate",
+    "navigate": "navigate.navigate",
     "explore": "explore.explore",
     "sweep": "sweep.sweep",
     "merge": "merge.merge",

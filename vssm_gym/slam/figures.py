@@ -34,7 +34,6 @@ SLICE_PIXELS = 420  # of a slice along its longer edge, at most
 STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9"}
 ELLIPSES = 25  # drawn along a path
 CALIBRATION_COLOURS = ("#0072b2", "#d55e00")  # of pose and velocity
-REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def path(run: SlamRun, display: Display) -> tuple[bytes, float]:
     all_axes = np.atleast_1d(figure.subplots(1, panels))
     p = transform(display.T_display_world, run.poses[:, :3, 3])
     spread = _position_spread(run, display)
-    largest = max((REGION_95 * np.sqrt(np.trace(covariance)) for _, covariance in spread), default=1.0)
+    largest = max((pictures.REGION_95 * np.sqrt(np.trace(covariance)) for _, covariance in spread), default=1.0)
     room = 0.05 * float(np.ptp(p, axis=0).max())
     magnified = max(1.0, 10.0 ** np.floor(np.log10(max(room / largest, 1.0))))
     for axes, (a, b), title in zip(all_axes, ((0, 1), (0, 2)), ("from above", "from the side"), strict=False):
@@ -127,7 +126,7 @@ def _position_spread(run: SlamRun, display: Display) -> list[tuple[np.ndarray, n
 
 def _ellipse(centre: np.ndarray, covariance: np.ndarray, magnified: float) -> Ellipse:
     variance, axes = np.linalg.eigh(covariance)
-    width, height = 2.0 * REGION_95 * magnified * np.sqrt(np.maximum(variance, 0.0))
+    width, height = 2.0 * pictures.REGION_95 * magnified * np.sqrt(np.maximum(variance, 0.0))
     angle = np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))
     colour = pictures.ESTIMATE_COLOUR
     return Ellipse(

@@ -23,7 +23,7 @@ from vssm_gym.envs.tasks.navigation import Task, load
 from vssm_gym.eval.protocols import pointnav as pointnav_protocol
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.sweep.config import SweepConfig, expand
-from vssm_gym.eval.video.recording import CroppedPlan
+from vssm_gym.eval.video.plans import CroppedPlan
 from vssm_gym.files.shipped import POLICIES, shipped
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.scan import BEAMS, scan_of

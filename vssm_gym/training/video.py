@@ -14,9 +14,9 @@ from matplotlib.colors import to_hex
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from vssm_gym.eval.video import pictures as explorer_pictures
-from vssm_gym.eval.video.writer import VIDEO_RATE, Page, Window, write_frames
-from vssm_gym.files.atomic import atomic_write
+from vssm_gym.eval.video import pictures as run_pictures
+from vssm_gym.eval.video import writer
+from vssm_gym.eval.video.writer import VIDEO_RATE, Page, Window
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.recording import ROBOT, PolicyRun, PolicyRuns
 from vssm_gym.viz import pictures
@@ -36,9 +36,7 @@ def write_video(path: Path, both: PolicyRuns, on_progress: OnProgress | None = N
         both: runs that have ended.
         on_progress: called with ("video", done, total).
     """
-    sheet = Sheet(both)
-    with atomic_write(path) as temporary:
-        write_frames(temporary, (sheet.draw(i) for i in range(len(both))), len(both), on_progress)
+    writer.write_video(path, Sheet(both).draw, len(both), on_progress)
 
 
 class Sheet:
@@ -55,7 +53,7 @@ class Sheet:
         bounds = np.stack([corners[:, 0].min(axis=0) - LABELLED_MARGIN, corners[:, 1].max(axis=0) + LABELLED_MARGIN])
         runs = zip((both.real, both.imagined), HEADS, SEEN, (0.02, 0.515), strict=True)
         self._sides = [Side(page, both, run, bounds, head, caption, left) for run, head, caption, left in runs]
-        figure.legend(handles=_handles(), loc="lower center", **explorer_pictures.KEY)
+        figure.legend(handles=_handles(), loc="lower center", **run_pictures.KEY)
 
     def draw(self, i: int) -> UInt8[np.ndarray, "height width 3"]:
         """Draw frame number ``i``."""
@@ -70,35 +68,28 @@ class Side:
     ) -> None:
         self._run, figure = run, page.figure
         image = run.moments[0].image
-        axes = figure.add_axes((left, 0.665, 0.1875, 0.25), xlim=(0, image.shape[1]), ylim=(0, image.shape[0]))
-        explorer_pictures.bare(axes)
-        self._window = Window(axes, image.shape, page.size, upwards=False)
+        self._window = page.camera((left, 0.665, 0.1875, 0.25), image.shape)
         text_left = left + 0.2
         figure.text(text_left, 0.89, head, fontsize=13, weight="bold")
         figure.text(text_left, 0.667, textwrap.fill(caption, LETTERS), fontsize=9, color="0.35", va="bottom")
         axes = figure.add_axes((left, 0.055, 0.465, 0.595), xlim=bounds[:, 0], ylim=bounds[:, 1])
-        explorer_pictures.bare(axes)
-        axes.imshow(
-            explorer_pictures.plan_image(run.plan, run.plan.bounds),
-            origin="lower",
-            extent=explorer_pictures.extent(run.plan.bounds),
-            interpolation="nearest",
-        )
+        run_pictures.bare(axes)
+        run_pictures.draw_plan(axes, run.plan, run.plan.bounds)
         axes.set(xlim=bounds[:, 0], ylim=bounds[:, 1])
         axes.set_facecolor(to_hex(pictures.UNKNOWN_COLOUR.tolist()))
         goal = Circle(both.task.goal, both.success_radius, facecolor=pictures.GOAL_COLOUR, edgecolor="black", alpha=0.6)
         axes.add_patch(goal)
         axes.plot(*both.task.start[:2], "o", color=pictures.TRUE_COLOUR, markersize=5)
-        explorer_pictures.draw_scale(axes, bounds)
+        run_pictures.draw_scale(axes, bounds)
         self._rays = page.moves(axes.add_collection(LineCollection([], colors=RAY_COLOUR, linewidths=0.6, alpha=0.55)))
-        halo = explorer_pictures.HALO
+        halo = run_pictures.HALO
         self._path = page.moves(axes.plot([], [], color=pictures.TRUE_COLOUR, linewidth=1.8, path_effects=halo)[0])
         self._estimate = page.moves(
             axes.plot([], [], color=pictures.ESTIMATE_COLOUR, linewidth=1.2, linestyle=pictures.DASHES)[0]
         )
-        self._robot = page.moves(explorer_pictures.draw_robot(axes, run.moments[0].planar))
+        self._robot = page.moves(run_pictures.draw_robot(axes, run.moments[0].planar))
         self._robot.set_facecolor(pictures.TRUE_COLOUR)
-        self._estimated_robot = page.moves(explorer_pictures.draw_robot(axes, run.moments[0].estimate))
+        self._estimated_robot = page.moves(run_pictures.draw_robot(axes, run.moments[0].estimate))
         self._estimated_robot.set(facecolor="none", edgecolor=pictures.ESTIMATE_COLOUR)
         self._words = page.moves(figure.text(text_left, 0.875, "", fontsize=11, va="top", linespacing=1.35))
 
@@ -110,8 +101,8 @@ class Side:
         self._rays.set_segments([[moment.planar[:2], end] for end in moment.hits])
         self._path.set_data(*path.T)
         self._estimate.set_data(*run.path("estimate", i + 1).T)
-        self._robot.set_xy(explorer_pictures.robot_outline(moment.planar))
-        self._estimated_robot.set_xy(explorer_pictures.robot_outline(moment.estimate))
+        self._robot.set_xy(run_pictures.robot_outline(moment.planar))
+        self._estimated_robot.set_xy(run_pictures.robot_outline(moment.estimate))
         driven = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         off = float(np.linalg.norm(moment.estimate[:2] - moment.planar[:2]))
         ended = i == len(run.moments) - 1
@@ -125,10 +116,9 @@ class Side:
 
 def _handles() -> list:
     """Return the key to both plans."""
-    plan = explorer_pictures.plan_handles(with_gain=False)[:3]
     dot = {"marker": "o", "linestyle": "", "markersize": 9, "alpha": 0.6}
     return [
-        *plan,
+        *run_pictures.cell_handles(),
         Line2D([], [], color=pictures.TRUE_COLOUR, linewidth=1.8, label="path"),
         Line2D([], [], color=pictures.ESTIMATE_COLOUR, linewidth=1.2, linestyle=pictures.DASHES, label="estimate"),
         Line2D([], [], color=RAY_COLOUR, linewidth=1.0, label="scan"),

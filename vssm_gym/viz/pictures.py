@@ -26,6 +26,7 @@ CUT_COLOUR = np.array([0.25, 0.27, 0.30])  # of objects at the cut: walls, tall 
 UNKNOWN_COLOUR = np.array([0.82, 0.83, 0.85])  # of space that was not observed
 TRUE_COLOUR, ESTIMATE_COLOUR, GOAL_COLOUR = "#0b6e4f", "#c2185b", "#e09f1f"
 DASHES = (0, (3, 1.5))  # offset, then lengths of dash and gap in line widths
+REGION_95 = 2.448  # root of the 95 % point of chi^2 with 2 degrees of freedom
 LONGEST_IN_FIGURE = 60  # characters of a line of text
 
 
@@ -71,12 +72,19 @@ def draw_background(axes: Axes, background: Background | None) -> None:
     axes.set_aspect("equal")
     axes.tick_params(labelsize=6, length=2)
     if background is not None:
-        pale = 1.0 - 0.6 * (1.0 - background.image)  # so that paths stand out
-        axes.imshow(pale, origin="lower", extent=background.extent, interpolation="nearest")
+        axes.imshow(pale(background.image), origin="lower", extent=background.extent, interpolation="nearest")
+
+
+def pale(colour: np.ndarray) -> np.ndarray:
+    """Return colours (RGB, [0, 1]) of a background, so light that paths stand out."""
+    return np.asarray(1.0 - 0.6 * (1.0 - colour))
 
 
 def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
-    """Draw one episode: true path, estimated path, start, goal with its success circle, and collisions."""
+    """Draw one episode: true path, estimated path, start, goal with its success circle, and collisions.
+
+    A goal that is None is left out.
+    """
     true = np.asarray(row["trace"]["true"], dtype=float).reshape(-1, 2)
     estimate = np.asarray(row["trace"]["estimate"] or [], dtype=float).reshape(-1, 2)
     goal = row["goal"]
@@ -89,7 +97,9 @@ def draw_run(axes: Axes, row: Mapping[str, Any], success_radius: float) -> None:
         axes.plot(*contacts.T, "x", color="black", markersize=4, markeredgewidth=1.0, zorder=5)
     axes.plot(*true[0], "o", color=TRUE_COLOUR, markersize=5, zorder=6)
     axes.plot(*true[-1], "s", color=TRUE_COLOUR, markersize=4, zorder=6)
-    axes.add_patch(Circle(goal, success_radius, facecolor=GOAL_COLOUR, edgecolor="black", alpha=0.55, lw=0.6, zorder=2))
+    if goal is not None:
+        circle = Circle(goal, success_radius, facecolor=GOAL_COLOUR, edgecolor="black", alpha=0.55, lw=0.6, zorder=2)
+        axes.add_patch(circle)
 
 
 def draw_outlines(axes: Axes, outlines: Float[np.ndarray, "n 4 2"], colour: str, filled: bool = False) -> None:

@@ -7,53 +7,18 @@ drawn when the run has ended, because only then the extent of the map and the ra
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int8, UInt8
+from jaxtyping import Float, UInt8
 
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.exploration.mi_explorer import Tour
-from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.protocols.explore_episode import map_of
-from vssm_gym.eval.report.explore_figures import KNOWN_MARGIN
-from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.floor_plan import FloorPlan
-from vssm_gym.planning.occupancy_grid import UNKNOWN
+from vssm_gym.eval.video.plans import CroppedPlan, bounds_of
+from vssm_gym.eval.video.track import Track
 
 EVERY = 2  # steps between two moments, 0.4 s
 EARLY = 0.4  # coverage from which on a choice is shown: by then there are several candidates
 SEVERAL = 4  # least number of candidates of a choice that is shown
-
-
-@dataclass(frozen=True)
-class CroppedPlan:
-    """Hold the known part of a floor plan.
-
-    Attributes:
-        cells: ``(nx, ny)`` of FREE, OCCUPIED and UNKNOWN (:mod:`vssm_gym.planning.occupancy_grid`).
-        origin: world position of the centre of cell ``[0, 0]``, m.
-        resolution: edge of a cell, m.
-    """
-
-    cells: Int8[np.ndarray, "nx ny"]
-    origin: Float[np.ndarray, "2"]
-    resolution: float
-
-    @classmethod
-    def of(cls, m: VoxelMap) -> "CroppedPlan":
-        """Compute the plan of a belief at the heights of the robot's body."""
-        plan = FloorPlan.of(m, *OwnMapConfig().heights)
-        known = plan.cells != UNKNOWN
-        if not known.any():
-            return cls(plan.cells[:1, :1].copy(), plan.origin, plan.resolution)
-        rows, columns = (np.flatnonzero(known.any(axis=a)) for a in (1, 0))
-        low, end = np.array([rows[0], columns[0]]), np.array([rows[-1], columns[-1]]) + 1
-        return cls(plan.cells[low[0] : end[0], low[1] : end[1]].copy(), plan.centres(low), plan.resolution)
-
-    @property
-    def bounds(self) -> Float[np.ndarray, "2 2"]:
-        """Return the lowest and the highest corner, ``(2, 2)``, m."""
-        low = self.origin - 0.5 * self.resolution
-        return np.stack([low, low + self.resolution * np.array(self.cells.shape)])
 
 
 @dataclass(frozen=True)
@@ -90,21 +55,18 @@ class Recording:
 
     Attributes:
         moments: every ``EVERY`` steps, and where the agent stops.
-        path: ``(3,)`` x, y (m), heading (rad) of every step.
-        seconds: time of every step.
+        track: where the robot was at every step.
     """
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self.moments: list[Moment] = []
-        self.path: list[np.ndarray] = []
-        self.seconds: list[float] = []
+        self.track = Track()
         self._tour: Tour | None = None
 
     def __call__(self, step: StepRecord) -> None:
         """Record one step."""
-        self.path.append(step.planar)
-        self.seconds.append(step.seconds)
+        self.track.add(step)
         decision = step.decision
         stops = bool(decision.action[3] > 0.5)
         m = map_of(self._agent)
@@ -128,14 +90,8 @@ class Recording:
         self._tour = tour
 
     def bounds(self) -> Float[np.ndarray, "2 2"]:
-        """Return the lowest and highest corner of all known space, with ``KNOWN_MARGIN`` m on each side."""
-        corners = np.array([moment.plan.bounds for moment in self.moments])
-        return np.stack([corners[:, 0].min(axis=0) - KNOWN_MARGIN, corners[:, 1].max(axis=0) + KNOWN_MARGIN])
-
-    def driven(self, moment: Moment) -> Float[np.ndarray, "n 2"]:
-        """Return the path up to a moment, m."""
-        n = int(np.searchsorted(self.seconds, moment.seconds)) + 1
-        return np.array(self.path[:n])[:, :2]
+        """Return the lowest and highest corner of all known space, with a margin, m."""
+        return bounds_of(moment.plan.bounds for moment in self.moments)
 
     def choice(self) -> Moment | None:
         """Return the first choice at ``EARLY`` coverage among ``SEVERAL`` candidates, or that among most, or None."""
