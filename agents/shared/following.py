@@ -20,7 +20,6 @@ from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.pursuit import BEND_PASSED, direction_of_travel, steer
 
-
 CERTAIN = np.zeros(3)  # standard deviations of a pose that is observed
 
 

@@ -1,4 +1,4 @@
-"""Navigate to a goal: localise, look where to drive, plan, step with care, respond to failures, and decide when to stop.
+"""Navigate to a goal: localise, look where to drive, plan, step with care, respond to failures, decide when to stop.
 
 The navigating agents share this navigator. They differ in how they localise and in their
 :class:`~vssm_gym.agents.shared.surroundings.Surroundings`: a map that they were given, or one that they build. The
@@ -103,7 +103,8 @@ class Navigator:
         self._open(self.surroundings.reset(context, observation), observation)
 
     def _open(self, estimate: Localization, observation: Observation) -> None:
-        self._estimate, self._command = estimate, None
+        self._estimate = estimate
+        self._command: np.ndarray | None = None
         self._track = [estimate.planar.copy()]  # poses that were believed
         self._begin(observation["goal"])
         if self._config.look_first:

@@ -48,7 +48,7 @@ RESPONSES: Table = {
     Failure.BLOCKED: (Response.BACK_OFF, Response.LOOK_AGAIN, Response.BACK_OFF, Response.RETRACE),
     Failure.NO_PATH: (Response.LOOK_AGAIN, Response.EXPLORE, Response.LOOK_AGAIN),
 }
-WITHOUT: Table = {failure: () for failure in Failure}  # the ablation: the first failure ends the task
+WITHOUT: Table = dict.fromkeys(Failure, ())  # the ablation: the first failure ends the task
 
 
 @dataclass

@@ -77,6 +77,7 @@ def camera_rotation(
     last: Float[Array, "height width"],
     camera: Camera,
     config: RotationConfig = RotationConfig(),
+    start: Float[Array, "3 3"] | None = None,
 ) -> Float[Array, "3 3"]:
     """Estimate R_last_cam of a pure rotation (eq. I14).
 
@@ -85,8 +86,9 @@ def camera_rotation(
         last: Luminance of the image before.
         camera: Intrinsics of both.
         config: Sizes, gates and effort.
+        start: R_last_cam where the search begins; None: no rotation.
     """
-    R = jnp.eye(3)
+    R = jnp.eye(3) if start is None else start
     for factor in dict.fromkeys(max(1, camera.width // width) for width in config.widths):
         R = _turn(R, shrink_image(last, factor), shrink_image(grey, factor), shrink_camera(camera, factor), config)
     return R

@@ -16,12 +16,13 @@ accepted updates neither belief. Recovery then tries other poses (:mod:`~vssm_gy
 without recovery, the next images are compared with the map rendered where the commands have led.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
@@ -35,10 +36,10 @@ from vssm_gym.inference.mapping import map_update, rolling_window
 from vssm_gym.inference.prism import drift
 from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig
 from vssm_gym.inference.status import Status
-from vssm_gym.inference.tracking import keyframes
-from vssm_gym.inference.tracking.camera_filter import Past, TrackingInput, begin, expected_pose
+from vssm_gym.inference.tracking import keyframes, visual_turn
+from vssm_gym.inference.tracking.camera_filter import Past, TrackingInput, begin, camera_pose, expected_pose
 from vssm_gym.inference.tracking.keyframes import Keyframes
-from vssm_gym.inference.tracking.localise import Relocalisation, checked, localise, readable, seconds, shrunk
+from vssm_gym.inference.tracking.localise import Located, Relocalisation, checked, localise, readable, seconds, shrunk
 from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
@@ -58,6 +59,7 @@ class PrismState(eqx.Module):
     reference: ReferenceView
     start: Float[Array, "3"]  # m, of the body at the first image
     keyframes: Keyframes | None  # None: no recovery
+    grey: Float[Array, "height width"]  # small luminance of the last image, accepted or not
     lost: bool  # the last image was not accepted
     key: PRNGKeyArray
     measurement_noise: MeasurementNoise  # of the posterior
@@ -114,7 +116,8 @@ class Prism:
             reference_view.from_image(m, T, small, view.camera, config.update.max_depth, config.samples > 1),
         )
         start = past.belief.manifold.pose(past.belief.mean)[:3, 3]
-        return PrismState(m, past, reference, start, kept, False, key, prior.measurement_noise)
+        grey = visual_turn.small_grey(image, self.rig.camera)
+        return PrismState(m, past, reference, start, kept, grey, False, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -156,10 +159,16 @@ class Prism:
         )
         located = localise(given, config.tracking, relocalisation, clock)
         past, status = located.past, located.status
+        grey = visual_turn.small_grey(image, self.rig.camera)
         if not status.accepted:
-            lost = eqx.tree_at(lambda s: (s.past, s.lost), state, (past, True))
-            in_world = _in_world(past, state.start, self.transition, config)
-            return lost, FilterInfo(status, in_world, located.fit_quality)
+            if self.transition.commanded and np.count_nonzero(self.transition.manifold.turns) == 1:
+                belief = visual_turn.turned(past.belief, state.past.belief, state.grey, grey, self.rig)
+                past = replace(past, belief=belief)
+            if not (alone and self._is_new(located, past, small)):
+                lost = eqx.tree_at(lambda s: (s.past, s.grey, s.lost), state, (past, grey, True))
+                in_world = _in_world(past, state.start, self.transition, config)
+                return lost, FilterInfo(status, in_world, located.fit_quality)
+            past, status = _taken(past, small, view), Status.OK
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
             image = _expose(image, located.gain)
@@ -182,8 +191,9 @@ class Prism:
                 "reference", reference_view.from_image(m, T, small, view.camera, max_depth, config.samples > 1)
             )
         in_world = _in_world(past, state.start, self.transition, config)
-        info = FilterInfo(status, in_world, located.fit_quality, dropped)
-        return PrismState(m, past, reference, state.start, kept, False, key, state.measurement_noise), info
+        fit_quality = located.fit_quality if located.status.accepted else None  # nothing was aligned
+        info = FilterInfo(status, in_world, fit_quality, dropped)
+        return PrismState(m, past, reference, state.start, kept, grey, False, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``.
@@ -201,6 +211,16 @@ class Prism:
             errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, past.considered.drift, self.rig.camera, reach)
         return Posterior(past.belief, state.map, state.measurement_noise, errors)
 
+    def _is_new(self, located: Located, past: Past, image: RGBD) -> bool:
+        """Return True where the map knows nothing of what an image shows, and the pose is known well enough to add it."""
+        p, config = len(past.laplace), self.config
+        std = jnp.sqrt(jnp.diagonal(past.belief.covariance)[:p])
+        return (
+            float(jnp.mean(image.hit)) >= config.new_reading
+            and float(located.fit_quality.coverage) <= config.new_coverage
+            and float(jnp.max(std)) <= config.new_std
+        )
+
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
         """Return the image and its rig at tracking size."""
         return shrunk(image, self.rig, self.config.track_width)
@@ -212,6 +232,12 @@ class Prism:
             return map_update.update(m, image.depth, image.rgb, past.T_world_cam, camera, config.update)
         poses = _draw_poses(past.belief, self.rig, key, config.samples)
         return map_update.update_expected(m, image.depth, image.rgb, poses, camera, config.update)
+
+
+@jax.jit
+def _taken(past: Past, image: RGBD, rig: Rig) -> Past:
+    """Return the past after an image that was taken where the belief predicts."""
+    return replace(past, image=image, T_world_cam=camera_pose(past.belief, rig))
 
 
 @partial(jax.jit, static_argnums=3)
