@@ -2,10 +2,10 @@
 
 The navigating agents share this navigator. They differ in how they localise and in their
 :class:`~vssm_gym.agents.shared.surroundings.Surroundings`: a map that they were given, or one that they build. The
-planner is any of :mod:`vssm_gym.planning.planners`, A* by default. Every step shortens what is left of the path from the
-newest estimate. The planner runs again where that fails, and where a place has changed through which a path could lead
-that costs less: ``|robot - place| + |place - goal| < cost of the path``. A robot whose estimate is not believed never
-arrives (:mod:`vssm_gym.agents.shared.trust`). What it does about failures is a table
+planner is any of :mod:`vssm_gym.planning.planners`, A* by default. Every step shortens what is left of the path from
+the newest estimate. The planner runs again where that fails, and where a place has changed through which a path could
+lead that costs less: ``|robot - place| + |place - goal| < cost of the path``. A robot whose estimate is not believed
+never arrives (:mod:`vssm_gym.agents.shared.trust`). What it does about failures is a table
 (:mod:`vssm_gym.agents.shared.recovery`).
 """
 
@@ -52,6 +52,9 @@ class NavigationConfig:
     stuck_share: float = 0.35  # fraction of it that the estimate must have moved; less means that the robot is stuck
     patience: int = 24  # steps within ``arrival`` of one place, while driving, after which it is stuck, too: 1.5 turns
     obstacle_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
+    # Of the obstacle that is assumed where an image has no depth: it is nearer than a depth camera measures.
+    blind_distance: float = 0.3
+    blind_radius: float = 0.14
     doubted: float = 1.5  # radius within which obstacles are doubted
     most_uncertain: tuple[float, float] = (0.15, 0.15)  # m, rad: standard deviations against the map
     look_first: bool = False  # whether an episode begins with a full turn
@@ -134,8 +137,8 @@ class Navigator:
 
     def _decide(self, estimate: Localization) -> tuple[str, bool, np.ndarray]:
         """Return the activity, True to stop, and the command."""
-        task, still, lost = self._task, np.array(STOP_COMMAND), bool(estimate.lost)
-        match self._config.lost.conduct(estimate.lost, estimate.status):
+        task, c, still, lost = self._task, self._config, np.array(STOP_COMMAND), bool(estimate.lost)
+        match c.lost.conduct(estimate.lost, estimate.status):
             case Conduct.GIVE_UP:
                 return gave_up(estimate.lost), True, still
             case Conduct.WAIT:
@@ -155,10 +158,9 @@ class Navigator:
             return ("looking around: lost", False, self._turn()) if lost else ("arrived", True, still)
         held, dithers = self._is_held(estimate), self._dithers(estimate)
         if held:
-            self._meet_obstacle(estimate)
-        if held or dithers:
-            if (response := self._respond(Failure.STUCK, estimate)) is not None:
-                return response
+            self._meet_obstacle(estimate, self._radius + c.obstacle_radius, c.obstacle_radius)
+        if (held or dithers) and (response := self._respond(Failure.STUCK, estimate)) is not None:
+            return response
         if not lost and self._is_uncertain(estimate) and (response := self._respond(Failure.UNCERTAIN, estimate)):
             return response
         terrain = self.terrain = self.surroundings.look(estimate.planar, task.goal)
@@ -172,6 +174,10 @@ class Navigator:
         if task.detour is not None and math.hypot(*(task.detour - estimate.planar[:2])) <= self._config.arrival:
             return self._look_from_detour(estimate)
         command = self._step(estimate, terrain, task.path)
+        if command[2] > 0.0 and not self.surroundings.sees_ahead():
+            task.recovery.counts[BLIND] += 1
+            self._meet_obstacle(estimate, c.blind_distance, c.blind_radius)
+            return f"looking around: {BLIND}", False, still
         if not np.any(command):
             response = self._respond(Failure.BLOCKED, estimate)
             return response or ("looking around: blocked", False, self._turn())
@@ -376,14 +382,13 @@ class Navigator:
             task.driven.popleft()
         return asked >= c.stuck_length and moved < c.stuck_share * asked
 
-    def _meet_obstacle(self, estimate: Localization) -> None:
-        """Assume an obstacle where the robot drives to, and plan a path around it."""
+    def _meet_obstacle(self, estimate: Localization, front: float, radius: float) -> None:
+        """Assume an obstacle ``front`` m ahead, of ``radius`` m, and plan a path around it."""
         command = np.zeros(3) if self._command is None else self._command
         heading = direction_of_travel(estimate.planar, command, self._context.direction_frame)
-        front = self._radius + self._config.obstacle_radius
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
-        self.surroundings.meet(centre, self._config.obstacle_radius)
-        self._task.path = None
+        self.surroundings.meet(centre, radius)
+        self._task.path, self._task.idle = None, 0
         self._task.driven.clear()
 
     # --- memory
@@ -417,6 +422,7 @@ class Navigator:
 
 
 NEAREST = "arrived as near as a path leads"
+BLIND = "does not drive blindly"  # where an image shows nothing ahead
 
 
 def _cost(path: PlannedPath) -> float:

@@ -1,7 +1,8 @@
 """Respond to what goes wrong on the way: a table of failures, each with its responses in order.
 
 A failure is met by the first response of its row, and by the next one if it is still there, or there again before the
-robot has come :data:`PROGRESS` further. Where a row has ended, the robot gives up. Every response that begins is counted.
+robot has come :data:`PROGRESS` further. Where a row has ended, the robot gives up. Every response that begins is
+counted.
 """
 
 import math

@@ -20,6 +20,8 @@ from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan, changed_cells
 from vssm_gym.planning.traversability import Body, TraversabilityConfig, of_clearance, of_plan
 
+LEAST_SEEN = 0.15  # share of the middle of an image: with less depth the robot is blind to what it drives at
+TRAVERSABILITY, OWN_MAP = TraversabilityConfig(), OwnMapConfig()
 NEAR = 1.2  # m around the robot within which steps are tested
 
 
@@ -60,6 +62,10 @@ class Surroundings(Protocol):
         """Return where a robot at ``planar`` can drive on its way to ``goal`` ``(2,)``, m."""
         ...
 
+    def sees_ahead(self) -> bool:
+        """Return True where the last image shows, or the map knows, what the robot has in front of it."""
+        ...
+
     def meet(self, xy: np.ndarray, radius: float) -> None:
         """Remember an obstacle that the map does not show: a disc at ``xy``, m."""
         ...
@@ -75,7 +81,7 @@ class KnownMap:
     def __init__(
         self,
         localizer: Localizer,
-        traversability: TraversabilityConfig = TraversabilityConfig(),
+        traversability: TraversabilityConfig = TRAVERSABILITY,
         heights: tuple[float, float] = BODY_HEIGHTS,
         resolution: float = 0.025,
     ) -> None:
@@ -110,6 +116,10 @@ class KnownMap:
         """Return the map's clearance with the obstacles that were met."""
         return Terrain(self._space, self._space, np.empty((0, 2)))
 
+    def sees_ahead(self) -> bool:
+        """Return True: the map was learned before."""
+        return True
+
     def meet(self, xy: np.ndarray, radius: float) -> None:
         """Add a disc to the clearance until the episode's end, or until it is doubted."""
         self._space = self._space.with_obstacle(xy, radius)
@@ -125,8 +135,8 @@ class GrowingMap:
     def __init__(
         self,
         mapper: Mapper,
-        traversability: TraversabilityConfig = TraversabilityConfig(),
-        own: OwnMapConfig = OwnMapConfig(),
+        traversability: TraversabilityConfig = TRAVERSABILITY,
+        own: OwnMapConfig = OWN_MAP,
     ) -> None:
         self._mapper, self._traversability, self._own_config = mapper, traversability, own
         self._own: OwnMap
@@ -141,11 +151,13 @@ class GrowingMap:
         self._body = _body(context)
         self._own = OwnMap(context, self._mapper, self._own_config, observation)
         self._last: FloorPlan | None = None
+        self._depth = np.asarray(observation["depth"])
         return self._own.estimate
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
         """Filter pose and map."""
         self._own.take(command, observation)
+        self._depth = np.asarray(observation["depth"])
         return self._own.estimate
 
     def look(self, planar: np.ndarray, goal: np.ndarray) -> Terrain:
@@ -155,6 +167,12 @@ class GrowingMap:
         self._last = plan
         space = of_plan(plan, goal, self._body, self._traversability)
         return Terrain(space, plan.clearance(planar[:2], NEAR), changed, plan)
+
+    def sees_ahead(self) -> bool:
+        """Return True unless the middle of the last image has next to no depth, as before a wall too near to see."""
+        rows, columns = self._depth.shape
+        middle = self._depth[rows // 3 :, columns // 3 : columns - columns // 3]
+        return float(np.mean(np.isfinite(middle) & (middle > 0.0))) >= LEAST_SEEN
 
     def meet(self, xy: np.ndarray, radius: float) -> None:
         """Mark the columns of a disc as occupied."""

@@ -195,7 +195,7 @@ class JudgedFilter:
         """Judge an image that is not frozen, and its alignment."""
         depth = observation["depth"]
         if float(np.mean(np.isfinite(depth) & (depth > 0.0))) < self._config.min_reading:
-            return Status.NO_READING
+            return info.status if info.status is Status.TURNED else Status.NO_READING
         if info.status.accepted and info.fit_quality is not None and not self._fits_well(info.fit_quality, observation):
             return Status.LOST
         return info.status

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 
 from vssm_gym.agents.registry import AGENTS, WITH, agent_type, make_agent
 from vssm_gym.data.images import colour_image
-from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
+from vssm_gym.envs.robots import HOLONOMIC_NOISES, HolonomicRobot
 from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import CameraConfig
@@ -193,7 +193,7 @@ def _task(drive: Drive, apartment: Apartment) -> Task:
 def _navigate(prepared: Prepared, out: Path, video: bool, on_progress: OnProgress | None) -> dict[str, Any]:
     """Do the work of :func:`navigate` in a folder that it owns."""
     drive, episode, image = prepared.drive, prepared.episode, prepared.image
-    agent, noise = make_agent(episode.agent), NOISE_LEVELS[episode.condition.noise]
+    agent, noise = make_agent(episode.agent), HOLONOMIC_NOISES[episode.condition.noise]
     recording = Recording(agent, prepared.voxel_map)
 
     def see(step: StepRecord) -> None:
@@ -209,7 +209,7 @@ def _navigate(prepared: Prepared, out: Path, video: bool, on_progress: OnProgres
         prepared.task,
         seed=episode_seed(episode.seed, prepared.scene_hash, episode.task),
         voxel_map=prepared.voxel_map,
-        noise=(noise.turn, noise.step),
+        noise=noise,
         spectator=see,
     )
     if on_progress:

@@ -6,7 +6,7 @@ from enum import IntEnum
 class Status(IntEnum):
     """Enumerate the outcomes of a step; reports print :attr:`message`.
 
-    Filters report the first five; the others are what agents conclude from several steps.
+    Filters report the first five and the last; the others are what agents conclude from several steps.
     """
 
     OK = 0
@@ -17,6 +17,7 @@ class Status(IntEnum):
     FROZEN = 5
     UNCONFIRMED = 6
     OVERSHOOT = 7
+    TURNED = 8
 
     @property
     def message(self) -> str:
@@ -26,7 +27,7 @@ class Status(IntEnum):
     @property
     def accepted(self) -> bool:
         """Return True if the image was accepted, so that the belief includes it and may be used."""
-        return self in (Status.OK, Status.RECOVERED)
+        return self in (Status.OK, Status.RECOVERED, Status.TURNED)
 
     def __str__(self) -> str:
         return self.message
@@ -40,5 +41,6 @@ _MESSAGES = {
     Status.REPEATED: "repeated image: the camera is frozen, or an obstacle holds the robot",
     Status.FROZEN: "frozen images: they repeat although the robot was commanded to turn",
     Status.UNCONFIRMED: "not confirmed: the image fits, but too few have since the robot was lost",
+    Status.TURNED: "turned: the image fits nothing, but its colours show how the camera has turned",
     Status.OVERSHOOT: "the images show more motion than was commanded: the scale of the depth is wrong",
 }

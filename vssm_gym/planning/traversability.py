@@ -1,8 +1,10 @@
-"""Weigh where a robot should drive: ``w = 1 + a (1 - spare / comfort)^2 + b (1 - spare / skin) + u [unknown]`` (eq. P2c).
+"""Weigh where a robot should drive, a cost a metre (eq. P2c).
 
-The clearance says where a body fits. The weight, a cost a metre, says where it had better not go although it fits: close
-to obstacles, where there is room elsewhere, and through space that nobody has seen. ``spare`` is the clearance beyond the
-body's radius; each term is zero where its bracket is negative. Comfort grows with the noise of a step. The skin is what a
+    w = 1 + a (1 - spare / comfort)^2 + b (1 - spare / skin) + u [unknown]
+
+The clearance says where a body fits. The weight says where it had better not go although it fits: close to obstacles,
+where there is room elsewhere, and through space that nobody has seen. ``spare`` is the clearance beyond the body's
+radius; each term is zero where its bracket is negative. Comfort grows with the noise of a step. The skin is what a
 learned surface errs by. Unknown space is crossed at a cost, so that a robot drives towards a goal that it cannot see
 yet; with an infinite cost it is as good as occupied.
 """

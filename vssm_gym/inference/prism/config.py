@@ -25,11 +25,11 @@ class PrismConfig:
     stamp_std: float = 0.01  # s, of an image's time stamp: colour and depth are taken up to half a frame apart
     calibration_std: float = 0.003  # m and rad, of the pose by the intrinsics and by where the camera is on its body
     scale_std: float = 0.005  # of the depth's scale, by which all of the map is larger or smaller about its first image
-    # An image whose surfaces the map knows by this share at most cannot contradict it. Of a body that follows commands it
-    # is added where they have led, if it has so many readings and the pose is known so well (m and rad).
+    # An image whose surfaces the map knows by this share at most cannot contradict it. Of a body that follows commands
+    # it is added where they have led, if it has so many readings and the pose is known so well.
     new_coverage: float = 0.1
     new_reading: float = 0.25
-    new_std: float = 0.06
+    known_std: float = 0.06  # m and rad
     window_margin: float | None = 0.25  # of the map's edge: the window moves beyond this from its middle; None: never
 
     def __post_init__(self) -> None:

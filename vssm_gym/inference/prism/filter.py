@@ -61,6 +61,7 @@ class PrismState(eqx.Module):
     keyframes: Keyframes | None  # None: no recovery
     grey: Float[Array, "height width"]  # small luminance of the last image, accepted or not
     lost: bool  # the last image was not accepted
+    known: bool  # the pose is: the last image was accepted, or the colours have shown every turn since one was
     key: PRNGKeyArray
     measurement_noise: MeasurementNoise  # of the posterior
 
@@ -117,7 +118,7 @@ class Prism:
         )
         start = past.belief.manifold.pose(past.belief.mean)[:3, 3]
         grey = visual_turn.small_grey(image, self.rig.camera)
-        return PrismState(m, past, reference, start, kept, grey, False, key, prior.measurement_noise)
+        return PrismState(m, past, reference, start, kept, grey, False, True, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -162,12 +163,16 @@ class Prism:
         grey = visual_turn.small_grey(image, self.rig.camera)
         if not status.accepted:
             if self.transition.commanded and np.count_nonzero(self.transition.manifold.turns) == 1:
-                belief = visual_turn.turned(past.belief, state.past.belief, state.grey, grey, self.rig)
+                belief, told = visual_turn.turned(past.belief, state.past.belief, state.grey, grey, self.rig)
                 past = replace(past, belief=belief)
-            if not (alone and self._is_new(located, past, small)):
-                lost = eqx.tree_at(lambda s: (s.past, s.grey, s.lost), state, (past, grey, True))
+                # From a pose that was not believed, no turn leads to one that is.
+                if told and state.known and self._is_known(past):
+                    status = Status.TURNED
+            if not (alone and state.known and self._is_new(located, past, small)):
+                known, quality = status.accepted, None if status.accepted else located.fit_quality
+                lost = eqx.tree_at(lambda s: (s.past, s.grey, s.lost, s.known), state, (past, grey, True, known))
                 in_world = _in_world(past, state.start, self.transition, config)
-                return lost, FilterInfo(status, in_world, located.fit_quality)
+                return lost, FilterInfo(status, in_world, quality)
             past, status = _taken(past, small, view), Status.OK
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
@@ -193,7 +198,7 @@ class Prism:
         in_world = _in_world(past, state.start, self.transition, config)
         fit_quality = located.fit_quality if located.status.accepted else None  # nothing was aligned
         info = FilterInfo(status, in_world, fit_quality, dropped)
-        return PrismState(m, past, reference, state.start, kept, grey, False, key, state.measurement_noise), info
+        return PrismState(m, past, reference, state.start, kept, grey, False, True, key, state.measurement_noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``.
@@ -212,14 +217,14 @@ class Prism:
         return Posterior(past.belief, state.map, state.measurement_noise, errors)
 
     def _is_new(self, located: Located, past: Past, image: RGBD) -> bool:
-        """Return True where the map knows nothing of what an image shows, and the pose is known well enough to add it."""
-        p, config = len(past.laplace), self.config
-        std = jnp.sqrt(jnp.diagonal(past.belief.covariance)[:p])
-        return (
-            float(jnp.mean(image.hit)) >= config.new_reading
-            and float(located.fit_quality.coverage) <= config.new_coverage
-            and float(jnp.max(std)) <= config.new_std
-        )
+        """Return True where the map knows nothing of what an image shows, and the pose is known."""
+        shown, covered = float(jnp.mean(image.hit)), float(located.fit_quality.coverage)
+        return shown >= self.config.new_reading and covered <= self.config.new_coverage and self._is_known(past)
+
+    def _is_known(self, past: Past) -> bool:
+        """Return True where the pose is known well enough to be believed without an alignment."""
+        p = len(past.laplace)
+        return float(jnp.max(jnp.diagonal(past.belief.covariance)[:p])) <= self.config.known_std**2
 
     def _shrunk(self, image: RGBD) -> tuple[RGBD, Rig]:
         """Return the image and its rig at tracking size."""

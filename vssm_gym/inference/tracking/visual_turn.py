@@ -1,8 +1,8 @@
 """``yaw ~ N(<w, log R>, s^2)``: how a robot that turns in place has turned, from the colours of two images (ours).
 
-A camera on the axis of a robot that turns without driving moves by a rotation alone, which shifts pixels by a homography
-whatever their depth. Where an image has no depth, or shows what the map does not know, this is what it still tells: a
-gyroscope made of images. It is used only where the images agree after the rotation, about the robot's axis.
+A camera on the axis of a robot that turns without driving moves by a rotation alone, which shifts pixels by a
+homography whatever their depth. Where an image has no depth, or shows what the map does not know, this is what it still
+tells: a gyroscope made of images. It is used only where the images agree after the rotation, about the robot's axis.
 """
 
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from jax.scipy.ndimage import map_coordinates
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.exposure import gain
@@ -45,7 +45,7 @@ def turned(
     last: Float[Array, "height width"],
     grey: Float[Array, "height width"],
     rig: Rig,
-) -> GaussianBelief:
+) -> tuple[GaussianBelief, Bool[Array, ""]]:
     """Correct a predicted belief by the rotation between two images of a robot that turned and did not drive (eq. I38).
 
     The images measure the turn's error ``e ~ N(0, q)`` with the variance ``s^2``: its mean becomes
@@ -59,7 +59,7 @@ def turned(
         rig: the camera, at full size, and its place on the body.
 
     Returns:
-        The corrected belief; as predicted where the images do not tell.
+        The corrected belief, as predicted where the images do not tell; and whether they do.
     """
     manifold = belief.manifold
     turns = manifold.turns[: manifold.twists.shape[1]]
@@ -82,11 +82,11 @@ def turned(
     told &= jnp.abs(error) <= MOST_STDS * jnp.sqrt(variance + STD**2)
     share = jnp.where(told, variance / (variance + STD**2), 0.0)
     mean = manifold.perturb(belief.mean, jnp.zeros(len(belief.covariance)).at[k].set(share * error))
-    return GaussianBelief(mean, belief.covariance.at[k, k].add(-share * variance), manifold)
+    return GaussianBelief(mean, belief.covariance.at[k, k].add(-share * variance), manifold), told
 
 
 def _agreement(R: Float[Array, "3 3"], last: Array, grey: Array, view: Camera) -> Float[Array, ""]:
-    """Return the correlation of the images after the rotation ``R_last_cam``; -1 where what both show has no contrast."""
+    """Return the correlation of the images after the rotation ``R_last_cam``; -1 where both show no contrast."""
     q = view.rays() @ R.T
     ahead = q[..., 2] > 0.1
     z = jnp.where(ahead, q[..., 2], 1.0)
