@@ -77,6 +77,8 @@ class Decision:
         covariance: ``(3, 3)`` of the error ``log(T_pose^-1 T_true)`` of ``pose``: forward (m), left (m), turn (rad) in
             the estimate's body frame; the drift of an agent's own map is included. None where an agent states none:
             its pose is observed, or it keeps no belief.
+        responses: how often each response to a failure was begun in this task so far, by name; None of an agent that
+            does not count them.
     """
 
     action: np.ndarray
@@ -86,6 +88,7 @@ class Decision:
     plan: np.ndarray | None = None
     gives_up: bool = False
     covariance: np.ndarray | None = None
+    responses: Mapping[str, int] | None = None
 
 
 @runtime_checkable

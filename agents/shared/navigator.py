@@ -11,7 +11,6 @@ never arrives (:mod:`vssm_gym.agents.shared.trust`). What it does about failures
 
 import math
 import time
-from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,15 +19,13 @@ from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observati
 from vssm_gym.agents.shared.following import Follower, FollowingConfig, PlannedPath, points_along
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.manoeuvres import Manoeuvre, Nothing, Turn, around, back_off, retraced
+from vssm_gym.agents.shared.progress import Progress
 from vssm_gym.agents.shared.recovery import RESPONSES, Failure, Recovery, Response, Table
+from vssm_gym.agents.shared.route import cost, first_found, may_improve, shortened
 from vssm_gym.agents.shared.surroundings import Surroundings, Terrain
 from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
-from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.exploration.candidates import Roadmap
 from vssm_gym.planning.exploration.frontier import frontiers
-from vssm_gym.planning.grid_search.clearance_requirement import path_free, requirement_from
-from vssm_gym.planning.grid_search.path_cost import path_cost
-from vssm_gym.planning.grid_search.path_shortening import shorten_path
 from vssm_gym.planning.planners import Planner, find_planner
 from vssm_gym.planning.pursuit import direction_of_travel
 from vssm_gym.planning.result import PlanResult, PlanStatus
@@ -75,10 +72,7 @@ class _Task:
     detour: np.ndarray | None = None  # (2,) m, a frontier's place to drive to before the goal
     facing: float = 0.0  # rad, heading to look in at the detour's end
     seen: list[np.ndarray] = field(default_factory=list)  # (n, 2) cells of frontiers that were driven to
-    before: np.ndarray | None = None  # xy where the last driving command was given
-    driven: deque[tuple[float, float]] = field(default_factory=deque)  # m commanded and m moved, of recent commands
-    place: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))  # m, that the robot has not got away from
-    idle: int = 0  # steps that it has driven there
+    progress: Progress = field(default_factory=Progress)
 
 
 class Navigator:
@@ -88,11 +82,6 @@ class Navigator:
         self.surroundings, self._config = surroundings, config
         self._plan = find_planner(config.planner)
         self.terrain: Terrain | None = None  # as it was last looked at
-
-    @property
-    def responses(self) -> Counter[str]:
-        """Return how often each response to a failure was begun in this task."""
-        return self._task.recovery.counts
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode; nothing here is random, so ``seed`` changes nothing.
@@ -129,7 +118,8 @@ class Navigator:
         status = f"{activity}; localization: {estimate.status}"
         path = None if self._task.path is None else self._task.path.path
         gives_up = activity.startswith("gave up")
-        return Decision(action, estimate.planar.copy(), status, latency, path, gives_up, estimate.covariance)
+        counts = dict(self._task.recovery.counts)
+        return Decision(action, estimate.planar.copy(), status, latency, path, gives_up, estimate.covariance, counts)
 
     def _begin(self, goal: np.ndarray) -> None:
         """Begin a task with no plan."""
@@ -150,13 +140,14 @@ class Navigator:
             if task.recovery.of is Failure.LOST:
                 task.recovery.end()
         if (command := task.recovery.manoeuvre.command(estimate.planar)) is not None:
-            task.idle = 0
+            task.progress.forget()
             return task.recovery.activity, False, command
         task.recovery.end()
         distance = math.hypot(*(estimate.planar[:2] - task.goal))
         if distance <= self._stop_radius(estimate):
             return ("looking around: lost", False, self._turn()) if lost else ("arrived", True, still)
-        held, dithers = self._is_held(estimate), self._dithers(estimate)
+        held = task.progress.is_held(estimate.planar, c.stuck_length, c.stuck_share)
+        dithers = task.progress.dithers(estimate.planar, c.arrival, c.patience)
         if held:
             self._meet_obstacle(estimate, self._radius + c.obstacle_radius, c.obstacle_radius)
         if (held or dithers) and (response := self._respond(Failure.STUCK, estimate)) is not None:
@@ -199,14 +190,18 @@ class Navigator:
         task, c = self._task, self._config
         target = self._stop_radius(estimate) - c.landing
         end, radius = (task.goal, max(target, task.rim)) if task.detour is None else (task.detour, 0.0)
-        kept = None if task.path is None else self._shortened(task.path, estimate, terrain.space, end, radius)
-        if kept is not None and not self._may_improve(terrain, kept, estimate, end):
+        planar, body, kept = estimate.planar, self._radius, None
+        if task.path is not None:
+            kept = shortened(task.path, planar, terrain.space, end, radius, body - c.slack)
+        if kept is not None and not may_improve(terrain.changed, kept, planar, end):
             task.path = kept
             return None
-        result, rim, margin = self._planned(estimate, terrain.space, target)
+        largest = self._context.success_radius - 2.0 * c.landing
+        attempts = [(radius, margin) for radius in (target, largest) for margin in c.margins]
+        result, reached, margin = first_found(self._plan, planar, task.goal, terrain.space, body, attempts)
         if result.found:
-            found = PlannedPath(result.path, terrain.space, margin)
-            if kept is None or task.detour is not None or result.cost < (1.0 - c.gain) * _cost(kept):
+            found, rim = PlannedPath(result.path, terrain.space, margin), largest if reached > target else 0.0
+            if kept is None or task.detour is not None or result.cost < (1.0 - c.gain) * cost(kept):
                 task.path, task.rim, task.detour = found, rim, None
             else:
                 task.path = kept
@@ -216,49 +211,6 @@ class Navigator:
             return None
         task.path, task.detour = None, None
         return result
-
-    def _shortened(
-        self, old: PlannedPath, estimate: Localization, space: ClearanceMap, end: np.ndarray, radius: float
-    ) -> PlannedPath | None:
-        """Return what is left of a path in the present space; None where it is not free any more."""
-        path = self._extended(old, space, end, radius)
-        if path is None:
-            return None
-        points = np.concatenate([estimate.planar[None, :2], path[1:]])
-        asked = requirement_from(space, points[0], self._radius + old.margin - self._config.slack)
-        shorter = shorten_path(space, points, end, radius, asked)
-        if shorter is None or not path_free(space.clearance, space.resolution, space.to_grid(shorter), asked):
-            return None
-        return PlannedPath(shorter, space, old.margin)
-
-    def _extended(self, old: PlannedPath, space: ClearanceMap, end: np.ndarray, radius: float) -> np.ndarray | None:
-        """Extend the path straight to the goal's disc where that has shrunk since; None where that is not free."""
-        path, offset = old.path, old.path[-1] - end
-        away = math.hypot(*offset)
-        if away <= radius + 1e-9 or radius == 0.0:
-            return path
-        rim = end + offset * (radius / away)
-        between = np.linspace(path[-1], rim, 2 + int((away - radius) / space.resolution))
-        asked = self._radius + old.margin - self._config.slack
-        return np.concatenate([path, [rim]]) if space.at(between).min() >= asked else None
-
-    def _may_improve(self, terrain: Terrain, path: PlannedPath, estimate: Localization, end: np.ndarray) -> bool:
-        """Return True where a place has changed through which a path could lead that costs less than this one."""
-        if not len(terrain.changed):
-            return False
-        here, there = (np.hypot(*(terrain.changed - place).T) for place in (estimate.planar[:2], end))
-        return bool(np.any(here + there < _cost(path)))
-
-    def _planned(self, estimate: Localization, space: ClearanceMap, target: float) -> tuple[PlanResult, float, float]:
-        """Plan to the goal with each margin in turn, then to all of the success region; return result, rim, margin."""
-        c, goal = self._config, self._task.goal
-        rim = self._context.success_radius - 2.0 * c.landing
-        for radius, kept in ((target, 0.0), (rim, rim)):
-            for margin in c.margins:
-                result = self._plan(estimate.planar, goal, space, self._radius, margin=margin, goal_radius=radius)
-                if result.found:
-                    return result, kept, margin
-        return result, 0.0, 0.0
 
     def _step(self, estimate: Localization, terrain: Terrain, planned: PlannedPath) -> np.ndarray:
         """Return the next command along the path, at the least risk at which the robot moves; zeros where none is."""
@@ -363,33 +315,14 @@ class Navigator:
         place, heading = self._config.most_uncertain
         return bool(np.max(estimate.std[:2]) > place or estimate.std[2] > heading)
 
-    def _dithers(self, estimate: Localization) -> bool:
-        """Return True where the robot has driven for long without getting away from a place."""
-        task = self._task
-        if math.hypot(*(estimate.planar[:2] - task.place)) > self._config.arrival:
-            task.place, task.idle = estimate.planar[:2].copy(), 0
-        task.idle += 1
-        return task.idle > self._config.patience
-
-    def _is_held(self, estimate: Localization) -> bool:
-        """Return True where the last driving commands moved the estimate by much less than they commanded."""
-        task, c = self._task, self._config
-        if task.before is not None and self._command is not None:
-            task.driven.append((float(self._command[2]), math.hypot(*(estimate.planar[:2] - task.before))))
-        asked, moved = (sum(values) for values in zip(*task.driven, strict=True)) if task.driven else (0.0, 0.0)
-        while task.driven and asked - task.driven[0][0] >= c.stuck_length:
-            asked, moved = asked - task.driven[0][0], moved - task.driven[0][1]
-            task.driven.popleft()
-        return asked >= c.stuck_length and moved < c.stuck_share * asked
-
     def _meet_obstacle(self, estimate: Localization, front: float, radius: float) -> None:
         """Assume an obstacle ``front`` m ahead, of ``radius`` m, and plan a path around it."""
         command = np.zeros(3) if self._command is None else self._command
         heading = direction_of_travel(estimate.planar, command, self._context.direction_frame)
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self.surroundings.meet(centre, radius)
-        self._task.path, self._task.idle = None, 0
-        self._task.driven.clear()
+        self._task.path = None
+        self._task.progress.forget()
 
     # --- memory
 
@@ -406,7 +339,7 @@ class Navigator:
 
     def _remember(self, estimate: Localization, command: np.ndarray) -> None:
         self._command = np.asarray(command, np.float32)
-        self._task.before = estimate.planar[:2].copy() if command[2] > 0.0 else None
+        self._task.progress.sent(float(command[2]), estimate.planar)
 
     def _believe(self, estimate: Localization) -> None:
         """Remember a pose that is believed, where it is another one."""
@@ -423,8 +356,3 @@ class Navigator:
 
 NEAREST = "arrived as near as a path leads"
 BLIND = "does not drive blindly"  # where an image shows nothing ahead
-
-
-def _cost(path: PlannedPath) -> float:
-    space = path.clearance
-    return space.resolution * float(path_cost(space.weights, space.to_grid(path.path)))

@@ -72,7 +72,8 @@ def run_episode(
 
     Returns:
         The metrics of :func:`episode_metrics` and of :func:`calibration_of`, ``failure`` (None on success), the agent's
-        last ``status``, latency percentiles by stage in seconds, and the downsampled ``trace``: plain JSON values.
+        last ``status``, its ``responses`` to failures where it counts them, latency percentiles by stage in seconds,
+        and the downsampled ``trace``: plain JSON values.
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     world: Any = env.unwrapped
@@ -124,6 +125,7 @@ def run_episode(
         **calibration_of(decisions, poses),
         "failure": None if success else failure,
         "status": decisions[-1].status,
+        **({} if decisions[-1].responses is None else {"responses": dict(decisions[-1].responses)}),
         "latency": latency_of(decisions, seconds),
         "end_on": world.end_on,
         "tracer": getattr(world, "renderer_name", "none"),

@@ -6,13 +6,11 @@ Planners (:mod:`vssm_gym.planning.clearance`) and the imagined robots of :mod:`v
 collisions against the same columns.
 """
 
-import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
@@ -73,7 +71,7 @@ def level_distance(depth: np.ndarray, resolution: float) -> np.ndarray:
     nearest crossing; a distance transform of whole cells would be off by up to half a cell. Depths (m, positive inside
     obstacles) only locate the surface between neighbours: away from it they need not be distances.
     """
-    inside, surface = _crossings(depth, resolution)
+    inside, surface = level_crossings(depth, resolution)
     if len(surface):
         cells = np.argwhere(np.ones(inside.shape, dtype=bool))
         distance = resolution * cKDTree(surface).query(cells)[0].reshape(inside.shape)
@@ -82,14 +80,7 @@ def level_distance(depth: np.ndarray, resolution: float) -> np.ndarray:
     return np.ascontiguousarray(np.where(inside, -distance, distance), dtype=np.float32)
 
 
-def near_level_distance(depth: np.ndarray, resolution: float, reach: float) -> np.ndarray:
-    """Return :func:`level_distance` up to ``reach`` (m), and ``reach`` beyond, in a fraction of the time."""
-    inside, surface = _crossings(depth, resolution)
-    distance = resolution * _nearest(inside.shape[0], inside.shape[1], surface, reach / resolution)
-    return np.ascontiguousarray(np.where(inside, -distance, distance), dtype=np.float32)
-
-
-def _crossings(depth: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+def level_crossings(depth: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
     """Return which cells lie inside, and where the zero level crosses the grid's lines, ``(n, 2)`` in cells."""
     depth = np.clip(np.asarray(depth, dtype=np.float64), -resolution, resolution)
     inside = depth > 0.0
@@ -102,17 +93,3 @@ def _crossings(depth: np.ndarray, resolution: float) -> tuple[np.ndarray, np.nda
         point[:, 0] += a / (a - b)
         crossings.append(point if axis == 0 else point[:, ::-1])
     return inside, np.concatenate(crossings)
-
-
-@njit(cache=True, nogil=True)
-def _nearest(nx: int, ny: int, points: np.ndarray, reach: float) -> np.ndarray:
-    """Return each cell's distance to the nearest point, at most ``reach``; all in cells."""
-    squared = np.full((nx, ny), reach * reach)
-    for k in range(points.shape[0]):
-        x, y = points[k, 0], points[k, 1]
-        for i in range(max(0, math.ceil(x - reach)), min(nx, math.floor(x + reach) + 1)):
-            for j in range(max(0, math.ceil(y - reach)), min(ny, math.floor(y + reach) + 1)):
-                away = (i - x) * (i - x) + (j - y) * (j - y)
-                if away < squared[i, j]:
-                    squared[i, j] = away
-    return np.sqrt(squared)

@@ -15,10 +15,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from vssm_gym.errors import InputError
-from vssm_gym.maps.columns import near_level_distance
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.exploration.building_prior import outline
 from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.near_distance import near_level_distance
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
 
 REACH = 0.7  # m, up to which clearances in a growing map are computed; no robot asks for more

@@ -203,6 +203,21 @@ def shorten_cells(
     return path
 
 
+@njit(cache=True, nogil=True)
+def _cheapest_entry(clearance, weight, resolution, path, required):
+    """Return the later point by which the path costs least from its first one, of those in sight; 0 where none is."""
+    best, least, left = 0, np.inf, 0.0
+    for k in range(path.shape[0] - 1, 0, -1):
+        if k < path.shape[0] - 1:
+            left += segment_cost(weight, path[k, 0], path[k, 1], path[k + 1, 0], path[k + 1, 1])
+        total = segment_cost(weight, path[0, 0], path[0, 1], path[k, 0], path[k, 1]) + left
+        if total < least - 1e-9 and segment_free(
+            clearance, resolution, path[0, 0], path[0, 1], path[k, 0], path[k, 1], required
+        ):
+            best, least = k, total
+    return best
+
+
 def shorten_path(
     clearance_map: ClearanceMap, path: np.ndarray, goal: np.ndarray, goal_radius: float, required: ClearanceRequirement
 ) -> np.ndarray | None:
@@ -212,9 +227,9 @@ def shorten_path(
     """
     cells = clearance_map.to_grid(path)
     c, w, r = clearance_map.clearance, clearance_map.weights, clearance_map.resolution
-    for k in range(len(cells) - 1, 0, -1):
-        if segment_free(c, r, cells[0, 0], cells[0, 1], cells[k, 0], cells[k, 1], required):
-            gx, gy = clearance_map.to_grid(goal)
-            left = np.concatenate([cells[:1], cells[k:]])
-            return clearance_map.to_world(shorten_cells(c, w, r, left, gx, gy, goal_radius / r, required))
-    return None
+    k = _cheapest_entry(c, w, r, cells, required)
+    if k == 0:
+        return None
+    gx, gy = clearance_map.to_grid(goal)
+    left = np.concatenate([cells[:1], cells[k:]])
+    return clearance_map.to_world(shorten_cells(c, w, r, left, gx, gy, goal_radius / r, required))
