@@ -28,14 +28,14 @@ MIN_OVERLAP = 0.3  # share of the image that both show
 OFF_AXIS = 0.04  # rad, of the rotation about other axes than the robot's
 STARTS = (-3.0, -1.5, 0.0, 1.5, 3.0)  # standard deviations of the predicted turn where searches begin
 MOST_SEARCHED = 0.2  # rad, of that standard deviation
-MOST_STDS = 4.0  # of the predicted turn: farther ones are no turns of this robot
+MOST_TURN_STDS = 4.0  # of the predicted turn: farther ones are no turns of this robot
 DRIVEN = 0.01  # m, of the predicted motion: beyond it the robot drove
-WIDTH = 80  # pixels, of the images that are compared
+COMPARED_WIDTH = 80  # pixels, of the images that are compared
 
 
 def small_grey(image: RGBD, camera: Camera) -> Float[Array, "height width"]:
     """Return the luminance of an image at the size that is compared."""
-    return shrink_image(luminance(image.rgb), max(1, camera.width // WIDTH))
+    return shrink_image(luminance(image.rgb), max(1, camera.width // COMPARED_WIDTH))
 
 
 @jax.jit
@@ -64,7 +64,7 @@ def turned(
     manifold = belief.manifold
     turns = manifold.turns[: manifold.twists.shape[1]]
     k = int(np.flatnonzero(turns)[0])
-    view = shrink_camera(rig.camera, max(1, rig.camera.width // WIDTH))
+    view = shrink_camera(rig.camera, max(1, rig.camera.width // COMPARED_WIDTH))
     alike = jnp.clip(gain(last, grey, jnp.ones_like(grey, bool)) * grey, 0.0, 1.0)
     axis = camera_twists(manifold, rig)[3:, k]
     moved = manifold.error(before.mean, belief.mean)
@@ -79,7 +79,7 @@ def turned(
     told = jnp.linalg.norm(jnp.where(turns, 0.0, moved[: len(turns)])) <= DRIVEN
     told &= _agreement(found[best], last, alike, view) >= MIN_CORRELATION
     told &= jnp.linalg.norm(turn - angle * axis) <= OFF_AXIS
-    told &= jnp.abs(error) <= MOST_STDS * jnp.sqrt(variance + STD**2)
+    told &= jnp.abs(error) <= MOST_TURN_STDS * jnp.sqrt(variance + STD**2)
     share = jnp.where(told, variance / (variance + STD**2), 0.0)
     mean = manifold.perturb(belief.mean, jnp.zeros(len(belief.covariance)).at[k].set(share * error))
     return GaussianBelief(mean, belief.covariance.at[k, k].add(-share * variance), manifold), told
