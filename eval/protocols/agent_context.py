@@ -7,10 +7,12 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
+from vssm_gym.envs.robots.car_noise import CarNoise
 from vssm_gym.envs.robots.differential import DifferentialRobot
+from vssm_gym.eval.protocols.car_model_error import car_model_error
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model.transition import Bicycle, BicycleNoise, MotionNoise, Planar, Transition
+from vssm_gym.model.transition import Bicycle, MotionNoise, Planar, Transition
 from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 
 SCANNER_COMMANDS = (0, 2)  # of the robot's limits: with a laser scanner it turns and drives, and never sideways
@@ -35,22 +37,18 @@ class RobotBody(Protocol):
         ...
 
 
-# Error of the bicycle model of a real car in 0.1 s: 3 degrees of steering, a tenth of its speed, tyre slip (m, rad).
-CAR_MODEL_ERROR = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
-
-
 @singledispatch
-def transition_of(body: Any, noise: tuple[float, float]) -> Transition:
+def transition_of(body: Any, noise: Any) -> Transition:
     """Return the transition model of a robot: :class:`Planar`, unless its type is registered here.
 
     Args:
         body: the robot.
-        noise: standard deviations of its execution noise.
+        noise: standard deviations of its execution noise, rad and m; of a car its ``CarNoise``.
     """
     return Planar(MotionNoise(*noise))
 
 
-transition_of.register(Car, lambda body, noise: Bicycle(CAR_MODEL_ERROR, body.wheelbase))
+transition_of.register(Car, lambda body, noise: Bicycle(car_model_error(noise), body.wheelbase))
 transition_of.register(DifferentialRobot, lambda body, noise: DifferentialDrive(DifferentialNoise(*noise), body.track))
 
 
@@ -60,11 +58,12 @@ def context_of(
     start_pose: np.ndarray,
     *,
     success_radius: float,
-    noise: tuple[float, float],
+    noise: tuple[float, float] | CarNoise,
     voxel_map: VoxelMap | None = None,
     camera: Any = None,
     K: np.ndarray | None = None,
     limits: np.ndarray | None = None,
+    stops: bool = False,
 ) -> AgentContext:
     """Build the context of a robot.
 
@@ -73,11 +72,12 @@ def context_of(
         length: diameter of the robot's footprint, or length of the car's, m.
         start_pose: ``(3,)`` x, y (m), heading (rad).
         success_radius: around the goal, m; 0 without a goal.
-        noise: standard deviations of the execution noise that the agent assumes, rad and m.
+        noise: the execution noise that the agent assumes: standard deviations, rad and m, or a car's noise.
         voxel_map: the learned map, None for an agent that needs none.
         camera: an object with ``width`` and ``height`` in pixels; None without one.
         K: ``(3, 3)`` of the camera, pixels; None without one.
         limits: largest commands, where they are not all of the body's limits.
+        stops: of a car, True where the episode ends on its stop.
     """
     return AgentContext(
         K=np.eye(3) if K is None else np.array(K),
@@ -89,9 +89,10 @@ def context_of(
         start_pose=np.array(start_pose),
         body_length=length,
         success_radius=success_radius,
-        noise=noise,
+        noise=(0.0, 0.0) if isinstance(noise, CarNoise) else noise,
         transition=transition_of(body, noise),
         car=body if isinstance(body, Car) else None,
+        stops=stops,
     )
 
 
@@ -114,10 +115,11 @@ def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None
             car.length,
             info["start_pose"],
             success_radius=GOAL_RADIUS,
-            noise=(0.0, 0.0),
+            noise=world.noise,
             voxel_map=voxel_map,
             camera=world.camera,
             K=info["K"],
+            stops=world.end_on == "stop",
         )
     limits = None if hasattr(world, "camera") else world.robot.limits[list(SCANNER_COMMANDS)]
     return context_in(world, info, voxel_map, (world.noise.turn, world.noise.step), limits)
