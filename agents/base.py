@@ -44,6 +44,8 @@ class AgentContext:
         transition: the robot's model of its own motion; its controls are the agent's commands.
         car: the car's measures; None for another robot.
         direction_frame: of the direction in a holonomic robot's commands: relative to the heading, or in the world.
+        stops: of a car, True where its action ends with a stop, at which success is evaluated (CarNav-v1), and False
+            where the episode ends on arrival (CarNav-v0). The action of another robot always has a stop.
     """
 
     K: np.ndarray
@@ -59,6 +61,7 @@ class AgentContext:
     transition: Transition
     car: Car | None = None
     direction_frame: DirectionFrame = "body"
+    stops: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,9 @@ class Decision:
     """Hold one action and what the agent believed when it chose it.
 
     Attributes:
-        action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task. Of a car ``(2,)``
-            ``(speed m/s, steering rad)``; of a disc ``(3,)`` ``(turn rad, s m, stop)``.
+        action: ``(4,)`` float32 ``(turn rad, o rad, s m, stop)``; a stop above 0.5 ends the task. Of a disc ``(3,)``
+            ``(turn rad, s m, stop)``. Of a car ``(2,)`` ``(speed m/s, steering rad)``, and with ``context.stops``
+            ``(3,)`` ``(speed m/s, steering rad, stop)``: it brakes first, because a stop while it rolls fails.
         pose: ``(3,)`` estimate ``(x, y, heading)`` in the map frame; None for an agent that keeps none.
         status: one readable line on the agent's state; reports print it where a run fails.
         latency: seconds by stage: "tracking", "planning", "control".

@@ -273,16 +273,16 @@ def test_every_frame_needs_a_pose():
         vg.map_from_frames([(frames[0][0], 0.0 * frames[0][1])], np.eye(4)[None], camera)
 
 
-@pytest.mark.parametrize("env", ["PointNav-v0", "ImageNav-v0", "Explore-v0", "LidarMaze-v0", "CarNav-v0"])
+@pytest.mark.parametrize("env", ["PointNav-v0", "ImageNav-v0", "Explore-v0", "LidarMaze-v0", "CarNav-v0", "CarNav-v1"])
 def test_a_context_holds_the_start_pose_and_no_scene(env):
-    world = gym.make(f"vssm_gym/{env}", scene={"LidarMaze-v0": "rooms-v1", "CarNav-v0": "arena"}.get(env, "oak"))
+    world = gym.make(f"vssm_gym/{env}", scene="rooms-v1" if "Maze" in env else "arena" if "Car" in env else "oak")
     observation, info = world.reset(seed=0)
     context = vg.agent_context(world, info)
     assert isinstance(context, vg.AgentContext)
     np.testing.assert_array_equal(context.start_pose, info["start_pose"])
     assert context.map is None
     agent = vg.make_agent({"LidarMaze-v0": "dist_bug"}.get(env, "random"))
-    if env != "CarNav-v0":  # no agent of the car does without a map
+    if "Car" not in env:  # no agent of the car does without a map
         agent.reset(context, observation, 0)
         assert world.action_space.contains(agent.act(observation).action)
     world.close()

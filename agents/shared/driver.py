@@ -3,7 +3,8 @@
 The car's agents share this driver and differ in their localizer and their :class:`CarController`. The map is static, so
 its floor plan is made once per map. A target that no path leads to is refused before the car moves. Without an estimate
 that may be believed, the car drives on by its commands for a while, then brakes, and gives up in the end
-(:class:`~vssm_gym.agents.shared.trust.LostConfig`).
+(:class:`~vssm_gym.agents.shared.trust.LostConfig`). Where the episode ends on the agent's stop, the car parks and stops
+by its belief (:class:`~vssm_gym.agents.shared.parking.ParkingRule`).
 """
 
 import time
@@ -15,6 +16,7 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.shared.localization import Localizer
+from vssm_gym.agents.shared.parking import Parking, ParkingRule
 from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
@@ -76,7 +78,7 @@ class Driver:
         if context.map is not self._map:
             arena = arena_from_map(context.map)
             self._controller, self._map = self._make(arena, context.car), context.map
-        self._car = context.car
+        self._car, self._stops = context.car, context.stops
         self._command = np.zeros(2)
         self._fresh = True
         self._estimate = self._localizer.reset(context, observation)
@@ -97,23 +99,28 @@ class Driver:
         planned = time.perf_counter()
         lost, gives_up = self._estimate.lost, self._refused is not None
         conduct = LOST_RULE.conduct(lost, self._estimate.status)
+        parking = self._parking.step(self._estimate, self._command) if self._stops and not lost else Parking.DRIVE
         if self._refused is not None:
             step = CarCommand(np.zeros(2), self._refused)
         elif conduct is Conduct.GIVE_UP:
             step, gives_up = CarCommand(np.zeros(2), gave_up(lost)), True
         elif conduct in (Conduct.SEARCH, Conduct.WAIT):  # a car cannot look around without driving
             step = CarCommand(np.zeros(2), "waiting: lost")
+        elif parking is not Parking.DRIVE:
+            step = CarCommand(np.array([0.0, self._command[1]]), parking.value)
         else:
             step = self._controller.step(self._estimate.planar)
         self._command = self._car.clip(step.control)
         ended = time.perf_counter()
         latency = {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned}
         status = f"{step.status}; localization: {self._estimate.status}"
-        action = self._command.astype(np.float32)
+        stop = [float(parking in (Parking.STOP, Parking.TRUST))] if self._stops else []
+        action = np.array([*self._command, *stop], np.float32)
         pose = self._estimate.planar.copy()
         return Decision(action, pose, status, latency, step.plan, gives_up, self._estimate.covariance)
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)
+        self._parking = ParkingRule(self._car, self._goal)
         goal = self._goal.astype(np.float64)
         self._refused = self._controller.begin(self._estimate.planar, goal, self._command)

@@ -8,14 +8,16 @@ import gymnasium as gym
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext
-from vssm_gym.envs.robots import NOISE_LEVELS, BiasedExecutionNoise, ExecutionNoise
+from vssm_gym.envs.robots import BiasedExecutionNoise, ExecutionNoise
+from vssm_gym.envs.robots.car_noise import CarNoise
 from vssm_gym.envs.robots.differential import DifferentialExecutionNoise, DifferentialRobot
+from vssm_gym.eval.protocols.car_model_error import car_model_error
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model.transition import BiasedNoise, Bicycle, BicycleNoise, MotionNoise, Planar, Transition
+from vssm_gym.model.transition import BiasedNoise, Bicycle, MotionNoise, Planar, Transition
 from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 
-KnownNoise: TypeAlias = ExecutionNoise | BiasedExecutionNoise | DifferentialExecutionNoise
+KnownNoise: TypeAlias = ExecutionNoise | BiasedExecutionNoise | DifferentialExecutionNoise | CarNoise
 """The execution noise of a robot, as its environment has it and as its agent assumes it."""
 SCANNER_COMMANDS = (0, 2)  # of the robot's limits: with a laser scanner it turns and drives, and never sideways
 
@@ -39,10 +41,6 @@ class RobotBody(Protocol):
         ...
 
 
-# Error of the bicycle model of a real car in 0.1 s: 3 degrees of steering, a tenth of its speed, tyre slip (m, rad).
-CAR_MODEL_ERROR = BicycleNoise(speed=0.1, steering=0.05, slip_forward=0.006, slip_left=0.006, slip_turn=0.01)
-
-
 @singledispatch
 def transition_of(body: Any, noise: Any) -> Transition:
     """Return the transition model of a robot: :class:`Planar`, unless its type is registered here.
@@ -56,7 +54,7 @@ def transition_of(body: Any, noise: Any) -> Transition:
     return Planar(model, direction_frame=body.direction_frame)
 
 
-transition_of.register(Car, lambda body, noise: Bicycle(CAR_MODEL_ERROR, body.wheelbase))
+transition_of.register(Car, lambda body, noise: Bicycle(car_model_error(noise), body.wheelbase))
 transition_of.register(
     DifferentialRobot, lambda body, noise: DifferentialDrive(DifferentialNoise(noise.slip, noise.play), body.track)
 )
@@ -64,7 +62,7 @@ transition_of.register(
 
 def _deviations(body: Any, noise: KnownNoise) -> tuple[float, float]:
     """Return how far a step strays, (direction rad, distance m), for agents that keep clear of it; see AgentContext."""
-    if isinstance(noise, DifferentialExecutionNoise):
+    if isinstance(noise, DifferentialExecutionNoise | CarNoise):
         return 0.0, 0.0
     return noise.deviations(body.max_step) if isinstance(noise, BiasedExecutionNoise) else (noise.turn, noise.step)
 
@@ -75,11 +73,12 @@ def context_of(
     start_pose: np.ndarray,
     *,
     success_radius: float,
-    noise: KnownNoise = NOISE_LEVELS["none"],
+    noise: KnownNoise,
     voxel_map: VoxelMap | None = None,
     camera: Any = None,
     K: np.ndarray | None = None,
     limits: np.ndarray | None = None,
+    stops: bool = False,
 ) -> AgentContext:
     """Build the context of a robot.
 
@@ -88,11 +87,12 @@ def context_of(
         length: diameter of the robot's footprint, or length of the car's, m.
         start_pose: ``(3,)`` x, y (m), heading (rad).
         success_radius: around the goal, m; 0 without a goal.
-        noise: the execution noise that the agent assumes; a car has its own model.
+        noise: the execution noise that the agent assumes.
         voxel_map: the learned map, None for an agent that needs none.
         camera: an object with ``width`` and ``height`` in pixels; None without one.
         K: ``(3, 3)`` of the camera, pixels; None without one.
         limits: largest commands, where they are not all of the body's limits.
+        stops: of a car, True where the episode ends on its stop.
     """
     return AgentContext(
         K=np.eye(3) if K is None else np.array(K),
@@ -108,6 +108,7 @@ def context_of(
         transition=transition_of(body, noise),
         car=body if isinstance(body, Car) else None,
         direction_frame=getattr(body, "direction_frame", "body"),  # the holonomic robot has it
+        stops=stops,
     )
 
 
@@ -130,9 +131,11 @@ def agent_context(env: gym.Env, info: dict[str, Any], voxel_map: VoxelMap | None
             car.length,
             info["start_pose"],
             success_radius=GOAL_RADIUS,
+            noise=world.noise,
             voxel_map=voxel_map,
             camera=world.camera,
             K=info["K"],
+            stops=world.end_on == "stop",
         )
     limits = None if hasattr(world, "camera") else world.robot.limits[list(SCANNER_COMMANDS)]
     return context_in(world, info, voxel_map, world.noise, limits)

@@ -1,5 +1,6 @@
 """Run CarNav in a sweep: chains of target poses, the environment, and single episodes."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -19,7 +20,7 @@ from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols import shared
-from vssm_gym.eval.protocols.agent_context import context_of
+from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.episode import calibration_of, estimates_of, latency_of, thinned, trace_of
 from vssm_gym.eval.protocols.shared import WORLD, keep_or_write, load, notice, scene_names, tasks_in, world
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS
@@ -59,7 +60,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | N
 
 
 def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_map: VoxelMap | None) -> dict[str, Any]:
-    """Run ``agent`` on ``task`` until the car has arrived, time is out, or the agent gives up.
+    """Run ``agent`` on ``task`` until the episode ends, in v0 on arrival, in v1 on a stop, or the agent gives up.
 
     Args:
         env: CarNav with its time limit; the pose is observed if and only if the agent needs it.
@@ -76,16 +77,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     body: Any = env.unwrapped
-    car = body.car
-    context = context_of(
-        car,
-        car.length,
-        info["start_pose"],
-        success_radius=GOAL_RADIUS,
-        voxel_map=voxel_map,
-        camera=body.camera,
-        K=info["K"],
-    )
+    context = agent_context(env, info, voxel_map)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
     poses, contacts, speeds = [body.planar], [], []
     decisions: list[Decision] = []
@@ -108,7 +100,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
     estimates = estimates_of(agent, decisions, stopped=decisions[-1].gives_up)
     estimates = None if estimates is None else estimates[: len(path)]
     success = bool(info.get("success", False))
-    radius = car.turning_radius
+    radius = body.car.turning_radius
     metrics = episode_metrics(
         success=success,
         geodesic=shortest_curve(np.array(task.start), goal, radius),
@@ -119,7 +111,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         estimates=estimates,
     )
     failure = failure_reason(
-        stopped=False,
+        stopped=str(info.get("reason", "")).startswith("stopped"),
         statuses=[decision.status for decision in decisions],
         positions=path[:, :2],
         estimates=estimates,
@@ -129,6 +121,10 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
     )
     if decisions[-1].gives_up and not decisions[-1].status.startswith(GAVE_UP_LOST):
         failure = f"planner: {decisions[-1].status}"
+    elif failure.startswith("stopped outside"):
+        turned = math.degrees(task.turn(path[-1]))
+        away = float(np.hypot(*(path[-1, :2] - goal[:2])))
+        failure = f"stopped outside: {info['reason']}, {away:.3f} m and {turned:.1f} degrees from the target"
     return {
         **metrics,
         **calibration_of(decisions, poses),
@@ -140,7 +136,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         "failure": None if success else failure,
         "status": decisions[-1].status,
         "latency": latency_of(decisions, seconds),
-        "end_on": "reach",
+        "end_on": body.end_on,
         "tracer": body.renderer_name,
         "success_radius": context.success_radius,
         "goal": [float(v) for v in goal],

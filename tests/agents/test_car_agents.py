@@ -15,6 +15,7 @@ from tests.helpers.box_rooms import furniture, two_rooms
 from tests.helpers.planning_worlds import voxel_map
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.registry import AGENTS
+from vssm_gym.envs.robots.car_noise import CarNoise
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks.car import CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet, load, make_car_tasks, save
@@ -158,7 +159,7 @@ def test_the_prior_of_a_car_is_its_arc(speed, steering, heading):
     chord = way * np.sinc(0.5 * turn / np.pi)
     direction = heading + 0.5 * turn
     start = np.array([0.3, -0.2, heading])
-    motion = transition_of(CAR, None)
+    motion = transition_of(CAR, CarNoise())
     after = np.asarray(motion.mean(jnp.asarray(start), jnp.asarray([speed, steering]), CAR.dt), np.float64)
     np.testing.assert_allclose(
         after[:2], start[:2] + chord * np.array([math.cos(direction), math.sin(direction)]), atol=1e-6

@@ -1,8 +1,8 @@
 """Define CarNav: a 1:10 car with an RGB-D camera parks at poses, or drives to points, of a cluttered arena.
 
-It acts ``(speed, steering)`` at 10 Hz and is simulated as rigid bodies, by MuJoCo or by PyBullet, with servos that lag,
-a linkage with backlash and tyres that slip, none of which a planner's bicycle model contains. The tables of
-observation, action, reward and termination are in ``docs/envs/carnav.md``.
+It acts ``(speed, steering, stop)``, in v0 without the stop, at 10 Hz and is simulated as rigid bodies, by MuJoCo or by
+PyBullet, with servos that lag, a linkage with backlash and tyres that slip, none of which a planner's bicycle model
+contains. The tables of observation, action, reward and termination are in ``docs/envs/carnav.md``.
 """
 
 import math
@@ -52,10 +52,15 @@ from vssm_gym.geometry.transforms import wrap_angle
 
 # In metres gained, as those of PointNav.
 CARNAV_REWARD = DenseReward(step_cost=0.005, success=2.5, collision_cost=0.05, alignment=0.1)
+SUCCESSES = ("reached", "stopped at the target")  # reasons for which an episode ends with success
+STANDING_SPEED = 0.05  # m/s, up to which a car that has stopped counts as standing: 5 mm a step
 
 
 class CarNavEnv(PhasedEnv):
-    """Simulate one car in one arena. Registered as ``vssm_gym/CarNav-v0``, truncated after 600 steps: 60 s.
+    """Simulate one car in one arena, truncated after 600 steps: 60 s.
+
+    Registered as ``vssm_gym/CarNav-v1``, which ends at the agent's stop, and as ``vssm_gym/CarNav-v0``, which ends on
+    arrival.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
@@ -65,6 +70,9 @@ class CarNavEnv(PhasedEnv):
         renderer: ``raycast``, or ``gl`` where the machine has OpenGL.
         physics: ``mujoco``, or ``bullet`` where PyBullet is installed.
         targets: ``poses`` (x, y, heading) or ``points`` (x, y).
+        end_on: ``stop``: the action has a third number, whose step brakes and ends the episode; success is evaluated at
+            the end of that step and needs a car that stands. ``reach``: the episode ends on arrival, by the true pose
+            (it rewards a lost car).
         control: the action's first number: ``speed``, m/s, or ``acceleration``, m/s^2.
         actions: ``metric`` (SI units) or ``normalized`` (in [-1, 1]).
         goal: ``map``: the goal in the map; ``sensed`` or ``true``: its distance and bearing from the pose that GPS and
@@ -91,6 +99,7 @@ class CarNavEnv(PhasedEnv):
         renderer: str = "raycast",
         physics: str = "mujoco",
         targets: Targets = "poses",
+        end_on: Literal["stop", "reach"] = "reach",
         control: Literal["speed", "acceleration"] = "speed",
         actions: Literal["metric", "normalized"] = "metric",
         goal: GoalForm = "map",
@@ -105,6 +114,7 @@ class CarNavEnv(PhasedEnv):
         choose("CarNav", "renderer", renderer, RENDERERS)
         choose("CarNav", "physics", physics, PHYSICS)
         choose("CarNav", "targets", targets, TARGETS)
+        choose("CarNav", "end_on", end_on, ("stop", "reach"))
         choose("CarNav", "control", control, ("speed", "acceleration"))
         choose("CarNav", "actions", actions, ("metric", "normalized"))
         choose("CarNav", "goal", goal, GOAL_FORMS)
@@ -115,6 +125,7 @@ class CarNavEnv(PhasedEnv):
         self.noise, self.car, self.physics = car_noise(noise), Car(), physics
         shown = (("rgb", "depth") if images else ()) if isinstance(images, bool) else parse_images("CarNav", images)
         self.targets, self.control, self.chain, self.goal = targets, control, chain, goal
+        self.end_on = end_on
         self.reward, self.frames, self.render_mode = reward, Frames("CarNav", render_mode, captions), render_mode
         self.apartment: Apartment = load_scene(scene)
         carried, seen = parse_sensors("CarNav", sensors), rgbd_noise.sensor_noise(sensor_noise)
@@ -136,7 +147,7 @@ class CarNavEnv(PhasedEnv):
         self.body = _make_body(physics, self.apartment, self.car)
         self.body.reads_contacts = self.sensors.reads_contacts
         self._goal_distance = self.sampler.goal_distance()
-        self._actions = Actions(actions, (control, "steering"), self._bounds())
+        self._actions = Actions(actions, (control, "steering"), self._bounds(), stop=end_on == "stop")
         self.action_space = self._actions.space
         observed = gym.spaces.Dict(self.sensors.spaces())
         if goal == "sensed" and is_reckoned(observed):
@@ -223,10 +234,12 @@ class CarNavEnv(PhasedEnv):
         self._outcome = 0.0, False, info
 
     def advance(self, action: np.ndarray) -> None:
-        """Carry out ``(speed or acceleration, steering)`` for ``car.dt`` s, clipped to the limits."""
+        """Carry out ``(speed or acceleration, steering)`` for ``car.dt`` s, clipped to the limits; a stop brakes."""
         assert self.task is not None and self._actuators is not None  # step makes sure of it
-        values, _ = self._actions.parse(action)
+        values, stop = self._actions.parse(action)
         before, was = self._speed, self._planar
+        if stop:
+            values[0] = 0.0 if self.control == "speed" else self._braking()
         if self.control == "acceleration":
             values[0] = before + values[0] * self.car.dt
         command = self.car.clip(values)
@@ -243,12 +256,16 @@ class CarNavEnv(PhasedEnv):
         self.sensors.moved()
         if self.control == "acceleration":
             command[0] = (self._speed - before) / self.car.dt
-        reached, lost = self.task.reached(self._planar), not (self.body.upright() and self._on_floor())
-        reward = self._reward(reached and not lost)
-        info = self._info(command, reached and not lost)
-        if reached or lost:
-            info["reason"] = "overturned or off the floor" if lost else "reached"
-        self._outcome = reward, reached or lost, info
+        lost = not (self.body.upright() and self._on_floor())
+        reached = self.task.reached(self._planar)
+        ended = "overturned or off the floor" if lost else self._stopped(reached) if stop else ""
+        if self.end_on == "reach" and reached and not lost:
+            ended = "reached"
+        success = ended in SUCCESSES
+        reward, info = self._reward(success), self._info(command, success)
+        if ended:
+            info["reason"] = ended
+        self._outcome = reward, bool(ended), info
 
     def sense(self) -> None:
         """Let the sensors measure."""
@@ -297,6 +314,17 @@ class CarNavEnv(PhasedEnv):
         speed, steering = self.car.limits
         high = np.array([speed if self.control == "speed" else self.car.max_acceleration, steering])
         return -high, high
+
+    def _braking(self) -> float:
+        """Return the acceleration that ends the commanded speed within a step, as far as the limit allows, m/s^2."""
+        most = self.car.max_acceleration
+        return float(np.clip(-self._speed / self.car.dt, -most, most))
+
+    def _stopped(self, reached: bool) -> str:
+        """Return how an episode has ended whose agent has just stopped."""
+        if abs(self.body.speed()) > STANDING_SPEED:
+            return "stopped while it rolled"
+        return "stopped at the target" if reached else "stopped elsewhere"
 
     def _goal(self) -> np.ndarray:
         """Return the goal, as observed."""

@@ -129,6 +129,18 @@ _ROWS = (
         protocol="vssm_gym.eval.protocols.carnav",
         view="vssm_gym.eval.report.car:CAR_VIEW",
     ),
+    EnvironmentSpec(
+        id="vssm_gym/CarNav-v1",
+        env="vssm_gym.envs.carnav:CarNavEnv",
+        vector="vssm_gym.envs.vector:carnav",
+        max_episode_steps=600,
+        keywords={"end_on": "stop"},
+        robot="car",
+        task="pointgoal",
+        physics=("mujoco", "bullet"),
+        protocol="vssm_gym.eval.protocols.carnav",
+        view="vssm_gym.eval.report.car:CAR_VIEW",
+    ),
     # Imagined: it takes a map instead of a scene, and its vector environment is one compiled step.
     EnvironmentSpec(
         id="vssm_gym/WorldModelNav-v0",

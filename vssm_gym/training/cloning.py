@@ -15,7 +15,7 @@ from vssm_gym.agents.policy.features import size_of
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
 from vssm_gym.agents.shared.surroundings import KnownMap
-from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.agent_context import context_of
 from vssm_gym.files.atomic import atomic_write
@@ -128,7 +128,14 @@ class Experts:
 
     def __init__(self, m: VoxelMap, n: int) -> None:
         robot = HolonomicRobot()
-        self._context = partial(context_of, robot, robot.body_length, success_radius=BODY.success_radius, voxel_map=m)
+        self._context = partial(
+            context_of,
+            robot,
+            robot.body_length,
+            success_radius=BODY.success_radius,
+            noise=NOISE_LEVELS["none"],
+            voxel_map=m,
+        )
         self._navigators = [Navigator(KnownMap(TruePose()), NavigationConfig()) for _ in range(n)]
         self._goals = np.zeros((n, 2))
 

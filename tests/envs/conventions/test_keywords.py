@@ -15,7 +15,8 @@ from vssm_gym.envs import vector_wrappers, wrappers
 from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.navigation import spl
 
-POINT, IMAGE, EXPLORE, CAR = (f"vssm_gym/{name}-v0" for name in ("PointNav", "ImageNav", "Explore", "CarNav"))
+POINT, IMAGE, EXPLORE = (f"vssm_gym/{name}-v0" for name in ("PointNav", "ImageNav", "Explore"))
+CAR = "vssm_gym/CarNav-v1"
 GPS = {"sensors": ["gps_compass"]}
 ROOMS, YARD = two_rooms(), yard(3.0, 3.0)
 CASES = [
