@@ -6,6 +6,7 @@ with). What a filter estimates is judged by :mod:`vssm_gym.agents.shared.trust`.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import jax
@@ -13,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Observation
+from vssm_gym.agents.shared.map_index import MapIndex, rig_of
 from vssm_gym.agents.shared.trust import Judged, JudgedFilter
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.camera import Camera
-from vssm_gym.inference.filter import KNOWN_START_STD, Filter, Rig
+from vssm_gym.inference.filter import KNOWN_START_STD, Filter
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -84,6 +85,7 @@ class FilteredPose:
 
     def __init__(self, name: str) -> None:
         self._name, self._entry = name, FILTERS[name]
+        self._index = MapIndex()
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Start the filter; one step is computed and dropped, so that compiling it delays no later one."""
@@ -97,7 +99,8 @@ class FilteredPose:
         self._judged = None
         if not self._entry.blind:
             chained = not (self._entry.needs_map or self._entry.maps)
-            self._judged = JudgedFilter(self._filter, self._state, self._dt, observation, chained)
+            find = partial(self._index.relocaliser, context) if self._entry.needs_map else None
+            self._judged = JudgedFilter(self._filter, self._state, self._dt, observation, chained, relocaliser=find)
         return localization(known_start(context, self._entry.blind), Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
@@ -131,11 +134,6 @@ def start_filter(name: str, context: AgentContext, image: Any, voxel_map: VoxelM
     entry = FILTERS[name]
     made = entry.make(rig_of(context), context.transition)
     return made, made.init(Posterior(known_start(context, entry.blind), voxel_map), image, jax.random.key(0))
-
-
-def rig_of(context: AgentContext) -> Rig:
-    """Return the camera on the robot's body."""
-    return Rig.of(Camera.from_matrix(context.K, *context.camera), context.T_body_cam)
 
 
 def localization(

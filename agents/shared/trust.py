@@ -9,11 +9,12 @@ holds for an image that fits: its geometry does, and the mean photometric residu
 the alignment, is no larger than the image's own contrast. At a wrong place geometry may fit by chance, but not colours.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -21,8 +22,10 @@ from vssm_gym.agents.shared.frozen_images import FrozenConfig, FrozenImages, Liv
 from vssm_gym.agents.shared.overshoot import Overshoot, OvershootConfig
 from vssm_gym.inference.alignment.residuals import AlignConfig, AlignInfo, score
 from vssm_gym.inference.filter import Filter, FilterInfo
+from vssm_gym.inference.relocalisation.relocaliser import Hypothesis, Outcome, Relocaliser
 from vssm_gym.inference.status import Status
 from vssm_gym.model.emission import RGBD
+from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import GaussianBelief
 
 Observation = Mapping[str, np.ndarray]
@@ -75,6 +78,7 @@ class TrustConfig:
     # m and rad: std of the motion that no image showed, beyond which a chain of images is broken
     most_unseen: tuple[float, float] = (0.1, 0.06)
     confirm: int = 3  # images in a row that fit, after which a robot that was lost believes its estimate again
+    relocalise: int = 3  # steps lost in a row, after which each image is compared with all of a known map
 
 
 TRUST = TrustConfig()
@@ -102,7 +106,8 @@ class JudgedFilter:
 
     While images are frozen the filter gets none, and its belief follows the commands. A filter that compares an image
     with the one before cannot tell where the robot is once two of them do not fit, or once it has moved too far without
-    an image (``TrustConfig.most_unseen``): it is never believed again.
+    an image (``TrustConfig.most_unseen``): it is never believed again. In a known map a lost filter starts anew where
+    its images are found in all of the map, and is believed after as many fits as any lost one.
 
     Args:
         filter: of the pose; its controls are the robot's commands.
@@ -111,6 +116,7 @@ class JudgedFilter:
         observation: with the first image.
         chained: True for a filter that compares images with each other alone.
         config: which estimates are believed.
+        relocaliser: returns that of the filter's map, called once the robot is lost; None: it waits for a fit.
     """
 
     def __init__(
@@ -121,6 +127,7 @@ class JudgedFilter:
         observation: Observation,
         chained: bool = False,
         config: TrustConfig = TRUST,
+        relocaliser: Callable[[], Relocaliser] | None = None,
     ) -> None:
         self._filter, self._dt, self._config, self._chained = filter, dt, config, chained
         self.state = state
@@ -131,6 +138,8 @@ class JudgedFilter:
         self._dark = RGBD.from_camera(*(np.zeros_like(observation[name]) for name in ("rgb", "depth")))
         self._denied: list[np.ndarray] = []  # commands that the belief does not follow, because an image repeated
         self._lost = self._fits = 0
+        self._relocaliser = relocaliser
+        self._hypotheses: tuple[Hypothesis, ...] = ()  # places that explain the images since the robot was lost alike
         self._broken = False  # the chain of images
         self._unseen = np.zeros(2)  # variances of the motion that no image showed, m^2 and rad^2
 
@@ -150,6 +159,8 @@ class JudgedFilter:
             followed = not info.status.accepted  # without an image, a belief follows the command
             if followed:
                 self._count_unseen(before, command)
+            if self._is_found(status, command, observation):
+                status, followed = Status.RECOVERED, False
         else:
             status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
         if not self._images.repeats:
@@ -167,6 +178,26 @@ class JudgedFilter:
         self._lost = 0 if believed else self._lost + 1
         status = Status.UNCONFIRMED if status.accepted and not believed else status
         return Judged(self._belief(), self._in_world, status, self._lost)
+
+    def _is_found(self, status: Status, command: np.ndarray, observation: Observation) -> bool:
+        """Compare the image of a lost robot with all of the map; return True where the filter starts anew there."""
+        early = self._lost < self._config.relocalise or self._images.repeats > 0
+        if status.accepted or self._relocaliser is None or early:
+            self._hypotheses = ()
+            return False
+        relocaliser, image = self._relocaliser(), RGBD.from_camera(observation["rgb"], observation["depth"])
+        if self._hypotheses:
+            found = relocaliser.narrowed(self._hypotheses, command, self._filter.transition, self._dt, image)
+        if not self._hypotheses or found.outcome is Outcome.NOTHING:
+            found = relocaliser.find(image)
+        # A single place whose pose the image does not fix is looked for again, in all of the map.
+        self._hypotheses = found.hypotheses if len(found.hypotheses) > 1 else ()
+        if found.belief is None:
+            return False
+        self.state = self._filter.init(Posterior(found.belief, relocaliser.map), image, jax.random.key(0))
+        self._in_world = found.belief
+        self._overshoot.reset()
+        return True
 
     def _advance(self, command: np.ndarray, image: RGBD) -> FilterInfo:
         self.state, info = self._filter.step(self.state, jnp.asarray(command, jnp.float32), image, self._dt)

@@ -35,7 +35,7 @@ from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.error_covariance import Considered, estranged
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.pose_update import gain, propagated
-from vssm_gym.inference.tracking.recovery import RecoveryConfig, prior_precision, recover
+from vssm_gym.inference.tracking.recovery import Attempt, RecoveryConfig, prior_precision, recover
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.base import Transition
@@ -171,8 +171,20 @@ def search(
     attempt = recover(
         relocalisation.map, T_world_starts, image, rig.camera, basis, relocalisation.max_depth, relocalisation.config
     )
-    if not attempt.accepted:
-        return None
+    return begin_at(attempt, manifold, image, rig, config, relocalisation, considered) if attempt.accepted else None
+
+
+def begin_at(
+    attempt: Attempt,
+    manifold: Manifold,
+    image: RGBD,
+    rig: Rig,
+    config: TrackingConfig,
+    relocalisation: Relocalisation,
+    considered: Considered,
+) -> Located:
+    """Return the past of a camera that was relocalised, at an unknown velocity; arguments as of :func:`search`."""
+    basis = camera_twists(manifold, rig)
     if config.exposure:
         image = _expose(image, attempt.gain)
     at_pose = reference_view.from_map(relocalisation.map, attempt.T_world_cam, rig.camera, relocalisation.max_depth)

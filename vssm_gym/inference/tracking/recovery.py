@@ -68,9 +68,24 @@ def prior_precision(basis: Float[Array, "6 p"], config: RecoveryConfig) -> Float
 
 
 @partial(jax.jit, static_argnums=5)
-def _align(
-    T_world_start: Array, rendered: RGBD, image: RGBD, camera: Camera, basis: Array, config: RecoveryConfig
+def attempt(
+    T_world_start: Float[Array, "4 4"],
+    rendered: RGBD,
+    image: RGBD,
+    camera: Camera,
+    basis: Float[Array, "6 p"],
+    config: RecoveryConfig,
 ) -> Attempt:
+    """Align an image to the map rendered at a start, and judge the result by itself.
+
+    Args:
+        T_world_start: The start.
+        rendered: The map from there.
+        image: The image.
+        camera: Of both.
+        basis: The twists (camera frame) along which the camera may move.
+        config: Effort and thresholds.
+    """
     # Match the brightness of the rendering where both are known; exact in the second call, at the right pose.
     brightness = gain(luminance(rendered.rgb), luminance(image.rgb), rendered.known)
     image = expose(image, brightness)
@@ -114,18 +129,33 @@ def recover(
     attempts = []
     for T_world_start in T_world_starts:
         rendered = emission.render(m, T_world_start, camera, max_depth)
-        attempt = _align(T_world_start, rendered, image, camera, basis, config)
-        again = emission.render(m, attempt.T_world_cam, camera, max_depth)
-        attempts.append(_align(attempt.T_world_cam, again, image, camera, basis, config))
+        first = attempt(T_world_start, rendered, image, camera, basis, config)
+        again = emission.render(m, first.T_world_cam, camera, max_depth)
+        attempts.append(attempt(first.T_world_cam, again, image, camera, basis, config))
     every = jax.tree.map(lambda *leaves: jnp.stack(leaves), *attempts)
     found = _best(every)
     if found.accepted:
         rendered = emission.render(m, found.T_world_cam, camera, max_depth)
-        exposed, here = _expose(image, found.gain), jnp.eye(4)
-        unscaled = fits_unscaled(here, basis, rendered, exposed, camera, config.align)
-        unique = is_unique(here, basis, rendered, exposed, camera, config.align)
-        found = eqx.tree_at(lambda a: a.accepted, found, unscaled & unique)
+        found = eqx.tree_at(lambda a: a.accepted, found, confirmed(found, rendered, image, camera, basis, config))
     return found
+
+
+def confirmed(
+    found: Attempt, rendered: RGBD, image: RGBD, camera: Camera, basis: Float[Array, "6 p"], config: RecoveryConfig
+) -> Bool[Array, ""]:
+    """Return whether an accepted alignment fits at one scale of its depth (eq. I29) and at one place (eq. I33).
+
+    Args:
+        found: The alignment.
+        rendered: The map from its pose.
+        image: The image.
+        camera: Of both.
+        basis: The twists (camera frame) along which the camera may move.
+        config: Scales of the alignment.
+    """
+    exposed, here = _expose(image, found.gain), jnp.eye(4)
+    unscaled = fits_unscaled(here, basis, rendered, exposed, camera, config.align)
+    return unscaled & is_unique(here, basis, rendered, exposed, camera, config.align)
 
 
 _expose = jax.jit(expose)
