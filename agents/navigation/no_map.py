@@ -6,9 +6,10 @@
 
 from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.recovery import WITHOUT_IMAGES
 from vssm_gym.agents.shared.surroundings import KnownMap
 
-CONFIG = NavigationConfig()
+CONFIG = NavigationConfig(responses=WITHOUT_IMAGES)
 
 
 class NoMapAgent:

@@ -6,13 +6,14 @@ and map; A* plans on the belief as it grows, with unknown space at a cost. Descr
 
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.recovery import IN_OWN_MAP
 from vssm_gym.agents.shared.surroundings import GrowingMap
 from vssm_gym.agents.shared.trust import LostConfig
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 
 # A robot that drives where it has seen nothing yet cannot do without its pose: it never coasts.
-CONFIG = NavigationConfig(look_first=True, lost=LostConfig(coast=0, give_up=100))
+CONFIG = NavigationConfig(look_first=True, lost=LostConfig(coast=0, give_up=100), responses=IN_OWN_MAP)
 
 
 class SlamNavAgent:

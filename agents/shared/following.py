@@ -99,6 +99,7 @@ class Follower:
         near: ClearanceMap,
         failures: float,
         std: np.ndarray = CERTAIN,
+        exact: bool = False,
     ) -> np.ndarray:
         """Return the next command along a path.
 
@@ -108,11 +109,13 @@ class Follower:
             near: clearance as it is known now.
             failures: steps in a row that could not be taken before it.
             std: ``(3,)`` standard deviations of ``planar`` against the map, m and rad.
+            exact: whether to take each bend, however near.
 
         Returns:
             ``(turn, o, s)``: rad, rad, m; all zero where no step may be taken.
         """
-        command = steer(planar, planned.path, self.limits, self.direction_frame, self.config.bend_passed)
+        passed = BEND_PASSED if exact else self.config.bend_passed
+        command = steer(planar, planned.path, self.limits, self.direction_frame, passed)
         return self._careful(planned, planar, command, near, failures, std) if command[2] > 0.0 else command
 
     def _careful(

@@ -20,14 +20,14 @@ from vssm_gym.agents.shared.following import Follower, FollowingConfig, PlannedP
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.manoeuvres import Manoeuvre, Nothing, Turn, around, back_off, retraced
 from vssm_gym.agents.shared.progress import Progress
-from vssm_gym.agents.shared.recovery import RESPONSES, Failure, Recovery, Response, Table
+from vssm_gym.agents.shared.recovery import IN_KNOWN_MAP, Failure, Recovery, Response, Table
 from vssm_gym.agents.shared.route import cost, first_found, may_improve, shortened
 from vssm_gym.agents.shared.surroundings import Surroundings, Terrain
 from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.planning.exploration.candidates import Roadmap
 from vssm_gym.planning.exploration.frontier import frontiers
 from vssm_gym.planning.planners import Planner, find_planner
-from vssm_gym.planning.pursuit import direction_of_travel
+from vssm_gym.planning.pursuit import direction_of_travel, steer
 from vssm_gym.planning.result import PlanResult, PlanStatus
 
 
@@ -48,7 +48,10 @@ class NavigationConfig:
     stuck_length: float = 0.4  # length of driving commands over which progress is measured
     stuck_share: float = 0.35  # fraction of it that the estimate must have moved; less means that the robot is stuck
     patience: int = 24  # steps within ``arrival`` of one place, while driving, after which it is stuck, too: 1.5 turns
-    obstacle_radius: float = 0.03  # of the obstacle that is then assumed at the robot's front
+    # Of the obstacle that is then assumed at the robot's front; it doubles with every time within a reach.
+    obstacle_radius: float = 0.03
+    obstacle_reach: float = 0.6
+    largest_obstacle: float = 0.24
     # Of the obstacle that is assumed where an image has no depth: it is nearer than a depth camera measures.
     blind_distance: float = 0.3
     blind_radius: float = 0.14
@@ -58,7 +61,7 @@ class NavigationConfig:
     # A bend nearer than the estimate errs would turn the robot back and forth; the test of the step keeps it safe.
     following: FollowingConfig = field(default_factory=lambda: FollowingConfig(bend_passed=0.08))
     lost: LostConfig = field(default_factory=LostConfig)  # when an estimate that is not believed fails the task
-    responses: Table = field(default_factory=lambda: RESPONSES)
+    responses: Table = field(default_factory=lambda: IN_KNOWN_MAP)
 
 
 @dataclass
@@ -72,7 +75,9 @@ class _Task:
     detour: np.ndarray | None = None  # (2,) m, a frontier's place to drive to before the goal
     facing: float = 0.0  # rad, heading to look in at the detour's end
     seen: list[np.ndarray] = field(default_factory=list)  # (n, 2) cells of frontiers that were driven to
+    exact: bool = False  # whether the path's next bend is taken, however near it is
     progress: Progress = field(default_factory=Progress)
+    held: list[np.ndarray] = field(default_factory=list)  # (2,) m, places where something held the robot
 
 
 class Navigator:
@@ -149,8 +154,10 @@ class Navigator:
         held = task.progress.is_held(estimate.planar, c.stuck_length, c.stuck_share)
         dithers = task.progress.dithers(estimate.planar, c.arrival, c.patience)
         if held:
-            self._meet_obstacle(estimate, self._radius + c.obstacle_radius, c.obstacle_radius)
-        if (held or dithers) and (response := self._respond(Failure.STUCK, estimate)) is not None:
+            task.recovery.counts[HELD] += 1
+            radius = self._assumed_radius(estimate)
+            self._meet_obstacle(estimate, self._radius + radius, radius)
+        if dithers and (response := self._respond(Failure.STUCK, estimate)) is not None:
             return response
         if not lost and self._is_uncertain(estimate) and (response := self._respond(Failure.UNCERTAIN, estimate)):
             return response
@@ -218,12 +225,18 @@ class Navigator:
         ahead = points_along(planned.path, self._config.following.lookahead)
         margin = float(np.min(terrain.near.at(ahead))) - self._radius
         planned = replace(planned, margin=max(planned.margin, margin))
-        # In the end it is enough that the step is free where it is executed as commanded.
-        for failures in (*range(self._config.following.tries + 2), math.inf):
-            command = self._follower.step(planned, estimate.planar, terrain.near, failures, estimate.std)
-            if np.any(command):
-                return command
-        return np.zeros(3)
+        # In the end it is enough that the step is free where it is executed as commanded, and to take each bend.
+        task = self._task
+        for exact in (True,) if task.exact else (False, True):
+            task.exact = exact
+            for failures in (*range(self._config.following.tries + 2), math.inf):
+                command = self._follower.step(planned, estimate.planar, terrain.near, failures, estimate.std, exact)
+                if np.any(command):
+                    task.exact &= command[2] == 0.0  # a turn towards a bend is completed
+                    return command
+        if terrain.plan is not None:  # the step may lead where nothing is known
+            return np.zeros(3)
+        return steer(estimate.planar, planned.path, self._context.limits, self._context.direction_frame)
 
     # --- failures
 
@@ -237,6 +250,7 @@ class Navigator:
             manoeuvre = self._manoeuvre(response, estimate)
             if manoeuvre is None:
                 continue
+            recovery.counts[response.value] += 1
             command = manoeuvre.command(estimate.planar)
             if command is None:
                 return None
@@ -260,7 +274,8 @@ class Navigator:
                 near = self.surroundings.look(planar, self._task.goal).near
                 return back_off(planar, near, c.following.retreat, self._context) or Nothing()
             case Response.LOOK_AGAIN:
-                self.surroundings.doubt(planar[:2], c.doubted)
+                if not self.surroundings.doubt(planar[:2], c.doubted):
+                    return None
                 self._task.path = None
                 return around(float(planar[2]), self._most_turn)
             case Response.EXPLORE:
@@ -315,6 +330,13 @@ class Navigator:
         place, heading = self._config.most_uncertain
         return bool(np.max(estimate.std[:2]) > place or estimate.std[2] > heading)
 
+    def _assumed_radius(self, estimate: Localization) -> float:
+        """Return the radius of the obstacle that holds the robot, m: twice as large each time that it did here."""
+        task, c = self._task, self._config
+        before = sum(math.hypot(*(estimate.planar[:2] - place)) < c.obstacle_reach for place in task.held)
+        task.held.append(estimate.planar[:2].copy())
+        return min(c.obstacle_radius * 2.0**before, c.largest_obstacle)
+
     def _meet_obstacle(self, estimate: Localization, front: float, radius: float) -> None:
         """Assume an obstacle ``front`` m ahead, of ``radius`` m, and plan a path around it."""
         command = np.zeros(3) if self._command is None else self._command
@@ -355,4 +377,5 @@ class Navigator:
 
 
 NEAREST = "arrived as near as a path leads"
+HELD = "plans around what holds it"  # where the robot does not move as commanded
 BLIND = "does not drive blindly"  # where an image shows nothing ahead

@@ -94,11 +94,16 @@ class OwnMap:
         self._met[window] |= away <= radius
         self._body[window] &= away > radius
 
-    def doubt(self, xy: np.ndarray, radius: float) -> None:
-        """Forget what was seen from nearby or met within ``radius`` of ``xy`` (m): it has to be seen again."""
+    def doubt(self, xy: np.ndarray, radius: float) -> bool:
+        """Forget what was seen from nearby or met within ``radius`` of ``xy`` (m): it has to be seen again.
+
+        Return False where there was nothing to forget.
+        """
         window, away = self._around(xy, radius)
+        doubted = (away <= radius) & ((self._seen[window] >= 2) | self._met[window])
         self._seen[window] = np.where(away <= radius, 0, self._seen[window])
         self._met[window] &= away > radius
+        return bool(doubted.any())
 
     def _stand(self, xy: np.ndarray) -> None:
         """Mark the columns of the body at ``xy`` (m) and of the ring around it."""

@@ -23,7 +23,7 @@ class Failure(Enum):
 
     LOST = "lost"  # images do not fit where the robot believes to be
     UNCERTAIN = "uncertain"  # they fit, but they do not say where along a wall or corridor
-    STUCK = "stuck"  # it does not move as commanded
+    STUCK = "stuck"  # it does not get away from a place
     BLOCKED = "blocked"  # no step along the path is free
     NO_PATH = "no path"
 
@@ -42,13 +42,20 @@ class Response(Enum):
 
 Table = Mapping[Failure, tuple[Response, ...]]
 
-RESPONSES: Table = {
+IN_KNOWN_MAP: Table = {
     Failure.LOST: (Response.LOOK_BACK, Response.TURN_AROUND, Response.RETRACE, Response.TURN_AROUND),
     Failure.UNCERTAIN: (Response.LOOK_BACK, Response.TURN_AROUND, Response.GO_ON),
+    Failure.STUCK: (Response.BACK_OFF, Response.BACK_OFF, Response.RETRACE, Response.BACK_OFF, Response.RETRACE),
+    Failure.BLOCKED: (Response.BACK_OFF, Response.BACK_OFF, Response.RETRACE, Response.BACK_OFF),
+    Failure.NO_PATH: (Response.TURN_AROUND, Response.LOOK_AGAIN),
+}
+IN_OWN_MAP: Table = {
+    **IN_KNOWN_MAP,
     Failure.STUCK: (Response.BACK_OFF, Response.BACK_OFF, Response.LOOK_AGAIN, Response.BACK_OFF, Response.RETRACE),
     Failure.BLOCKED: (Response.BACK_OFF, Response.LOOK_AGAIN, Response.BACK_OFF, Response.RETRACE),
-    Failure.NO_PATH: (Response.LOOK_AGAIN, Response.EXPLORE, Response.LOOK_AGAIN),
+    Failure.NO_PATH: (Response.TURN_AROUND, Response.LOOK_AGAIN, Response.EXPLORE, Response.LOOK_AGAIN),
 }
+WITHOUT_IMAGES: Table = {**IN_KNOWN_MAP, Failure.UNCERTAIN: ()}  # no view makes such an estimate more certain
 WITHOUT: Table = dict.fromkeys(Failure, ())  # the ablation: the first failure ends the task
 
 
@@ -65,7 +72,7 @@ class Recovery:
     _place: dict[Failure, np.ndarray] = field(default_factory=dict)
 
     def response(self, failure: Failure, planar: np.ndarray) -> Response | None:
-        """Begin and count the next response of a failure's row at ``planar``; return None where the row has ended."""
+        """Return the next response of a failure's row at ``planar``; None where the row has ended."""
         place = self._place.get(failure)
         if place is None or math.hypot(*(planar[:2] - place)) > PROGRESS:
             self._place[failure], self._next[failure] = planar[:2].copy(), 0
@@ -73,9 +80,7 @@ class Recovery:
         if k >= len(self.table[failure]):
             return None
         self._next[failure] = k + 1
-        response = self.table[failure][k]
-        self.counts[response.value] += 1
-        return response
+        return self.table[failure][k]
 
     def begin(self, failure: Failure, response: Response, manoeuvre: Manoeuvre) -> None:
         """Run a manoeuvre in the steps to come."""

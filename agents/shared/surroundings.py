@@ -70,8 +70,8 @@ class Surroundings(Protocol):
         """Remember an obstacle that the map does not show: a disc at ``xy``, m."""
         ...
 
-    def doubt(self, xy: np.ndarray, radius: float) -> None:
-        """Forget obstacles within ``radius`` of ``xy`` (m) that were met, or seen once and not since."""
+    def doubt(self, xy: np.ndarray, radius: float) -> bool:
+        """Forget obstacles within ``radius`` of ``xy`` (m) that were met or seen from nearby; False where none were."""
         ...
 
 
@@ -124,9 +124,10 @@ class KnownMap:
         """Add a disc to the clearance until the episode's end, or until it is doubted."""
         self._space = self._space.with_obstacle(xy, radius)
 
-    def doubt(self, xy: np.ndarray, radius: float) -> None:
+    def doubt(self, xy: np.ndarray, radius: float) -> bool:
         """Forget all discs: few are ever met."""
-        self._space = self._static
+        met, self._space = self._space is not self._static, self._static
+        return met
 
 
 class GrowingMap:
@@ -178,9 +179,9 @@ class GrowingMap:
         """Mark the columns of a disc as occupied."""
         self._own.meet(xy, max(radius, 0.75 * self._own_config.voxel))
 
-    def doubt(self, xy: np.ndarray, radius: float) -> None:
+    def doubt(self, xy: np.ndarray, radius: float) -> bool:
         """Forget what was seen at the body's height from nearby, and what was met."""
-        self._own.doubt(xy, radius)
+        return self._own.doubt(xy, radius)
 
 
 def _body(context: AgentContext) -> Body:

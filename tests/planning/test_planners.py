@@ -15,6 +15,7 @@ from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.shared.explorer import ExplorationConfig, Explorer
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.surroundings import KnownMap
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError
 from vssm_gym.planning.car.dwa import DwaStatus
@@ -240,13 +241,13 @@ def test_planners_by_name_or_as_they_are():
     with pytest.raises(InputError, match="astar"):
         find_planner("a*")
     with pytest.raises(InputError, match="planner"):
-        Navigator(TruePose(), NavigationConfig(planner="dijkstra's"))
+        Navigator(KnownMap(TruePose()), NavigationConfig(planner="dijkstra's"))
 
 
 @pytest.mark.parametrize("name", PLANNERS)
 def test_agents_take_their_planner_by_configuration(name):
     """The navigator and the explorers call the planner that their configuration names or holds, and no other."""
-    assert Navigator(TruePose(), NavigationConfig(planner=name))._plan is PLANNERS[name]
+    assert Navigator(KnownMap(TruePose()), NavigationConfig(planner=name))._plan is PLANNERS[name]
     explorer = Explorer(NearestFrontier(), config=ExplorationConfig(planner=name))
     assert explorer._plan_path is PLANNERS[name]
     assert OracleAgent(NavigationConfig(planner=PLANNERS[name])).name == "oracle"
