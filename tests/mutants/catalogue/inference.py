@@ -215,10 +215,24 @@ INFERENCE = (
         (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
     ),
     Mutant(
+        "a-turn-seen-the-wrong-way",
+        "vssm_gym/inference/tracking/visual_turn.py",
+        "error = angle - moved[k]",
+        "error = moved[k] - angle",
+        ("tests/inference/test_visual_turn.py::test_a_correction_is_the_products_of_two_gaussians",),
+    ),
+    Mutant(
+        "a-turn-seen-leaves-its-noise",
+        "vssm_gym/inference/tracking/visual_turn.py",
+        ".add(-share * variance)",
+        ".add(0.0 * variance)",
+        ("tests/inference/test_visual_turn.py::test_the_turn_is_seen_to_half_a_degree_whatever_the_exposure",),
+    ),
+    Mutant(
         "drift-left-out-of-a-prediction",
         PRISM,
-        "return lost, FilterInfo(status, in_world, located.fit_quality)",
-        "return lost, FilterInfo(status, past.belief, located.fit_quality)",
+        "return lost, FilterInfo(status, in_world, quality)",
+        "return lost, FilterInfo(status, past.belief, quality)",
         (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
     ),
     Mutant(

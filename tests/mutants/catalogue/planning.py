@@ -9,6 +9,27 @@ OF_MPC = ("tests/planning/car/test_mpc_objective.py::test_values_are_those_of_th
 
 PLANNING = (
     Mutant(
+        "an-edge-costs-as-its-end",
+        "vssm_gym/planning/grid_search/astar.py",
+        "length *= 0.5 * (weight[i, j] + weight[i + di, j + dj])",
+        "length *= weight[i + di, j + dj]",
+        ("tests/planning/test_path_cost.py::test_astar_costs_as_much_as_dijkstra",),
+    ),
+    Mutant(
+        "a-path-is-entered-where-it-is-seen-last",
+        "vssm_gym/planning/grid_search/path_shortening.py",
+        "if total < least - 1e-9 and segment_free(",
+        "if best == 0 and segment_free(",
+        ("tests/planning/test_path_cost.py::test_shortening_never_costs_more_and_stays_free",),
+    ),
+    Mutant(
+        "unknown-space-is-free-of-charge",
+        "vssm_gym/planning/traversability.py",
+        "np.where(inside, config.unknown, config.unknown * config.outside)",
+        "0.0",
+        ("tests/planning/test_traversability.py::test_a_path_through_the_unknown_pays_for_it",),
+    ),
+    Mutant(
         "information-counted-twice",
         f"{INFORMATION}/information_sum.py",
         "return 0.5 * (nats + np.log(product))",
