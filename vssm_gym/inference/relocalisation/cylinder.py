@@ -1,8 +1,8 @@
 """Resample images to a cylinder around the camera: columns are azimuths, rows are slopes ``tan(elevation)``.
 
 A robot on a floor knows the height and the mounting of its camera. A turn of its body by one column therefore shifts
-its image by one column, and changes nothing else. A direction of the cylinder has a horizontal part of length 1, so that
-the *range* along it is the horizontal distance to the surface, m.
+its image by one column, and changes nothing else. A direction of the cylinder has a horizontal part of length 1, so
+that the *range* along it is the horizontal distance to the surface, m.
 """
 
 import math
@@ -82,7 +82,7 @@ class Cylinder:
         x, y, z = R @ rays
         slope, azimuth = z / np.maximum(np.hypot(x, y), 1e-6), np.arctan2(y, x)
         if np.abs(slope).max() > STEEPEST:
-            raise InputError("Cylinder", "rig", f"a camera that sees no slope beyond {STEEPEST:g}; it sees the vertical")
+            raise InputError("Cylinder", "rig", f"a camera that looks about level: no slope beyond {STEEPEST:g}")
         first, last = (int(np.round(a / config.step)) for a in (azimuth.min(), azimuth.max()))
         edges = np.linspace(slope.max(), slope.min(), config.rows + 1)
         return cls(config, rig, edges, first, min(last - first + 1, config.columns))
