@@ -22,6 +22,7 @@ from vssm_gym.agents.exploration.mi_explorer_estimated_pose import MiExplorerEst
 from vssm_gym.agents.exploration.random_viewpoint import RandomViewpointAgent
 from vssm_gym.agents.exploration.random_walk import RandomWalkAgent
 from vssm_gym.agents.navigation.astar import AStarAgent
+from vssm_gym.agents.navigation.astar_image import AStarImageAgent
 from vssm_gym.agents.navigation.dead_reckoning import DeadReckoningAgent
 from vssm_gym.agents.navigation.dist_bug import DistBugAgent
 from vssm_gym.agents.navigation.no_map import NoMapAgent
@@ -38,6 +39,7 @@ AGENTS: dict[str, type[Agent]] = {
     agent.name: agent
     for agent in (
         AStarAgent,
+        AStarImageAgent,
         NoMapAgent,
         DeadReckoningAgent,
         OracleAgent,

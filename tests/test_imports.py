@@ -91,7 +91,13 @@ FOLDERS = {
         ["json_file", "line_file", "numbers"],
         ["npz_file", "yaml_file", "output_folders"],
     ],
-    "inference": [["alignment", "mapping", "linear_gaussian", "status"], ["filter"], ["tracking"], ["prism"], [""]],
+    "inference": [
+        ["alignment", "mapping", "linear_gaussian", "status"],
+        ["filter"],
+        ["tracking"],
+        ["relocalisation", "prism"],
+        [""],
+    ],
     "planning": [
         ["clearance", "result"],
         ["occupancy_grid"],

@@ -81,11 +81,12 @@ class FilteredPose:
     Args:
         name: of a filter of :data:`vssm_gym.inference.registry.FILTERS`: ``tracker`` in the learned map, ``frames``
             against the previous image, ``dead_reckoning`` by the commands alone, ``emission`` through the renderer.
+        index: of the map, by which a lost robot is found, where it is shared; by default the localizer's own.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, index: MapIndex | None = None) -> None:
         self._name, self._entry = name, FILTERS[name]
-        self._index = MapIndex()
+        self._index = MapIndex() if index is None else index
 
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Start the filter; one step is computed and dropped, so that compiling it delays no later one."""

@@ -1,7 +1,6 @@
 """Index a known map for relocalisation, at places on its floor plan; built when it is first asked for.
 
-Most robots are never lost, and an index takes seconds. It is kept over episodes, as long as map and camera are the
-same.
+Most robots are never lost, and an index takes seconds. It is kept over episodes, as long as map and camera stay.
 """
 
 import numpy as np

@@ -126,6 +126,15 @@ class Navigator:
         counts = dict(self._task.recovery.counts)
         return Decision(action, estimate.planar.copy(), status, latency, path, gives_up, estimate.covariance, counts)
 
+    def instead(self, command: np.ndarray) -> None:
+        """Take ``command`` for that of the last decision: an agent had the robot do this and not what was decided."""
+        self._remember(self._estimate, command)
+
+    @property
+    def estimate(self) -> Localization:
+        """Return the belief over the pose at the last decision."""
+        return self._estimate
+
     def _begin(self, goal: np.ndarray) -> None:
         """Begin a task with no plan."""
         self._task = _Task(np.array(goal, np.float64), Recovery(self._config.responses))

@@ -45,6 +45,7 @@ COMMANDS: dict[str, Any] = {
         "calibration": "study.calibration",
         "map-reliability": "study.map_reliability",
         "flight": "study.flight",
+        "relocalisation": "study.relocalisation",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",

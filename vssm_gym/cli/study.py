@@ -279,7 +279,7 @@ def flight(
         imu=imu,
     )
     check_folder(out)
-    names = tuple(dict.fromkeys(flights.replace(" ", "").split(",")))
+    names = _names(flights)
     with study_folder("flight", out):
         with progress_bars() as progress:
             study = study_flight.run(
@@ -300,3 +300,51 @@ def _distinct(field: str, text: str, kind: Callable[[str], Number]) -> tuple[Num
     from vssm_gym.cli.shared.arguments import parse_numbers
 
     return tuple(dict.fromkeys(parse_numbers("study", field, text, kind, "numbers with commas between")))
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Return the names of a list with commas between them, each once, in their order."""
+    return tuple(dict.fromkeys(text.replace(" ", "").split(",")))
+
+
+@interruptible()
+def relocalisation(
+    out: Path,
+    scenes: str = "fern,ivy,moss,reed",
+    sensor_noise: str = "none,kinect",
+    poses: int = 100,
+    maps: Path | None = None,
+    seed: int = 0,
+) -> None:
+    """Look for a robot at random poses of several scenes, in their learned maps, without any prior.
+
+    OUT gets relocalisation.json, relocalisation.svg and relocalisation.html: shares of the images that are found,
+    ambiguous, or accepted at a wrong place, with errors and times; and the maps, which are kept and used again.
+
+    Args:
+        out: folder for the results.
+        scenes: built-in names or paths, separated by commas.
+        sensor_noise: noises of the camera: none, kinect or stereo, separated by commas.
+        poses: images of each scene with each noise.
+        maps: folder of the learned maps, such as a sweep's; OUT by default.
+        seed: of poses, noise and the drives that the maps are learned from.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.eval.studies import relocalisation as study_relocalisation
+    from vssm_gym.eval.studies.page import study_folder, write_study
+    from vssm_gym.files.output_folders import check_at_least, check_folder
+
+    check_at_least("study", "poses", poses, 1)
+    check_folder(out)
+    with study_folder("relocalisation", out):
+        with progress_bars() as progress:
+            study = study_relocalisation.run(
+                _names(scenes),
+                maps or out,
+                sensors=_names(sensor_noise),
+                poses=poses,
+                seed=seed,
+                on_progress=progress,
+            )
+        say(study.answer)
+        say(write_study(study, out))

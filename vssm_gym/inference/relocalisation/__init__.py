@@ -1,1 +1,1 @@
-"""Find a robot on a floor from nowhere: compare an image to panoramas of the map, at every place and heading."""
+"""Find a robot on a floor from nowhere: compare an image with panoramas of the map at every place and heading."""

@@ -82,9 +82,7 @@ class Cylinder:
         x, y, z = R @ rays
         slope, azimuth = z / np.maximum(np.hypot(x, y), 1e-6), np.arctan2(y, x)
         if np.abs(slope).max() > STEEPEST:
-            raise InputError(
-                "Cylinder", "rig", f"a camera that sees no slope beyond {STEEPEST:g}; it sees the vertical"
-            )
+            raise InputError("Cylinder", "rig", f"a camera that looks about level: no slope beyond {STEEPEST:g}")
         first, last = (int(np.round(a / config.step)) for a in (azimuth.min(), azimuth.max()))
         edges = np.linspace(slope.max(), slope.min(), config.rows + 1)
         return cls(config, rig, edges, first, min(last - first + 1, config.columns))

@@ -2,8 +2,8 @@
 
     -log p = sum_ij  min(|log r - log r*| / s_r, 3) + mean_c min(|log c - log c* - g| / s_c, 3),   s_r = s_0 + d / r
 
-over the cells of the cylinder, with a constant price for what only one of the two shows. ``d`` is how far the camera
-may be from the nearest place, and ``g`` the camera's gain, the mean difference of the logarithms. The sums along
+over the cells of the cylinder (eq. I43), with a constant price for what only one of the two shows. ``d`` is how far the
+camera may be from the nearest place, and ``g`` the camera's gain, the mean difference of the logarithms. The sums along
 headings are vectorised: one slice of the stored panoramas holds what one column of the image meets at every heading.
 """
 

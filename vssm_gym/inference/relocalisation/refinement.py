@@ -43,7 +43,8 @@ class Refined(eqx.Module):
 
 
 @jax.jit
-def _render(m: VoxelMap, T_world_cam: Array, camera: Camera, max_depth: float) -> RGBD:
+def render_all(m: VoxelMap, T_world_cam: Float[Array, "n 4 4"], camera: Camera, max_depth: float) -> RGBD:
+    """Render the map from several poses, one after the other: images with leading axis ``n``."""
     return jax.lax.map(lambda T: emission.render(m, T, camera, max_depth), T_world_cam)
 
 
@@ -95,9 +96,9 @@ def refine(
         scales: of the emission.
     """
     T = T_world_cam
-    rendered = _render(m, T, camera, max_depth)
+    rendered = render_all(m, T, camera, max_depth)
     for _ in range(2):
         T = _align(T, rendered, image, camera, basis, config)
-        rendered = _render(m, T, camera, max_depth)
+        rendered = render_all(m, T, camera, max_depth)
     brightness, log_probs = _weigh(rendered, image, scales, max_depth)
     return Refined(T, brightness, log_probs)

@@ -21,10 +21,11 @@ from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_ma
 from vssm_gym.inference.alignment.aliasing import APART
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, picture_agreement
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
 from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
 from vssm_gym.inference.relocalisation.panoramas import Panoramas
-from vssm_gym.inference.relocalisation.refinement import RefinementConfig, refine
+from vssm_gym.inference.relocalisation.refinement import Refined, RefinementConfig, refine
 from vssm_gym.inference.tracking import keyframes
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.inference.tracking.config import COMMANDED, TrackingConfig
@@ -91,11 +92,16 @@ class RelocaliserConfig:
     )
     tracking: TrackingConfig = COMMANDED  # of the covariance of an accepted pose
     scales: EmissionScales = field(default_factory=EmissionScales)
+    colour_view: ColourViewConfig = field(default_factory=ColourViewConfig)
     margin: float = 0.7  # nats a pixel: a place that is less likely by less explains the image as well
     least: float = -1.0  # nats a pixel: an image that is less likely is not explained
     kept: int = 8  # hypotheses at most
     min_reading: float = 0.3  # share of the pixels with depth
     min_contrast: float = 0.02  # standard deviation of the luminance
+    picture_margin: float = 0.25  # as ``margin``, of a picture without depth
+    picture_correlation: float = 0.6  # of the luminances of a picture and an image of the same place, at least
+    picture_share: float = 0.2  # of the image that the picture shows, too
+    picture_kept: int = 5  # hypotheses of a picture, however unlikely the last ones are
 
 
 @dataclass(frozen=True)
@@ -146,7 +152,7 @@ class Relocaliser:
         return cls(m, rig, Panoramas.of(m, cylinder, places, max_depth), cylinder, max_depth, config)
 
     def find(self, image: RGBD) -> Found:
-        """Relocalise an image, knowing nothing (eq. I38).
+        """Relocalise an image, knowing nothing (eqs. I43 and I44).
 
         Args:
             image: at the camera's size.
@@ -167,7 +173,7 @@ class Relocaliser:
         dt: float,
         image: RGBD,
     ) -> Found:
-        """Carry hypotheses on by a command, and let the next image decide between them (eq. I39).
+        """Carry hypotheses on by a command, and let the next image decide between them (eq. I45).
 
         Args:
             hypotheses: of the images so far.
@@ -183,6 +189,50 @@ class Relocaliser:
         if not self._is_legible(image):
             return Found(Outcome.AMBIGUOUS if moved else Outcome.NOTHING, tuple(moved))
         return self._judge(image, moved)
+
+    def find_picture(self, rgb: Float[np.ndarray, "height width 3"]) -> Found:
+        """Find where a picture without depth was taken by such a camera (eq. I46).
+
+        Args:
+            rgb: in [0, 1], at the camera's size.
+
+        Returns:
+            The outcome, without a belief. Hypotheses are the likeliest places, also where one of them is found: whoever
+            drives there may find that it was not the one.
+        """
+        c = self.config
+        if float(np.std(rgb.mean(-1))) < c.min_contrast:
+            return Found(Outcome.NOTHING)
+        scores = compare(self.cylinder.resample(rgb, None), self.panoramas, self.cylinder, c.comparison)
+        found = peaks(scores, self.panoramas, self.config.cylinder.step, c.comparison)
+        poses, T_body_cam = self._poses([self.planar(*one) for one in found], c.comparison.candidates)
+        small, rig = shrunk(_without_depth(rgb), self.rig, c.colour_view.width)
+        basis = camera_twists(PLANAR, rig)
+        aligned = align_views(self.map, poses, small.rgb, rig.camera, basis, self.max_depth, c.colour_view, c.scales)
+        T, likelihood = _on_host(aligned, len(found))
+        best = self._alike(T, likelihood, math.inf)[: c.picture_kept]
+        alone = len(best) == 1 or likelihood[best[1]] < likelihood[best[0]] - c.picture_margin
+        hypotheses = tuple(_hypothesis(T[k], T_body_cam, likelihood[k]) for k in best)
+        return Found(Outcome.FOUND if alone else Outcome.AMBIGUOUS, hypotheses)
+
+    def shows_picture(
+        self, image: RGBD, planar: Float[np.ndarray, "3"], rgb: np.ndarray, taken: Float[np.ndarray, "3"]
+    ) -> bool:
+        """Return True if a camera image agrees with a picture, by the colours of what both show.
+
+        Args:
+            image: at the camera's size.
+            planar: pose of the body with it, m and rad.
+            rgb: the picture, in [0, 1], at that size.
+            taken: pose of the body where the picture may have been taken.
+        """
+        c, T_body_cam = self.config, np.asarray(self.rig.T_body_cam, np.float64)
+        T_world_image, T_world_picture = (planar_to_matrix(np.asarray(p)) @ T_body_cam for p in (planar, taken))
+        small, rig = shrunk(image, self.rig, c.colour_view.width)
+        picture, _ = shrunk(_without_depth(rgb), self.rig, c.colour_view.width)
+        T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
+        agrees = picture_agreement(small, picture.rgb, T, rig.camera, camera_twists(PLANAR, rig), c.colour_view)
+        return float(agrees.correlation) >= c.picture_correlation and float(agrees.share) >= c.picture_share
 
     def planar(self, place: int, heading: int) -> Float[np.ndarray, "3"]:
         """Return the pose of the body whose camera is at a place of the index, at a column's heading."""
@@ -203,36 +253,37 @@ class Relocaliser:
 
     def _judge(self, image: RGBD, candidates: list[Hypothesis]) -> Found:
         """Refine candidates; return the outcome."""
-        c, T_body_cam = self.config, np.asarray(self.rig.T_body_cam, np.float64)
+        c = self.config
         if not candidates:
             return Found(Outcome.NOTHING)
-        poses = np.stack([planar_to_matrix(one.planar) @ T_body_cam for one in candidates])
         # Their number is part of what is compiled: a few hypotheses, or all candidates of an image.
-        size = c.kept if len(poses) <= c.kept else c.comparison.candidates
-        padded = np.concatenate([poses, np.repeat(poses[:1], size - len(poses), axis=0)])
+        size = c.kept if len(candidates) <= c.kept else c.comparison.candidates
+        poses, T_body_cam = self._poses([one.planar for one in candidates], size)
         small, rig = shrunk(image, self.rig, c.refinement.width)
         basis = camera_twists(PLANAR, rig)
-        refined = refine(
-            self.map, jnp.asarray(padded, jnp.float32), small, rig.camera, basis, self.max_depth, c.refinement, c.scales
-        )
-        T, likelihood = np.asarray(refined.T_world_cam, np.float64), np.asarray(refined.log_prob, np.float64)
-        total = likelihood[: len(candidates)] + [one.log_prob for one in candidates]
-        alike = self._alike(T, total)
-        hypotheses = tuple(
-            Hypothesis(np.asarray(matrix_to_planar(T[k] @ inverse(T_body_cam)), np.float64), float(total[k]))
-            for k in alike
-        )
+        refined = refine(self.map, poses, small, rig.camera, basis, self.max_depth, c.refinement, c.scales)
+        T, likelihood = _on_host(refined, len(candidates))
+        total = likelihood + [one.log_prob for one in candidates]
+        alike = self._alike(T, total, c.margin)
+        hypotheses = tuple(_hypothesis(T[k], T_body_cam, total[k]) for k in alike)
         if not alike or likelihood[alike[0]] < c.least:
             return Found(Outcome.NOTHING)
         if len(alike) > 1:
             return Found(Outcome.AMBIGUOUS, hypotheses)
         return self._accepted(image, jnp.asarray(T[alike[0]], jnp.float32), hypotheses)
 
-    def _alike(self, T_world_cam: np.ndarray, total: np.ndarray) -> list[int]:
-        """Return the candidates that are apart and about as likely as the likeliest, best first."""
+    def _poses(self, planar: list[np.ndarray], size: int) -> tuple[Float[Array, "n 4 4"], np.ndarray]:
+        """Return camera poses, the first one repeated up to ``size``, and the camera's pose on the body in float64."""
+        T_body_cam = np.asarray(self.rig.T_body_cam, np.float64)
+        poses = np.stack([planar_to_matrix(one) @ T_body_cam for one in planar])
+        padded = np.concatenate([poses, np.repeat(poses[:1], size - len(poses), axis=0)])
+        return jnp.asarray(padded, jnp.float32), T_body_cam
+
+    def _alike(self, T_world_cam: np.ndarray, total: np.ndarray, margin: float) -> list[int]:
+        """Return the candidates that are apart, and less likely than the likeliest by no more than ``margin``."""
         kept: list[int] = []
         for k in np.argsort(-total):
-            if not np.isfinite(total[k]) or (kept and total[k] < total[kept[0]] - self.config.margin):
+            if not np.isfinite(total[k]) or (kept and total[k] < total[kept[0]] - margin):
                 break
             if len(kept) < self.config.kept and all(_apart(T_world_cam[k], T_world_cam[j]) for j in kept):
                 kept.append(int(k))
@@ -262,6 +313,21 @@ class Relocaliser:
 
 
 _expected = jax.jit(lambda transition, mean, control, dt: transition.expected(mean, control, dt))
+
+
+def _without_depth(rgb: np.ndarray) -> RGBD:
+    depth = jnp.zeros(rgb.shape[:2])
+    return RGBD(depth, jnp.asarray(rgb, jnp.float32), depth > 0.0, depth > 0.0)
+
+
+def _on_host(refined: Refined, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first ``n`` poses and log likelihoods, float64."""
+    T, likelihood = jax.device_get((refined.T_world_cam, refined.log_prob))
+    return np.asarray(T, np.float64)[:n], np.asarray(likelihood, np.float64)[:n]
+
+
+def _hypothesis(T_world_cam: np.ndarray, T_body_cam: np.ndarray, log_prob: float) -> Hypothesis:
+    return Hypothesis(matrix_to_planar(T_world_cam @ inverse(T_body_cam)), float(log_prob))
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> bool:
