@@ -21,7 +21,7 @@ from vssm_gym.inference.relocalisation.relocaliser import Outcome
 from vssm_gym.model.emission import RGBD
 
 CONFIG = NavigationConfig()
-FACING = 0.1  # rad: the robot looks where the goal's image did
+SAME_VIEW = 0.1  # rad: the robot looks where the goal's image did
 MOST_TURNS = 40  # steps of turning there: a noisy robot may not get nearer
 
 
@@ -38,6 +38,10 @@ class AStarImageAgent:
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
         self._index = MapIndex()
         self._navigator = Navigator(KnownMap(FilteredPose("tracker", self._index)), config)
+        self._places: list[
+            np.ndarray
+        ] = []  # (3,) poses where the goal's image may have been taken, the likeliest first
+        self._goal_rgb: np.ndarray = np.empty(0)
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Find the goal's image in the map, and open the episode."""
@@ -82,7 +86,7 @@ class AStarImageAgent:
         off = float(wrap_angle(self._places[0][2] - self._navigator.estimate.planar[2]))
         most = float(self._context.limits[0])
         self._turns += 1
-        if abs(off) < FACING or self._turns > MOST_TURNS:
+        if abs(off) < SAME_VIEW or self._turns > MOST_TURNS:
             return None
         return np.array([math.copysign(min(abs(off), most), off), 0.0, 0.0])
 

@@ -2,7 +2,7 @@
 
 Poses are drawn uniformly in the free space of a scene, headings too. At each of them the camera takes one image, exact
 or with the noise of a sensor, and the robot is looked for in the learned map of the scene without any prior. A *wrong*
-acceptance is farther than ``NEAR`` from the truth. A picture, the exact colours of a view without depth, is looked for
+acceptance is farther than ``RIGHT_POSE`` from the truth. A picture, the exact colours of a view without depth, is looked for
 as well: ImageNav's goal images are such pictures.
 """
 
@@ -32,10 +32,10 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.viz import pictures
 
-NEAR = (0.1, np.radians(5.0))  # m, rad: a pose within both is right
-VOXEL = 0.05  # m, of the learned maps
+RIGHT_POSE = (0.1, np.radians(5.0))  # m, rad: a pose within both is right
+MAP_VOXEL = 0.05  # m, of the learned maps
 PLAIN = 0.04  # standard deviation of the luminance below which a view has no texture
-CLOSE = 0.5  # m, median depth below which a view is a surface in front of the lens
+LEAST_DEPTH = 0.5  # m, median depth below which a view is a surface in front of the lens
 OPEN = 1.0  # m, median depth of a picture at least, as of ImageNav's goals
 PICTURE = "picture"  # the row of images without depth
 HEADINGS = 8  # tried for a picture that is open
@@ -57,7 +57,7 @@ class Query:
     @property
     def right(self) -> bool:
         """Return True where the likeliest hypothesis is right."""
-        return self.metres is not None and self.metres <= NEAR[0] and (self.radians or 0.0) <= NEAR[1]
+        return self.metres is not None and self.metres <= RIGHT_POSE[0] and (self.radians or 0.0) <= RIGHT_POSE[1]
 
 
 def run(
@@ -82,7 +82,7 @@ def run(
     queries: list[Query] = []
     index: dict[str, dict[str, float]] = {}
     for scene in scenes:
-        m = VoxelMap.load(ensure_map(scene, folder, voxel=VOXEL, seed=seed, on_progress=on_progress))
+        m = VoxelMap.load(ensure_map(scene, folder, voxel=MAP_VOXEL, seed=seed, on_progress=on_progress))
         queries += _measured(scene, m, sensors, poses, seed, index, on_progress)
     rows = {sensor: [q for q in queries if q.sensor == sensor] for sensor in (*sensors, PICTURE)}
     figures = {sensor: _figures(of) for sensor, of in rows.items()}
@@ -96,9 +96,9 @@ def run(
         setting={"scenes": list(scenes), "sensors": list(sensors), "poses": poses, "seed": seed, "spacing": SPACING},
         figures={"by_image": figures, "index": index, "queries": [asdict(q) for q in queries]},
         notes=(
-            f"Found: accepted, within {NEAR[0]:g} m and {np.degrees(NEAR[1]):.0f} degrees of the truth. Wrong: "
+            f"Found: accepted, within {RIGHT_POSE[0]:g} m and {np.degrees(RIGHT_POSE[1]):.0f} degrees of the truth. Wrong: "
             "accepted elsewhere. Views are textured where the exact image varies by "
-            f"{PLAIN:g} in luminance and has a median depth of {CLOSE:g} m; the others are in the figures only.",
+            f"{PLAIN:g} in luminance and has a median depth of {LEAST_DEPTH:g} m; the others are in the figures only.",
             f"A picture has colours alone, and a median depth of {OPEN:g} m where one of {HEADINGS} headings has it, "
             "as goal images do. For it, found counts the likeliest place, whether others look alike or not.",
         ),
@@ -131,7 +131,7 @@ def _measured(
     for number, xy in enumerate(drawn, 1):
         planar = np.array([*xy, rng.uniform(-np.pi, np.pi)])
         rgb, depth = look(planar)
-        textured = float(rgb.mean(-1).std()) / 255.0 >= PLAIN and float(np.median(depth)) >= CLOSE
+        textured = float(rgb.mean(-1).std()) / 255.0 >= PLAIN and float(np.median(depth)) >= LEAST_DEPTH
         for name, sensor in noisy.items():
             image = RGBD.from_camera(*sensor(rgb, depth, 10.0))  # s, after which the exposure is another one
             began = time.perf_counter()

@@ -69,7 +69,7 @@ def test_the_plan_changes_only_where_what_lies_ahead_has(learned):
 @pytest.mark.slow
 @pytest.mark.parametrize("unknown", [0.4, math.inf])
 def test_unknown_space_is_crossed_or_explored(learned, unknown):
-    """Where unknown space must not be crossed, the robot drives to frontiers until it sees a path."""
+    """A robot that must not cross unknown space drives to frontiers until it sees a path."""
     agent = at_true_pose(unknown)
     ended = drive(agent, None, START, GOAL, seen=learned)
     assert ended.stopped

@@ -1,0 +1,1 @@
+"""Test studies that have folders of their own."""
