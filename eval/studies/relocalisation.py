@@ -2,8 +2,8 @@
 
 Poses are drawn uniformly in the free space of a scene, headings too. At each of them the camera takes one image, exact
 or with the noise of a sensor, and the robot is looked for in the learned map of the scene without any prior. A *wrong*
-acceptance is farther than ``RIGHT_POSE`` from the truth. A picture, the exact colours of a view without depth, is looked for
-as well: ImageNav's goal images are such pictures.
+acceptance is farther than ``RIGHT_POSE`` from the truth. A picture, the exact colours of a view without depth, is
+looked for as well: ImageNav's goal images are such pictures.
 """
 
 import time
@@ -33,7 +33,7 @@ from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.viz import pictures
 
 RIGHT_POSE = (0.1, np.radians(5.0))  # m, rad: a pose within both is right
-MAP_VOXEL = 0.05  # m, of the learned maps
+LEARNED_VOXEL = 0.05  # m, of the learned maps
 PLAIN = 0.04  # standard deviation of the luminance below which a view has no texture
 LEAST_DEPTH = 0.5  # m, median depth below which a view is a surface in front of the lens
 OPEN = 1.0  # m, median depth of a picture at least, as of ImageNav's goals
@@ -82,7 +82,7 @@ def run(
     queries: list[Query] = []
     index: dict[str, dict[str, float]] = {}
     for scene in scenes:
-        m = VoxelMap.load(ensure_map(scene, folder, voxel=MAP_VOXEL, seed=seed, on_progress=on_progress))
+        m = VoxelMap.load(ensure_map(scene, folder, voxel=LEARNED_VOXEL, seed=seed, on_progress=on_progress))
         queries += _measured(scene, m, sensors, poses, seed, index, on_progress)
     rows = {sensor: [q for q in queries if q.sensor == sensor] for sensor in (*sensors, PICTURE)}
     figures = {sensor: _figures(of) for sensor, of in rows.items()}
@@ -96,8 +96,8 @@ def run(
         setting={"scenes": list(scenes), "sensors": list(sensors), "poses": poses, "seed": seed, "spacing": SPACING},
         figures={"by_image": figures, "index": index, "queries": [asdict(q) for q in queries]},
         notes=(
-            f"Found: accepted, within {RIGHT_POSE[0]:g} m and {np.degrees(RIGHT_POSE[1]):.0f} degrees of the truth. Wrong: "
-            "accepted elsewhere. Views are textured where the exact image varies by "
+            f"Found: accepted, within {RIGHT_POSE[0]:g} m and {np.degrees(RIGHT_POSE[1]):.0f} degrees of the truth. "
+            "Wrong: accepted elsewhere. Views are textured where the exact image varies by "
             f"{PLAIN:g} in luminance and has a median depth of {LEAST_DEPTH:g} m; the others are in the figures only.",
             f"A picture has colours alone, and a median depth of {OPEN:g} m where one of {HEADINGS} headings has it, "
             "as goal images do. For it, found counts the likeliest place, whether others look alike or not.",
