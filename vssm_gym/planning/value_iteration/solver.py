@@ -2,13 +2,15 @@
 
 ``c`` runs over the four poses of the grid around the end of arc ``a``, and ``w_c`` are bilinear weights. A motion costs
 1, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint overlaps an occupied cell
-anywhere are no motions.
+anywhere are no motions. A motion from a pose whose footprint overlaps an unknown cell may count ``k`` times: its cost
+is ``1 + gamma + .. + gamma^(k - 1)`` and its discount ``gamma^k``.
 """
 
 import time
 from dataclasses import dataclass
 from functools import cached_property
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -43,6 +45,7 @@ class ValueConfig:
     max_sweeps: int = 2000
     warm_sweeps: int = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
     margin: float = 0.0  # m by which the footprint grows on all sides
+    unknown: float = 4.0  # k: motions that one from a pose over unknown cells counts, where these are given
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gamma < 1.0:
@@ -53,6 +56,8 @@ class ValueConfig:
             raise InputError("ValueConfig", "tolerance", f"at least {least:.1g} in float32; found {self.tolerance!r}")
         if not (np.isfinite(self.margin) and self.margin >= 0.0):
             raise InputError("ValueConfig", "margin", f"metres, not negative; found {self.margin!r}")
+        if not (np.isfinite(self.unknown) and self.unknown >= 1.0):
+            raise InputError("ValueConfig", "unknown", f"a number from 1; found {self.unknown!r}")
         if self.max_sweeps < 1:
             raise InputError("ValueConfig", "max_sweeps", f"at least one; found {self.max_sweeps!r}")
 
@@ -94,6 +99,7 @@ class PoseGrid:
         motions: The arcs.
         config: Discount, margin, tolerance.
         blocked: ``(nx, ny, n_headings)`` bool, poses in collision.
+        discount: Of a motion: gamma, or one for each state where some cells are unknown.
         layout, problem: The sweeps' own arrays.
     """
 
@@ -101,12 +107,18 @@ class PoseGrid:
     motions: Motions
     config: ValueConfig
     blocked: np.ndarray
+    discount: jax.Array
     layout: sweeps.Layout
     problem: sweeps.Problem
 
     @classmethod
-    def of(cls, arena: Arena, car: Car, config: ValueConfig | None = None) -> "PoseGrid":
-        """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions."""
+    def of(
+        cls, arena: Arena, car: Car, config: ValueConfig | None = None, unknown: np.ndarray | None = None
+    ) -> "PoseGrid":
+        """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions.
+
+        ``unknown`` ``(nx, ny)`` bool are free cells of the arena in which nothing was observed yet.
+        """
         config = config or ValueConfig()
         motions = Motions.of(car, config.n_headings, config.turns)
         layout = sweeps.layout_of(motions, arena.occupied.shape, arena.resolution)
@@ -114,7 +126,12 @@ class PoseGrid:
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
         problem = sweeps.problem_of(motions, layout, arena.resolution, arcs)
-        return cls(arena, motions, config, blocked, layout, problem)
+        discount = jnp.float32(config.gamma)
+        if unknown is not None:
+            over = rectangle_collisions(unknown, arena.resolution, car, headings) & ~blocked
+            counts = np.where(np.moveaxis(over, -1, 0), config.unknown, 1.0)
+            discount = jnp.asarray(layout.flat(config.gamma**counts), jnp.float32)
+        return cls(arena, motions, config, blocked, discount, layout, problem)
 
     @cached_property
     def _flood_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -192,7 +209,8 @@ def solve(
         jnp.asarray(flat_goal),
         jnp.asarray(first),
         layout,
-        *(jnp.float32(v) for v in (config.gamma, never, config.tolerance)),
+        grid.discount,
+        *(jnp.float32(v) for v in (never, config.tolerance)),
         jnp.int32(limit),
     )
     done = 0

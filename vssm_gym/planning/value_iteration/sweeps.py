@@ -1,4 +1,6 @@
-"""Sweep ``W = gamma max_a sum_c w_c W_c``: value iteration over (x, y, heading), in JAX (eq. P19).
+"""Sweep ``W = d max_a sum_c w_c W_c``: value iteration over (x, y, heading), in JAX (eq. P19).
+
+``d`` is the discount of a motion, ``gamma``, or ``gamma^k`` from poses where a motion counts ``k`` times.
 
 With step cost 1 and ``V = 1 / (1 - gamma) - W`` the Bellman equation ``V = min_a 1 + gamma E[V']`` has no constant:
 ``W`` is the discounted reward of arriving, ``1 / (1 - gamma)`` at the goal, and exactly 0 in collision and wherever no
@@ -97,13 +99,14 @@ def iterate(
     goal: Bool[Array, "headings interior"],
     start: Float[Array, "headings interior"],
     layout: Layout,
-    gamma: Float[Array, ""],
+    discount: Float[Array, "*states"],
     top: Float[Array, ""],
     tolerance: Float[Array, ""],
     max_sweeps: Int[Array, ""],
 ) -> tuple[Float[Array, "headings interior"], Float[Array, ""], Int[Array, ""]]:
-    """Sweep from ``start`` until ``max |W - gamma max_a E[W']| < tolerance`` or ``max_sweeps``.
+    """Sweep from ``start`` until ``max |W - discount max_a E[W']| < tolerance`` or ``max_sweeps``.
 
+    ``discount`` is one number, or one for each state, ``(headings, interior)``.
     ``top = 1 / (1 - gamma)``, rounded once by the caller, is ``W`` at the goal.
 
     Returns:
@@ -111,7 +114,7 @@ def iterate(
     """
 
     def sweep(planes: Array) -> Array:
-        new = jnp.where(goal, top, gamma * _best(problem, planes, layout))
+        new = jnp.where(goal, top, discount * _best(problem, planes, layout))
         return jax.lax.dynamic_update_slice(planes, new, (0, layout.pad * layout.row))
 
     def several(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
