@@ -8,26 +8,26 @@ a table (:mod:`vssm_gym.agents.shared.car_recovery`). Described in ``docs/agents
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
-from vssm_gym.agents.shared.car_recovery import Failure, Recovery, Response, Trail, creeping
+from vssm_gym.agents.shared.car_recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
 from vssm_gym.agents.shared.driver import CarCommand
 from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
-from vssm_gym.agents.shared.parking import Parking, ParkingRule
+from vssm_gym.agents.shared.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.trust import gave_up
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car.footprint import CAR_HEIGHTS, Arena
 from vssm_gym.planning.mpc.random_search import RandomSearch
-from vssm_gym.planning.mpc.safety import SafeKind
 from vssm_gym.planning.occupancy_grid import FREE
 
 # Cells of 4 cm hold a bay of 0.42 m. What was seen once near by is not kept apart: the map's cells are fine enough.
@@ -50,8 +50,9 @@ class SlamCarConfig:
         stuck_steps: of these last steps
         stuck_length: commands that add up to this many metres
         stuck_share: and a motion below this share of it mean that something holds the car.
-        held_steps: in a row without a safe command, after which it backs up.
-        give_up: steps in a row without a believed estimate.
+        held_steps: in a row that the controller drives
+        held_length: without leaving a circle of this radius, m: its plan leads nowhere.
+        blind: m that it looks ahead where it drives backwards: over unknown space it creeps.
     """
 
     map: OwnMapConfig = CAR_MAP
@@ -59,8 +60,9 @@ class SlamCarConfig:
     stuck_steps: int = 8
     stuck_length: float = 0.15
     stuck_share: float = 0.25
-    held_steps: int = 10
-    give_up: int = 64
+    held_steps: int = 25
+    held_length: float = 0.1
+    blind: float = 0.2
 
 
 class SlamCarAgent:
@@ -90,17 +92,17 @@ class SlamCarAgent:
         """Open an episode with an empty map; ``seed`` changes nothing, because the solver seeds its own draws."""
         if context.car is None:
             raise InputError("AgentContext", "car", "a car: this agent plans a car's path")
-        self._car, self._stops, self._context = context.car, context.stops, context
+        self._car, self._stops = context.car, context.stops
         self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
         self._command, self._fresh = np.zeros(2), True
         self._recovery, self._trail = Recovery(), Trail(self._car)
         self._motions: deque[tuple[float, np.ndarray]] = deque(maxlen=self._config.stuck_steps)
-        self._held = 0
+        self._held: list[np.ndarray] = []  # poses in a row at which the controller drove
         self._begin(observation["goal"])
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
         if self._critic.value is not None:  # compiled here, so that no step's latency holds it
-            self._mpc.step(at, self._critic.value, self._critic.clearance)
+            self._mpc.step(at, self._critic.value, self._critic.clearance())
         self._mpc.begin(np.zeros(2))
 
     def act(self, observation: Observation) -> Decision:
@@ -156,8 +158,10 @@ class SlamCarAgent:
             self._motions.clear()
             self._own.bump(at.planar, asked > 0.0)
             return Failure.STUCK
-        if self._held >= c.held_steps:
-            self._held = 0
+        far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
+        self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
+        if len(self._held) >= c.held_steps:
+            self._held = []
             self._critic.forget()
             return Failure.HELD
         return Failure.NO_PATH if self._critic.value is None else None
@@ -165,23 +169,34 @@ class SlamCarAgent:
     def _respond(self, response: Response, at: Localization) -> CarCommand:
         """Carry out a response; where nothing is wrong, the plan."""
         why = self._recovery.failure.value if self._recovery.failure else ""
-        if response is not Response.DRIVE:
-            self._mpc.begin(np.zeros(2))
-            self._held = 0
+        value = self._critic.value
+        if response is not Response.DRIVE or value is None:
+            self._mpc.begin(self._command)
+            self._held = []
         if response is Response.GIVE_UP:
             return CarCommand(np.zeros(2), gave_up(at.lost) if at.lost else f"gave up: {why}")
         if response is Response.BACK_UP and (back := self._trail.back()) is not None:
             return CarCommand(back, f"{response.value}: {why}")
         if response is Response.CREEP:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
-        if response is not Response.DRIVE or self._critic.value is None:
+        if response is not Response.DRIVE or value is None:
             return self._brake(f"brakes: {why}")
-        step = self._mpc.step(at.planar, self._critic.value, self._critic.clearance)
-        self._held = self._held + 1 if self._mpc.kind in (SafeKind.HELD, SafeKind.BRAKED) else 0
+        step = self._mpc.step(at.planar, value, self._critic.clearance())
+        self._held.append(at.planar)
+        if step.control[0] < -CREEP_SPEED and self._blind(at.planar, float(step.control[1])):
+            step = replace(step, control=np.array([-CREEP_SPEED, step.control[1]]))
         return step
 
+    def _blind(self, planar: np.ndarray, steering: float) -> bool:
+        """Return True where the arc behind the car leads over unknown space, which its camera does not see."""
+        lengths = np.array([-0.5, -1.0]) * self._config.blind
+        poses = poses_after(planar[2], lengths, turn_of(lengths, steering, self._car.wheelbase), *planar[:2])
+        return any(self._critic.unseen(pose) for pose in poses)
+
     def _brake(self, status: str) -> CarCommand:
-        return CarCommand(np.array([0.0, self._command[1]]), status)
+        control = braking(self._command, self._car)
+        self._mpc.begin(control)
+        return CarCommand(control, status)
 
     def _known_free(self) -> Arena:
         """Return the floor plan in which unknown space is occupied, for motions without a plan."""

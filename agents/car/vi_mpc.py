@@ -28,20 +28,18 @@ class SafeMpc:
 
     def __init__(self, solver: MpcSolver) -> None:
         self._solver = solver
-        self.begin(np.zeros(2))
+        self._memory = safety.init(np.zeros(2))
         safety.prepare(solver.problem)
 
     def begin(self, control: np.ndarray) -> None:
         """Forget the plan; the car executes ``control``."""
         self._memory = safety.init(control)
-        self.kind = safety.SafeKind.PLANNED  # of the last command
 
     def step(self, planar: np.ndarray, value: CostToGo, clearance: ClearanceMap) -> CarCommand:
         """Return the command of this step."""
         problem, memory = self._solver.problem, self._memory
         result = self._solver.plan(planar, value, clearance, memory.resume, memory.control)
         self._memory, action = safety.step(problem, memory, result, planar, clearance)
-        self.kind = action.kind
         status = action.kind.message if result.usable else f"{action.kind.message} ({result.status.message})"
         return CarCommand(action.control, status, result.states[:, :2])
 

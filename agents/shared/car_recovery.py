@@ -28,7 +28,7 @@ class Failure(Enum):
     REPEATED = "its image repeats itself"
     UNCONFIRMED = "its image fits again, for less than three steps"
     STUCK = "it does not move"
-    HELD = "it finds no safe command"
+    HELD = "its plan leads nowhere"
     NO_PATH = "no path leads to the target"
 
 
@@ -59,7 +59,7 @@ RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
     Failure.REPEATED: ((Response.CREEP, 20), (Response.BACK_UP, 40), (Response.GIVE_UP, 1)),
     Failure.UNCONFIRMED: ((Response.BRAKE, 64), (Response.GIVE_UP, 1)),
     Failure.STUCK: ((Response.BRAKE, 1), (Response.BACK_UP, 12)),
-    Failure.HELD: ((Response.BACK_UP, 8),),
+    Failure.HELD: ((Response.BACK_UP, 8), (Response.BRAKE, 1)),
     Failure.NO_PATH: (
         (Response.BRAKE, 12),
         (Response.BACK_UP, 16),

@@ -15,7 +15,7 @@ import numpy as np
 from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
-from vssm_gym.planning.car.footprint import Arena
+from vssm_gym.planning.car.footprint import Arena, overlaps
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
@@ -31,7 +31,7 @@ class GrowingConfig:
     Args:
         sides: cells of the grid along x and y, tried in turn.
         room: m around start and target that the first grid holds.
-        unknown: motions that one over unknown cells counts.
+        unknown: motions that one over unknown cells counts, forwards, where the camera looks first, and backwards.
         near: distance from the route within which a new obstacle matters, m: a footprint's half length and some room.
         changed: cells that change anywhere before the values are computed again.
         pause: steps from one computation to the next, unless an obstacle lies on the route.
@@ -39,7 +39,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (160, 240, 360)
     room: float = 0.8
-    unknown: float = 4.0
+    unknown: tuple[float, float] = (1.5, 12.0)
     near: float = 0.35
     changed: int = 200
     pause: int = 10
@@ -57,23 +57,33 @@ class GrowingCritic:
         self.value: CostToGo | None = None
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
-        self.clearance: ClearanceMap
+        self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
+        self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
         """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
         if self._used is None:
             self._place(plan, planar, 0)
-        cells, occupancy = self._cut(plan)
-        self._clear(occupancy, cells, plan)
+        self._plan = self._cut(plan)
         self._waited += 1
-        if not self._matters(cells, planar):
+        if not self._matters(self._plan[0], planar):
             return
-        self._compute(cells, plan, planar)
+        self._compute(planar)
         while self.value is None and self._side + 1 < len(self._config.sides):
             self._place(plan, planar, self._side + 1)
-            cells, occupancy = self._cut(plan)
-            self._clear(occupancy, cells, plan)
-            self._compute(cells, plan, planar)
+            self._plan = self._cut(plan)
+            self._compute(planar)
+
+    def clearance(self) -> ClearanceMap:
+        """Return the distance to what is occupied; unknown cells are free."""
+        cells, occupancy = self._plan
+        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
+        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+
+    def unseen(self, planar: np.ndarray) -> bool:
+        """Return True where the footprint at a pose overlaps an unknown cell."""
+        cells, _ = self._plan
+        return overlaps(cells == UNKNOWN, self._corner, self._resolution, planar, self._car)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -87,7 +97,7 @@ class GrowingCritic:
         while side + 1 < len(sides) and sides[side] * plan.resolution < span:
             side += 1
         wanted = ends.mean(axis=0) - 0.5 * (sides[side] - 1) * plan.resolution
-        self._side = side
+        self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
 
@@ -102,11 +112,6 @@ class GrowingCritic:
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
         return cells, occupancy
 
-    def _clear(self, occupancy: np.ndarray, cells: np.ndarray, plan: FloorPlan) -> None:
-        """Compute the clearance of what is occupied; unknown cells are free."""
-        field = np.where(np.isfinite(occupancy) & (cells != UNKNOWN), occupancy, -plan.resolution)
-        self.clearance = ClearanceMap.from_occupancy(field, self._corner, plan.resolution)
-
     def _matters(self, cells: np.ndarray, planar: np.ndarray) -> bool:
         """Return True where the cost-to-go has to be computed again."""
         if self._used is None or self._used.shape != cells.shape:
@@ -119,9 +124,10 @@ class GrowingCritic:
         changed = np.count_nonzero(cells != self._used)
         return bool(changed >= self._config.changed or self.value is None or not self.value.reachable(planar))
 
-    def _compute(self, cells: np.ndarray, plan: FloorPlan, planar: np.ndarray) -> None:
+    def _compute(self, planar: np.ndarray) -> None:
         """Compute the cost-to-go with the widest margin that has a path."""
-        arena = Arena(cells == OCCUPIED, self.clearance, self._corner, plan.resolution)
+        cells, _ = self._plan
+        arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
         result = self._best(arena, cells == UNKNOWN, planar)
         self.value, self.status = result.cost_to_go, result.status
         self._used, self._waited = cells, 0

@@ -10,7 +10,6 @@ import time
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -45,7 +44,8 @@ class ValueConfig:
     max_sweeps: int = 2000
     warm_sweeps: int = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
     margin: float = 0.0  # m by which the footprint grows on all sides
-    unknown: float = 4.0  # k: motions that one from a pose over unknown cells counts, where these are given
+    # k: motions that one forwards, and one backwards, from a pose over unknown cells counts, where these are given.
+    unknown: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gamma < 1.0:
@@ -56,8 +56,8 @@ class ValueConfig:
             raise InputError("ValueConfig", "tolerance", f"at least {least:.1g} in float32; found {self.tolerance!r}")
         if not (np.isfinite(self.margin) and self.margin >= 0.0):
             raise InputError("ValueConfig", "margin", f"metres, not negative; found {self.margin!r}")
-        if not (np.isfinite(self.unknown) and self.unknown >= 1.0):
-            raise InputError("ValueConfig", "unknown", f"a number from 1; found {self.unknown!r}")
+        if not (len(self.unknown) == 2 and all(np.isfinite(k) and k >= 1.0 for k in self.unknown)):
+            raise InputError("ValueConfig", "unknown", f"two numbers from 1; found {self.unknown!r}")
         if self.max_sweeps < 1:
             raise InputError("ValueConfig", "max_sweeps", f"at least one; found {self.max_sweeps!r}")
 
@@ -99,7 +99,6 @@ class PoseGrid:
         motions: The arcs.
         config: Discount, margin, tolerance.
         blocked: ``(nx, ny, n_headings)`` bool, poses in collision.
-        discount: Of a motion: gamma, or one for each state where some cells are unknown.
         layout, problem: The sweeps' own arrays.
     """
 
@@ -107,7 +106,6 @@ class PoseGrid:
     motions: Motions
     config: ValueConfig
     blocked: np.ndarray
-    discount: jax.Array
     layout: sweeps.Layout
     problem: sweeps.Problem
 
@@ -125,13 +123,13 @@ class PoseGrid:
         headings = heading_grid(config.n_headings)
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
-        problem = sweeps.problem_of(motions, layout, arena.resolution, arcs)
-        discount = jnp.float32(config.gamma)
+        shares = None
         if unknown is not None:
-            over = rectangle_collisions(unknown, arena.resolution, car, headings) & ~blocked
-            counts = np.where(np.moveaxis(over, -1, 0), config.unknown, 1.0)
-            discount = jnp.asarray(layout.flat(config.gamma**counts), jnp.float32)
-        return cls(arena, motions, config, blocked, discount, layout, problem)
+            over = rectangle_collisions(unknown, arena.resolution, car, headings)
+            counts = np.array(config.unknown)[:, None, None]
+            shares = np.where(np.moveaxis(over, -1, 0)[:, None], config.gamma ** (counts - 1.0), 1.0)
+        problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, shares)
+        return cls(arena, motions, config, blocked, layout, problem)
 
     @cached_property
     def _flood_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -209,8 +207,7 @@ def solve(
         jnp.asarray(flat_goal),
         jnp.asarray(first),
         layout,
-        grid.discount,
-        *(jnp.float32(v) for v in (never, config.tolerance)),
+        *(jnp.float32(v) for v in (config.gamma, never, config.tolerance)),
         jnp.int32(limit),
     )
     done = 0
