@@ -58,7 +58,7 @@ class SlamCarConfig:
     map: OwnMapConfig = CAR_MAP
     critic: GrowingConfig = field(default_factory=GrowingConfig)
     stuck_steps: int = 8
-    stuck_length: float = 0.15
+    stuck_length: float = 0.08
     stuck_share: float = 0.25
     held_steps: int = 25
     held_length: float = 0.1

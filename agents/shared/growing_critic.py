@@ -9,13 +9,15 @@ left the poses with a path, or there is no cost-to-go yet.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.ndimage import binary_opening
 
 from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
-from vssm_gym.planning.car.footprint import Arena, overlaps
+from vssm_gym.planning.car.footprint import Arena, footprint_cells, overlaps
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
@@ -32,15 +34,15 @@ class GrowingConfig:
         sides: cells of the grid along x and y, tried in turn.
         room: m around start and target that the first grid holds.
         unknown: motions that one over unknown cells counts, forwards, where the camera looks first, and backwards.
-        near: distance from the route within which a new obstacle matters, m: a footprint's half length and some room.
+        near: m around the footprint on its route, within which a new obstacle matters.
         changed: cells that change anywhere before the values are computed again.
         pause: steps from one computation to the next, unless an obstacle lies on the route.
     """
 
     sides: tuple[int, ...] = (160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 12.0)
-    near: float = 0.35
+    unknown: tuple[float, float] = (1.5, 30.0)
+    near: float = 0.05
     changed: int = 200
     pause: int = 10
 
@@ -82,8 +84,11 @@ class GrowingCritic:
 
     def unseen(self, planar: np.ndarray) -> bool:
         """Return True where the footprint at a pose overlaps an unknown cell."""
-        cells, _ = self._plan
-        return overlaps(cells == UNKNOWN, self._corner, self._resolution, planar, self._car)
+        return overlaps(self._unseen_space(), self._corner, self._resolution, planar, self._car)
+
+    def _unseen_space(self) -> np.ndarray:
+        """Return the unknown cells without what is thinner than three cells: the fringes of obstacles."""
+        return binary_opening(self._plan[0] == UNKNOWN, np.ones((3, 3), bool))
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -112,7 +117,7 @@ class GrowingCritic:
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
         return cells, occupancy
 
-    def _matters(self, cells: np.ndarray, planar: np.ndarray) -> bool:
+    def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
         if self._used is None or self._used.shape != cells.shape:
             return True
@@ -128,7 +133,7 @@ class GrowingCritic:
         """Compute the cost-to-go with the widest margin that has a path."""
         cells, _ = self._plan
         arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
-        result = self._best(arena, cells == UNKNOWN, planar)
+        result = self._best(arena, self._unseen_space(), planar)
         self.value, self.status = result.cost_to_go, result.status
         self._used, self._waited = cells, 0
         self.computed += 1
@@ -151,17 +156,16 @@ class GrowingCritic:
         return result
 
     def _around(self, value: CostToGo, planar: np.ndarray) -> np.ndarray:
-        """Return the cells within ``near`` of the route down the cost-to-go."""
-        route = descend(value, planar, self._car)
-        axes = [self._corner[a] + float(value.resolution) * np.arange(n) for a, n in enumerate(value.values.shape[:2])]
+        """Return the cells within ``near`` of the footprint along the route down the cost-to-go."""
         near = np.zeros(value.values.shape[:2], bool)
-        for x, y in route[::2, :2]:  # every other motion: 0.27 m apart
-            i, j = (np.abs(axis - at) <= self._config.near for axis, at in zip(axes, (x, y), strict=True))
-            near[np.ix_(i, j)] = True
+        for pose in descend(value, planar, self._car):
+            under = footprint_cells(self._corner, self._resolution, pose, self._car, self._config.near)
+            under = under[np.all((under >= 0) & (under < near.shape), axis=1)]
+            near[tuple(under.T)] = True
         return near
 
 
-def descend(value: CostToGo, planar: np.ndarray, car: Car) -> np.ndarray:
+def descend(value: CostToGo, planar: Any, car: Car) -> np.ndarray:
     """Return the poses ``(n, 3)`` along the motions that lower a cost-to-go most, up to the target or a minimum."""
     steering = np.linspace(-car.max_steering, car.max_steering, 5)
     length = value.motion_length * np.repeat([1.0, -1.0], len(steering))
@@ -169,7 +173,7 @@ def descend(value: CostToGo, planar: np.ndarray, car: Car) -> np.ndarray:
     route, cost = [np.asarray(planar, np.float64)], float(value.at(planar))
     for _ in range(ROUTE_MOTIONS):
         x, y, heading = route[-1]
-        ends = poses_after(heading, length, turn, x, y)
+        ends: Any = poses_after(heading, length, turn, x, y)
         costs = np.asarray(value.at(ends))
         best = int(costs.argmin())
         if cost <= 0.0 or costs[best] >= cost:

@@ -109,7 +109,7 @@ class OwnMap:
         size = int(2.0 * reach / self.config.voxel) + 2
         window = tuple(slice(max(0, f), max(0, f + size)) for f in first)
         x, y = (self._corner[a] + self.config.voxel * np.arange(w.start, w.stop) - xy[a] for a, w in enumerate(window))
-        away = self._from_body(*np.meshgrid(x, y, indexing="ij"), planar[2])
+        away = self._from_body(x[:, None], y[None, :], float(planar[2]))
         away = away[: self._body[window].shape[0], : self._body[window].shape[1]]
         self._body[window] |= away <= 0.0
         self._near[window] |= away <= self.config.ring

@@ -167,13 +167,23 @@ def overlaps(
         car: its footprint about the rear axle.
         margin: by which the rectangle grows, m.
     """
+    under = footprint_cells(origin, resolution, planar, car, margin)
+    inside = np.all((under >= 0) & (under < cells.shape), axis=1)
+    return bool(not inside.all() or cells[tuple(under.T)].any())
+
+
+def footprint_cells(
+    origin: np.ndarray, resolution: float, planar: np.ndarray, car: Car, margin: float = 0.0
+) -> np.ndarray:
+    """Return the cells ``(n, 2)`` int that the rectangle of one pose overlaps; they may lie outside the grid.
+
+    Arguments as of :func:`overlaps`.
+    """
     planar = np.asarray(planar, dtype=np.float64)
     cell = np.round((planar[:2] - origin) / resolution).astype(int)
     relative = np.array([[*(planar[:2] - origin - resolution * cell), planar[2]]])
     kernel = cells_under(relative, resolution, car, margin)
-    under = cell + np.argwhere(kernel) - len(kernel) // 2
-    inside = np.all((under >= 0) & (under < cells.shape), axis=1)
-    return bool(not inside.all() or cells[tuple(under.T)].any())
+    return cell + np.argwhere(kernel) - len(kernel) // 2
 
 
 def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) -> np.ndarray:
