@@ -8,7 +8,7 @@ a table (:mod:`vssm_gym.agents.shared.car_recovery`). Described in ``docs/agents
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
 from vssm_gym.agents.shared.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.trust import gave_up
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car.footprint import CAR_HEIGHTS, Arena
@@ -52,7 +51,6 @@ class SlamCarConfig:
         stuck_share: and a motion below this share of it mean that something holds the car.
         held_steps: in a row that the controller drives
         held_length: without leaving a circle of this radius, m: its plan leads nowhere.
-        blind: m that it looks ahead where it drives backwards: over unknown space it creeps.
     """
 
     map: OwnMapConfig = CAR_MAP
@@ -62,7 +60,6 @@ class SlamCarConfig:
     stuck_share: float = 0.25
     held_steps: int = 25
     held_length: float = 0.1
-    blind: float = 0.2
 
 
 class SlamCarAgent:
@@ -102,7 +99,7 @@ class SlamCarAgent:
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
         if self._critic.value is not None:  # compiled here, so that no step's latency holds it
-            self._mpc.step(at, self._critic.value, self._critic.clearance())
+            self._mpc.step(at, self._critic.value, self._critic.clearance(at))
         self._mpc.begin(np.zeros(2))
 
     def act(self, observation: Observation) -> Decision:
@@ -181,17 +178,13 @@ class SlamCarAgent:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
         if response is not Response.DRIVE or value is None:
             return self._brake(f"brakes: {why}")
-        step = self._mpc.step(at.planar, value, self._critic.clearance())
         self._held.append(at.planar)
-        if step.control[0] < -CREEP_SPEED and self._blind(at.planar, float(step.control[1])):
-            step = replace(step, control=np.array([-CREEP_SPEED, step.control[1]]))
-        return step
-
-    def _blind(self, planar: np.ndarray, steering: float) -> bool:
-        """Return True where the arc behind the car leads over unknown space, which its camera does not see."""
-        lengths = np.array([-0.5, -1.0]) * self._config.blind
-        poses = poses_after(planar[2], lengths, turn_of(lengths, steering, self._car.wheelbase), *planar[:2])
-        return any(self._critic.unseen(pose) for pose in poses)
+        steering = self._critic.blind(at.planar)
+        if steering is not None:
+            control = np.array([-CREEP_SPEED, steering])
+            self._mpc.begin(control)
+            return CarCommand(control, "creeps back where it has not looked")
+        return self._mpc.step(at.planar, value, self._critic.clearance(at.planar))
 
     def _brake(self, status: str) -> CarCommand:
         control = braking(self._command, self._car)

@@ -8,6 +8,8 @@ It is computed again where the change matters: cells near the route became occup
 left the poses with a path, or there is no cost-to-go yet.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +19,7 @@ from scipy.ndimage import binary_opening
 from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
+from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, overlaps
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
@@ -24,6 +27,7 @@ from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
 from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
 
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
+AHEAD = 11  # motions of the route, 1.5 m, that a controller's horizon of 2.5 s covers
 
 
 @dataclass(frozen=True)
@@ -60,35 +64,63 @@ class GrowingCritic:
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
+        self._unseen: np.ndarray  # the unknown cells among them, without what is thinner than three: fringes
         self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
         """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
         if self._used is None:
             self._place(plan, planar, 0)
-        self._plan = self._cut(plan)
+        self._cut(plan)
         self._waited += 1
         if not self._matters(self._plan[0], planar):
             return
         self._compute(planar)
         while self.value is None and self._side + 1 < len(self._config.sides):
             self._place(plan, planar, self._side + 1)
-            self._plan = self._cut(plan)
+            self._cut(plan)
             self._compute(planar)
 
-    def clearance(self) -> ClearanceMap:
-        """Return the distance to what is occupied; unknown cells are free."""
+    def clearance(self, planar: np.ndarray) -> ClearanceMap:
+        """Return the distance to what a controller at a pose has to keep away from.
+
+        That is what is occupied and what was not seen, because a controller does not know the price of unseen space.
+        It is free where the route leads into it forwards within the controller's horizon.
+        """
+        poses, ahead = self._route(planar, AHEAD)
+        into = [forwards for pose, forwards in zip(poses[1:], ahead, strict=True) if self.unseen(pose)]
+        return self._distance(self._unseen & (not into or not into[0]))
+
+    def blind(self, planar: np.ndarray) -> float | None:
+        """Return the steering (rad) with which the route leads backwards into unseen space at once; None: it does not.
+
+        It is driven as it is, because it alone weighs how far to go where the car does not look.
+        """
+        poses, ahead = self._route(planar, 2)
+        if len(poses) < 2 or ahead[0] or not any(self.unseen(pose) for pose in poses[1:]):
+            return None
+        turn = float(wrap_angle(poses[1][2] - poses[0][2]))
+        assert self.value is not None
+        return -math.atan(self._car.wheelbase * turn / self.value.motion_length)
+
+    def _distance(self, closed: np.ndarray) -> ClearanceMap:
+        """Return the distance to what is occupied or ``closed``; other unknown cells are free."""
         cells, occupancy = self._plan
         field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
-        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+        # Half a cell is the unbiased place of a border without a surface.
+        return ClearanceMap.from_occupancy(
+            np.where(closed, 0.5 * self._resolution, field), self._corner, self._resolution
+        )
 
     def unseen(self, planar: np.ndarray) -> bool:
-        """Return True where the footprint at a pose overlaps an unknown cell."""
-        return overlaps(self._unseen_space(), self._corner, self._resolution, planar, self._car)
+        """Return True where the footprint at a pose overlaps unseen space."""
+        return overlaps(self._unseen, self._corner, self._resolution, planar, self._car)
 
-    def _unseen_space(self) -> np.ndarray:
-        """Return the unknown cells without what is thinner than three cells: the fringes of obstacles."""
-        return binary_opening(self._plan[0] == UNKNOWN, np.ones((3, 3), bool))
+    def _route(self, planar: np.ndarray, motions: int) -> tuple[np.ndarray, list[bool]]:
+        """Return the poses ``(n, 3)`` that of the best motions, the car's first, and which motions go ahead."""
+        assert self.value is not None
+        price = lambda pose: self._config.unknown if self.unseen(pose) else (1.0, 1.0)
+        return descend(self.value, planar, self._car, motions, price)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -106,8 +138,8 @@ class GrowingCritic:
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
 
-    def _cut(self, plan: FloorPlan) -> tuple[np.ndarray, np.ndarray]:
-        """Return the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
+    def _cut(self, plan: FloorPlan) -> None:
+        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
         n = self._config.sides[self._side]
         cells, occupancy = np.full((n, n), UNKNOWN, np.int8), np.full((n, n), -np.inf, np.float32)
         first = np.round((plan.origin - self._corner) / plan.resolution).astype(int)
@@ -115,7 +147,7 @@ class GrowingCritic:
         theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
         if all(s.stop > s.start for s in ours):
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
-        return cells, occupancy
+        self._plan, self._unseen = (cells, occupancy), binary_opening(cells == UNKNOWN, np.ones((3, 3), bool))
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
@@ -132,12 +164,13 @@ class GrowingCritic:
     def _compute(self, planar: np.ndarray) -> None:
         """Compute the cost-to-go with the widest margin that has a path."""
         cells, _ = self._plan
-        arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
-        result = self._best(arena, self._unseen_space(), planar)
+        nothing = np.zeros(cells.shape, bool)
+        arena = Arena(cells == OCCUPIED, self._distance(nothing), self._corner, self._resolution)
+        result = self._best(arena, self._unseen, planar)
         self.value, self.status = result.cost_to_go, result.status
         self._used, self._waited = cells, 0
         self.computed += 1
-        self._near = np.zeros(cells.shape, bool) if self.value is None else self._around(self.value, planar)
+        self._near = nothing if self.value is None else self._around(self._route(planar, ROUTE_MOTIONS)[0], nothing)
 
     def _best(self, arena: Arena, unknown: np.ndarray, planar: np.ndarray) -> ValueResult:
         for margin, fraction in ATTEMPTS:
@@ -155,29 +188,41 @@ class GrowingCritic:
                 return result
         return result
 
-    def _around(self, value: CostToGo, planar: np.ndarray) -> np.ndarray:
-        """Return the cells within ``near`` of the footprint along the route down the cost-to-go."""
-        near = np.zeros(value.values.shape[:2], bool)
-        for pose in descend(value, planar, self._car):
+    def _around(self, route: np.ndarray, nothing: np.ndarray) -> np.ndarray:
+        """Return the cells within ``near`` of the footprint along a route."""
+        near = nothing.copy()
+        for pose in route:
             under = footprint_cells(self._corner, self._resolution, pose, self._car, self._config.near)
             under = under[np.all((under >= 0) & (under < near.shape), axis=1)]
             near[tuple(under.T)] = True
         return near
 
 
-def descend(value: CostToGo, planar: Any, car: Car) -> np.ndarray:
-    """Return the poses ``(n, 3)`` along the motions that lower a cost-to-go most, up to the target or a minimum."""
+def descend(
+    value: CostToGo,
+    planar: Any,
+    car: Car,
+    motions: int = ROUTE_MOTIONS,
+    price: Callable[[np.ndarray], tuple[float, float]] = lambda pose: (1.0, 1.0),
+) -> tuple[np.ndarray, list[bool]]:
+    """Return the poses ``(n, 3)`` along the best motions of a cost-to-go, up to the target or a minimum.
+
+    The second result says of each motion whether it goes ahead.
+    ``price`` of a pose is how many motions one forwards, and one backwards, counts from there (eq. P19).
+    """
     steering = np.linspace(-car.max_steering, car.max_steering, 5)
     length = value.motion_length * np.repeat([1.0, -1.0], len(steering))
     turn = turn_of(length, np.tile(steering, 2), car.wheelbase)
-    route, cost = [np.asarray(planar, np.float64)], float(value.at(planar))
-    for _ in range(ROUTE_MOTIONS):
+    route, ahead, cost = [np.asarray(planar, np.float64)], [], float(value.at(planar))
+    for _ in range(motions):
         x, y, heading = route[-1]
         ends: Any = poses_after(heading, length, turn, x, y)
         costs = np.asarray(value.at(ends))
-        best = int(costs.argmin())
+        share = value.gamma ** np.repeat(price(route[-1]), len(steering))
+        best = int(((1.0 - share) * value.never + share * costs).argmin())
         if cost <= 0.0 or costs[best] >= cost:
             break
         route.append(ends[best])
+        ahead.append(best < len(steering))
         cost = float(costs[best])
-    return np.array(route)
+    return np.array(route), ahead

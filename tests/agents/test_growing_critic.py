@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic, descend
+from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
@@ -62,7 +63,7 @@ def test_growth_compiles_nothing():
 def test_it_is_computed_again_where_that_matters_only():
     """An obstacle on the route matters at once; a few cells elsewhere never, many after the pause."""
     critic = critic_after(plan(3.0))
-    route = descend(critic.value, START, CAR)
+    route, _ = descend(critic.value, START, CAR)
     assert np.hypot(*(route[-1, :2] - GOAL[:2])) < GOAL_RADIUS
     for _ in range(3 * CONFIG.pause):
         critic.update(plan(3.0, (-0.8, -0.7, 2.5, 2.6)), START)
@@ -92,12 +93,54 @@ def test_to_forget_computes_it_again():
     assert critic.computed == 2 and critic.value is not None
 
 
+def seen(*boxes: tuple[float, float, float, float]) -> FloorPlan:
+    """Return a plan in which only the boxes ``(x0, x1, y0, y1)``, m, were seen, and are free."""
+    made = plan(-9.0)
+    x, y = np.meshgrid(*(AWAY[a] + CELL * np.arange(100) for a in (0, 1)), indexing="ij")
+    for x0, x1, y0, y1 in boxes:
+        made.cells[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)] = FREE
+    made.occupancy[made.cells == FREE] = -CELL
+    return made
+
+
+def test_what_was_not_seen_is_closed_unless_the_route_leads_into_it_ahead():
+    """A controller does not know what unseen space costs."""
+    here = (START[0] - 0.2, START[0] + 0.5, START[1] - 0.3, START[1] + 0.3)
+    into, past = critic_after(seen(here)), critic_after(seen(here, (0.2, 2.6, 0.3, 2.4)))
+    beyond = np.array([[START[0], START[1] + 1.0], [START[0], START[1] - 0.6]])
+    assert into.blind(START) is None and (into.clearance(START).at(beyond) > 0.0).all()
+    ahead, below = past.clearance(START).at(beyond)
+    assert past.blind(START) is None and ahead > 0.0 and below < 0.0
+
+
+@pytest.mark.parametrize("left", [0.0, 1.2, -1.2])
+def test_it_backs_into_unseen_space_by_the_route_and_only_where_nothing_else_is_left(left):
+    """With a wall before it the only way to a target behind is back; the steering leads to that side."""
+    facing = np.array([*START[:2], 0.0])
+    behind = GrowingCritic(CAR, np.array([-0.9, 0.6 + left]), CONFIG)
+    closed = seen((0.4, 1.0, 0.4, 0.8))
+    x, y = np.meshgrid(*(AWAY[a] + CELL * np.arange(100) for a in (0, 1)), indexing="ij")
+    walls = ((x > 1.0) & (x < 1.1) & (np.abs(y - 0.6) < 0.5)) | (
+        (np.abs(np.abs(y - 0.6) - 0.3) < 0.06) & (x > 0.5) & (x < 1.1)
+    )
+    closed.cells[walls], closed.occupancy[walls] = OCCUPIED, CELL
+    behind.update(closed, facing)
+    steering = behind.blind(facing)
+    assert steering is not None and abs(steering) <= CAR.max_steering + 1e-9
+    assert (behind.clearance(facing).at(np.array([[-0.2, 0.6]])) < 0.0).all()  # for a controller it is closed
+    after = poses_after(0.0, np.array(-0.8), turn_of(-0.8, steering, CAR.wheelbase))
+    assert after[1] * left >= -1e-6
+    turned = GrowingCritic(CAR, GOAL, CONFIG)
+    turned.update(plan(3.0), facing)
+    assert turned.blind(facing) is None
+
+
 def test_the_way_around_unknown_space_is_taken_where_it_is_short():
     """Unknown cells cost their motions: a route through known space is preferred, and an unknown one is none worse."""
     dark = plan(3.0)
     dark.cells[38:42, 20:52] = UNKNOWN  # x 0.9 to 1.1, y 0 to 1.6: over the straight line
-    around = descend(critic_after(dark).value, START, CAR)
-    straight = descend(critic_after(plan(3.0)).value, START, CAR)
+    around, _ = descend(critic_after(dark).value, START, CAR)
+    straight, _ = descend(critic_after(plan(3.0)).value, START, CAR)
     length = lambda route: np.hypot(*np.diff(route[:, :2], axis=0).T).sum()
     assert length(straight) <= length(around) < 2.0 * length(straight)
     assert critic_after(dark).value.at(START) >= critic_after(plan(3.0)).value.at(START) - 0.02
