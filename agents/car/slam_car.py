@@ -14,7 +14,7 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
-from vssm_gym.agents.shared.car_recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
+from vssm_gym.agents.shared.car_recovery import BACK_SPEED, CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
 from vssm_gym.agents.shared.driver import CarCommand
 from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic
 from vssm_gym.agents.shared.localization import Localization
@@ -99,7 +99,7 @@ class SlamCarAgent:
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
         if self._critic.value is not None:  # compiled here, so that no step's latency holds it
-            self._mpc.step(at, self._critic.value, self._critic.clearance(at))
+            self._mpc.step(at, self._critic.value, self._critic.clearance())
         self._mpc.begin(np.zeros(2))
 
     def act(self, observation: Observation) -> Decision:
@@ -179,12 +179,15 @@ class SlamCarAgent:
         if response is not Response.DRIVE or value is None:
             return self._brake(f"brakes: {why}")
         self._held.append(at.planar)
-        steering = self._critic.blind(at.planar)
-        if steering is not None:
-            control = np.array([-CREEP_SPEED, steering])
-            self._mpc.begin(control)
-            return CarCommand(control, "creeps back where it has not looked")
-        return self._mpc.step(at.planar, value, self._critic.clearance(at.planar))
+        step = self._mpc.step(at.planar, value, self._critic.clearance())
+        if not self._critic.backs_blindly(at.planar, step.control):
+            return step
+        lead = self._critic.lead(at.planar)
+        if lead is None:
+            return self._brake("brakes: it has not looked behind it")
+        control = np.array([BACK_SPEED if lead[0] else -CREEP_SPEED, lead[1]])
+        self._mpc.begin(control)
+        return CarCommand(control, "follows the route: it has not looked behind it", step.plan)
 
     def _brake(self, status: str) -> CarCommand:
         control = braking(self._command, self._car)

@@ -27,7 +27,7 @@ from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
 from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
 
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
-AHEAD = 11  # motions of the route, 1.5 m, that a controller's horizon of 2.5 s covers
+BACK = 0.2  # m of an arc backwards that have to be seen
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 30.0)
+    unknown: tuple[float, float] = (1.5, 20.0)
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -81,36 +81,29 @@ class GrowingCritic:
             self._cut(plan)
             self._compute(planar)
 
-    def clearance(self, planar: np.ndarray) -> ClearanceMap:
-        """Return the distance to what a controller at a pose has to keep away from.
-
-        That is what is occupied and what was not seen, because a controller does not know the price of unseen space.
-        It is free where the route leads into it forwards within the controller's horizon.
-        """
-        poses, ahead = self._route(planar, AHEAD)
-        into = [forwards for pose, forwards in zip(poses[1:], ahead, strict=True) if self.unseen(pose)]
-        return self._distance(self._unseen & (not into or not into[0]))
-
-    def blind(self, planar: np.ndarray) -> float | None:
-        """Return the steering (rad) with which the route leads backwards into unseen space at once; None: it does not.
-
-        It is driven as it is, because it alone weighs how far to go where the car does not look.
-        """
-        poses, ahead = self._route(planar, 2)
-        if len(poses) < 2 or ahead[0] or not any(self.unseen(pose) for pose in poses[1:]):
-            return None
-        turn = float(wrap_angle(poses[1][2] - poses[0][2]))
-        assert self.value is not None
-        return -math.atan(self._car.wheelbase * turn / self.value.motion_length)
-
-    def _distance(self, closed: np.ndarray) -> ClearanceMap:
-        """Return the distance to what is occupied or ``closed``; other unknown cells are free."""
+    def clearance(self) -> ClearanceMap:
+        """Return the distance to what is occupied; unknown cells are free."""
         cells, occupancy = self._plan
         field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
-        # Half a cell is the unbiased place of a border without a surface.
-        return ClearanceMap.from_occupancy(
-            np.where(closed, 0.5 * self._resolution, field), self._corner, self._resolution
-        )
+        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+
+    def backs_blindly(self, planar: np.ndarray, control: np.ndarray) -> bool:
+        """Return True where a command ``(speed, steering)`` leads backwards into unseen space within :data:`BACK`."""
+        if control[0] >= 0.0:
+            return False
+        lengths = -BACK * np.array([0.5, 1.0])
+        turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
+        return any(self.unseen(pose) for pose in poses_after(planar[2], lengths, turns, *planar[:2]))
+
+    def lead(self, planar: np.ndarray) -> tuple[bool, float] | None:
+        """Return the route's first motion: whether it goes ahead, and its steering (rad); None at the target."""
+        poses, ahead = self._route(planar, 1)
+        if not ahead:
+            return None
+        assert self.value is not None
+        turn = float(wrap_angle(poses[1][2] - poses[0][2]))
+        length = self.value.motion_length * (1.0 if ahead[0] else -1.0)
+        return ahead[0], math.atan(self._car.wheelbase * turn / length)
 
     def unseen(self, planar: np.ndarray) -> bool:
         """Return True where the footprint at a pose overlaps unseen space."""
@@ -165,7 +158,7 @@ class GrowingCritic:
         """Compute the cost-to-go with the widest margin that has a path."""
         cells, _ = self._plan
         nothing = np.zeros(cells.shape, bool)
-        arena = Arena(cells == OCCUPIED, self._distance(nothing), self._corner, self._resolution)
+        arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
         result = self._best(arena, self._unseen, planar)
         self.value, self.status = result.cost_to_go, result.status
         self._used, self._waited = cells, 0

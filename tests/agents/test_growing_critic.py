@@ -1,5 +1,7 @@
 """Test the cost-to-go on a growing floor plan: warm equals cold, computed where it matters, compiled once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,36 +105,36 @@ def seen(*boxes: tuple[float, float, float, float]) -> FloorPlan:
     return made
 
 
-def test_what_was_not_seen_is_closed_unless_the_route_leads_into_it_ahead():
-    """A controller does not know what unseen space costs."""
-    here = (START[0] - 0.2, START[0] + 0.5, START[1] - 0.3, START[1] + 0.3)
-    into, past = critic_after(seen(here)), critic_after(seen(here, (0.2, 2.6, 0.3, 2.4)))
-    beyond = np.array([[START[0], START[1] + 1.0], [START[0], START[1] - 0.6]])
-    assert into.blind(START) is None and (into.clearance(START).at(beyond) > 0.0).all()
-    ahead, below = past.clearance(START).at(beyond)
-    assert past.blind(START) is None and ahead > 0.0 and below < 0.0
-
-
 @pytest.mark.parametrize("left", [0.0, 1.2, -1.2])
-def test_it_backs_into_unseen_space_by_the_route_and_only_where_nothing_else_is_left(left):
-    """With a wall before it the only way to a target behind is back; the steering leads to that side."""
+def test_the_route_backs_into_unseen_space_only_where_nothing_else_is_left(left):
+    """With walls before and beside it the way to a target behind leads back, to the target's side."""
     facing = np.array([*START[:2], 0.0])
     behind = GrowingCritic(CAR, np.array([-0.9, 0.6 + left]), CONFIG)
     closed = seen((0.4, 1.0, 0.4, 0.8))
     x, y = np.meshgrid(*(AWAY[a] + CELL * np.arange(100) for a in (0, 1)), indexing="ij")
-    walls = ((x > 1.0) & (x < 1.1) & (np.abs(y - 0.6) < 0.5)) | (
-        (np.abs(np.abs(y - 0.6) - 0.3) < 0.06) & (x > 0.5) & (x < 1.1)
-    )
+    across, beside = np.abs(y - 0.6), np.abs(np.abs(y - 0.6) - 0.3)
+    walls = ((x > 1.0) & (x < 1.1) & (across < 0.5)) | ((beside < 0.06) & (x > 0.5) & (x < 1.1))
     closed.cells[walls], closed.occupancy[walls] = OCCUPIED, CELL
     behind.update(closed, facing)
-    steering = behind.blind(facing)
-    assert steering is not None and abs(steering) <= CAR.max_steering + 1e-9
-    assert (behind.clearance(facing).at(np.array([[-0.2, 0.6]])) < 0.0).all()  # for a controller it is closed
+    ahead, steering = behind.lead(facing)
+    assert not ahead and abs(steering) <= CAR.max_steering + 1e-9
     after = poses_after(0.0, np.array(-0.8), turn_of(-0.8, steering, CAR.wheelbase))
     assert after[1] * left >= -1e-6
-    turned = GrowingCritic(CAR, GOAL, CONFIG)
-    turned.update(plan(3.0), facing)
-    assert turned.blind(facing) is None
+    assert behind.backs_blindly(facing, np.array([-0.3, steering]))
+    assert not behind.backs_blindly(facing, np.array([0.3, steering]))
+
+
+def test_with_room_before_it_the_route_turns_around():
+    """The target is behind in unseen space, and half of the room ahead was seen: backing there is dearer."""
+    facing = np.array([1.2, 0.6, 0.0])
+    critic = GrowingCritic(CAR, np.array([0.1, 0.6, np.pi]), replace(CONFIG, sides=(84,)))
+    critic.update(seen((0.9, 2.6, -0.4, 1.6)), facing)
+    ahead, _ = critic.lead(facing)
+    assert ahead and critic.backs_blindly(facing, np.array([-0.3, 0.0]))
+    known = GrowingCritic(CAR, np.array([0.6, 0.6, 0.0]), CONFIG)
+    known.update(plan(3.0), facing)
+    assert known.lead(facing)[0] is False and not known.backs_blindly(facing, np.array([-0.3, 0.0]))
+    assert known.lead(np.array([0.6, 0.6, 0.0])) is None  # it is there
 
 
 def test_the_way_around_unknown_space_is_taken_where_it_is_short():
