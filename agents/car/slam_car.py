@@ -8,13 +8,13 @@ a table (:mod:`vssm_gym.agents.shared.car_recovery`). Described in ``docs/agents
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
-from vssm_gym.agents.shared.car_recovery import BACK_SPEED, CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
+from vssm_gym.agents.shared.car_recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
 from vssm_gym.agents.shared.driver import CarCommand
 from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic
 from vssm_gym.agents.shared.localization import Localization
@@ -29,8 +29,8 @@ from vssm_gym.planning.car.footprint import CAR_HEIGHTS, Arena
 from vssm_gym.planning.mpc.random_search import RandomSearch
 from vssm_gym.planning.occupancy_grid import FREE
 
-# Cells of 4 cm hold a bay of 0.42 m. What was seen once near by is not kept apart: the map's cells are fine enough.
-CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.06, close_range=0.0)
+# Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side.
+CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.06)
 BY_STATUS = {  # of an estimate that is not believed
     Status.FROZEN: Failure.FROZEN,
     Status.REPEATED: Failure.REPEATED,
@@ -180,14 +180,9 @@ class SlamCarAgent:
             return self._brake(f"brakes: {why}")
         self._held.append(at.planar)
         step = self._mpc.step(at.planar, value, self._critic.clearance())
-        if not self._critic.backs_blindly(at.planar, step.control):
-            return step
-        lead = self._critic.lead(at.planar)
-        if lead is None:
-            return self._brake("brakes: it has not looked behind it")
-        control = np.array([BACK_SPEED if lead[0] else -CREEP_SPEED, lead[1]])
-        self._mpc.begin(control)
-        return CarCommand(control, "follows the route: it has not looked behind it", step.plan)
+        if step.control[0] < -CREEP_SPEED and self._critic.backs_blindly(at.planar, step.control):
+            step = replace(step, control=np.array([-CREEP_SPEED, step.control[1]]))
+        return step
 
     def _brake(self, status: str) -> CarCommand:
         control = braking(self._command, self._car)

@@ -8,8 +8,6 @@ It is computed again where the change matters: cells near the route became occup
 left the poses with a path, or there is no cost-to-go yet.
 """
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +17,6 @@ from scipy.ndimage import binary_opening
 from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
-from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, overlaps
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
@@ -45,7 +42,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 20.0)
+    unknown: tuple[float, float] = (1.5, 10.0)
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -95,25 +92,9 @@ class GrowingCritic:
         turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
         return any(self.unseen(pose) for pose in poses_after(planar[2], lengths, turns, *planar[:2]))
 
-    def lead(self, planar: np.ndarray) -> tuple[bool, float] | None:
-        """Return the route's first motion: whether it goes ahead, and its steering (rad); None at the target."""
-        poses, ahead = self._route(planar, 1)
-        if not ahead:
-            return None
-        assert self.value is not None
-        turn = float(wrap_angle(poses[1][2] - poses[0][2]))
-        length = self.value.motion_length * (1.0 if ahead[0] else -1.0)
-        return ahead[0], math.atan(self._car.wheelbase * turn / length)
-
     def unseen(self, planar: np.ndarray) -> bool:
         """Return True where the footprint at a pose overlaps unseen space."""
         return overlaps(self._unseen, self._corner, self._resolution, planar, self._car)
-
-    def _route(self, planar: np.ndarray, motions: int) -> tuple[np.ndarray, list[bool]]:
-        """Return the poses ``(n, 3)`` that of the best motions, the car's first, and which motions go ahead."""
-        assert self.value is not None
-        price = lambda pose: self._config.unknown if self.unseen(pose) else (1.0, 1.0)
-        return descend(self.value, planar, self._car, motions, price)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -163,7 +144,7 @@ class GrowingCritic:
         self.value, self.status = result.cost_to_go, result.status
         self._used, self._waited = cells, 0
         self.computed += 1
-        self._near = nothing if self.value is None else self._around(self._route(planar, ROUTE_MOTIONS)[0], nothing)
+        self._near = nothing if self.value is None else self._around(descend(self.value, planar, self._car), nothing)
 
     def _best(self, arena: Arena, unknown: np.ndarray, planar: np.ndarray) -> ValueResult:
         for margin, fraction in ATTEMPTS:
@@ -191,31 +172,19 @@ class GrowingCritic:
         return near
 
 
-def descend(
-    value: CostToGo,
-    planar: Any,
-    car: Car,
-    motions: int = ROUTE_MOTIONS,
-    price: Callable[[np.ndarray], tuple[float, float]] = lambda pose: (1.0, 1.0),
-) -> tuple[np.ndarray, list[bool]]:
-    """Return the poses ``(n, 3)`` along the best motions of a cost-to-go, up to the target or a minimum.
-
-    The second result says of each motion whether it goes ahead.
-    ``price`` of a pose is how many motions one forwards, and one backwards, counts from there (eq. P19).
-    """
+def descend(value: CostToGo, planar: Any, car: Car) -> np.ndarray:
+    """Return the poses ``(n, 3)`` along the best motions of a cost-to-go, up to the target or a minimum."""
     steering = np.linspace(-car.max_steering, car.max_steering, 5)
-    length = value.motion_length * np.repeat([1.0, -1.0], len(steering))
+    length: Any = value.motion_length * np.repeat([1.0, -1.0], len(steering))
     turn = turn_of(length, np.tile(steering, 2), car.wheelbase)
-    route, ahead, cost = [np.asarray(planar, np.float64)], [], float(value.at(planar))
-    for _ in range(motions):
-        x, y, heading = route[-1]
-        ends: Any = poses_after(heading, length, turn, x, y)
-        costs = np.asarray(value.at(ends))
-        share = value.gamma ** np.repeat(price(route[-1]), len(steering))
+    route, cost = [np.asarray(planar, np.float64)], float(value.at(planar))
+    for _ in range(ROUTE_MOTIONS):
+        here: Any = np.broadcast_to(route[-1], (len(length), 3))
+        ends: Any = poses_after(here[:, 2], length, turn, here[:, 0], here[:, 1])
+        costs, share = np.asarray(value.at(ends)), value.gamma ** np.asarray(value.counted(here, length))
         best = int(((1.0 - share) * value.never + share * costs).argmin())
         if cost <= 0.0 or costs[best] >= cost:
             break
         route.append(ends[best])
-        ahead.append(best < len(steering))
         cost = float(costs[best])
-    return np.array(route), ahead
+    return np.array(route)

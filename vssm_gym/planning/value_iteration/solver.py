@@ -99,6 +99,7 @@ class PoseGrid:
         motions: The arcs.
         config: Discount, margin, tolerance.
         blocked: ``(nx, ny, n_headings)`` bool, poses in collision.
+        over: the same, poses over unknown cells; None where all cells are known.
         layout, problem: The sweeps' own arrays.
     """
 
@@ -106,6 +107,7 @@ class PoseGrid:
     motions: Motions
     config: ValueConfig
     blocked: np.ndarray
+    over: np.ndarray | None
     layout: sweeps.Layout
     problem: sweeps.Problem
 
@@ -123,13 +125,13 @@ class PoseGrid:
         headings = heading_grid(config.n_headings)
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
-        shares = None
+        shares = over = None
         if unknown is not None:
             over = rectangle_collisions(unknown, arena.resolution, car, headings)
             counts = np.array(config.unknown)[:, None, None]
             shares = np.where(np.moveaxis(over, -1, 0)[:, None], config.gamma ** (counts - 1.0), 1.0)
         problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, shares)
-        return cls(arena, motions, config, blocked, layout, problem)
+        return cls(arena, motions, config, blocked, over, layout, problem)
 
     @cached_property
     def _flood_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -226,6 +228,8 @@ def solve(
         resolution=jnp.float32(grid.arena.resolution),
         gamma=config.gamma,
         motion_length=grid.motions.length,
+        over=None if grid.over is None else jnp.asarray(grid.over, jnp.float32),
+        counts=config.unknown,
     )
     small = float(residual) < config.tolerance
     status = ValueStatus.CONVERGED if small else ValueStatus.NOT_CONVERGED
