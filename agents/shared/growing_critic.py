@@ -2,7 +2,7 @@
 
 The grid of poses is fixed in the world, so that the sweeps start from the last values and nothing is compiled again. It
 covers the start, the target and some room around both; where no path leads through it, it is enlarged by half. Unknown
-cells are passable, at the price of several motions for one (:class:`~vssm_gym.planning.value_iteration.ValueConfig`).
+cells are passable, at the price of several motions for one.
 
 It is computed again where the change matters: cells near the route became occupied, many cells changed, the car has
 left the poses with a path, or there is no cost-to-go yet.
@@ -17,7 +17,7 @@ from scipy.ndimage import binary_opening
 from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
-from vssm_gym.planning.car.footprint import Arena, footprint_cells, overlaps
+from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
@@ -34,7 +34,9 @@ class GrowingConfig:
     Args:
         sides: cells of the grid along x and y, tried in turn.
         room: m around start and target that the first grid holds.
-        unknown: motions that one over unknown cells counts, forwards, where the camera looks first, and backwards.
+        unknown: motions that one forwards, and one backwards, over unseen cells counts.
+        beside: distance from the car within which a motion forwards counts as one backwards, m: what is beside the car
+            its camera will not see in time.
         near: m around the footprint on its route, within which a new obstacle matters.
         changed: cells that change anywhere before the values are computed again.
         pause: steps from one computation to the next, unless an obstacle lies on the route.
@@ -43,6 +45,7 @@ class GrowingConfig:
     sides: tuple[int, ...] = (160, 240, 360)
     room: float = 0.8
     unknown: tuple[float, float] = (1.5, 10.0)
+    beside: float = 0.7
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -140,16 +143,24 @@ class GrowingCritic:
         cells, _ = self._plan
         nothing = np.zeros(cells.shape, bool)
         arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
-        result = self._best(arena, self._unseen, planar)
+        result = self._best(arena, self._counts(planar), planar)
         self.value, self.status = result.cost_to_go, result.status
         self._used, self._waited = cells, 0
         self.computed += 1
         self._near = nothing if self.value is None else self._around(descend(self.value, planar, self._car), nothing)
 
-    def _best(self, arena: Arena, unknown: np.ndarray, planar: np.ndarray) -> ValueResult:
+    def _counts(self, planar: np.ndarray) -> np.ndarray:
+        """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
+        c, resolution, headings = self._config, self._resolution, heading_grid(ValueConfig().n_headings)
+        x, y = (self._corner[a] + resolution * np.arange(n) - planar[a] for a, n in enumerate(self._unseen.shape))
+        beside = self._unseen & (np.hypot(x[:, None], y[None, :]) <= c.beside)
+        over, close = (rectangle_collisions(cells, resolution, self._car, headings) for cells in (self._unseen, beside))
+        ahead = np.where(close, c.unknown[1], np.where(over, c.unknown[0], 1.0))
+        return np.stack([ahead, np.where(over, c.unknown[1], 1.0)]).astype(np.float32)
+
+    def _best(self, arena: Arena, counts: np.ndarray, planar: np.ndarray) -> ValueResult:
         for margin, fraction in ATTEMPTS:
-            config = ValueConfig(margin=margin, unknown=self._config.unknown)
-            grid = PoseGrid.of(arena, self._car, config, unknown)
+            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin), counts)
             region = fraction * GOAL_RADIUS, fraction * GOAL_HEADING_TOLERANCE
             result = solve(grid, self._goal, *region, start=planar, warm=self.value)
             if result.status is ValueStatus.START_BLOCKED:  # by the map, whose surfaces have errors

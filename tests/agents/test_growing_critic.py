@@ -111,8 +111,9 @@ def test_it_knows_where_it_would_back_blindly():
     assert not critic.backs_blindly(facing, np.array([0.3, 0.0]))
     critic.update(seen((0.8, 2.0, 0.2, 1.0)), facing)
     assert not critic.backs_blindly(facing, np.array([-0.3, 0.0]))
-    ahead, back = critic.value.counted(np.array([[0.2, 0.6, 0.0]] * 2), np.array([1.0, -1.0]))
+    ahead, back = critic.value.counted(np.array([[-0.1, 0.6, 0.0]] * 2), np.array([1.0, -1.0]))
     assert (ahead, back) == CONFIG.unknown
+    assert critic.value.counted(np.array([[1.2, 1.0, 1.6]]), np.array([1.0])) == CONFIG.unknown[1]  # beside the car
 
 
 def test_the_way_around_unknown_space_is_taken_where_it_is_short():

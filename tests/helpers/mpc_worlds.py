@@ -47,9 +47,8 @@ class Oracle:
         cells = [clearance.origin[a] + clearance.resolution * np.arange(clearance.clearance.shape[a]) for a in (0, 1)]
         self.distance = RegularGridInterpolator(cells, walled(clearance))
         self.discount, self.step_cost = value_units(value, problem.car)
-        self.counts, self.over = value.counts, None
-        if value.over is not None:
-            self.over = RegularGridInterpolator((*places, around[:-1]), np.asarray(value.over), "nearest", False, None)
+        counts = [] if value.counts is None else np.asarray(value.counts)
+        self.counts = [RegularGridInterpolator((*places, around[:-1]), k, "nearest", False, None) for k in counts]
 
     def __call__(self, state, last, controls):
         car, config = self.problem.car, self.problem.config
@@ -66,8 +65,7 @@ class Oracle:
             points = z[:2] + centres @ np.array([[c, n], [-n, c]])
             clear = self.distance(points) - radius
             value = float(self.value([*z[:2], z[2] % (2 * np.pi)])[0])
-            priced = self.over is not None and float(self.over([*z[:2], z[2] % (2 * np.pi)])[0]) > 0.5
-            k = self.counts[0 if u[0] >= 0.0 else 1] if priced else 1.0
+            k = float(self.counts[int(u[0] < 0.0)]([*z[:2], z[2] % (2 * np.pi)])[0]) if self.counts else 1.0
             n = 1.0 + (k - 1.0) * abs(u[0]) / car.max_speed
             cost += self.discount**passed * (
                 min(value, self.step_cost * (1.0 - self.discount**n) / (1.0 - self.discount))

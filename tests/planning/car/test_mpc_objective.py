@@ -54,15 +54,15 @@ def test_values_are_those_of_the_definition(seed: int) -> None:
 def test_steps_over_unknown_cells_count_as_motions_do(seed: int) -> None:
     """A strip of poses counts 2 motions forwards and 7 backwards."""
     value, clearance = bumpy()
-    over = np.broadcast_to((np.arange(value.values.shape[0]) % 4 < 2)[:, None, None], value.values.shape)
-    value = dataclasses.replace(value, over=jnp.asarray(over, jnp.float32), counts=(2.0, 7.0))
+    over = np.broadcast_to((np.arange(value.values.shape[0]) % 2 == 0)[:, None, None], value.values.shape)
+    value = dataclasses.replace(value, counts=jnp.asarray([1.0 + 1.0 * over, 1.0 + 6.0 * over], jnp.float32))
     controls = drawn(seed)
     fields = make_fields(value, clearance, PROBLEM.car)
     plans = objective.evaluate(PROBLEM, fields, *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)))
     cost, _, _ = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
     np.testing.assert_allclose(plans.cost, cost, rtol=1e-5)
-    free = dataclasses.replace(value, over=0.0 * value.over)
-    known = dataclasses.replace(value, over=None)
+    free = dataclasses.replace(value, counts=jnp.ones_like(value.counts))
+    known = dataclasses.replace(value, counts=None)
     same = [
         objective.evaluate(
             PROBLEM,

@@ -57,11 +57,11 @@ def values(result) -> np.ndarray:
 
 
 def exact(
-    arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray, over: np.ndarray | None = None
+    arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray, counts: np.ndarray | None = None
 ) -> np.ndarray:
     """Solve the same aggregation, built state by state in float64, by policy iteration.
 
-    From the poses ``over`` unknown cells, motions count as often as ``config.unknown`` says.
+    Motions forwards and backwards count as often as ``counts`` says, if it is given.
 
     Nothing of the solver is used but the numbers of its definition: arcs from a circle's geometry, collisions by
     polygons, transitions as a sparse matrix a motion.
@@ -113,10 +113,8 @@ def exact(
     goal = at_goal.reshape(-1)
     absorbing = blocked | goal
     fixed = np.append(np.where(goal, 0.0, 1.0 / (1.0 - config.gamma)), 1.0 / (1.0 - config.gamma))
-    gammas = []  # of each motion, by state: gamma^k
-    for a in range(len(motions)):
-        counts = config.unknown[a // len(config.turns)]
-        gammas.append(config.gamma ** np.where(False if over is None else over.reshape(-1), counts, 1.0))
+    each = np.ones((2, len(states))) if counts is None else counts.reshape(2, -1)
+    gammas = [config.gamma ** each[a // len(config.turns)] for a in range(len(motions))]  # by state: gamma^k
     costs = [(1.0 - g) / (1.0 - config.gamma) for g in gammas]
     policy = np.full(len(states), -1)  # -1: stand for ever
     while True:
@@ -285,12 +283,13 @@ def test_warm_start_reaches_the_same_fixed_point(change):
         assert warm.sweeps <= cold.sweeps
 
 
-def test_unknown_cells_cost_their_motions_and_close_nothing():
-    """From each pose over unknown cells a motion counts k times, so that its discount is gamma^k."""
+def test_motions_that_count_several_times_cost_so_and_close_nothing():
+    """From each pose over some cells a motion counts k times, so that its discount is gamma^k."""
     occupied, unknown = room((6, 7, 0, 7)), np.zeros(SHAPE, bool)
     unknown[5:8, 7:11] = True  # the passage
-    counts = (1.0, 1.0), (2.0, 3.0)
-    grids = [PoseGrid.of(arena_of(occupied), SMALL, ValueConfig(16, (-1, 0, 1), unknown=k), unknown) for k in counts]
+    over = rectangle_collisions(unknown, RESOLUTION, SMALL, heading_grid(16))
+    counts = np.stack([1.0 + 1.0 * over, 1.0 + 2.0 * over])
+    grids = [PoseGrid.of(arena_of(occupied), SMALL, COARSE, k) for k in (np.ones_like(counts), counts)]
     plain = PoseGrid.of(arena_of(occupied), SMALL, COARSE)
     goal = place(plain.arena, 3, 3)
     known, as_known, dear = (values(solve(grid, goal, radius=0.06)) for grid in (plain, *grids))
@@ -299,8 +298,7 @@ def test_unknown_cells_cost_their_motions_and_close_nothing():
     assert (dear >= known - 2e-3).all()
     behind = (np.arange(SHAPE[0]) > 8)[:, None, None] & (known < NEVER)
     assert behind.any() and (dear[behind] > known[behind] + 1.0).all()
-    over = rectangle_collisions(unknown, RESOLUTION, SMALL, heading_grid(16))
-    expected = exact(plain.arena, SMALL, grids[1].config, plain.goal_poses(goal, 0.06, 0.0), over)
+    expected = exact(plain.arena, SMALL, COARSE, plain.goal_poses(goal, 0.06, 0.0), counts)
     assert np.abs(dear - expected).max() < 0.02
 
 

@@ -4,7 +4,7 @@
     c(z, u) = min(s, J(z)) + e (v / v_max)^2 + w sum (Du / limit)^2 + k mean_i max(0, 1 - (d_i - r) / comfort)^2
     g_ti(u) = d(p_i(z_t)) - r - m  >=  0
 
-Where the cost-to-go counts a motion ``k`` times, over unknown cells, a step counts so, too: its discount is ``gamma^n``
+Where the cost-to-go counts a motion ``k`` times, a step counts so, too: its discount is ``gamma^n``
 and its ``s`` is ``(1 - gamma^n) / (1 - gamma_J)`` with ``n = 1 + (k - 1) |v| / v_max``.
 
 ``s`` is the cost of one step in the unit of ``J``: min(s, J) charges for time until the goal region, where ``J`` is
@@ -60,13 +60,13 @@ def evaluate(
     change = jnp.diff(jnp.concatenate([first, scaled], axis=-2), axis=-2)
     closeness = jnp.maximum(0.0, 1.0 - clearance / config.comfort)
     counted = 1.0 + (fields.value.counted(states, scaled[..., 0]) - 1.0) * jnp.abs(scaled[..., 0])
-    time = fields.step_cost if fields.value.over is None else _time(fields, counted)
+    time = fields.step_cost if fields.value.counts is None else _time(fields, counted)
     stage = jnp.minimum(value, time) + fields.step_cost * (
         config.effort * scaled[..., 0] ** 2
         + config.smoothness * jnp.sum(change**2, axis=-1)
         + config.proximity * jnp.mean(closeness**2, axis=-1)
     )
-    if fields.value.over is None:
+    if fields.value.counts is None:
         weights, last_weight = fields.discount ** jnp.arange(controls.shape[-2]), fields.discount ** controls.shape[-2]
     else:
         passed = jnp.cumsum(counted, axis=-1)

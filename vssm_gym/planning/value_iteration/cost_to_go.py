@@ -23,9 +23,8 @@ class CostToGo(eqx.Module):
     resolution: Float[Array, ""]  # m
     gamma: float = eqx.field(static=True)  # discount of one motion
     motion_length: float = eqx.field(static=True)  # m that one motion of cost 1 drives
-    # k, how many motions one forwards [0], backwards [1] counts at poses over unknown cells; None: 1 everywhere.
-    over: Float[Array, "nx ny headings"] | None = None  # 1 where the footprint overlaps an unknown cell, else 0
-    counts: tuple[float, float] = eqx.field(static=True, default=(1.0, 1.0))
+    # k: how many motions one forwards [0], backwards [1] from a pose counts; None: 1 everywhere.
+    counts: Float[Array, "2 nx ny headings"] | None = None
 
     @property
     def never(self) -> float:
@@ -54,15 +53,14 @@ class CostToGo(eqx.Module):
     def counted(self, planar: Float[Array, "*batch 3"], ahead: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Return ``k`` of motions at poses ``(..., 3)``, m and rad, ahead or back by the sign of ``ahead``."""
         xp = _library(planar)
-        if self.over is None:
+        if self.counts is None:
             return xp.ones_like(ahead)
-        nx, ny, n = self.over.shape
+        _, nx, ny, n = self.counts.shape
         origin, resolution = xp.asarray(self.origin), xp.asarray(self.resolution)
         i = xp.clip(xp.round((planar[..., 0] - origin[0]) / resolution), 0, nx - 1).astype(np.int32)
         j = xp.clip(xp.round((planar[..., 1] - origin[1]) / resolution), 0, ny - 1).astype(np.int32)
         k = xp.round(planar[..., 2] * (n / (2.0 * np.pi))).astype(np.int32) % n
-        count = xp.where(ahead >= 0.0, self.counts[0], self.counts[1])
-        return 1.0 + (count - 1.0) * xp.asarray(self.over)[i, j, k]
+        return xp.asarray(self.counts)[xp.where(ahead >= 0.0, 0, 1), i, j, k]
 
     def reachable(self, planar: Float[Array, "*batch 3"]) -> Array:
         """Return True where any of the eight poses of the grid around a pose has a path to the goal, ``(...)`` bool."""

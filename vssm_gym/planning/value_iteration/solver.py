@@ -2,8 +2,8 @@
 
 ``c`` runs over the four poses of the grid around the end of arc ``a``, and ``w_c`` are bilinear weights. A motion costs
 1, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint overlaps an occupied cell
-anywhere are no motions. A motion from a pose whose footprint overlaps an unknown cell may count ``k`` times: its cost
-is ``1 + gamma + .. + gamma^(k - 1)`` and its discount ``gamma^k``.
+anywhere are no motions. A motion may count ``k`` times, where a map is not known: its cost is then ``1 + gamma + .. +
+gamma^(k - 1)`` and its discount ``gamma^k``.
 """
 
 import time
@@ -44,8 +44,6 @@ class ValueConfig:
     max_sweeps: int = 2000
     warm_sweeps: int = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
     margin: float = 0.0  # m by which the footprint grows on all sides
-    # k: motions that one forwards, and one backwards, from a pose over unknown cells counts, where these are given.
-    unknown: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gamma < 1.0:
@@ -56,8 +54,6 @@ class ValueConfig:
             raise InputError("ValueConfig", "tolerance", f"at least {least:.1g} in float32; found {self.tolerance!r}")
         if not (np.isfinite(self.margin) and self.margin >= 0.0):
             raise InputError("ValueConfig", "margin", f"metres, not negative; found {self.margin!r}")
-        if not (len(self.unknown) == 2 and all(np.isfinite(k) and k >= 1.0 for k in self.unknown)):
-            raise InputError("ValueConfig", "unknown", f"two numbers from 1; found {self.unknown!r}")
         if self.max_sweeps < 1:
             raise InputError("ValueConfig", "max_sweeps", f"at least one; found {self.max_sweeps!r}")
 
@@ -99,7 +95,8 @@ class PoseGrid:
         motions: The arcs.
         config: Discount, margin, tolerance.
         blocked: ``(nx, ny, n_headings)`` bool, poses in collision.
-        over: the same, poses over unknown cells; None where all cells are known.
+        counts: ``(2, nx, ny, n_headings)`` float, how many motions one forwards [0], backwards [1] from a pose counts;
+            None: one everywhere.
         layout, problem: The sweeps' own arrays.
     """
 
@@ -107,17 +104,17 @@ class PoseGrid:
     motions: Motions
     config: ValueConfig
     blocked: np.ndarray
-    over: np.ndarray | None
+    counts: np.ndarray | None
     layout: sweeps.Layout
     problem: sweeps.Problem
 
     @classmethod
     def of(
-        cls, arena: Arena, car: Car, config: ValueConfig | None = None, unknown: np.ndarray | None = None
+        cls, arena: Arena, car: Car, config: ValueConfig | None = None, counts: np.ndarray | None = None
     ) -> "PoseGrid":
         """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions.
 
-        ``unknown`` ``(nx, ny)`` bool are free cells of the arena in which nothing was observed yet.
+        ``counts`` are as the attribute, all of them from 1.
         """
         config = config or ValueConfig()
         motions = Motions.of(car, config.n_headings, config.turns)
@@ -125,13 +122,13 @@ class PoseGrid:
         headings = heading_grid(config.n_headings)
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
-        shares = over = None
-        if unknown is not None:
-            over = rectangle_collisions(unknown, arena.resolution, car, headings)
-            counts = np.array(config.unknown)[:, None, None]
-            shares = np.where(np.moveaxis(over, -1, 0)[:, None], config.gamma ** (counts - 1.0), 1.0)
+        shares = None
+        if counts is not None:
+            if counts.shape != (2, *blocked.shape) or not counts.min() >= 1.0:
+                raise InputError("value iteration", "counts", f"numbers from 1 of shape {(2, *blocked.shape)}")
+            shares = config.gamma ** (np.moveaxis(counts, (3, 0), (0, 1)) - 1.0)
         problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, shares)
-        return cls(arena, motions, config, blocked, over, layout, problem)
+        return cls(arena, motions, config, blocked, counts, layout, problem)
 
     @cached_property
     def _flood_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -228,8 +225,7 @@ def solve(
         resolution=jnp.float32(grid.arena.resolution),
         gamma=config.gamma,
         motion_length=grid.motions.length,
-        over=None if grid.over is None else jnp.asarray(grid.over, jnp.float32),
-        counts=config.unknown,
+        counts=None if grid.counts is None else jnp.asarray(grid.counts, jnp.float32),
     )
     small = float(residual) < config.tolerance
     status = ValueStatus.CONVERGED if small else ValueStatus.NOT_CONVERGED
