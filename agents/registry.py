@@ -8,6 +8,7 @@ from vssm_gym.agents.base import AGENT_ROBOTS, AGENT_TASKS, Agent
 from vssm_gym.agents.car.dwa import DwaAgent
 from vssm_gym.agents.car.greedy import GreedyAgent
 from vssm_gym.agents.car.hybrid_astar import HybridAStarAgent
+from vssm_gym.agents.car.slam_car import SlamCarAgent
 from vssm_gym.agents.car.vi_ipopt import ViIpoptAgent
 from vssm_gym.agents.car.vi_mpc import ViMpcAgent
 from vssm_gym.agents.car.vi_mpc_estimated_pose import ViMpcEstimatedPoseAgent
@@ -49,6 +50,7 @@ AGENTS: dict[str, type[Agent]] = {
         ViIpoptAgent,
         ViMppiAgent,
         ViMpcEstimatedPoseAgent,
+        SlamCarAgent,
         HybridAStarAgent,
         GreedyAgent,
         DwaAgent,

@@ -282,7 +282,7 @@ def test_a_context_holds_the_start_pose_and_no_scene(env):
     np.testing.assert_array_equal(context.start_pose, info["start_pose"])
     assert context.map is None
     agent = vg.make_agent({"LidarMaze-v0": "dist_bug"}.get(env, "random"))
-    if "Car" not in env:  # no agent of the car does without a map
+    if "Car" not in env:  # ``random`` drives no car
         agent.reset(context, observation, 0)
         assert world.action_space.contains(agent.act(observation).action)
     world.close()

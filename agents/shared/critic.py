@@ -32,7 +32,7 @@ class Critic:
         if result.status is not ValueStatus.START_BLOCKED:
             return result
         result = solve(grid, goal, *region)  # blocked by the map, whose surfaces have errors: the car does stand there
-        if result.cost_to_go is None or _path_nearby(result.cost_to_go, planar):
+        if result.cost_to_go is None or path_nearby(result.cost_to_go, planar):
             return result
         return replace(result, status=ValueStatus.UNREACHABLE, cost_to_go=None)
 
@@ -42,7 +42,7 @@ class Critic:
         return self._grids[margin]
 
 
-def _path_nearby(value: CostToGo, planar: np.ndarray) -> bool:
+def path_nearby(value: CostToGo, planar: np.ndarray) -> bool:
     """Return True where a path to the goal begins within :data:`NEARBY` of a pose, at any heading."""
     cells = np.asarray(value.values).min(axis=-1)
     x, y = (value.origin[a] + value.resolution * np.arange(cells.shape[a]) for a in (0, 1))

@@ -16,7 +16,7 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.shared.localization import Localizer
-from vssm_gym.agents.shared.parking import Parking, ParkingRule
+from vssm_gym.agents.shared.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
@@ -107,7 +107,7 @@ class Driver:
         elif conduct in (Conduct.SEARCH, Conduct.WAIT):  # a car cannot look around without driving
             step = CarCommand(np.zeros(2), "waiting: lost")
         elif parking is not Parking.DRIVE:
-            step = CarCommand(np.array([0.0, self._command[1]]), parking.value)
+            step = CarCommand(braking(self._command, self._car), parking.value)
         else:
             step = self._controller.step(self._estimate.planar)
         self._command = self._car.clip(step.control)

@@ -1,9 +1,9 @@
 """Keep an explorer's belief about its surroundings: its map, the places of its body, and near observations.
 
 The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Three masks over its
-columns are kept with it. A body disproves any obstacle that is believed to stand where it is. The ring around it, over
-which the camera looks, is free where nothing was seen. A thin leg, which averages away in cells wider than itself, is
-remembered as it was seen from nearby.
+columns are kept with it. A body, a disc or a car's rectangle, disproves any obstacle that is believed to stand where it
+is. The ring around it, over which the camera looks, is free where nothing was seen. A thin leg, which averages away in
+cells wider than itself, is remembered as it was seen from nearby.
 """
 
 from dataclasses import dataclass
@@ -49,6 +49,7 @@ class OwnMap:
         self.camera = Camera.from_matrix(context.K, *context.camera)
         self.T_body_cam = np.asarray(context.T_body_cam, np.float64)
         self.radius = 0.5 * context.body_length
+        self._car = context.car
         prior = config.empty_map(context.start_pose)
         shape = prior.shape[:2]
         self._corner = np.asarray(prior.origin, np.float64)[:2]
@@ -80,7 +81,7 @@ class OwnMap:
         """Update the masks with the body's place and with what is seen close by."""
         planar = self.estimate.planar
         depth = np.asarray(observation["depth"], np.float32)
-        self._stand(planar[:2])
+        self._stand(planar)
         self._notice(depth[::2, ::2], planar_to_matrix(planar) @ self.T_body_cam)
 
     def plan(self, keep: np.ndarray | None = None) -> FloorPlan:
@@ -105,20 +106,49 @@ class OwnMap:
         self._met[window] &= away > radius
         return bool(doubted.any())
 
-    def _stand(self, xy: np.ndarray) -> None:
-        """Mark the columns of the body at ``xy`` (m) and of the ring around it."""
-        reach = self.radius + self.config.ring
-        window, away = self._around(xy, reach)
-        self._body[window] |= away <= self.radius
-        self._near[window] |= away <= reach
+    def bump(self, planar: np.ndarray, ahead: bool) -> None:
+        """Remember an obstacle at a car's front, or at its back, where something has held it."""
+        assert self._car is not None
+        offset = self._car.center_forward + np.copysign(
+            0.5 * (self._car.length + self.config.voxel), 1 if ahead else -1
+        )
+        sides = np.linspace(-0.5, 0.5, 9) * self._car.width
+        c, s = np.cos(planar[2]), np.sin(planar[2])
+        xy = planar[:2] + np.stack([c * offset - s * sides, s * offset + c * sides], axis=-1)
+        cell = np.floor((xy - self._corner) / self.config.voxel + 0.5).astype(int)
+        cell = cell[np.all((cell >= 0) & (cell < self._seen.shape), axis=1)]
+        self._seen[cell[:, 0], cell[:, 1]] = 2
+
+    def _stand(self, planar: np.ndarray) -> None:
+        """Mark the columns of the body at ``planar`` (m, rad) and of the ring around it."""
+        xy = planar[:2]
+        reach = self.config.ring + (self.radius if self._car is None else self._car.length)
+        window, (x, y) = self._window(xy, reach)
+        away = self._from_body(x, y, float(planar[2]))
+        self._body[window] |= away <= 0.0
+        self._near[window] |= away <= self.config.ring
+
+    def _from_body(self, x: np.ndarray, y: np.ndarray, heading: float) -> np.ndarray:
+        """Return the distances (m) of places relative to the body's origin from its footprint; not positive inside."""
+        if self._car is None:
+            return np.hypot(x, y) - self.radius
+        c, s = np.cos(heading), np.sin(heading)
+        along = np.abs(c * x + s * y - self._car.center_forward) - 0.5 * self._car.length
+        across = np.abs(c * y - s * x) - 0.5 * self._car.width
+        return np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)) + np.minimum(np.maximum(along, across), 0.0)
 
     def _around(self, xy: np.ndarray, reach: float) -> tuple[tuple[slice, ...], np.ndarray]:
         """Return the columns of the box within ``reach`` of ``xy`` (m), and their distances to it."""
+        window, (x, y) = self._window(xy, reach)
+        return window, np.hypot(x, y)
+
+    def _window(self, xy: np.ndarray, reach: float) -> tuple[tuple[slice, ...], tuple[np.ndarray, np.ndarray]]:
+        """Return the columns of the box within ``reach`` of ``xy`` (m), and their places relative to it."""
         first = np.floor((xy - reach - self._corner) / self.config.voxel).astype(int)
         size = int(2.0 * reach / self.config.voxel) + 2
         window = tuple(slice(max(0, f), min(max(0, f + size), n)) for f, n in zip(first, self._body.shape, strict=True))
         x, y = (self._corner[a] + self.config.voxel * np.arange(w.start, w.stop) - xy[a] for a, w in enumerate(window))
-        return window, np.hypot(x[:, None], y[None, :])
+        return window, (x[:, None], y[None, :])
 
     def _notice(self, depth: np.ndarray, T_world_cam: np.ndarray) -> None:
         """Count measurements at the body's height nearby; a camera's errors grow with the square of the depth."""

@@ -48,6 +48,15 @@ class ParkingConfig:
     patience: int = 50
 
 
+def braking(command: np.ndarray, car: Car) -> np.ndarray:
+    """Return the command after ``command`` (speed m/s, steering rad) that slows down at the car's acceleration.
+
+    A sudden command to stand would say less of how far the car still rolls: its servos lag.
+    """
+    most = car.max_acceleration * car.dt
+    return np.array([command[0] - np.clip(command[0], -most, most), command[1]])
+
+
 class ParkingRule:
     """Follow one car to one target; see the module."""
 
@@ -69,7 +78,8 @@ class ParkingRule:
         deviations = 0.0 if self._inside > c.patience else c.deviations
         rest = self.miss(self._rest(at.planar, command), at, deviations)
         closer, self._nearest = rest < self._nearest, rest
-        stands = self._braked >= c.longest or (self._braked > 0 and moved <= c.still)
+        halted = self._braked > 0 and float(command[0]) == 0.0
+        stands = halted and (moved <= c.still or self._braked >= c.longest)
         if stands and self.miss(at.planar, at, deviations) <= 1.0:
             return Parking.STOP if deviations else Parking.TRUST
         brakes = rest <= c.inner or (rest <= 1.0 and not closer) or (rest <= 1.0 and self._braked > 0)

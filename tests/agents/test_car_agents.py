@@ -66,7 +66,7 @@ def run(name: str, learned: VoxelMap, goal: tuple[float, ...], physics: str = "m
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in CARS if name not in ("dwa", "vi_mpc_estimated_pose")])
+@pytest.mark.parametrize("name", [name for name in CARS if AGENTS[name].needs_pose and name != "dwa"])
 @pytest.mark.parametrize("goal", [(2.2, 0.7, 2.5), (4.6, 2.0, -1.5)])
 def test_it_parks_without_a_collision(name, goal, learned):
     row = run(name, learned, goal)
@@ -84,7 +84,7 @@ def test_the_dynamic_window_reaches_at_least_the_position(learned):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CARS)
+@pytest.mark.parametrize("name", [name for name in CARS if AGENTS[name].needs_map])
 def test_a_target_out_of_reach_is_refused_before_driving(name):
     row = run(name, voxel_map(FLOOR, SOLIDS + SEALED), (4.9, 0.9, 0.0))
     assert row["steps"] == 0 and row["path_length"] == 0.0 and not row["success"]

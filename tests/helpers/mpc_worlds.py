@@ -47,12 +47,15 @@ class Oracle:
         cells = [clearance.origin[a] + clearance.resolution * np.arange(clearance.clearance.shape[a]) for a in (0, 1)]
         self.distance = RegularGridInterpolator(cells, walled(clearance))
         self.discount, self.step_cost = value_units(value, problem.car)
+        counts = [] if value.counts is None else np.asarray(value.counts)
+        self.counts = [RegularGridInterpolator((*places, around[:-1]), k, "nearest", False, None) for k in counts]
 
     def __call__(self, state, last, controls):
         car, config = self.problem.car, self.problem.config
         centres, radius = self.problem.discs
         z, before, cost, states, clearances = np.array(state, float), np.array(last, float), 0.0, [], []
-        for t, u in enumerate(controls):
+        passed = 0.0  # steps, as they count
+        for u in controls:
             s = u[0] * car.dt
             turn = s * np.tan(u[1]) / car.wheelbase
             dx, dy = s * np.sinc(turn / np.pi), s * turn / 2 * np.sinc(turn / 2 / np.pi) ** 2
@@ -62,8 +65,10 @@ class Oracle:
             points = z[:2] + centres @ np.array([[c, n], [-n, c]])
             clear = self.distance(points) - radius
             value = float(self.value([*z[:2], z[2] % (2 * np.pi)])[0])
-            cost += self.discount**t * (
-                min(value, self.step_cost)
+            k = float(self.counts[int(u[0] < 0.0)]([*z[:2], z[2] % (2 * np.pi)])[0]) if self.counts else 1.0
+            n = 1.0 + (k - 1.0) * abs(u[0]) / car.max_speed
+            cost += self.discount**passed * (
+                min(value, self.step_cost * (1.0 - self.discount**n) / (1.0 - self.discount))
                 + self.step_cost
                 * (
                     config.effort * (u[0] / car.max_speed) ** 2
@@ -71,10 +76,10 @@ class Oracle:
                     + config.proximity * np.mean(np.maximum(0.0, 1.0 - clear / config.comfort) ** 2)
                 )
             )
-            before = u
+            before, passed = u, passed + n
             states.append(z)
             clearances.append(clear)
-        return cost + self.discount ** len(controls) * value, np.array(states), np.array(clearances)
+        return cost + self.discount**passed * value, np.array(states), np.array(clearances)
 
 
 def finite_difference(f, x: np.ndarray, h: float = 1e-6) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Test the controllers' objective against an oracle in float64: values, gradients, footprints, rates."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,6 +48,31 @@ def test_values_are_those_of_the_definition(seed: int) -> None:
     np.testing.assert_allclose(plans.states, states, atol=2e-6)
     np.testing.assert_allclose(plans.clearance, clearances, atol=5e-6)
     np.testing.assert_allclose(plans.cost, cost, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_steps_over_unknown_cells_count_as_motions_do(seed: int) -> None:
+    """A strip of poses counts 2 motions forwards and 7 backwards."""
+    value, clearance = bumpy()
+    over = np.broadcast_to((np.arange(value.values.shape[0]) % 2 == 0)[:, None, None], value.values.shape)
+    value = dataclasses.replace(value, counts=jnp.asarray([1.0 + 1.0 * over, 1.0 + 6.0 * over], jnp.float32))
+    controls = drawn(seed)
+    fields = make_fields(value, clearance, PROBLEM.car)
+    plans = objective.evaluate(PROBLEM, fields, *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)))
+    cost, _, _ = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
+    np.testing.assert_allclose(plans.cost, cost, rtol=1e-5)
+    free = dataclasses.replace(value, counts=jnp.ones_like(value.counts))
+    known = dataclasses.replace(value, counts=None)
+    same = [
+        objective.evaluate(
+            PROBLEM,
+            make_fields(v, clearance, PROBLEM.car),
+            *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)),
+        ).cost
+        for v in (free, known)
+    ]
+    np.testing.assert_allclose(*same, rtol=1e-6)
+    assert abs(float(plans.cost) - float(same[0])) > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
-from vssm_gym.planning.car.footprint import Arena
+from vssm_gym.planning.car.footprint import Arena, heading_grid, rectangle_collisions
 from vssm_gym.planning.value_iteration import (
     CostToGo,
     Motions,
@@ -56,8 +56,12 @@ def values(result) -> np.ndarray:
     return np.asarray(result.cost_to_go.values, np.float64)
 
 
-def exact(arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray) -> np.ndarray:
+def exact(
+    arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray, counts: np.ndarray | None = None
+) -> np.ndarray:
     """Solve the same aggregation, built state by state in float64, by policy iteration.
+
+    Motions forwards and backwards count as often as ``counts`` says, if it is given.
 
     Nothing of the solver is used but the numbers of its definition: arcs from a circle's geometry, collisions by
     polygons, transitions as a sparse matrix a motion.
@@ -109,16 +113,28 @@ def exact(arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray) -> n
     goal = at_goal.reshape(-1)
     absorbing = blocked | goal
     fixed = np.append(np.where(goal, 0.0, 1.0 / (1.0 - config.gamma)), 1.0 / (1.0 - config.gamma))
+    each = np.ones((2, len(states))) if counts is None else counts.reshape(2, -1)
+    gammas = [config.gamma ** each[a // len(config.turns)] for a in range(len(motions))]  # by state: gamma^k
+    costs = [(1.0 - g) / (1.0 - config.gamma) for g in gammas]
     policy = np.full(len(states), -1)  # -1: stand for ever
     while True:
-        cost = np.where(goal, 0.0, np.where(blocked | (policy < 0), 1.0 / (1.0 - config.gamma), 1.0))
-        drives = lambda a: scipy.sparse.diags(config.gamma * ((policy == a) & ~absorbing))
+        cost = np.where(
+            goal,
+            0.0,
+            np.where(blocked | (policy < 0), 1.0 / (1.0 - config.gamma), np.choose(policy, costs, mode="clip")),
+        )
+        drives = lambda a: scipy.sparse.diags(gammas[a] * ((policy == a) & ~absorbing))
         chosen = sum(drives(a) @ matrix for a, (_, matrix) in enumerate(motions))
         cost = cost + chosen[:, -1].toarray()[:, 0] * fixed[-1]
         system = scipy.sparse.eye(len(states)) - chosen[:, :-1]
         value = scipy.sparse.linalg.spsolve(system.tocsc(), cost)
         extended = np.append(value, fixed[-1])
-        q = np.stack([np.where(hit, np.inf, 1.0 + config.gamma * (m @ extended)) for hit, m in motions])
+        q = np.stack(
+            [
+                np.where(hit, np.inf, c + g * (m @ extended))
+                for (hit, m), c, g in zip(motions, costs, gammas, strict=True)
+            ]
+        )
         better = q.argmin(axis=0)
         improves = (q.min(axis=0) < value - 1e-9) & ~absorbing
         if not improves.any():
@@ -265,6 +281,25 @@ def test_warm_start_reaches_the_same_fixed_point(change):
     assert np.abs(values(warm) - values(cold)).max() < 0.02
     if change in ("nothing", "goal", "door shut"):  # what the door shut off starts where it ends
         assert warm.sweeps <= cold.sweeps
+
+
+def test_motions_that_count_several_times_cost_so_and_close_nothing():
+    """From each pose over some cells a motion counts k times, so that its discount is gamma^k."""
+    occupied, unknown = room((6, 7, 0, 7)), np.zeros(SHAPE, bool)
+    unknown[5:8, 7:11] = True  # the passage
+    over = rectangle_collisions(unknown, RESOLUTION, SMALL, heading_grid(16))
+    counts = np.stack([1.0 + 1.0 * over, 1.0 + 2.0 * over])
+    grids = [PoseGrid.of(arena_of(occupied), SMALL, COARSE, k) for k in (np.ones_like(counts), counts)]
+    plain = PoseGrid.of(arena_of(occupied), SMALL, COARSE)
+    goal = place(plain.arena, 3, 3)
+    known, as_known, dear = (values(solve(grid, goal, radius=0.06)) for grid in (plain, *grids))
+    np.testing.assert_allclose(as_known, known, atol=2e-3)
+    np.testing.assert_array_equal(dear == NEVER, known == NEVER)
+    assert (dear >= known - 2e-3).all()
+    behind = (np.arange(SHAPE[0]) > 8)[:, None, None] & (known < NEVER)
+    assert behind.any() and (dear[behind] > known[behind] + 1.0).all()
+    expected = exact(plain.arena, SMALL, COARSE, plain.goal_poses(goal, 0.06, 0.0), counts)
+    assert np.abs(dear - expected).max() < 0.02
 
 
 def test_compiles_once_for_all_goals_and_maps(small_grid):

@@ -151,13 +151,39 @@ def rectangle_collisions(
 
 def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) -> bool:
     """Test one pose ``(x, y, heading)`` (m, rad) as :func:`rectangle_collisions` does."""
+    return overlaps(arena.occupied, arena.origin, arena.resolution, planar, car, margin)
+
+
+def overlaps(
+    cells: np.ndarray, origin: np.ndarray, resolution: float, planar: np.ndarray, car: Car, margin: float = 0.0
+) -> bool:
+    """Return True where the rectangle of one pose overlaps a cell that is set, or leaves the grid.
+
+    Args:
+        cells: ``(nx, ny)`` bool, indexed along x, y.
+        origin: ``(2,)`` world position of the centre of cell ``[0, 0]``, m.
+        resolution: edge of a cell, m.
+        planar: ``(x, y, heading)``, m and rad.
+        car: its footprint about the rear axle.
+        margin: by which the rectangle grows, m.
+    """
+    under = footprint_cells(origin, resolution, planar, car, margin)
+    inside = np.all((under >= 0) & (under < cells.shape), axis=1)
+    return bool(not inside.all() or cells[tuple(under.T)].any())
+
+
+def footprint_cells(
+    origin: np.ndarray, resolution: float, planar: np.ndarray, car: Car, margin: float = 0.0
+) -> np.ndarray:
+    """Return the cells ``(n, 2)`` int that the rectangle of one pose overlaps; they may lie outside the grid.
+
+    Arguments as of :func:`overlaps`.
+    """
     planar = np.asarray(planar, dtype=np.float64)
-    cell = np.round((planar[:2] - arena.origin) / arena.resolution).astype(int)
-    relative = np.array([[*(planar[:2] - arena.origin - arena.resolution * cell), planar[2]]])
-    kernel = cells_under(relative, arena.resolution, car, margin)
-    under = cell + np.argwhere(kernel) - len(kernel) // 2
-    inside = np.all((under >= 0) & (under < arena.occupied.shape), axis=1)
-    return bool(not inside.all() or arena.occupied[tuple(under.T)].any())
+    cell = np.round((planar[:2] - origin) / resolution).astype(int)
+    relative = np.array([[*(planar[:2] - origin - resolution * cell), planar[2]]])
+    kernel = cells_under(relative, resolution, car, margin)
+    return cell + np.argwhere(kernel) - len(kernel) // 2
 
 
 def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) -> np.ndarray:

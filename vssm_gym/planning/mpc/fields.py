@@ -38,7 +38,7 @@ class Fields(eqx.Module):
     def shapes(self) -> tuple[Any, ...]:
         """Return what compiled code depends on."""
         value = self.value
-        return value.values.shape, value.gamma, value.motion_length, self.clearance.shape
+        return value.values.shape, value.gamma, value.motion_length, self.clearance.shape, value.counts is not None
 
     def distance(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
         """Return ``d``, m; negative inside obstacles and beyond the grid."""

@@ -4,6 +4,9 @@
     c(z, u) = min(s, J(z)) + e (v / v_max)^2 + w sum (Du / limit)^2 + k mean_i max(0, 1 - (d_i - r) / comfort)^2
     g_ti(u) = d(p_i(z_t)) - r - m  >=  0
 
+Where the cost-to-go counts a motion ``k`` times, a step counts so, too: its discount is ``gamma^n``
+and its ``s`` is ``(1 - gamma^n) / (1 - gamma_J)`` with ``n = 1 + (k - 1) |v| / v_max``.
+
 ``s`` is the cost of one step in the unit of ``J``: min(s, J) charges for time until the goal region, where ``J`` is
 zero, without naming the goal. A step is charged where it ends, since no control changes the pose at which it starts.
 """
@@ -56,14 +59,25 @@ def evaluate(
     first = jnp.broadcast_to(last / limits, (*controls.shape[:-2], 1, 2))
     change = jnp.diff(jnp.concatenate([first, scaled], axis=-2), axis=-2)
     closeness = jnp.maximum(0.0, 1.0 - clearance / config.comfort)
-    stage = jnp.minimum(value, fields.step_cost) + fields.step_cost * (
+    counted = 1.0 + (fields.value.counted(states, scaled[..., 0]) - 1.0) * jnp.abs(scaled[..., 0])
+    time = fields.step_cost if fields.value.counts is None else _time(fields, counted)
+    stage = jnp.minimum(value, time) + fields.step_cost * (
         config.effort * scaled[..., 0] ** 2
         + config.smoothness * jnp.sum(change**2, axis=-1)
         + config.proximity * jnp.mean(closeness**2, axis=-1)
     )
-    weights = fields.discount ** jnp.arange(controls.shape[-2])
-    total = jnp.sum(weights * stage, axis=-1) + fields.discount ** controls.shape[-2] * value[..., -1]
+    if fields.value.counts is None:
+        weights, last_weight = fields.discount ** jnp.arange(controls.shape[-2]), fields.discount ** controls.shape[-2]
+    else:
+        passed = jnp.cumsum(counted, axis=-1)
+        weights, last_weight = fields.discount ** (passed - counted), fields.discount ** passed[..., -1]
+    total = jnp.sum(weights * stage, axis=-1) + last_weight * value[..., -1]
     return Plans(states, total, clearance)
+
+
+def _time(fields: Fields, counted: Float[Array, "*batch time"]) -> Array:
+    """Return the cost of a step that counts as so many, ``(*batch, time)``."""
+    return fields.step_cost * (1.0 - fields.discount**counted) / (1.0 - fields.discount)
 
 
 def required_clearance(problem: MpcProblem, fields: Fields, state: Float[Array, "3"]) -> Array:

@@ -23,6 +23,8 @@ class CostToGo(eqx.Module):
     resolution: Float[Array, ""]  # m
     gamma: float = eqx.field(static=True)  # discount of one motion
     motion_length: float = eqx.field(static=True)  # m that one motion of cost 1 drives
+    # k: how many motions one forwards [0], backwards [1] from a pose counts; None: 1 everywhere.
+    counts: Float[Array, "2 nx ny headings"] | None = None
 
     @property
     def never(self) -> float:
@@ -47,6 +49,18 @@ class CostToGo(eqx.Module):
             share, total = share + counted, total + counted * value
         known = inside & (share > LEAST_WEIGHT)
         return xp.where(known, total / xp.where(known, share, 1.0), self.never).astype(np.float32)
+
+    def counted(self, planar: Float[Array, "*batch 3"], ahead: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Return ``k`` of motions at poses ``(..., 3)``, m and rad, ahead or back by the sign of ``ahead``."""
+        xp = _library(planar)
+        if self.counts is None:
+            return xp.ones_like(ahead)
+        _, nx, ny, n = self.counts.shape
+        origin, resolution = xp.asarray(self.origin), xp.asarray(self.resolution)
+        i = xp.clip(xp.round((planar[..., 0] - origin[0]) / resolution), 0, nx - 1).astype(np.int32)
+        j = xp.clip(xp.round((planar[..., 1] - origin[1]) / resolution), 0, ny - 1).astype(np.int32)
+        k = xp.round(planar[..., 2] * (n / (2.0 * np.pi))).astype(np.int32) % n
+        return xp.asarray(self.counts)[xp.where(ahead >= 0.0, 0, 1), i, j, k]
 
     def reachable(self, planar: Float[Array, "*batch 3"]) -> Array:
         """Return True where any of the eight poses of the grid around a pose has a path to the goal, ``(...)`` bool."""

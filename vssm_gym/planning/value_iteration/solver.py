@@ -2,7 +2,8 @@
 
 ``c`` runs over the four poses of the grid around the end of arc ``a``, and ``w_c`` are bilinear weights. A motion costs
 1, ``V = 0`` at the goal, ``V = 1 / (1 - gamma)`` in collision. Arcs on which the footprint overlaps an occupied cell
-anywhere are no motions.
+anywhere are no motions. A motion may count ``k`` times, where a map is not known: its cost is then ``1 + gamma + .. +
+gamma^(k - 1)`` and its discount ``gamma^k``.
 """
 
 import time
@@ -94,6 +95,8 @@ class PoseGrid:
         motions: The arcs.
         config: Discount, margin, tolerance.
         blocked: ``(nx, ny, n_headings)`` bool, poses in collision.
+        counts: ``(2, nx, ny, n_headings)`` float, how many motions one forwards [0], backwards [1] from a pose counts;
+            None: one everywhere.
         layout, problem: The sweeps' own arrays.
     """
 
@@ -101,20 +104,31 @@ class PoseGrid:
     motions: Motions
     config: ValueConfig
     blocked: np.ndarray
+    counts: np.ndarray | None
     layout: sweeps.Layout
     problem: sweeps.Problem
 
     @classmethod
-    def of(cls, arena: Arena, car: Car, config: ValueConfig | None = None) -> "PoseGrid":
-        """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions."""
+    def of(
+        cls, arena: Arena, car: Car, config: ValueConfig | None = None, counts: np.ndarray | None = None
+    ) -> "PoseGrid":
+        """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions.
+
+        ``counts`` are as the attribute, all of them from 1.
+        """
         config = config or ValueConfig()
         motions = Motions.of(car, config.n_headings, config.turns)
         layout = sweeps.layout_of(motions, arena.occupied.shape, arena.resolution)
         headings = heading_grid(config.n_headings)
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
-        problem = sweeps.problem_of(motions, layout, arena.resolution, arcs)
-        return cls(arena, motions, config, blocked, layout, problem)
+        shares = None
+        if counts is not None:
+            if counts.shape != (2, *blocked.shape) or not counts.min() >= 1.0:
+                raise InputError("value iteration", "counts", f"numbers from 1 of shape {(2, *blocked.shape)}")
+            shares = config.gamma ** (np.moveaxis(counts, (3, 0), (0, 1)) - 1.0)
+        problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, shares)
+        return cls(arena, motions, config, blocked, counts, layout, problem)
 
     @cached_property
     def _flood_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -211,6 +225,7 @@ def solve(
         resolution=jnp.float32(grid.arena.resolution),
         gamma=config.gamma,
         motion_length=grid.motions.length,
+        counts=None if grid.counts is None else jnp.asarray(grid.counts, jnp.float32),
     )
     small = float(residual) < config.tolerance
     status = ValueStatus.CONVERGED if small else ValueStatus.NOT_CONVERGED

@@ -1,4 +1,6 @@
-"""Sweep ``W = gamma max_a sum_c w_c W_c``: value iteration over (x, y, heading), in JAX (eq. P19).
+"""Sweep ``W = gamma max_a share_a sum_c w_c W_c``: value iteration over (x, y, heading), in JAX (eq. P19).
+
+``share_a`` is 1, or ``gamma^(k - 1)`` from poses where motion ``a`` counts ``k`` times.
 
 With step cost 1 and ``V = 1 / (1 - gamma) - W`` the Bellman equation ``V = min_a 1 + gamma E[V']`` has no constant:
 ``W`` is the discounted reward of arriving, ``1 / (1 - gamma)`` at the goal, and exactly 0 in collision and wherever no
@@ -29,6 +31,7 @@ class Problem(NamedTuple):
     windows: Int[Array, "headings motions"]  # where the successors' window starts in the flat planes
     weights: Float[Array, "headings motions 4"]  # of the corners (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1)
     allowed: Int[Array, "headings interior"]  # bit a: motion a from this cell is free
+    shares: Float[Array, "headings 2 interior"] | None  # of motions forwards, backwards; None: all are 1
 
 
 class Layout(NamedTuple):
@@ -76,8 +79,17 @@ def corners_of(motions: Motions, resolution: float) -> tuple[np.ndarray, np.ndar
     return low, np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=-1)
 
 
-def problem_of(motions: Motions, layout: Layout, resolution: float, blocked_motions: np.ndarray) -> Problem:
-    """Prepare the sweeps from ``(headings, motions, nx, ny)`` bool, the arcs that collide."""
+def problem_of(
+    motions: Motions,
+    layout: Layout,
+    resolution: float,
+    blocked_motions: np.ndarray,
+    shares: np.ndarray | None = None,
+) -> Problem:
+    """Prepare the sweeps from ``(headings, motions, nx, ny)`` bool, the arcs that collide.
+
+    ``shares`` ``(headings, 2, nx, ny)`` are those of the motions forwards and backwards; None: all are 1.
+    """
     n, n_motions = blocked_motions.shape[:2]
     low, weights = corners_of(motions, resolution)
     target = (np.arange(n)[:, None] + motions.heading_steps) % n
@@ -86,8 +98,13 @@ def problem_of(motions: Motions, layout: Layout, resolution: float, blocked_moti
     allowed = np.zeros((n, layout.nx, layout.ny), np.int32)
     for a in range(n_motions):
         allowed |= np.left_shift((~blocked_motions[:, a]).astype(np.int32), a)
+    if shares is not None:
+        shares = layout.flat(shares.reshape(2 * n, layout.nx, layout.ny)).reshape(n, 2, layout.interior)
     return Problem(
-        jnp.asarray(windows, jnp.int32), jnp.asarray(weights, jnp.float32), jnp.asarray(layout.flat(allowed))
+        jnp.asarray(windows, jnp.int32),
+        jnp.asarray(weights, jnp.float32),
+        jnp.asarray(layout.flat(allowed)),
+        None if shares is None else jnp.asarray(shares, jnp.float32),
     )
 
 
@@ -138,6 +155,8 @@ def _best(problem: Problem, planes: Array, layout: Layout) -> Array:
         for a in range(len(window)):
             w, (c00, c01, c10, c11) = of.weights[a], _corners(window[a], layout)
             mean = w[0] * c00 + w[1] * c01 + w[2] * c10 + w[3] * c11
+            if of.shares is not None:
+                mean = mean * of.shares[2 * a // len(window)]
             mean = jnp.where((of.allowed & (1 << a)) != 0, mean, 0.0)
             best = jnp.where(mean > best, mean, best)
         return best

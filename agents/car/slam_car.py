@@ -1,0 +1,195 @@
+"""Park a car without a map: estimate pose and map from RGB-D, plan on the map as it grows.
+
+PRISM with the car's bicycle estimates the pose and a block-sparse map that is empty at first. Value iteration on its
+growing floor plan is the critic, unknown space being passable at a price; the model-predictive control of ``vi_mpc`` is
+the actor. It stops where its belief says that it has arrived. What it does when it is lost, stuck or without a path is
+a table (:mod:`vssm_gym.agents.shared.car_recovery`). Described in ``docs/agents/car.md``.
+"""
+
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vssm_gym.agents.base import AgentContext, Decision, Observation
+from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
+from vssm_gym.agents.shared.car_recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
+from vssm_gym.agents.shared.driver import CarCommand
+from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic
+from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.agents.shared.mapping import MapAndPose
+from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
+from vssm_gym.agents.shared.parking import Parking, ParkingRule, braking
+from vssm_gym.agents.shared.trust import gave_up
+from vssm_gym.errors import InputError
+from vssm_gym.inference.status import Status
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.car.footprint import CAR_HEIGHTS, Arena
+from vssm_gym.planning.mpc.random_search import RandomSearch
+from vssm_gym.planning.occupancy_grid import FREE
+
+# Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side.
+CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.06)
+BY_STATUS = {  # of an estimate that is not believed
+    Status.FROZEN: Failure.FROZEN,
+    Status.REPEATED: Failure.REPEATED,
+    Status.NO_READING: Failure.BLIND,
+    Status.UNCONFIRMED: Failure.UNCONFIRMED,
+}
+
+
+@dataclass(frozen=True)
+class SlamCarConfig:
+    """Configure the map, the critic, and when the car counts as stuck.
+
+    Args:
+        map: cells and heights of the agent's own map.
+        critic: its grid, the price of unknown space, and when it is computed again.
+        stuck_steps: of these last steps
+        stuck_length: commands that add up to this many metres
+        stuck_share: and a motion below this share of it mean that something holds the car.
+        held_steps: in a row that the controller drives
+        held_length: without leaving a circle of this radius, m: its plan leads nowhere.
+    """
+
+    map: OwnMapConfig = CAR_MAP
+    critic: GrowingConfig = field(default_factory=GrowingConfig)
+    stuck_steps: int = 8
+    stuck_length: float = 0.08
+    stuck_share: float = 0.25
+    held_steps: int = 25
+    held_length: float = 0.1
+
+
+class SlamCarAgent:
+    """Localise and map by PRISM; drive by value iteration and model-predictive control; stop by belief."""
+
+    name = "slam_car"
+    robot = "car"
+    task = "pointgoal"
+    needs_pose = False
+    needs_map = False
+
+    def __init__(self, config: SlamCarConfig | None = None) -> None:
+        self._config = config or SlamCarConfig()
+        self._mpc = SafeMpc(RandomSearch(PROBLEM))
+
+    @property
+    def map(self) -> VoxelMap:
+        """Return the agent's own map, world frame up to its drift."""
+        return self._own.map
+
+    @property
+    def responses(self) -> Counter[tuple[Failure, Response]]:
+        """Return how often each response to each failure has begun in this episode."""
+        return self._recovery.counts
+
+    def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode with an empty map; ``seed`` changes nothing, because the solver seeds its own draws."""
+        if context.car is None:
+            raise InputError("AgentContext", "car", "a car: this agent plans a car's path")
+        self._car, self._stops = context.car, context.stops
+        self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
+        self._command, self._fresh = np.zeros(2), True
+        self._recovery, self._trail = Recovery(), Trail(self._car)
+        self._motions: deque[tuple[float, np.ndarray]] = deque(maxlen=self._config.stuck_steps)
+        self._held: list[np.ndarray] = []  # poses in a row at which the controller drove
+        self._begin(observation["goal"])
+        at = self._own.estimate.planar
+        self._critic.update(self._own.plan(), at)
+        if self._critic.value is not None:  # compiled here, so that no step's latency holds it
+            self._mpc.step(at, self._critic.value, self._critic.clearance())
+        self._mpc.begin(np.zeros(2))
+
+    def act(self, observation: Observation) -> Decision:
+        """Return the next command from the newest observation; see :class:`vssm_gym.agents.base.Agent`."""
+        began = time.perf_counter()
+        if not self._fresh:
+            self._own.take(self._command, observation)
+        self._fresh = False
+        at = self._own.estimate
+        tracked = time.perf_counter()
+        if not np.array_equal(observation["goal"], self._goal):
+            self._begin(observation["goal"])
+        if not at.lost:
+            self._critic.update(self._own.plan(), at.planar)
+        planned = time.perf_counter()
+        response = self._recovery.step(self._failure(at))
+        parking = Parking.DRIVE
+        if self._stops and not at.lost and response is not Response.GIVE_UP:
+            parking = self._parking.step(at, self._command)
+        step = self._respond(response, at) if parking is Parking.DRIVE else self._brake(parking.value)
+        self._command = self._car.clip(step.control)
+        if response is not Response.BACK_UP:
+            self._trail.drove(self._command)
+        stop = [float(parking in (Parking.STOP, Parking.TRUST))] if self._stops else []
+        ended = time.perf_counter()
+        return Decision(
+            np.array([*self._command, *stop], np.float32),
+            at.planar.copy(),
+            f"{step.status}; localization: {at.status}",
+            {"tracking": tracked - began, "planning": planned - tracked, "control": ended - planned},
+            step.plan,
+            response is Response.GIVE_UP,
+            at.covariance,
+        )
+
+    def _begin(self, goal: np.ndarray) -> None:
+        self._goal = np.array(goal)
+        target = self._goal.astype(np.float64)
+        self._critic = GrowingCritic(self._car, target, self._config.critic)
+        self._parking = ParkingRule(self._car, target)
+        self._mpc.begin(self._command)
+
+    def _failure(self, at: Localization) -> Failure | None:
+        """Return what is wrong now, and note where the car was held."""
+        if at.lost:
+            self._motions.clear()
+            return BY_STATUS.get(at.status, Failure.LOST)
+        c = self._config
+        self._motions.append((float(self._command[0]) * self._car.dt, at.planar[:2].copy()))
+        asked = sum(length for length, _ in list(self._motions)[1:])
+        moved = float(np.hypot(*(self._motions[-1][1] - self._motions[0][1])))
+        if len(self._motions) == c.stuck_steps and abs(asked) > c.stuck_length and moved < c.stuck_share * abs(asked):
+            self._motions.clear()
+            self._own.bump(at.planar, asked > 0.0)
+            return Failure.STUCK
+        far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
+        self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
+        if len(self._held) >= c.held_steps:
+            self._held = []
+            self._critic.forget()
+            return Failure.HELD
+        return Failure.NO_PATH if self._critic.value is None else None
+
+    def _respond(self, response: Response, at: Localization) -> CarCommand:
+        """Carry out a response; where nothing is wrong, the plan."""
+        why = self._recovery.failure.value if self._recovery.failure else ""
+        value = self._critic.value
+        if response is not Response.DRIVE or value is None:
+            self._mpc.begin(self._command)
+            self._held = []
+        if response is Response.GIVE_UP:
+            return CarCommand(np.zeros(2), gave_up(at.lost) if at.lost else f"gave up: {why}")
+        if response is Response.BACK_UP and (back := self._trail.back()) is not None:
+            return CarCommand(back, f"{response.value}: {why}")
+        if response is Response.CREEP:
+            return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
+        if response is not Response.DRIVE or value is None:
+            return self._brake(f"brakes: {why}")
+        self._held.append(at.planar)
+        step = self._mpc.step(at.planar, value, self._critic.clearance())
+        if step.control[0] < -CREEP_SPEED and self._critic.backs_blindly(at.planar, step.control):
+            step = replace(step, control=np.array([-CREEP_SPEED, step.control[1]]))
+        return step
+
+    def _brake(self, status: str) -> CarCommand:
+        control = braking(self._command, self._car)
+        self._mpc.begin(control)
+        return CarCommand(control, status)
+
+    def _known_free(self) -> Arena:
+        """Return the floor plan in which unknown space is occupied, for motions without a plan."""
+        plan = self._own.plan()
+        return Arena.from_occupied(plan.cells != FREE, plan.origin, plan.resolution)

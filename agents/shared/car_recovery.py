@@ -1,0 +1,130 @@
+"""Respond to the failures of a car that maps as it drives, by a table: failure -> responses, one after the other.
+
+A car cannot look around where it stands. What it knows to be free is the path that it came: it backs up along it, to
+places from which it has seen more, and creeps where it has no path.
+"""
+
+from collections import Counter
+from enum import Enum
+
+import numpy as np
+
+from vssm_gym.geometry.arc import poses_after, turn_of
+from vssm_gym.geometry.car import Car
+from vssm_gym.planning.car.footprint import Arena, collides
+
+BACK_SPEED = 0.25  # m/s, along the path that it came
+CREEP_SPEED = 0.15  # m/s
+CREEP_LENGTH = 0.15  # m that have to be free where it creeps
+REMEMBERED = 120  # pieces of its path that it can drive back along: 3 m
+
+
+class Failure(Enum):
+    """Enumerate what stops a car."""
+
+    LOST = "its image does not fit its map"
+    BLIND = "its image holds hardly any depth"
+    FROZEN = "its camera is frozen"
+    REPEATED = "its image repeats itself"
+    UNCONFIRMED = "its image fits again, for less than three steps"
+    STUCK = "it does not move"
+    HELD = "its plan leads nowhere"
+    NO_PATH = "no path leads to the target"
+
+
+class Response(Enum):
+    """Enumerate what it does about it."""
+
+    DRIVE = "drives"
+    BRAKE = "brakes"
+    BACK_UP = "backs up along its path"
+    CREEP = "creeps"
+    GIVE_UP = "gives up"
+
+
+LASTING = (Failure.LOST, Failure.BLIND, Failure.FROZEN, Failure.REPEATED, Failure.UNCONFIRMED, Failure.NO_PATH)
+# Responses and how many steps each lasts. Those of a lasting failure end with it; the others are carried out.
+RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
+    Failure.LOST: (
+        (Response.BRAKE, 4),
+        (Response.BACK_UP, 16),
+        (Response.BRAKE, 4),
+        (Response.CREEP, 10),
+        (Response.BRAKE, 4),
+        (Response.BACK_UP, 26),
+        (Response.GIVE_UP, 1),
+    ),
+    Failure.BLIND: ((Response.BRAKE, 2), (Response.BACK_UP, 40), (Response.BRAKE, 10), (Response.GIVE_UP, 1)),
+    Failure.FROZEN: ((Response.BRAKE, 64), (Response.GIVE_UP, 1)),
+    Failure.REPEATED: ((Response.CREEP, 20), (Response.BACK_UP, 40), (Response.GIVE_UP, 1)),
+    Failure.UNCONFIRMED: ((Response.BRAKE, 64), (Response.GIVE_UP, 1)),
+    Failure.STUCK: ((Response.BRAKE, 1), (Response.BACK_UP, 12)),
+    Failure.HELD: ((Response.BACK_UP, 8), (Response.BRAKE, 1)),
+    Failure.NO_PATH: (
+        (Response.BRAKE, 12),
+        (Response.BACK_UP, 16),
+        (Response.BRAKE, 12),
+        (Response.CREEP, 10),
+        (Response.BRAKE, 20),
+        (Response.GIVE_UP, 1),
+    ),
+}
+
+
+class Recovery:
+    """Walk through the table. ``counts`` says how often each response to each failure has begun."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[tuple[Failure, Response]] = Counter()
+        self.failure: Failure | None = None
+        self._steps = 0
+
+    def step(self, failure: Failure | None) -> Response:
+        """Return the response of this step to what is wrong now; None: nothing is."""
+        lasting = self.failure in LASTING
+        if failure is not self.failure and (self.failure is None or lasting or failure in LASTING):
+            self.failure, self._steps = failure, 0
+        if self.failure is None:
+            return Response.DRIVE
+        ends = np.cumsum([steps for _, steps in RESPONSES[self.failure]])
+        stage = int(np.searchsorted(ends, self._steps, side="right"))
+        if stage == len(ends):
+            self.failure = None
+            return Response.DRIVE
+        response = RESPONSES[self.failure][stage][0]
+        if self._steps == (ends[stage - 1] if stage else 0):
+            self.counts[self.failure, response] += 1
+        self._steps += 1
+        return response
+
+
+class Trail:
+    """Remember the arcs that a car has driven, to drive back along them."""
+
+    def __init__(self, car: Car) -> None:
+        self._car = car
+        self._arcs: list[tuple[float, float]] = []  # m, signed, and the steering
+
+    def drove(self, command: np.ndarray) -> None:
+        """Add a command ``(speed, steering)`` that was executed; pieces are no longer than one step back."""
+        length, piece = float(command[0]) * self._car.dt, BACK_SPEED * self._car.dt
+        count = int(np.ceil(abs(length) / piece - 1e-6))
+        self._arcs = [*self._arcs, *[(length / max(count, 1), float(command[1]))] * count][-REMEMBERED:]
+
+    def back(self) -> np.ndarray | None:
+        """Return the command that undoes the newest piece, and forget it; None where there is none."""
+        if not self._arcs:
+            return None
+        length, steering = self._arcs.pop()
+        return np.array([-length / self._car.dt, steering])
+
+
+def creeping(arena: Arena, planar: np.ndarray, car: Car) -> np.ndarray:
+    """Return a slow command along the first short arc that is free, ahead before back; a stand where none is."""
+    for sign in (1.0, -1.0):
+        for steering in car.max_steering * np.array([0.0, 0.5, -0.5, 1.0, -1.0]):
+            lengths = sign * CREEP_LENGTH * np.array([0.35, 0.7, 1.0])
+            poses = poses_after(planar[2], lengths, turn_of(lengths, steering, car.wheelbase), *planar[:2])
+            if not any(collides(arena, pose, car) for pose in poses):
+                return np.array([sign * CREEP_SPEED, steering])
+    return np.zeros(2)

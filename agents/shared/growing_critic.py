@@ -1,0 +1,201 @@
+"""Keep the cost-to-go of one target on a floor plan that grows: computed again where the plan has changed, warm.
+
+The grid of poses is fixed in the world, so that the sweeps start from the last values and nothing is compiled again. It
+covers the start, the target and some room around both; where no path leads through it, it is enlarged by half. Unknown
+cells are passable, at the price of several motions for one.
+
+It is computed again where the change matters: cells near the route became occupied, many cells changed, the car has
+left the poses with a path, or there is no cost-to-go yet.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import binary_opening
+
+from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
+from vssm_gym.geometry.arc import poses_after, turn_of
+from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
+from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
+from vssm_gym.planning.clearance import ClearanceMap
+from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
+from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
+
+ROUTE_MOTIONS = 120  # of the route at most: 16 m
+BACK = 0.2  # m of an arc backwards that have to be seen
+
+
+@dataclass(frozen=True)
+class GrowingConfig:
+    """Configure the grid, and when the cost-to-go is computed again.
+
+    Args:
+        sides: cells of the grid along x and y, tried in turn.
+        room: m around start and target that the first grid holds.
+        unknown: motions that one forwards, and one backwards, over unseen cells counts.
+        beside: distance from the car within which a motion forwards counts as one backwards, m: what is beside the car
+            its camera will not see in time.
+        near: m around the footprint on its route, within which a new obstacle matters.
+        changed: cells that change anywhere before the values are computed again.
+        pause: steps from one computation to the next, unless an obstacle lies on the route.
+    """
+
+    sides: tuple[int, ...] = (160, 240, 360)
+    room: float = 0.8
+    unknown: tuple[float, float] = (1.5, 10.0)
+    beside: float = 0.7
+    near: float = 0.05
+    changed: int = 200
+    pause: int = 10
+
+
+class GrowingCritic:
+    """Follow one target of one car on a growing floor plan; ``value`` is the newest cost-to-go, None without a path."""
+
+    def __init__(self, car: Car, goal: np.ndarray, config: GrowingConfig | None = None) -> None:
+        self._car, self._goal, self._config = car, np.asarray(goal, np.float64), config or GrowingConfig()
+        self._side, self._corner = 0, np.zeros(2)
+        self._used: np.ndarray | None = None  # cells for which the value was computed
+        self._near = np.zeros((0, 0), bool)
+        self._waited = 0  # steps since then
+        self.value: CostToGo | None = None
+        self.status = ValueStatus.UNREACHABLE
+        self.computed = 0  # how often
+        self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
+        self._unseen: np.ndarray  # the unknown cells among them, without what is thinner than three: fringes
+        self._resolution = 0.0
+
+    def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
+        """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
+        if self._used is None:
+            self._place(plan, planar, 0)
+        self._cut(plan)
+        self._waited += 1
+        if not self._matters(self._plan[0], planar):
+            return
+        self._compute(planar)
+        while self.value is None and self._side + 1 < len(self._config.sides):
+            self._place(plan, planar, self._side + 1)
+            self._cut(plan)
+            self._compute(planar)
+
+    def clearance(self) -> ClearanceMap:
+        """Return the distance to what is occupied; unknown cells are free."""
+        cells, occupancy = self._plan
+        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
+        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+
+    def backs_blindly(self, planar: np.ndarray, control: np.ndarray) -> bool:
+        """Return True where a command ``(speed, steering)`` leads backwards into unseen space within :data:`BACK`."""
+        if control[0] >= 0.0:
+            return False
+        lengths = -BACK * np.array([0.5, 1.0])
+        turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
+        return any(self.unseen(pose) for pose in poses_after(planar[2], lengths, turns, *planar[:2]))
+
+    def unseen(self, planar: np.ndarray) -> bool:
+        """Return True where the footprint at a pose overlaps unseen space."""
+        return overlaps(self._unseen, self._corner, self._resolution, planar, self._car)
+
+    def forget(self) -> None:
+        """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
+        self.value, self._waited = None, self._config.pause
+
+    def _place(self, plan: FloorPlan, planar: np.ndarray, side: int) -> None:
+        """Choose the first grid from ``side`` on that holds car and target with room, on the cells of the plan."""
+        ends = np.stack([planar[:2], self._goal[:2]])
+        span = float(np.ptp(ends, axis=0).max()) + 2.0 * self._config.room
+        sides = self._config.sides
+        while side + 1 < len(sides) and sides[side] * plan.resolution < span:
+            side += 1
+        wanted = ends.mean(axis=0) - 0.5 * (sides[side] - 1) * plan.resolution
+        self._side, self._resolution = side, plan.resolution
+        self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
+        self.value = None
+
+    def _cut(self, plan: FloorPlan) -> None:
+        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
+        n = self._config.sides[self._side]
+        cells, occupancy = np.full((n, n), UNKNOWN, np.int8), np.full((n, n), -np.inf, np.float32)
+        first = np.round((plan.origin - self._corner) / plan.resolution).astype(int)
+        ours = tuple(slice(max(0, f), min(n, f + m)) for f, m in zip(first, plan.cells.shape, strict=True))
+        theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
+        if all(s.stop > s.start for s in ours):
+            cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
+        self._plan, self._unseen = (cells, occupancy), binary_opening(cells == UNKNOWN, np.ones((3, 3), bool))
+
+    def _matters(self, cells: np.ndarray, planar: Any) -> bool:
+        """Return True where the cost-to-go has to be computed again."""
+        if self._used is None or self._used.shape != cells.shape:
+            return True
+        appeared = (cells == OCCUPIED) & (self._used != OCCUPIED)
+        if (appeared & self._near).any():
+            return True
+        if self._waited < self._config.pause:
+            return False
+        changed = np.count_nonzero(cells != self._used)
+        return bool(changed >= self._config.changed or self.value is None or not self.value.reachable(planar))
+
+    def _compute(self, planar: np.ndarray) -> None:
+        """Compute the cost-to-go with the widest margin that has a path."""
+        cells, _ = self._plan
+        nothing = np.zeros(cells.shape, bool)
+        arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
+        result = self._best(arena, self._counts(planar), planar)
+        self.value, self.status = result.cost_to_go, result.status
+        self._used, self._waited = cells, 0
+        self.computed += 1
+        self._near = nothing if self.value is None else self._around(descend(self.value, planar, self._car), nothing)
+
+    def _counts(self, planar: np.ndarray) -> np.ndarray:
+        """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
+        c, resolution, headings = self._config, self._resolution, heading_grid(ValueConfig().n_headings)
+        x, y = (self._corner[a] + resolution * np.arange(n) - planar[a] for a, n in enumerate(self._unseen.shape))
+        beside = self._unseen & (np.hypot(x[:, None], y[None, :]) <= c.beside)
+        over, close = (rectangle_collisions(cells, resolution, self._car, headings) for cells in (self._unseen, beside))
+        ahead = np.where(close, c.unknown[1], np.where(over, c.unknown[0], 1.0))
+        return np.stack([ahead, np.where(over, c.unknown[1], 1.0)]).astype(np.float32)
+
+    def _best(self, arena: Arena, counts: np.ndarray, planar: np.ndarray) -> ValueResult:
+        for margin, fraction in ATTEMPTS:
+            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin), counts)
+            region = fraction * GOAL_RADIUS, fraction * GOAL_HEADING_TOLERANCE
+            result = solve(grid, self._goal, *region, start=planar, warm=self.value)
+            if result.status is ValueStatus.START_BLOCKED:  # by the map, whose surfaces have errors
+                result = solve(grid, self._goal, *region, warm=self.value)
+                if result.cost_to_go is not None and not path_nearby(result.cost_to_go, planar):
+                    result = ValueResult(
+                        ValueStatus.UNREACHABLE, None, np.inf, result.sweeps, result.seconds, result.free, 0
+                    )
+            if result.cost_to_go is not None:
+                return result
+        return result
+
+    def _around(self, route: np.ndarray, nothing: np.ndarray) -> np.ndarray:
+        """Return the cells within ``near`` of the footprint along a route."""
+        near = nothing.copy()
+        for pose in route:
+            under = footprint_cells(self._corner, self._resolution, pose, self._car, self._config.near)
+            under = under[np.all((under >= 0) & (under < near.shape), axis=1)]
+            near[tuple(under.T)] = True
+        return near
+
+
+def descend(value: CostToGo, planar: Any, car: Car) -> np.ndarray:
+    """Return the poses ``(n, 3)`` along the best motions of a cost-to-go, up to the target or a minimum."""
+    steering = np.linspace(-car.max_steering, car.max_steering, 5)
+    length: Any = value.motion_length * np.repeat([1.0, -1.0], len(steering))
+    turn = turn_of(length, np.tile(steering, 2), car.wheelbase)
+    route, cost = [np.asarray(planar, np.float64)], float(value.at(planar))
+    for _ in range(ROUTE_MOTIONS):
+        here: Any = np.broadcast_to(route[-1], (len(length), 3))
+        ends: Any = poses_after(here[:, 2], length, turn, here[:, 0], here[:, 1])
+        costs, share = np.asarray(value.at(ends)), value.gamma ** np.asarray(value.counted(here, length))
+        best = int(((1.0 - share) * value.never + share * costs).argmin())
+        if cost <= 0.0 or costs[best] >= cost:
+            break
+        route.append(ends[best])
+        cost = float(costs[best])
+    return np.array(route)

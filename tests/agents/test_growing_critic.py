@@ -1,0 +1,127 @@
+"""Test the cost-to-go on a growing floor plan: warm equals cold, computed where it matters, compiled once."""
+
+import numpy as np
+import pytest
+
+from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic, descend
+from vssm_gym.geometry.car import GOAL_RADIUS, Car
+from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+from vssm_gym.planning.value_iteration import ValueStatus, sweeps
+
+CAR, CELL = Car(), 0.05
+START, GOAL = np.array([0.6, 0.6, 0.0]), np.array([1.8, 1.6, 0.4])
+CONFIG = GrowingConfig(sides=(56, 84), room=0.4, changed=30)
+AWAY = np.array([-1.0, -1.0])  # m, of the plan's first cell
+
+
+def plan(known: float, *boxes: tuple[float, float, float, float]) -> FloorPlan:
+    """Return a plan of 5 x 5 m that is known up to ``x = known``, with boxes ``(x0, x1, y0, y1)``, m."""
+    x, y = np.meshgrid(*(AWAY[a] + CELL * np.arange(100) for a in (0, 1)), indexing="ij")
+    cells = np.where(x < known, FREE, UNKNOWN).astype(np.int8)
+    for x0, x1, y0, y1 in boxes:
+        cells[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1) & (x < known)] = OCCUPIED
+    occupancy = np.where(cells == OCCUPIED, CELL, np.where(cells == FREE, -CELL, -np.inf)).astype(np.float32)
+    return FloorPlan(cells, occupancy, AWAY, CELL)
+
+
+def critic_after(*plans: FloorPlan) -> GrowingCritic:
+    critic = GrowingCritic(CAR, GOAL, CONFIG)
+    for k, one in enumerate(plans):
+        for _ in range(CONFIG.pause + 1 if k else 1):
+            critic.update(one, START)
+    return critic
+
+
+BOX = (1.0, 1.3, 0.2, 1.1)
+GROWTHS = [
+    (plan(1.0), plan(1.6, BOX), plan(3.0, BOX)),  # what was unknown holds a box
+    (plan(3.0, BOX), plan(3.0)),  # a box that was none
+    (plan(0.9), plan(3.0)),
+]
+
+
+@pytest.mark.parametrize("plans", GROWTHS)
+def test_warm_started_values_equal_cold_ones(plans):
+    warm, cold = critic_after(*plans), critic_after(plans[-1])
+    assert warm.computed == len(plans) and cold.computed == 1
+    never = cold.value.never
+    ours, theirs = np.asarray(warm.value.values), np.asarray(cold.value.values)
+    np.testing.assert_array_equal(ours == never, theirs == never)
+    np.testing.assert_allclose(ours, theirs, atol=0.02)
+
+
+def test_growth_compiles_nothing():
+    critic_after(*GROWTHS[0])
+    compiled = sweeps.iterate._cache_size()
+    critic_after(*GROWTHS[0])
+    critic_after(*GROWTHS[1])
+    assert sweeps.iterate._cache_size() == compiled
+
+
+def test_it_is_computed_again_where_that_matters_only():
+    """An obstacle on the route matters at once; a few cells elsewhere never, many after the pause."""
+    critic = critic_after(plan(3.0))
+    route = descend(critic.value, START, CAR)
+    assert np.hypot(*(route[-1, :2] - GOAL[:2])) < GOAL_RADIUS
+    for _ in range(3 * CONFIG.pause):
+        critic.update(plan(3.0, (-0.8, -0.7, 2.5, 2.6)), START)
+    assert critic.computed == 1
+    x, y = route[len(route) // 2, :2]
+    critic.update(plan(3.0, (x - 0.06, x + 0.06, y - 0.06, y + 0.06)), START)
+    assert critic.computed == 2
+    for k in range(CONFIG.pause):
+        assert critic.computed == 2, k
+        critic.update(plan(3.0, (-0.1, 0.4, 1.9, 2.4)), START)
+    assert critic.computed == 3
+
+
+def test_without_a_path_the_grid_grows_and_then_there_is_none():
+    wall = (1.1, 1.2, -1.0, 2.6)  # beyond the first grid it ends
+    critic = critic_after(plan(4.0, wall))
+    assert critic.computed == 2 and critic.value is not None
+    assert critic.value.values.shape[:2] == (84, 84)
+    closed = critic_after(plan(4.0, (1.1, 1.2, -1.0, 4.0)))
+    assert closed.value is None and closed.status is ValueStatus.UNREACHABLE
+
+
+def test_to_forget_computes_it_again():
+    critic = critic_after(plan(3.0))
+    critic.forget()
+    critic.update(plan(3.0), START)
+    assert critic.computed == 2 and critic.value is not None
+
+
+def seen(*boxes: tuple[float, float, float, float]) -> FloorPlan:
+    """Return a plan in which only the boxes ``(x0, x1, y0, y1)``, m, were seen, and are free."""
+    made = plan(-9.0)
+    x, y = np.meshgrid(*(AWAY[a] + CELL * np.arange(100) for a in (0, 1)), indexing="ij")
+    for x0, x1, y0, y1 in boxes:
+        made.cells[(x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)] = FREE
+    made.occupancy[made.cells == FREE] = -CELL
+    return made
+
+
+def test_it_knows_where_it_would_back_blindly():
+    """It has seen what is before it; of what is behind, only a strip."""
+    facing = np.array([1.2, 0.6, 0.0])
+    critic = GrowingCritic(CAR, np.array([0.1, 0.6, np.pi]), CONFIG)
+    critic.update(seen((1.0, 2.0, 0.2, 1.0)), facing)
+    assert critic.backs_blindly(facing, np.array([-0.3, 0.0]))
+    assert not critic.backs_blindly(facing, np.array([0.3, 0.0]))
+    critic.update(seen((0.8, 2.0, 0.2, 1.0)), facing)
+    assert not critic.backs_blindly(facing, np.array([-0.3, 0.0]))
+    ahead, back = critic.value.counted(np.array([[-0.1, 0.6, 0.0]] * 2), np.array([1.0, -1.0]))
+    assert (ahead, back) == CONFIG.unknown
+    assert critic.value.counted(np.array([[1.2, 1.0, 1.6]]), np.array([1.0])) == CONFIG.unknown[1]  # beside the car
+
+
+def test_the_way_around_unknown_space_is_taken_where_it_is_short():
+    """Unknown cells cost their motions: a route through known space is preferred, and an unknown one is none worse."""
+    dark = plan(3.0)
+    dark.cells[38:42, 20:52] = UNKNOWN  # x 0.9 to 1.1, y 0 to 1.6: over the straight line
+    around = descend(critic_after(dark).value, START, CAR)
+    straight = descend(critic_after(plan(3.0)).value, START, CAR)
+    length = lambda route: np.hypot(*np.diff(route[:, :2], axis=0).T).sum()
+    assert length(straight) <= length(around) < 2.0 * length(straight)
+    assert critic_after(dark).value.at(START) >= critic_after(plan(3.0)).value.at(START) - 0.02

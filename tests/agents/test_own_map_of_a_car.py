@@ -1,0 +1,70 @@
+"""Test that an agent's own map knows where a car's rectangle has been, and what has held it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import shapely
+
+from tests.agents.test_car_agents import context
+from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
+from vssm_gym.geometry.car import Car
+from vssm_gym.inference.status import Status
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+
+CAR = Car()
+CONFIG = OwnMapConfig(voxel=0.04, extent=4.0, slots=200, ring=0.06, close_range=0.0)
+DARK = {"depth": np.zeros((8, 8), np.float32), "rgb": np.zeros((8, 8, 3), np.uint8)}
+
+
+class Standing:
+    """Map nothing, at one pose."""
+
+    def __init__(self, planar):
+        self.at = Localization(np.asarray(planar, float), np.zeros(3), Status.OK)
+
+    def reset(self, prior: VoxelMap, context, observation):
+        self.map = prior
+        return self.at
+
+
+def plan_of(planar, car=CAR, bumped=None):
+    own = OwnMap(dataclasses.replace(context(), car=car), Standing(planar), CONFIG, DARK)
+    if bumped is not None:
+        own.bump(np.asarray(planar, float), bumped)
+    return own.plan()
+
+
+def known(plan, outline) -> np.ndarray:
+    """Return which cell centres lie in an outline."""
+    i, j = np.meshgrid(*(np.arange(n) for n in plan.cells.shape), indexing="ij")
+    return shapely.contains_xy(outline, *np.moveaxis(plan.centres(np.stack([i, j], -1)), -1, 0))
+
+
+@pytest.mark.parametrize("planar", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.7), (-0.4, 0.1, -2.5)])
+def test_its_rectangle_and_the_ring_around_it_are_free(planar):
+    plan = plan_of(planar)
+    body = shapely.Polygon(CAR.corners(np.array(planar)))
+    assert (plan.cells[known(plan, body)] == FREE).all()
+    assert (plan.cells[known(plan, body.buffer(CONFIG.ring - 1e-6))] == FREE).all()
+    assert (plan.cells[~known(plan, body.buffer(CONFIG.ring + 1e-6))] == UNKNOWN).all()
+
+
+def test_another_robot_is_a_disc():
+    plan = plan_of((0.2, 0.1, 1.0), car=None)
+    disc = shapely.Point(0.2, 0.1).buffer(0.5 * context().body_length + CONFIG.ring, quad_segs=256)
+    assert (plan.cells[known(plan, disc.buffer(-1e-3))] == FREE).all()
+    assert (plan.cells[~known(plan, disc.buffer(1e-3))] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize("ahead", [True, False])
+def test_what_has_held_it_is_an_obstacle_at_that_end(ahead):
+    planar = np.array([0.3, -0.2, 0.7])
+    plan = plan_of(planar, bumped=ahead)
+    end = CAR.center_forward + (0.5 if ahead else -0.5) * CAR.length
+    there = np.argwhere(plan.cells == OCCUPIED)
+    along = (plan.centres(there) - planar[:2]) @ [np.cos(0.7), np.sin(0.7)]
+    assert len(there) >= 3 and np.abs(along - end).max() < 2.0 * CONFIG.voxel
+    assert not known(plan, shapely.Polygon(CAR.corners(planar)))[tuple(there.T)].any()
