@@ -6,7 +6,7 @@ only. Described in ``docs/agents/car.md``.
 
 import numpy as np
 
-from vssm_gym.agents.shared.driver import SURFACE_ERROR, CarCommand, Driver
+from vssm_gym.agents.shared.car.driver import SURFACE_ERROR, CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.dwa import DwaConfig, DwaState, DwaStatus, DynamicWindow

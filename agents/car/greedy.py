@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import SURFACE_ERROR, CarCommand, Driver
+from vssm_gym.agents.shared.car.critic import Critic
+from vssm_gym.agents.shared.car.driver import SURFACE_ERROR, CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car

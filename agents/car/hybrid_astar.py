@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vssm_gym.agents.shared.driver import CarCommand, Driver
+from vssm_gym.agents.shared.car.driver import CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena

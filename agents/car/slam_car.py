@@ -3,7 +3,7 @@
 PRISM with the car's bicycle estimates the pose and a block-sparse map that is empty at first. Value iteration on its
 growing floor plan is the critic, unknown space being passable at a price; the model-predictive control of ``vi_mpc`` is
 the actor. It stops where its belief says that it has arrived. What it does when it is lost, stuck or without a path is
-a table (:mod:`vssm_gym.agents.shared.car_recovery`). Described in ``docs/agents/car.md``.
+a table (:mod:`vssm_gym.agents.shared.car.recovery`). Described in ``docs/agents/car.md``.
 """
 
 import time
@@ -14,13 +14,13 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
-from vssm_gym.agents.shared.car_recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
-from vssm_gym.agents.shared.driver import CarCommand
-from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic
+from vssm_gym.agents.shared.car.driver import CarCommand
+from vssm_gym.agents.shared.car.growing_critic import GrowingConfig, GrowingCritic
+from vssm_gym.agents.shared.car.parking import Parking, ParkingRule, braking
+from vssm_gym.agents.shared.car.recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
-from vssm_gym.agents.shared.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.trust import gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.inference.status import Status

@@ -4,7 +4,7 @@ Described in ``docs/agents/car.md``.
 """
 
 from vssm_gym.agents.car.vi_mpc import PROBLEM, ValueMpc
-from vssm_gym.agents.shared.driver import Driver
+from vssm_gym.agents.shared.car.driver import Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.planning.mpc.ipopt import Ipopt
 

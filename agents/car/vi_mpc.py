@@ -7,8 +7,8 @@ true pose is read, so the problem is a Markov decision process. Described in ``d
 
 import numpy as np
 
-from vssm_gym.agents.shared.critic import Critic
-from vssm_gym.agents.shared.driver import CarCommand, Driver
+from vssm_gym.agents.shared.car.critic import Critic
+from vssm_gym.agents.shared.car.driver import CarCommand, Driver
 from vssm_gym.agents.shared.localization import TruePose
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena

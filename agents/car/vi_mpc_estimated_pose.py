@@ -5,7 +5,7 @@ of the tracker is the car's arc. Described in ``docs/agents/car.md``.
 """
 
 from vssm_gym.agents.car.vi_mpc import PROBLEM, ValueMpc
-from vssm_gym.agents.shared.driver import Driver
+from vssm_gym.agents.shared.car.driver import Driver
 from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.planning.mpc.random_search import RandomSearch
 

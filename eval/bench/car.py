@@ -18,7 +18,7 @@ import shapely
 
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.agents.car.vi_mpc import PROBLEM
-from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.car.critic import Critic
 from vssm_gym.envs.physics import obstacles
 from vssm_gym.envs.scenes.apartment import Apartment
 from vssm_gym.envs.scenes.scene import load_scene

@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.car.critic import Critic
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report.car_figures import CAR, draw_target
 from vssm_gym.geometry.transforms import wrap_angle

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.agents.shared.car_recovery import (
+from vssm_gym.agents.shared.car.recovery import (
     BACK_SPEED,
     LASTING,
     RESPONSES,

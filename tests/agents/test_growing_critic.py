@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vssm_gym.agents.shared.growing_critic import GrowingConfig, GrowingCritic, descend
+from vssm_gym.agents.shared.car.growing_critic import GrowingConfig, GrowingCritic, descend
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN

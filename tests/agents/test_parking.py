@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vssm_gym.agents.shared.car.parking import Parking, ParkingConfig, ParkingRule
 from vssm_gym.agents.shared.localization import Localization
-from vssm_gym.agents.shared.parking import Parking, ParkingConfig, ParkingRule
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.inference.status import Status
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.agents.test_car_agents import ROOMS, context, task
 from vssm_gym.agents.car.slam_car import SlamCarAgent
-from vssm_gym.agents.shared.car_recovery import Failure, Response
+from vssm_gym.agents.shared.car.recovery import Failure, Response
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.carnav import run_episode

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.eval.report.test_report import Page, box_map
-from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.car.critic import Critic
 from vssm_gym.eval.metrics.registry import measured
 from vssm_gym.eval.report import car_figures, car_tables, figures, value_figures
 from vssm_gym.eval.report.page import write_report

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from vssm_gym.agents.shared.critic import Critic
+from vssm_gym.agents.shared.car.critic import Critic
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena
 from vssm_gym.planning.value_iteration import ValueStatus

@@ -4,7 +4,7 @@ The car's agents share this driver and differ in their localizer and their :clas
 its floor plan is made once per map. A target that no path leads to is refused before the car moves. Without an estimate
 that may be believed, the car drives on by its commands for a while, then brakes, and gives up in the end
 (:class:`~vssm_gym.agents.shared.trust.LostConfig`). Where the episode ends on the agent's stop, the car parks and stops
-by its belief (:class:`~vssm_gym.agents.shared.parking.ParkingRule`).
+by its belief (:class:`~vssm_gym.agents.shared.car.parking.ParkingRule`).
 """
 
 import time
@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
+from vssm_gym.agents.shared.car.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.localization import Localizer
-from vssm_gym.agents.shared.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.trust import Conduct, LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_opening
 
-from vssm_gym.agents.shared.critic import ATTEMPTS, path_nearby
+from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
