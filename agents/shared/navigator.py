@@ -103,7 +103,8 @@ class Navigator:
         self._open(self.surroundings.reset(context, observation), observation)
 
     def _open(self, estimate: Localization, observation: Observation) -> None:
-        self._estimate, self._command = estimate, None
+        self._estimate = estimate
+        self._command: np.ndarray | None = None
         self._track = [estimate.planar.copy()]  # poses that were believed
         self._begin(observation["goal"])
         if self._config.look_first:

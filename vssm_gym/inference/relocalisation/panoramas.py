@@ -56,7 +56,7 @@ class Panoramas:
 
 @jax.jit
 def _look_around(
-    m: VoxelMap, centres: Float[Array, "places 3"], directions: Float[Array, "rays 3"], max_depth: float
+    m: VoxelMap, centres: Float[Array, "places 3"], directions: Float[Array, "rays 3"], max_depth: float | Array
 ) -> tuple[Array, Array, Array]:
     """Return range, colour and whether an observed surface was hit, by place and ray."""
 
