@@ -37,6 +37,9 @@ class AStarImageAgent:
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
         self._index = MapIndex()
+        self._places: list[np.ndarray] = []  # poses where the goal's image may have been taken, the likeliest first
+        self._goal_rgb = np.empty(0, np.uint8)
+        self._turns = 0  # steps of turning at the present place
         self._navigator = Navigator(KnownMap(FilteredPose("tracker", self._index)), config)
         self._places: list[
             np.ndarray

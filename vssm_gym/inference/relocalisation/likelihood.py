@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
+from vssm_gym.geometry.ring_costs import accumulate
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, Ring
 from vssm_gym.inference.relocalisation.panoramas import Panoramas
 
@@ -43,7 +43,7 @@ def compare(
     starts = (cylinder.first + np.arange(cylinder.columns)) % columns
     cost = np.zeros((len(panoramas.places), columns), np.float32)
     scales = np.array([1.0 / config.log_colour, config.limit, config.unseen, config.most_gain], np.float32)
-    _accumulate(*image, weights, starts, *ring[:3], scales, cost)
+    accumulate(*image, weights, starts, *ring[:3], scales, cost)
     return -cost / max(float(image.seen.sum()), 1.0)
 
 
@@ -61,58 +61,3 @@ def peaks(scores: np.ndarray, panoramas: Panoramas, step: float, config: Compari
         window = (heading + np.arange(-reach, reach + 1)) % columns
         left[np.ix_(near, window)] = -np.inf
     return found
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _accumulate(
-    log_range: np.ndarray,
-    log_colour: np.ndarray,
-    read: np.ndarray,
-    seen: np.ndarray,
-    weights: np.ndarray,
-    starts: np.ndarray,
-    map_range: np.ndarray,
-    map_colour: np.ndarray,
-    map_known: np.ndarray,
-    scales: np.ndarray,
-    cost: np.ndarray,
-) -> None:
-    """Add the costs of all cells to ``cost`` (places, headings)."""
-    rows, columns = log_range.shape
-    places, headings = cost.shape
-    inverse, limit, unseen, most = scales
-    one, third = np.float32(1.0), np.float32(1.0 / 3.0)
-    gain, both = np.empty(headings, np.float32), np.empty(headings, np.float32)
-    for p in range(places):
-        gain[:], both[:] = np.float32(0.0), np.float32(1e-3)
-        for i in range(columns):
-            a, b = starts[i], starts[i] + headings
-            for r in range(rows):
-                if seen[r, i] == 0.0:
-                    continue
-                mean = (log_colour[0, r, i] + log_colour[1, r, i] + log_colour[2, r, i]) * third
-                known = map_known[r, p, a:b]
-                red, green, blue = map_colour[0, r, p, a:b], map_colour[1, r, p, a:b], map_colour[2, r, p, a:b]
-                for h in range(headings):
-                    gain[h] += known[h] * ((red[h] + green[h] + blue[h]) * third - mean)
-                    both[h] += known[h]
-        for h in range(headings):
-            gain[h] = min(max(gain[h] / both[h], -most), most)
-        out = cost[p]
-        for i in range(columns):
-            a, b = starts[i], starts[i] + headings
-            for r in range(rows):
-                if seen[r, i] == 0.0:
-                    continue
-                x, w = log_range[r, i], weights[r, i]
-                c0, c1, c2 = log_colour[0, r, i], log_colour[1, r, i], log_colour[2, r, i]
-                alone = unseen * (one + read[r, i])
-                known, far = map_known[r, p, a:b], map_range[r, p, a:b]
-                red, green, blue = map_colour[0, r, p, a:b], map_colour[1, r, p, a:b], map_colour[2, r, p, a:b]
-                for h in range(headings):
-                    g = gain[h]
-                    off = min(abs(red[h] - g - c0) * inverse, limit)
-                    off += min(abs(green[h] - g - c1) * inverse, limit)
-                    off += min(abs(blue[h] - g - c2) * inverse, limit)
-                    total = off * third + min(abs(far[h] - x) * w, limit)
-                    out[h] += known[h] * total + (one - known[h]) * alone

@@ -43,7 +43,7 @@ class Refined(eqx.Module):
 
 
 @jax.jit
-def render_all(m: VoxelMap, T_world_cam: Float[Array, "n 4 4"], camera: Camera, max_depth: float) -> RGBD:
+def render_all(m: VoxelMap, T_world_cam: Float[Array, "n 4 4"], camera: Camera, max_depth: float | Array) -> RGBD:
     """Render the map from several poses, one after the other: images with leading axis ``n``."""
     return jax.lax.map(lambda T: emission.render(m, T, camera, max_depth), T_world_cam)
 
@@ -65,7 +65,7 @@ def _align(
 
 
 @jax.jit
-def _weigh(rendered: RGBD, image: RGBD, scales: EmissionScales, max_depth: float) -> tuple[Array, Array]:
+def _weigh(rendered: RGBD, image: RGBD, scales: EmissionScales, max_depth: float | Array) -> tuple[Array, Array]:
     def one(view):
         brightness = gain(luminance(view.rgb), luminance(image.rgb), view.known & image.hit)
         return brightness, jnp.mean(log_prob(expose(image, brightness), view, scales, max_depth).total)
