@@ -46,8 +46,8 @@ class SlamCarConfig:
     Args:
         map: cells and heights of the agent's own map.
         critic: its grid, the price of unknown space, and when it is computed again.
-        stuck_steps: of these last steps
-        stuck_length: commands that add up to this many metres
+        stuck_steps: in these last steps
+        stuck_length: commands one way that add up to this many metres
         stuck_share: and a motion below this share of it mean that something holds the car.
         held_steps: in a row that the controller drives
         held_length: without leaving a circle of this radius, m: its plan leads nowhere.
@@ -149,11 +149,13 @@ class SlamCarAgent:
             return BY_STATUS.get(at.status, Failure.LOST)
         c = self._config
         self._motions.append((float(self._command[0]) * self._car.dt, at.planar[:2].copy()))
-        asked = sum(length for length, _ in list(self._motions)[1:])
+        lengths = np.array([length for length, _ in self._motions][1:])
+        asked = float(np.abs(lengths).sum())
         moved = float(np.hypot(*(self._motions[-1][1] - self._motions[0][1])))
-        if len(self._motions) == c.stuck_steps and abs(asked) > c.stuck_length and moved < c.stuck_share * abs(asked):
+        one_way = len(lengths) == c.stuck_steps - 1 and abs(lengths.sum()) == asked  # servos lag behind a change
+        if one_way and asked > c.stuck_length and moved < c.stuck_share * asked:
             self._motions.clear()
-            self._own.bump(at.planar, asked > 0.0)
+            self._own.bump(at.planar, bool(lengths[0] > 0.0))
             return Failure.STUCK
         far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
         self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
