@@ -41,9 +41,6 @@ class AStarImageAgent:
         self._goal_rgb = np.empty(0, np.uint8)
         self._turns = 0  # steps of turning at the present place
         self._navigator = Navigator(KnownMap(FilteredPose("tracker", self._index)), config)
-            np.ndarray
-        ] = []  # (3,) poses where the goal's image may have been taken, the likeliest first
-        self._goal_rgb: np.ndarray = np.empty(0)
 
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Find the goal's image in the map, and open the episode."""
