@@ -10,7 +10,6 @@ from typing import Any
 from vssm_gym.eval.metrics import navigation
 from vssm_gym.eval.metrics.collision_rate import COLLISION_RATE
 from vssm_gym.eval.metrics.metric import Metric, Row, Value, stored
-from vssm_gym.eval.metrics.recoveries import RECOVERIES
 
 
 def _spl(row: Row) -> Value:
@@ -66,7 +65,6 @@ METRICS: dict[str, Metric] = {
     "steps": Metric(stored("steps"), "steps", 0, "lower", NAVIGATION),
     "collisions": Metric(stored("collisions"), "collisions", 1, "lower", NAVIGATION),
     "collision_rate": COLLISION_RATE,
-    "recoveries": RECOVERIES,
     "distance_to_goal": Metric(stored("distance_to_goal"), "to goal m", 2, "lower", NAVIGATION),
     "reached": Metric(stored("success"), "reached %", 1, "higher", CAR, headline=CAR, compared=CAR, proportion=True),
     "covered_90": Metric(stored("success"), "covered 90 %", 1, "higher", EXPLORE, proportion=True),

@@ -278,7 +278,7 @@ def test_an_observation_holds_the_cameras_image() -> None:
 
 def test_every_status_has_a_message() -> None:
     assert len({status.message for status in Status}) == len(Status)
-    assert [status for status in Status if status.accepted] == [Status.OK, Status.RECOVERED]
+    assert [status for status in Status if status.accepted] == [Status.OK, Status.RECOVERED, Status.TURNED]
 
 
 def test_tracking_compiles_once() -> None:

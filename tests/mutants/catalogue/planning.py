@@ -95,7 +95,7 @@ PLANNING = (
     Mutant(
         "cost-to-go-at-the-end-not-discounted",
         MPC,
-        "fields.discount ** controls.shape[-2] * value[..., -1]",
+        "last_weight * value[..., -1]",
         "value[..., -1]",
         OF_MPC,
     ),
