@@ -82,3 +82,25 @@ def test_a_robot_that_is_carried_off_says_that_it_is_lost(name, learned):
     assert not decisions[-1].status.startswith("arrived") or away <= NEAR
     wrong = [e > NEAR and "localization: ok" in d.status for e, d in zip(errors, decisions, strict=True)]
     assert max((len(list(steps)) for bad, steps in groupby(wrong) if bad), default=0) <= SILENT_STEPS
+
+
+def test_a_robot_that_is_carried_off_finds_itself_in_all_of_the_map(learned):
+    """From the first room into the other, turned round: its estimate is right again, and it arrives."""
+    decisions, errors, away = run("astar", learned, frozen(0), carried=np.array([3.1, 1.9, -2.0]))
+    assert "lost" in decisions[FROM].status
+    assert decisions[-1].status.startswith("arrived")
+    assert away <= NEAR
+    assert errors[-1] < 0.1
+
+
+def test_a_start_pose_that_is_wrong_is_corrected(learned):
+    """The robot is told that it starts in the other room."""
+    agent, planar, rng = AGENTS["astar"](), START, np.random.default_rng(0)
+    agent.reset(context(learned, np.array([3.2, 2.2, -2.0])), observe(planar, GOAL, learned), 0)
+    for _ in range(90):
+        decision = agent.act(observe(planar, GOAL, learned))
+        if decision.action[3] > 0.5:
+            break
+        planar = execute(planar, decision.action[:3], LOW, rng)
+    assert decision.status.startswith("arrived")
+    assert np.hypot(*(planar[:2] - GOAL)) <= NEAR
