@@ -215,7 +215,7 @@ def test_an_explorer_with_an_estimated_pose_reports_when_it_is_lost(world):
     assert max(off) < 0.08
     agent.act(_without_pose(observation))
     before = entropy(agent.map)
-    dark = {**_without_pose(observation), "depth": np.zeros_like(observation["depth"])}
+    dark = {**_without_pose(observation), **{name: np.zeros_like(observation[name]) for name in ("rgb", "depth")}}
     ends = [agent.act(dark) for _ in range(65)]
     assert all("lost" in decision.status for decision in ends)
     assert [decision.action[3] > 0.5 for decision in ends] == [False] * 64 + [True]

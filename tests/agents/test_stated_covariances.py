@@ -59,8 +59,9 @@ def run(name):
         env = gym.make("vssm_gym/Explore-v0", scene=ROOMS, camera=SMALL, finish=2.0, **keywords)
         row = explore_episode.run_episode(env, agent, np.array([1.0, 1.0, 0.0]), seed=3)
     else:
+        goal = "ImageNav" if task == "imagegoal" else "PointNav"
         env, sampler = (
-            gym.make("vssm_gym/PointNav-v0", scene=ROOMS, camera=SMALL, **keywords),
+            gym.make(f"vssm_gym/{goal}-v0", scene=ROOMS, camera=SMALL, **keywords),
             TaskSampler(ROOMS, HolonomicRobot()),
         )
         way = sampler.task((1.0, 1.0, 0.5), (2.6, 3.0))

@@ -28,7 +28,7 @@ MIN_OVERLAP = 0.3  # share of the image that both show
 OFF_AXIS = 0.04  # rad, of the rotation about other axes than the robot's
 STARTS = (-3.0, -1.5, 0.0, 1.5, 3.0)  # standard deviations of the predicted turn where searches begin
 MOST_SEARCHED = 0.2  # rad, of that standard deviation
-MOST_TURN_STDS = 4.0  # of the predicted turn: farther ones are no turns of this robot
+MOST_TURN_STDS = 3.5  # of the predicted turn: farther ones are no turns of this robot
 DRIVEN = 0.01  # m, of the predicted motion: beyond it the robot drove
 COMPARED_WIDTH = 80  # pixels, of the images that are compared
 
