@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.agents.test_agents import CAMERA, LOW, context, learned, observe
-from tests.helpers.twin_rooms import APART, twin_rooms
+from tests.helpers.planning_worlds import APART, twin_rooms
 from vssm_gym.agents.navigation.astar_image import AStarImageAgent
 from vssm_gym.envs.robots import execute
 from vssm_gym.maps.voxel_map import VoxelMap

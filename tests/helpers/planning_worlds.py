@@ -16,6 +16,11 @@ VOXEL = 0.05  # m
 CEILING = 2.0  # m
 TRUNCATION = 0.1  # m, two voxels, as the closed-form update leaves it
 OBSERVATIONS = 20.0  # precision of an observed cell, 1/m^2
+# Of twin rooms: m along x from any point of one to its twin in the other; their size; what lies beyond the poster's
+# edge along x has colours of its own, where they differ.
+APART = 3.5
+WIDTH, DEPTH = 3.0, 2.5
+POSTER = 6.3
 
 
 def signed_depth(solid: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -79,3 +84,25 @@ def grids(draw: st.DrawFn) -> np.ndarray:
     shape = draw(st.tuples(st.integers(3, 24), st.integers(3, 24)))
     share = draw(st.sampled_from([0.05, 0.2, 0.35, 0.5]))
     return np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random(shape) < share
+
+
+def twin_rooms(differ: bool) -> VoxelMap:
+    """Return the map; rooms are ``[0, 3] x [0, 2.5]`` and its twin, and only the twin's east wall may differ."""
+    wall = (shapely.box(WIDTH, -1.0, APART, DEPTH + 1.0), 0.0, 2.0)
+    pieces = [((0.3, 1.9, 1.0, 2.4), 0.7), ((2.4, 0.2, 2.8, 0.9), 0.5), ((1.2, 0.0, 1.7, 0.3), 1.1)]
+    solids = [
+        (shapely.box(x0 + shift, y0, x1 + shift, y1), 0.0, top)
+        for (x0, y0, x1, y1), top in pieces
+        for shift in (0.0, APART)
+    ]
+    m = voxel_map(shapely.box(0.0, 0.0, APART + WIDTH, DEPTH), [wall, *solids])
+    colour = np.array(m.dense(m.colour))
+    cells, first = round(APART / VOXEL), round(0.3 / VOXEL)  # the grid begins 0.3 m before the floor
+    end = first + cells
+    here = slice(first - 6, end - 6)
+    there = colour[first - 6 + cells : end - 6 + cells]
+    poster = there[round(POSTER / VOXEL) - cells :].copy()
+    there[:] = colour[here][: len(there)]
+    if differ:
+        there[round(POSTER / VOXEL) - cells :] = 1.0 - poster
+    return eqx.tree_at(lambda m: m.colour, m, m.blocked(jnp.asarray(colour, jnp.float32)))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.helpers.planning_worlds import voxel_map
-from tests.helpers.twin_rooms import APART, DEPTH, WIDTH, twin_rooms
+from tests.helpers.planning_worlds import APART, DEPTH, WIDTH, twin_rooms, voxel_map
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
