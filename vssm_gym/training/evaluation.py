@@ -12,6 +12,7 @@ from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.envs.tasks.navigation import load
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import read_rows
+from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.sweep.config import DEFAULT_VOXEL, SweepConfig, check_names
@@ -91,7 +92,7 @@ def evaluate_policy(
     except InputError as error:
         evaluation = Evaluation(policy_file.agent_label(agent), _means(rows), None, None, str(error))
     else:
-        same = {key: rows[0][key] for key in (*aggregate.CONDITION, "agent", "seed")}
+        same = {key: identified(rows[0], key) for key in (*aggregate.CONDITION, "agent", "seed")}
         imagined = [{**same, **row, "world": "imagined"} for row in found]
         pairs = [*rows, *imagined]
         gap = {metric: aggregate.paired_difference(pairs, metric, "imagined", "real", by="world") for metric in METRICS}
