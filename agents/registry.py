@@ -30,6 +30,13 @@ from vssm_gym.agents.navigation.no_map import NoMapAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
 from vssm_gym.agents.navigation.slam_nav import SlamNavAgent
+from vssm_gym.agents.navigation.slam_nav_ablations import (
+    FrontierNavAgent,
+    SlamNavKnownSpaceAgent,
+    SlamNavNoRecoveryAgent,
+    SlamNavNoUncertaintyAgent,
+    SlamNavTruePoseAgent,
+)
 from vssm_gym.agents.policy.agent import PolicyAgent
 from vssm_gym.agents.policy.policy_file import PREFIX
 from vssm_gym.agents.renamed import refuse_former
@@ -45,6 +52,11 @@ AGENTS: dict[str, type[Agent]] = {
         DeadReckoningAgent,
         OracleAgent,
         SlamNavAgent,
+        SlamNavTruePoseAgent,
+        SlamNavKnownSpaceAgent,
+        SlamNavNoRecoveryAgent,
+        SlamNavNoUncertaintyAgent,
+        FrontierNavAgent,
         RandomAgent,
         ViMpcAgent,
         ViIpoptAgent,

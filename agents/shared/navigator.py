@@ -152,7 +152,7 @@ class Navigator:
         if not lost:
             self._believe(estimate)
             if task.recovery.of is Failure.LOST:
-                task.recovery.end()
+                task.recovery.found()
         if (command := task.recovery.manoeuvre.command(estimate.planar)) is not None:
             task.progress.forget()
             return task.recovery.activity, False, command

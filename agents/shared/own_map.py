@@ -1,9 +1,10 @@
 """Keep an explorer's belief about its surroundings: its map, the places of its body, and near observations.
 
-The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Three masks over its
-columns are kept with it. A body, a disc or a car's rectangle, disproves any obstacle that is believed to stand where it
-is. The ring around it, over which the camera looks, is free where nothing was seen. A thin leg, which averages away in
-cells wider than itself, is remembered as it was seen from nearby.
+The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Masks over its columns are
+kept with it. A body, a disc or a car's rectangle, disproves any obstacle that is believed to stand where it is. The
+ring around it, over which the camera looks, is free where nothing was seen. A thin leg, which averages away in cells
+wider than itself, is remembered as it was seen from nearby. Where the camera looked and measured nothing, something is
+nearer than it measures.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.floor_plan import FloorPlan
 
+READ = 0.15  # share of a part of an image: with less depth in it, what is there is too near to be measured
+
 
 @dataclass(frozen=True)
 class OwnMapConfig:
@@ -31,6 +34,7 @@ class OwnMapConfig:
     ring: float = 0.08  # around where the body has been; free where nothing was seen, for the camera looks over it
     close_range: float = 2.0  # within which measurements at the body's height are remembered one by one
     close_low: float = 0.025  # lowest height of these above the floor
+    blind_range: float = 0.42  # within which depth cameras measure nothing: what has no depth is as near
 
     def empty_map(self, start: np.ndarray) -> VoxelMap:
         """Return the map of a robot that starts at ``start`` ``(x, y, ...)`` and has seen nothing."""
@@ -55,7 +59,7 @@ class OwnMap:
         self._corner = np.asarray(prior.origin, np.float64)[:2]
         self._body, self._near = np.zeros(shape, bool), np.zeros(shape, bool)
         self._seen = np.zeros(shape, np.int16)
-        self._met = np.zeros(shape, bool)
+        self._met, self._blind = np.zeros(shape, bool), np.zeros(shape, bool)
         self._rays = np.asarray(self.camera.rays(), np.float64)[::2, ::2]
         self.estimate = mapper.reset(prior, context, observation)
         self._mark(observation)
@@ -82,12 +86,15 @@ class OwnMap:
         planar = self.estimate.planar
         depth = np.asarray(observation["depth"], np.float32)
         self._stand(planar)
-        self._notice(depth[::2, ::2], planar_to_matrix(planar) @ self.T_body_cam)
+        T_world_cam = planar_to_matrix(planar) @ self.T_body_cam
+        self._notice(depth[::2, ::2], T_world_cam)
+        self._miss(depth[::2, ::2], T_world_cam)
 
     def plan(self, keep: np.ndarray | None = None) -> FloorPlan:
         """Read the floor plan of the present belief, with places to ``keep`` ``(n, 2)``, m, in it."""
         low, high = self.config.heights
-        return FloorPlan.of(self.map, low, high, self._body, self._near, (self._seen >= 2) | self._met, keep)
+        seen = (self._seen >= 2) | self._met
+        return FloorPlan.of(self.map, low, high, self._body, self._near, seen, self._blind, keep)
 
     def meet(self, xy: np.ndarray, radius: float) -> None:
         """Remember an obstacle that was met and not seen: a disc at ``xy`` ``(2,)``, m."""
@@ -101,9 +108,10 @@ class OwnMap:
         Return False where there was nothing to forget.
         """
         window, away = self._around(xy, radius)
-        doubted = (away <= radius) & ((self._seen[window] >= 2) | self._met[window])
+        doubted = (away <= radius) & ((self._seen[window] >= 2) | self._met[window] | self._blind[window])
         self._seen[window] = np.where(away <= radius, 0, self._seen[window])
         self._met[window] &= away > radius
+        self._blind[window] &= away > radius
         return bool(doubted.any())
 
     def bump(self, planar: np.ndarray, ahead: bool) -> None:
@@ -161,3 +169,17 @@ class OwnMap:
         number, count = np.unique(cell[:, 0] * self._seen.shape[1] + cell[:, 1], return_counts=True)
         flat = self._seen.reshape(-1)
         flat[number] = np.minimum(flat[number] + np.minimum(count, 2), 100)
+
+    def _miss(self, depth: np.ndarray, T_world_cam: np.ndarray) -> None:
+        """Mark what is nearer than the camera measures: columns of the image with next to no depth below its top.
+
+        Farther away the floor has depth, if nothing else has.
+        """
+        top = depth.shape[0] // 3
+        without = np.mean((depth[top:] > 0.0) & np.isfinite(depth[top:]), axis=0) < READ
+        away = np.arange(0.5 * self.config.voxel, self.config.blind_range, 0.5 * self.config.voxel)
+        rays = self._rays[depth.shape[0] // 2, without] @ T_world_cam[:3, :3].T
+        xy = T_world_cam[:2, 3] + away[:, None, None] * rays[:, :2] / np.hypot(rays[:, 0], rays[:, 1])[:, None]
+        cell = np.floor((xy.reshape(-1, 2) - self._corner) / self.config.voxel + 0.5).astype(int)
+        cell = cell[np.all((cell >= 0) & (cell < self._blind.shape), axis=1)]
+        self._blind[cell[:, 0], cell[:, 1]] = True

@@ -68,6 +68,8 @@ class Recovery:
     of: Failure | None = None  # that the running manoeuvre responds to
     activity: str = "looking around first"
     manoeuvre: Manoeuvre = field(default_factory=Nothing)
+    _interrupted: tuple[Failure | None, str, Manoeuvre] | None = None  # goes on when the robot knows its pose again
+    _resumed: Manoeuvre | None = None  # has gone on once, and does not again
     _next: dict[Failure, int] = field(default_factory=dict)
     _place: dict[Failure, np.ndarray] = field(default_factory=dict)
 
@@ -83,13 +85,22 @@ class Recovery:
         return self.table[failure][k]
 
     def begin(self, failure: Failure, response: Response, manoeuvre: Manoeuvre) -> None:
-        """Run a manoeuvre in the steps to come."""
+        """Run a manoeuvre in the steps to come; one that a lost robot had begun is kept."""
+        if failure is Failure.LOST and self.of is not Failure.LOST and self.manoeuvre is not self._resumed:
+            self._interrupted = self.of, self.activity, self.manoeuvre
         self.of, self.manoeuvre = failure, manoeuvre
         self.activity = f"looking around: {failure.value}: {response.value}"
 
     def end(self) -> None:
         """Run no manoeuvre."""
         self.of, self.manoeuvre = None, Nothing()
+
+    def found(self) -> None:
+        """End the response to being lost, and go on with what it interrupted; once."""
+        self.end()
+        if self._interrupted is not None:
+            self.of, self.activity, self.manoeuvre = self._interrupted
+            self._interrupted, self._resumed = None, self.manoeuvre
 
     def overcome(self, failure: Failure) -> None:
         """Begin the row of a failure anew when it comes again."""

@@ -12,7 +12,7 @@ import numpy as np
 from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.agents.shared.localization import Localization, Localizer
 from vssm_gym.agents.shared.mapping import Mapper
-from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
+from vssm_gym.agents.shared.own_map import READ, OwnMap, OwnMapConfig
 from vssm_gym.errors import InputError
 from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -20,7 +20,6 @@ from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan, changed_cells
 from vssm_gym.planning.traversability import Body, TraversabilityConfig, of_clearance, of_plan
 
-LEAST_SEEN = 0.15  # share of the middle of an image: with less depth the robot is blind to what it drives at
 TRAVERSABILITY, OWN_MAP = TraversabilityConfig(), OwnMapConfig()
 NEAR = 1.2  # m around the robot within which steps are tested
 
@@ -173,7 +172,7 @@ class GrowingMap:
         """Return True unless the middle of the last image has next to no depth, as before a wall too near to see."""
         rows, columns = self._depth.shape
         middle = self._depth[rows // 3 :, columns // 3 : columns - columns // 3]
-        return float(np.mean(np.isfinite(middle) & (middle > 0.0))) >= LEAST_SEEN
+        return float(np.mean(np.isfinite(middle) & (middle > 0.0))) >= READ
 
     def meet(self, xy: np.ndarray, radius: float) -> None:
         """Mark the columns of a disc as occupied."""

@@ -140,8 +140,8 @@ def test_protocol(name):
     assert list(inspect.signature(agent.reset).parameters) == ["context", "observation", "seed"]
 
 
-def test_only_the_oracle_reads_the_pose():
-    assert [name for name in ON_FOOT if AGENTS[name].needs_pose] == ["oracle"]
+def test_only_bounds_read_the_pose():
+    assert [name for name in ON_FOOT if AGENTS[name].needs_pose] == ["oracle", "slam_nav_true_pose"]
 
 
 @pytest.mark.parametrize("name", ON_FOOT)

@@ -16,6 +16,7 @@ from vssm_gym.agents.shared.recovery import (
     WITHOUT_IMAGES,
     Failure,
     Recovery,
+    Response,
 )
 from vssm_gym.envs.robots import HolonomicRobot, execute
 from vssm_gym.envs.robots.holonomic import NOISE_LEVELS
@@ -51,6 +52,18 @@ def test_a_row_begins_anew_after_progress_and_when_overcome():
     assert recovery.response(failure, HERE + np.array([1.1 * PROGRESS, 0, 0])) is first
     recovery.overcome(failure)
     assert recovery.response(failure, HERE + np.array([1.1 * PROGRESS, 0, 0])) is first
+
+
+def test_what_a_lost_robot_was_doing_goes_on_once():
+    recovery, look = Recovery(IN_OWN_MAP), Turn([1.0, 2.0], 0.2)
+    recovery.manoeuvre = look
+    for goes_on in (True, False):
+        recovery.begin(Failure.LOST, Response.LOOK_BACK, Turn([0.0], 0.2))
+        recovery.begin(Failure.LOST, Response.TURN_AROUND, Turn([0.0], 0.2))
+        assert recovery.of is Failure.LOST
+        recovery.found()
+        assert recovery.of is None
+        assert (recovery.manoeuvre is look) == goes_on
 
 
 def carry_out(manoeuvre, planar: np.ndarray, noise: str, steps: int = 80) -> tuple[np.ndarray, int]:

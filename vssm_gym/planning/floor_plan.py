@@ -48,6 +48,7 @@ class FloorPlan:
         body: np.ndarray | None = None,
         near: np.ndarray | None = None,
         seen: np.ndarray | None = None,
+        blind: np.ndarray | None = None,
         keep: np.ndarray | None = None,
     ) -> "FloorPlan":
         """Read the plan of the heights ``z_min..z_max`` (m), cut to what is known with :data:`PAD` metres around it.
@@ -59,6 +60,7 @@ class FloorPlan:
             body: ``(cells x, cells y)`` bool over the whole map: where the robot's body has been: free.
             near: the same of a ring around it: free where it is unknown, because the camera looks over it.
             seen: the same: where something was seen at the body's height: occupied.
+            blind: the same: where a camera that looked measured nothing: occupied where it is unknown.
             keep: ``(n, 2)`` places, m, that the plan holds as if they were known, as far as the map reaches.
         """
         origin, voxel = np.asarray(voxel_map.origin, np.float64), float(voxel_map.voxel_size)
@@ -73,11 +75,14 @@ class FloorPlan:
         top, known = _columns(occupancy, precision, slot, stored, first, last)
         unknown = known < OBSERVED_SHARE * (last - first + 1)
         occupied = top > 0.0
+        if near is not None:
+            unknown &= ~near
+        if blind is not None:
+            blind = blind & unknown
+            seen = blind if seen is None else seen | blind
         if seen is not None:
             occupied |= seen
             top = np.where(seen, np.maximum(top, 0.5 * voxel), top)
-        if near is not None:
-            unknown &= ~near
         if body is not None:
             unknown, occupied = unknown & ~body, occupied & ~body
             top = np.where(body, -voxel, top)

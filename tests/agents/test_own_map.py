@@ -1,4 +1,4 @@
-"""Test that an agent's own map knows where a car's rectangle has been, and what has held it."""
+"""Test that an agent's own map knows where its body has been, what has held it, and where its camera is blind."""
 
 import dataclasses
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
+from tests.agents import test_agents
 from tests.agents.test_car_agents import context
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
@@ -16,7 +17,7 @@ from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 CAR = Car()
 CONFIG = OwnMapConfig(voxel=0.04, extent=4.0, slots=200, ring=0.06, close_range=0.0)
-DARK = {"depth": np.zeros((8, 8), np.float32), "rgb": np.zeros((8, 8, 3), np.uint8)}
+FAR = {"depth": np.full((8, 8), 5.0, np.float32), "rgb": np.zeros((8, 8, 3), np.uint8)}
 
 
 class Standing:
@@ -31,7 +32,7 @@ class Standing:
 
 
 def plan_of(planar, car=CAR, bumped=None):
-    own = OwnMap(dataclasses.replace(context(), car=car), Standing(planar), CONFIG, DARK)
+    own = OwnMap(dataclasses.replace(context(), car=car), Standing(planar), CONFIG, FAR)
     if bumped is not None:
         own.bump(np.asarray(planar, float), bumped)
     return own.plan()
@@ -68,3 +69,22 @@ def test_what_has_held_it_is_an_obstacle_at_that_end(ahead):
     along = (plan.centres(there) - planar[:2]) @ [np.cos(0.7), np.sin(0.7)]
     assert len(there) >= 3 and np.abs(along - end).max() < 2.0 * CONFIG.voxel
     assert not known(plan, shapely.Polygon(CAR.corners(planar)))[tuple(there.T)].any()
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.1])
+def test_what_has_no_depth_is_nearer_than_the_camera_measures(heading):
+    """The left half of the image has no depth: what is close on that side is occupied, until it is doubted."""
+    planar, camera = np.array([0.1, 0.2, heading]), test_agents.CAMERA
+    half = np.broadcast_to(np.arange(camera.width) >= camera.width // 2, (camera.height, camera.width))
+    half_blind = {"depth": np.where(half, 5.0, 0.0).astype(np.float32), "rgb": np.zeros((*half.shape, 3), np.uint8)}
+    own = OwnMap(test_agents.context(None, planar), Standing(planar), CONFIG, half_blind)
+    c, s = np.cos(heading), np.sin(heading)
+    left, right = (planar[:2] + 0.3 * np.array([c - s * t, s + c * t]) / np.hypot(1.0, t) for t in (0.4, -0.4))
+    plan = own.plan(keep=np.stack([left, right]))
+    assert plan.state(left) == OCCUPIED
+    assert plan.state(right) == UNKNOWN
+    occupied = plan.centres(np.argwhere(plan.cells == OCCUPIED))
+    assert np.hypot(*(occupied - planar[:2]).T).max() < CONFIG.blind_range + 2.0 * CONFIG.voxel
+    assert plan.state(planar[:2]) == FREE  # the body is there
+    assert own.doubt(planar[:2], 1.0)
+    assert not (own.plan().cells == OCCUPIED).any()
