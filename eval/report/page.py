@@ -127,6 +127,7 @@ def _page(
             for group, members in group_rows(rows, view.curves_by(rows)).items()
         ],
         latencies=tables.latencies(rows) if any(row.get("latency") for row in rows) else None,
+        responses=tables.responses(rows),
         plans=view.plans(rows, maps, folder),
         successes=successes,
         **view.values,

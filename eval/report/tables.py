@@ -161,6 +161,21 @@ def latencies(rows: Sequence[Row]) -> Table:
     return Table(["agent", "stage", "p50 ms", "p95 ms", "worst p95 ms"], lines, 2)
 
 
+def responses(rows: Sequence[Row]) -> Table | None:
+    """Tabulate the responses to failures an episode, over all scenes; None where no row has counted any."""
+    totals = sum((Counter(row.get("responses") or {}) for row in rows), Counter[str]())
+    if not totals:
+        return None
+    by = [name for name in grouping(rows) if name != "scene"]
+    names = [name for name, _ in totals.most_common()]
+    lines = []
+    for group, members in aggregate.group_rows(rows, by).items():
+        counting = [row["responses"] for row in members if row.get("responses") is not None]
+        means = [f"{sum(row.get(name, 0) for row in counting) / len(counting):.3f}" if counting else "-" for name in names]
+        lines.append([*group, str(len(members)), *means])
+    return Table([*(name.replace("_", " ") for name in by), "episodes", *names], lines, len(by))
+
+
 def kind(reason: str) -> str:
     """Return the kind of a failure, the part of its reason before the colon."""
     return reason.partition(":")[0]

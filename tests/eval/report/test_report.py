@@ -242,6 +242,20 @@ def test_rows_from_before_a_field_have_a_dash_and_alone_no_column():
     assert not {"NEES / dim", "inside 95 %"} & set(tables.results(old, 0).header)
 
 
+def test_responses_are_means_over_the_episodes_that_count_them():
+    counts = {"astar": [{"backs off": 2}, {}, {"backs off": 1, "turns around": 3}], "dead_reckoning": [None] * 3}
+    rows = [
+        {**measured(episode(agent, t, True)), "responses": found}
+        for agent, of in counts.items()
+        for t, found in enumerate(of)
+    ]
+    table = tables.responses(rows)
+    assert table is not None
+    assert table.header == ["agent", "episodes", "backs off", "turns around"]
+    assert table.lines == [["astar", "3", "1.000", "1.000"], ["dead_reckoning", "3", "-", "-"]]
+    assert tables.responses(rows[3:]) is None
+
+
 def test_the_map_from_above_shows_walls_dark_tables_in_colour_and_the_unknown_grey():
     picture = pictures.topdown(box_map(), cut_height=1.0, resolution=0.05)
     low_x, high_x, low_y, high_y = picture.extent
