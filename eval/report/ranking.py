@@ -14,7 +14,8 @@ from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.viz.html import Tile
 
-BASELINES = ("oracle", "slam_nav_true_pose", "random", "random_walk", "random_viewpoint")  # bounds of a score: they order nothing
+# Bounds of a score: they order nothing.
+BASELINES = ("oracle", "slam_nav_true_pose", "random", "random_walk", "random_viewpoint")
 NO_DIFFERENCE, DIFFERENCE, UNKNOWN = "no clear difference", "a difference", "too few pairs for an interval"
 
 Measure = Callable[[Sequence[Row], int], Interval]

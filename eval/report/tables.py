@@ -171,7 +171,8 @@ def responses(rows: Sequence[Row]) -> Table | None:
     lines = []
     for group, members in aggregate.group_rows(rows, by).items():
         counting = [row["responses"] for row in members if row.get("responses") is not None]
-        means = [f"{sum(row.get(name, 0) for row in counting) / len(counting):.3f}" if counting else "-" for name in names]
+        mean = lambda name, of: f"{sum(row.get(name, 0) for row in of) / len(of):.3f}" if of else "-"
+        means = [mean(name, counting) for name in names]
         lines.append([*group, str(len(members)), *means])
     return Table([*(name.replace("_", " ") for name in by), "episodes", *names], lines, len(by))
 

@@ -84,10 +84,11 @@ class RelocaliserConfig:
     cylinder: CylinderConfig = field(default_factory=CylinderConfig)
     comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
-    # The scale of the geometry matches the roughness of a map with cells of 5 cm.
+    # The scale of the geometry matches the roughness of a map with cells of 5 cm. All other places have been refused
+    # before, so that colours have to agree less than where a camera is looked for around a keyframe alone.
     recovery: RecoveryConfig = field(
         default_factory=lambda: RecoveryConfig(
-            align=AlignConfig(geo_sigma=0.012, levels=(4, 2, 1), iterations=(10, 6, 5))
+            align=AlignConfig(geo_sigma=0.012, levels=(4, 2, 1), iterations=(10, 6, 5)), min_correlation=0.6
         )
     )
     tracking: TrackingConfig = COMMANDED  # of the covariance of an accepted pose
