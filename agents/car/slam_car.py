@@ -98,8 +98,8 @@ class SlamCarAgent:
         self._begin(observation["goal"])
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
-        if self._critic.value is not None:  # compiled here, so that no step's latency holds it
-            self._mpc.step(at, self._critic.value, self._critic.clearance())
+        if self._critic.aim is not None:  # compiled here, so that no step's latency holds it
+            self._mpc.step(at, self._critic.aim, self._critic.clearance())
         self._mpc.begin(np.zeros(2))
 
     def act(self, observation: Observation) -> Decision:
@@ -161,15 +161,14 @@ class SlamCarAgent:
         self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
         if len(self._held) >= c.held_steps:
             self._held = []
-            self._critic.forget()
-            return Failure.HELD
-        return Failure.NO_PATH if self._critic.value is None else None
+            return Failure.UNSEEN if self._critic.dare(at.planar) else Failure.HELD
+        return Failure.NO_PATH if self._critic.aim is None else None
 
     def _respond(self, response: Response, at: Localization) -> CarCommand:
         """Carry out a response; where nothing is wrong, the plan."""
         why = self._recovery.failure.value if self._recovery.failure else ""
-        value = self._critic.value
-        if response is not Response.DRIVE or value is None:
+        aim = self._critic.aim
+        if response is not Response.DRIVE or aim is None:
             self._mpc.begin(self._command)
             self._held = []
         if response is Response.GIVE_UP:
@@ -178,13 +177,13 @@ class SlamCarAgent:
             return CarCommand(back, f"{response.value}: {why}")
         if response is Response.CREEP:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
-        if response is not Response.DRIVE or value is None:
+        if response is not Response.DRIVE or aim is None:
             return self._brake(f"brakes: {why}")
         self._held.append(at.planar)
-        step = self._mpc.step(at.planar, value, self._critic.clearance())
-        if step.control[0] < -CREEP_SPEED and self._critic.backs_blindly(at.planar, step.control):
-            step = replace(step, control=np.array([-CREEP_SPEED, step.control[1]]))
-        return step
+        step = self._mpc.step(at.planar, aim, self._critic.clearance())
+        if self._critic.careful(at.planar):
+            step = replace(step, control=np.clip(step.control, [-CREEP_SPEED, -np.inf], [CREEP_SPEED, np.inf]))
+        return step if not self._critic.looks else replace(step, status=f"looks first: {step.status}")
 
     def _brake(self, status: str) -> CarCommand:
         control = braking(self._command, self._car)

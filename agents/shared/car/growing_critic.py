@@ -8,23 +8,31 @@ It is computed again where the change matters: cells near the route became occup
 left the poses with a path, or there is no cost-to-go yet.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_opening
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
+from vssm_gym.agents.shared.car.looking import Sight
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
-from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
+from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve, solve_region
 
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
-BACK = 0.2  # m of an arc backwards that have to be seen
+TOLERANCE = 0.02  # motions, of the Bellman residual
+SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
+DARED = 12  # motions of a route on which it dares
+CAREFUL = 0.2  # m around the footprint within which a car that dares is careful
+
+
+NONE = np.zeros((0, 2), int)
 
 
 @dataclass(frozen=True)
@@ -35,17 +43,14 @@ class GrowingConfig:
         sides: cells of the grid along x and y, tried in turn.
         room: m around start and target that the first grid holds.
         unknown: motions that one forwards, and one backwards, over unseen cells counts.
-        beside: distance from the car within which a motion forwards counts as one backwards, m: what is beside the car
-            its camera will not see in time.
         near: m around the footprint on its route, within which a new obstacle matters.
         changed: cells that change anywhere before the values are computed again.
         pause: steps from one computation to the next, unless an obstacle lies on the route.
     """
 
-    sides: tuple[int, ...] = (160, 240, 360)
+    sides: tuple[int, ...] = (120, 160, 240, 360)
     room: float = 0.8
     unknown: tuple[float, float] = (1.5, 10.0)
-    beside: float = 0.7
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -61,6 +66,9 @@ class GrowingCritic:
         self._near = np.zeros((0, 0), bool)
         self._waited = 0  # steps since then
         self.value: CostToGo | None = None
+        self.aim: CostToGo | None = None  # by which the actor drives: of the target, or of where it looks first
+        self._patch = NONE  # cells that it looks at first
+        self._dared = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
@@ -81,23 +89,28 @@ class GrowingCritic:
             self._cut(plan)
             self._compute(planar)
 
+    @property
+    def looks(self) -> bool:
+        """Return True where the car is to look at something before it drives on."""
+        return len(self._patch) > 0
+
     def clearance(self) -> ClearanceMap:
-        """Return the distance to what is occupied; unknown cells are free."""
-        cells, occupancy = self._plan
-        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
-        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+        """Return the distance to what is occupied or unseen, which the actor has to keep."""
+        return self._distance(self._unseen)
 
-    def backs_blindly(self, planar: np.ndarray, control: np.ndarray) -> bool:
-        """Return True where a command ``(speed, steering)`` leads backwards into unseen space within :data:`BACK`."""
-        if control[0] >= 0.0:
-            return False
-        lengths = -BACK * np.array([0.5, 1.0])
-        turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
-        return any(self.unseen(pose) for pose in poses_after(planar[2], lengths, turns, *planar[:2]))
+    def dare(self, planar: np.ndarray) -> bool:
+        """Let the car drive onto the unseen cells that it was to look at, or meets first; False where there are none."""
+        patch = self._patch
+        if not len(patch) and self.value is not None:
+            patch = self._sight().met(descend(self.value, planar, self._car)[:DARED])
+        self._dare(patch)
+        self.forget()
+        return len(patch) > 0
 
-    def unseen(self, planar: np.ndarray) -> bool:
-        """Return True where the footprint at a pose overlaps unseen space."""
-        return overlaps(self._unseen, self._corner, self._resolution, planar, self._car)
+    def careful(self, planar: np.ndarray) -> bool:
+        """Return True where the car is next to cells that it drives onto unseen."""
+        cells = self._dared & (self._plan[0] == UNKNOWN)
+        return overlaps(cells, self._corner, self._resolution, planar, self._car, CAREFUL)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -114,6 +127,7 @@ class GrowingCritic:
         self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
+        self._dared = np.zeros((sides[side],) * 2, bool)
 
     def _cut(self, plan: FloorPlan) -> None:
         """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
@@ -124,7 +138,8 @@ class GrowingCritic:
         theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
         if all(s.stop > s.start for s in ours):
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
-        self._plan, self._unseen = (cells, occupancy), binary_opening(cells == UNKNOWN, np.ones((3, 3), bool))
+        unseen = binary_erosion(cells == UNKNOWN, np.ones((3, 3), bool), border_value=1)
+        self._plan, self._unseen = (cells, occupancy), unseen & ~self._dared
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
@@ -133,42 +148,82 @@ class GrowingCritic:
         appeared = (cells == OCCUPIED) & (self._used != OCCUPIED)
         if (appeared & self._near).any():
             return True
+        if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
+            return True
         if self._waited < self._config.pause:
             return False
-        changed = np.count_nonzero(cells != self._used)
-        return bool(changed >= self._config.changed or self.value is None or not self.value.reachable(planar))
+        changed = np.count_nonzero(cells != self._used) >= self._config.changed and not self.looks
+        return bool(changed or self.aim is None or not self.aim.reachable(planar))
 
     def _compute(self, planar: np.ndarray) -> None:
-        """Compute the cost-to-go with the widest margin that has a path."""
+        """Compute the cost-to-go with the widest margin that has a path, and what has to be looked at first."""
         cells, _ = self._plan
         nothing = np.zeros(cells.shape, bool)
-        arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
-        result = self._best(arena, self._counts(planar), planar)
+        counts = self._counts()
+
+        def to_goal(grid: PoseGrid, share: float, start: np.ndarray | None) -> ValueResult:
+            region = share * GOAL_RADIUS, share * GOAL_HEADING_TOLERANCE
+            return solve(grid, self._goal, *region, start=start, warm=self.value)
+
+        result = self._best(nothing, counts, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
-        self._used, self._waited = cells, 0
+        self.aim = None if self.value is None else replace(self.value, counts=None)
+        self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
         self.computed += 1
-        self._near = nothing if self.value is None else self._around(descend(self.value, planar, self._car), nothing)
+        if self.value is None:
+            return
+        route = descend(self.value, planar, self._car)
+        patch = self._sight().blind(route)
+        if len(patch):
+            shows = self._sight().viewpoints(patch, ValueConfig().n_headings)
+            look = self._best(
+                self._unseen, None, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start)
+            )
+            if look.cost_to_go is not None:
+                self.aim, self._patch = look.cost_to_go, patch
+                route = descend(self.aim, planar, self._car)
+            else:
+                self._dare(patch)
+        self._near = self._around(route, nothing)
 
-    def _counts(self, planar: np.ndarray) -> np.ndarray:
+    def _sight(self) -> Sight:
+        return Sight(self._plan[0] == OCCUPIED, self._unseen, self._corner, self._resolution, self._car)
+
+    def _dare(self, patch: np.ndarray) -> None:
+        cells = np.zeros_like(self._dared)
+        cells[tuple(patch.T)] = True
+        self._dared |= binary_dilation(cells, iterations=2)
+        self._unseen = self._unseen & ~self._dared
+
+    def _distance(self, also: np.ndarray) -> ClearanceMap:
+        """Return the distance to what is occupied, and to the cells of ``also``."""
+        cells, occupancy = self._plan
+        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
+        field = np.where(also, np.maximum(field, 0.5 * self._resolution), field)
+        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+
+    def _counts(self) -> np.ndarray:
         """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
-        c, resolution, headings = self._config, self._resolution, heading_grid(ValueConfig().n_headings)
-        x, y = (self._corner[a] + resolution * np.arange(n) - planar[a] for a, n in enumerate(self._unseen.shape))
-        beside = self._unseen & (np.hypot(x[:, None], y[None, :]) <= c.beside)
-        over, close = (rectangle_collisions(cells, resolution, self._car, headings) for cells in (self._unseen, beside))
-        ahead = np.where(close, c.unknown[1], np.where(over, c.unknown[0], 1.0))
-        return np.stack([ahead, np.where(over, c.unknown[1], 1.0)]).astype(np.float32)
+        headings = heading_grid(ValueConfig().n_headings)
+        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings)
+        return np.stack([np.where(over, count, 1.0) for count in self._config.unknown]).astype(np.float32)
 
-    def _best(self, arena: Arena, counts: np.ndarray, planar: np.ndarray) -> ValueResult:
-        for margin, fraction in ATTEMPTS:
-            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin), counts)
-            region = fraction * GOAL_RADIUS, fraction * GOAL_HEADING_TOLERANCE
-            result = solve(grid, self._goal, *region, start=planar, warm=self.value)
+    def _best(
+        self,
+        also: np.ndarray,
+        counts: np.ndarray | None,
+        planar: np.ndarray,
+        solved: Callable[[PoseGrid, float, np.ndarray | None], ValueResult],
+    ) -> ValueResult:
+        """Return the result with the widest margin that has a path; cells of ``also`` count as occupied."""
+        arena = Arena((self._plan[0] == OCCUPIED) | also, self._distance(also), self._corner, self._resolution)
+        for margin, share in ATTEMPTS:
+            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin, tolerance=TOLERANCE), counts)
+            result = solved(grid, share, planar)
             if result.status is ValueStatus.START_BLOCKED:  # by the map, whose surfaces have errors
-                result = solve(grid, self._goal, *region, warm=self.value)
+                result = solved(grid, share, None)
                 if result.cost_to_go is not None and not path_nearby(result.cost_to_go, planar):
-                    result = ValueResult(
-                        ValueStatus.UNREACHABLE, None, np.inf, result.sweeps, result.seconds, result.free, 0
-                    )
+                    result = replace(result, status=ValueStatus.UNREACHABLE, cost_to_go=None)
             if result.cost_to_go is not None:
                 return result
         return result

@@ -29,6 +29,7 @@ class Failure(Enum):
     UNCONFIRMED = "its image fits again, for less than three steps"
     STUCK = "it does not move"
     HELD = "its plan leads nowhere"
+    UNSEEN = "its path leads where it cannot look"
     NO_PATH = "no path leads to the target"
 
 
@@ -60,6 +61,7 @@ RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
     Failure.UNCONFIRMED: ((Response.BRAKE, 64), (Response.GIVE_UP, 1)),
     Failure.STUCK: ((Response.BRAKE, 1), (Response.BACK_UP, 12)),
     Failure.HELD: ((Response.BACK_UP, 8), (Response.BRAKE, 1)),
+    Failure.UNSEEN: ((Response.BRAKE, 1),),
     Failure.NO_PATH: (
         (Response.BRAKE, 12),
         (Response.BACK_UP, 16),
