@@ -7,7 +7,7 @@ a table (:mod:`vssm_gym.agents.shared.car.recovery`). Described in ``docs/agents
 """
 
 import time
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -80,11 +80,6 @@ class SlamCarAgent:
         """Return the agent's own map, world frame up to its drift."""
         return self._own.map
 
-    @property
-    def responses(self) -> Counter[tuple[Failure, Response]]:
-        """Return how often each response to each failure has begun in this episode."""
-        return self._recovery.counts
-
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode with an empty map; ``seed`` changes nothing, because the solver seeds its own draws."""
         if context.car is None:
@@ -92,7 +87,7 @@ class SlamCarAgent:
         self._car, self._stops = context.car, context.stops
         self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
         self._command, self._fresh = np.zeros(2), True
-        self._recovery, self._trail = Recovery(), Trail(self._car)
+        self._trail = Trail(self._car)
         self._motions: deque[tuple[float, np.ndarray]] = deque(maxlen=self._config.stuck_steps)
         self._held: list[np.ndarray] = []  # poses in a row at which the controller drove
         self._begin(observation["goal"])
@@ -133,6 +128,7 @@ class SlamCarAgent:
             step.plan,
             response is Response.GIVE_UP,
             at.covariance,
+            dict(self._recovery.counts),
         )
 
     def _begin(self, goal: np.ndarray) -> None:
@@ -140,6 +136,7 @@ class SlamCarAgent:
         target = self._goal.astype(np.float64)
         self._critic = GrowingCritic(self._car, target, self._config.critic)
         self._parking = ParkingRule(self._car, target)
+        self._recovery = Recovery()
         self._mpc.begin(self._command)
 
     def _failure(self, at: Localization) -> Failure | None:
@@ -181,7 +178,7 @@ class SlamCarAgent:
             return self._brake(f"brakes: {why}")
         self._held.append(at.planar)
         step = self._mpc.step(at.planar, aim, self._critic.clearance())
-        if self._critic.careful(at.planar):
+        if self._critic.careful(at.planar, step.control):
             step = replace(step, control=np.clip(step.control, [-CREEP_SPEED, -np.inf], [CREEP_SPEED, np.inf]))
         return step if not self._critic.looks else replace(step, status=f"looks first: {step.status}")
 

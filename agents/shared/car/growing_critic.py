@@ -29,7 +29,7 @@ ROUTE_MOTIONS = 120  # of the route at most: 16 m
 TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DARED = 12  # motions of a route on which it dares
-CAREFUL = 0.2  # m around the footprint within which a car that dares is careful
+CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
 
 
 NONE = np.zeros((0, 2), int)
@@ -107,10 +107,13 @@ class GrowingCritic:
         self.forget()
         return len(patch) > 0
 
-    def careful(self, planar: np.ndarray) -> bool:
-        """Return True where the car is next to cells that it drives onto unseen."""
+    def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
+        """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
         cells = self._dared & (self._plan[0] == UNKNOWN)
-        return overlaps(cells, self._corner, self._resolution, planar, self._car, CAREFUL)
+        lengths = np.copysign(CAREFUL, control[0]) * np.array([0.0, 0.5, 1.0])
+        turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
+        ends = poses_after(planar[2], lengths, turns, *planar[:2])
+        return any(overlaps(cells, self._corner, self._resolution, pose, self._car) for pose in ends)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -165,7 +168,7 @@ class GrowingCritic:
             region = share * GOAL_RADIUS, share * GOAL_HEADING_TOLERANCE
             return solve(grid, self._goal, *region, start=start, warm=self.value)
 
-        result = self._best(nothing, counts, planar, to_goal)
+        result = self._best(counts, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
         self.aim = None if self.value is None else replace(self.value, counts=None)
         self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
@@ -176,14 +179,13 @@ class GrowingCritic:
         patch = self._sight().blind(route)
         if len(patch):
             shows = self._sight().viewpoints(patch, ValueConfig().n_headings)
-            look = self._best(
-                self._unseen, None, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start)
-            )
-            if look.cost_to_go is not None:
-                self.aim, self._patch = look.cost_to_go, patch
-                route = descend(self.aim, planar, self._car)
-            else:
+            look = self._best(counts, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start))
+            if look.cost_to_go is None:
                 self._dare(patch)
+            else:
+                self.aim, self._patch = replace(look.cost_to_go, counts=None), patch
+                route = descend(look.cost_to_go, planar, self._car)
+                self._dare(self._sight().blind(route))
         self._near = self._around(route, nothing)
 
     def _sight(self) -> Sight:
@@ -210,13 +212,13 @@ class GrowingCritic:
 
     def _best(
         self,
-        also: np.ndarray,
-        counts: np.ndarray | None,
+        counts: np.ndarray,
         planar: np.ndarray,
         solved: Callable[[PoseGrid, float, np.ndarray | None], ValueResult],
     ) -> ValueResult:
-        """Return the result with the widest margin that has a path; cells of ``also`` count as occupied."""
-        arena = Arena((self._plan[0] == OCCUPIED) | also, self._distance(also), self._corner, self._resolution)
+        """Return the result with the widest margin that has a path."""
+        occupied = self._plan[0] == OCCUPIED
+        arena = Arena(occupied, self._distance(np.zeros_like(occupied)), self._corner, self._resolution)
         for margin, share in ATTEMPTS:
             grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin, tolerance=TOLERANCE), counts)
             result = solved(grid, share, planar)

@@ -74,10 +74,10 @@ RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
 
 
 class Recovery:
-    """Walk through the table. ``counts`` says how often each response to each failure has begun."""
+    """Walk through the table. ``counts`` says how often each response has begun, by name."""
 
     def __init__(self) -> None:
-        self.counts: Counter[tuple[Failure, Response]] = Counter()
+        self.counts: Counter[str] = Counter()
         self.failure: Failure | None = None
         self._steps = 0
 
@@ -95,7 +95,7 @@ class Recovery:
             return Response.DRIVE
         response = RESPONSES[self.failure][stage][0]
         if self._steps == (ends[stage - 1] if stage else 0):
-            self.counts[self.failure, response] += 1
+            self.counts[response.value] += 1
         self._steps += 1
         return response
 
