@@ -49,6 +49,8 @@ class SlamCarConfig:
         stuck_steps: in these last steps
         stuck_length: commands one way that add up to this many metres
         stuck_share: and a motion below this share of it mean that something holds the car.
+        unseen_steps: in a row that the controller drives without leaving a circle of ``held_length``, after which it may
+            drive onto unseen space.
         held_steps: in a row that the controller drives
         held_length: without leaving a circle of this radius, m: its plan leads nowhere.
     """
@@ -58,6 +60,7 @@ class SlamCarConfig:
     stuck_steps: int = 8
     stuck_length: float = 0.08
     stuck_share: float = 0.25
+    unseen_steps: int = 12
     held_steps: int = 25
     held_length: float = 0.1
 
@@ -156,9 +159,13 @@ class SlamCarAgent:
             return Failure.STUCK
         far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
         self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
+        if len(self._held) >= c.unseen_steps and self._critic.dare(at.planar):
+            self._held = []
+            return Failure.UNSEEN
         if len(self._held) >= c.held_steps:
             self._held = []
-            return Failure.UNSEEN if self._critic.dare(at.planar) else Failure.HELD
+            self._critic.forget()
+            return Failure.HELD
         return Failure.NO_PATH if self._critic.aim is None else None
 
     def _respond(self, response: Response, at: Localization) -> CarCommand:

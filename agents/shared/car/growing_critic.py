@@ -28,7 +28,7 @@ from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, V
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
 TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
-DARED = 12  # motions of a route on which it dares
+DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
 
 
@@ -67,6 +67,8 @@ class GrowingCritic:
         self._waited = 0  # steps since then
         self.value: CostToGo | None = None
         self.aim: CostToGo | None = None  # by which the actor drives: of the target, or of where it looks first
+        self._followed: CostToGo | None = None  # the same with the price of unseen space
+        self._stale = False  # it has to be computed again at the next update
         self._patch = NONE  # cells that it looks at first
         self._dared = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
         self.status = ValueStatus.UNREACHABLE
@@ -99,13 +101,14 @@ class GrowingCritic:
         return self._distance(self._unseen)
 
     def dare(self, planar: np.ndarray) -> bool:
-        """Let the car drive onto the unseen cells that it was to look at, or meets first; False where there are none."""
-        patch = self._patch
-        if not len(patch) and self.value is not None:
-            patch = self._sight().met(descend(self.value, planar, self._car)[:DARED])
+        """Let the car drive onto the unseen cells that it meets first, or was to look at; False where there are none."""
+        if self._followed is None:
+            return False
+        patch = self._sight().met(descend(self._followed, planar, self._car)[:DARED])
+        patch = patch if len(patch) else self._patch
         self._dare(patch)
-        self.forget()
-        return len(patch) > 0
+        self._stale = len(patch) > 0
+        return self._stale
 
     def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
         """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
@@ -117,7 +120,8 @@ class GrowingCritic:
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
-        self.value, self._waited = None, self._config.pause
+        self.value = self.aim = self._followed = None
+        self._stale = True
 
     def _place(self, plan: FloorPlan, planar: np.ndarray, side: int) -> None:
         """Choose the first grid from ``side`` on that holds car and target with room, on the cells of the plan."""
@@ -146,7 +150,7 @@ class GrowingCritic:
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
-        if self._used is None or self._used.shape != cells.shape:
+        if self._stale or self._used is None or self._used.shape != cells.shape:
             return True
         appeared = (cells == OCCUPIED) & (self._used != OCCUPIED)
         if (appeared & self._near).any():
@@ -170,12 +174,12 @@ class GrowingCritic:
 
         result = self._best(counts, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
-        self.aim = None if self.value is None else replace(self.value, counts=None)
+        self.aim, self._followed = None, self.value
         self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
-        self.computed += 1
-        if self.value is None:
+        self.computed, self._stale = self.computed + 1, False
+        if self._followed is None:
             return
-        route = descend(self.value, planar, self._car)
+        route = descend(self._followed, planar, self._car)
         patch = self._sight().blind(route)
         if len(patch):
             shows = self._sight().viewpoints(patch, ValueConfig().n_headings)
@@ -183,9 +187,10 @@ class GrowingCritic:
             if look.cost_to_go is None:
                 self._dare(patch)
             else:
-                self.aim, self._patch = replace(look.cost_to_go, counts=None), patch
-                route = descend(look.cost_to_go, planar, self._car)
+                self._followed, self._patch = look.cost_to_go, patch
+                route = descend(self._followed, planar, self._car)
                 self._dare(self._sight().blind(route))
+        self.aim = replace(self._followed, counts=None)
         self._near = self._around(route, nothing)
 
     def _sight(self) -> Sight:
