@@ -2,8 +2,10 @@
 
 PRISM with the car's bicycle estimates the pose and a block-sparse map that is empty at first. Value iteration on its
 growing floor plan is the critic, unknown space being passable at a price; the model-predictive control of ``vi_mpc`` is
-the actor. It stops where its belief says that it has arrived. What it does when it is lost, stuck or without a path is
-a table (:mod:`vssm_gym.agents.shared.car.recovery`). Described in ``docs/agents/car.md``.
+the actor, which keeps off unknown space. Where the route leads onto what the camera would not show in time, the car
+drives first to a pose from which it sees it. It stops where its belief says that it has arrived. What it does when it
+is lost, stuck or without a path is a table (:mod:`vssm_gym.agents.shared.car.recovery`). Described in
+``docs/agents/car.md``.
 """
 
 import time
@@ -49,8 +51,8 @@ class SlamCarConfig:
         stuck_steps: in these last steps
         stuck_length: commands one way that add up to this many metres
         stuck_share: and a motion below this share of it mean that something holds the car.
-        unseen_steps: in a row that the controller drives without leaving a circle of ``held_length``, after which it may
-            drive onto unseen space.
+        unseen_steps: in a row that the controller drives within a circle of ``held_length``, after which it may drive
+            onto unseen space.
         held_steps: in a row that the controller drives
         held_length: without leaving a circle of this radius, m: its plan leads nowhere.
     """

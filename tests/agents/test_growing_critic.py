@@ -115,12 +115,12 @@ FACING, BEHIND = np.array([1.2, 0.6, 0.0]), np.array([0.2, 0.6, np.pi])
 
 
 def test_it_looks_before_it_drives_onto_what_it_has_not_seen():
-    """Behind it nothing was seen: the actor is led to a pose that faces it. Once it is seen, it drives to the target."""
+    """Behind it nothing was seen: the actor is led to a pose that faces it, and then to the target."""
     critic = GrowingCritic(CAR, BEHIND, CONFIG)
     critic.update(seen(HALL), FACING)
     assert critic.looks and float(critic.aim.at(FACING)) > 0.0
     values = np.asarray(critic.aim.values)
-    x, y, k = np.argwhere(values == 0.0).T
+    x, _, k = np.argwhere(values == 0.0).T
     assert len(x)
     facing = np.cos(2.0 * np.pi / values.shape[2] * k)
     xs = float(critic.aim.origin[0]) + CELL * x

@@ -36,6 +36,7 @@ def test_it_parks_without_a_map_nor_a_collision(agent, env, goal):
     row = run_episode(env, agent, task(goal), seed=3, voxel_map=None)
     assert row["success"] and not row["collided"] and row["end_on"] == "stop"
     assert row["location_error_max"] < 0.05 and row["in_95"] > 0.8
+    assert isinstance(row["responses"], dict)
     assert agent.map.table is not None and int(agent.map.table.refused) == 0
 
 

@@ -4,8 +4,13 @@ The grid of poses is fixed in the world, so that the sweeps start from the last 
 covers the start, the target and some room around both; where no path leads through it, it is enlarged by half. Unknown
 cells are passable, at the price of several motions for one.
 
-It is computed again where the change matters: cells near the route became occupied, many cells changed, the car has
-left the poses with a path, or there is no cost-to-go yet.
+The actor keeps off unknown space: what it drives onto has to be seen before. Where the route would meet unseen cells
+that the camera does not show on the poses before (:mod:`vssm_gym.agents.shared.car.looking`), the actor is led first to
+the nearest pose from which they are seen, by a second cost-to-go. Unseen cells that are met on the route to that pose,
+or for which there is none, or before which the car does not get on, it may drive onto; it dares, slowly.
+
+It is computed again where the change matters: cells near the route became occupied, many cells changed, what was to be
+looked at was seen, the car has left the poses with a path, or there is no cost-to-go yet.
 """
 
 from collections.abc import Callable
@@ -23,16 +28,22 @@ from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
-from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve, solve_region
+from vssm_gym.planning.value_iteration import (
+    CostToGo,
+    PoseGrid,
+    ValueConfig,
+    ValueResult,
+    ValueStatus,
+    solve,
+    solve_region,
+)
 
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
 TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
-
-
-NONE = np.zeros((0, 2), int)
+NONE = np.zeros((0, 2), int)  # cells
 
 
 @dataclass(frozen=True)
@@ -57,7 +68,11 @@ class GrowingConfig:
 
 
 class GrowingCritic:
-    """Follow one target of one car on a growing floor plan; ``value`` is the newest cost-to-go, None without a path."""
+    """Follow one target of one car on a growing floor plan.
+
+    ``value`` is the newest cost-to-go of the target, ``aim`` that by which the actor drives: of the target, or of the
+    poses from which it looks first. Both are None without a path.
+    """
 
     def __init__(self, car: Car, goal: np.ndarray, config: GrowingConfig | None = None) -> None:
         self._car, self._goal, self._config = car, np.asarray(goal, np.float64), config or GrowingConfig()
@@ -66,15 +81,15 @@ class GrowingCritic:
         self._near = np.zeros((0, 0), bool)
         self._waited = 0  # steps since then
         self.value: CostToGo | None = None
-        self.aim: CostToGo | None = None  # by which the actor drives: of the target, or of where it looks first
-        self._followed: CostToGo | None = None  # the same with the price of unseen space
+        self.aim: CostToGo | None = None
+        self._followed: CostToGo | None = None  # `aim` with the price of unseen space
         self._stale = False  # it has to be computed again at the next update
         self._patch = NONE  # cells that it looks at first
         self._dared = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
-        self._unseen: np.ndarray  # the unknown cells among them, without what is thinner than three: fringes
+        self._unseen: np.ndarray  # the unknown cells among them that border on no known one, but for the dared ones
         self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
@@ -101,7 +116,7 @@ class GrowingCritic:
         return self._distance(self._unseen)
 
     def dare(self, planar: np.ndarray) -> bool:
-        """Let the car drive onto the unseen cells that it meets first, or was to look at; False where there are none."""
+        """Let the car drive onto the unseen cells that it meets first, or was to look at; False where none are."""
         if self._followed is None:
             return False
         patch = self._sight().met(descend(self._followed, planar, self._car)[:DARED])
@@ -194,9 +209,11 @@ class GrowingCritic:
         self._near = self._around(route, nothing)
 
     def _sight(self) -> Sight:
+        """Return what is seen from where on the newest plan."""
         return Sight(self._plan[0] == OCCUPIED, self._unseen, self._corner, self._resolution, self._car)
 
     def _dare(self, patch: np.ndarray) -> None:
+        """Let the actor drive onto a patch of cells, and two cells around it, as if they were seen."""
         cells = np.zeros_like(self._dared)
         cells[tuple(patch.T)] = True
         self._dared |= binary_dilation(cells, iterations=2)

@@ -31,13 +31,8 @@ class Sight:
     def __init__(
         self, occupied: np.ndarray, unseen: np.ndarray, corner: np.ndarray, resolution: float, car: Car
     ) -> None:
-        self._occupied, self._unseen, self._corner, self._resolution, self._car = (
-            occupied,
-            unseen,
-            corner,
-            resolution,
-            car,
-        )
+        self._occupied, self._unseen, self._car = occupied, unseen, car
+        self._corner, self._resolution = corner, resolution
 
     def blind(self, route: np.ndarray) -> np.ndarray:
         """Return the unseen cells ``(n, 2)`` that the car would meet on a route ``(m, 3)`` without having seen them."""
@@ -103,6 +98,7 @@ class Sight:
         return cells[self._unseen[tuple(cells.T)]]
 
     def _camera(self, poses: np.ndarray) -> np.ndarray:
+        """Return where the camera is at poses ``(n, 3)``, ``(n, 2)``, m."""
         ahead = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=-1)
         return poses[:, :2] + self._car.camera_forward * ahead
 

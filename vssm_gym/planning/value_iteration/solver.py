@@ -185,7 +185,7 @@ def solve(
 def solve_region(
     grid: PoseGrid, at_goal: np.ndarray, start: np.ndarray | None = None, warm: CostToGo | None = None
 ) -> ValueResult:
-    """Compute the cost-to-go of a set of poses, ``(nx, ny, n_headings)`` bool, all of them free; else as :func:`solve`."""
+    """Compute the cost-to-go of a set of free poses ``(nx, ny, n_headings)`` bool; else as :func:`solve`."""
     began = time.perf_counter()
     config, layout = grid.config, grid.layout
     free = int(np.count_nonzero(~grid.blocked))
