@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.agents.shared.car.looking import FARTHEST, HALF_ANGLE, Sight
+from vssm_gym.agents.shared.car.looking import HALF_ANGLE, SIGHT_TO, Sight
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
@@ -83,7 +83,7 @@ def test_viewpoints_see_the_patch_through_what_is_known(x, y):
     for pose in poses:
         camera = pose[:2] + CAR.camera_forward * np.array([np.cos(pose[2]), np.sin(pose[2])])
         to = CORNER + CELL * middle - camera
-        assert np.hypot(*to) <= FARTHEST + CELL
+        assert np.hypot(*to) <= SIGHT_TO + CELL
         assert abs(wrap_angle(np.arctan2(to[1], to[0]) - pose[2])) <= HALF_ANGLE
         between = camera + np.linspace(0.0, 0.9, 40)[:, None] * to
         cells = np.round((between - CORNER) / CELL).astype(int)

@@ -43,7 +43,7 @@ TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
-NONE = np.zeros((0, 2), int)  # cells
+NONE: np.ndarray = np.zeros((0, 2), int)  # cells
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,14 @@ class GrowingCritic:
         self._car, self._goal, self._config = car, np.asarray(goal, np.float64), config or GrowingConfig()
         self._side, self._corner = 0, np.zeros(2)
         self._used: np.ndarray | None = None  # cells for which the value was computed
-        self._near = np.zeros((0, 0), bool)
+        self._near: np.ndarray = np.zeros((0, 0), bool)
         self._waited = 0  # steps since then
         self.value: CostToGo | None = None
         self.aim: CostToGo | None = None
         self._followed: CostToGo | None = None  # `aim` with the price of unseen space
         self._stale = False  # it has to be computed again at the next update
-        self._patch = NONE  # cells that it looks at first
-        self._dared = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
+        self._patch: np.ndarray = NONE  # cells that it looks at first
+        self._dared: np.ndarray = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
@@ -149,7 +149,7 @@ class GrowingCritic:
         self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
-        self._dared = np.zeros((sides[side],) * 2, bool)
+        self._dared = np.zeros((sides[side], sides[side]), bool)
 
     def _cut(self, plan: FloorPlan) -> None:
         """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
@@ -180,7 +180,7 @@ class GrowingCritic:
     def _compute(self, planar: np.ndarray) -> None:
         """Compute the cost-to-go with the widest margin that has a path, and what has to be looked at first."""
         cells, _ = self._plan
-        nothing = np.zeros(cells.shape, bool)
+        nothing: np.ndarray = np.zeros(cells.shape, bool)
         counts = self._counts()
 
         def to_goal(grid: PoseGrid, share: float, start: np.ndarray | None) -> ValueResult:

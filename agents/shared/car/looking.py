@@ -12,7 +12,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import footprint_cells, heading_grid
 
 HALF_ANGLE = 0.7  # rad, of the view that is counted on: 5 degrees less than the camera's 45 on either side
-NEAREST, FARTHEST = 0.1, 1.6  # m from the camera, within which a view shows a cell
+SIGHT_FROM, SIGHT_TO = 0.1, 1.6  # m from the camera, within which a view shows a cell
 AHEAD = 12  # motions of a route that are examined: 1.6 m
 PATCH = 4  # motions from the first blind one on, whose unseen cells are looked at together
 
@@ -57,7 +57,7 @@ class Sight:
         to = self._corner + self._resolution * cells - camera
         away = np.hypot(to[..., 0], to[..., 1])
         off = np.abs(wrap_angle(np.arctan2(to[..., 1], to[..., 0]) - poses[:, None, 2]))
-        looks = (off <= HALF_ANGLE) & (away >= NEAREST) & (away <= FARTHEST)
+        looks = (off <= HALF_ANGLE) & (away >= SIGHT_FROM) & (away <= SIGHT_TO)
         pose, cell = np.nonzero(looks)
         clear = self._clear(camera[pose, 0], to[pose, cell], self._occupied)
         found = np.zeros(len(cells), bool)
@@ -79,7 +79,7 @@ class Sight:
         places = self._corner + self._resolution * cells
         to = xy - places
         away = np.hypot(to[..., 0], to[..., 1])
-        clear = (away >= 2.0 * NEAREST) & (away <= FARTHEST) & ~hidden
+        clear = (away >= 2.0 * SIGHT_FROM) & (away <= SIGHT_TO) & ~hidden
         clear[clear] = self._clear(places[clear], to[clear], hidden)
         bearing = np.arctan2(to[..., 1], to[..., 0])
         shows = np.zeros((nx, ny, n_headings), bool)
@@ -104,7 +104,7 @@ class Sight:
 
     def _clear(self, start: np.ndarray, to: np.ndarray, hidden: np.ndarray) -> np.ndarray:
         """Return where no hidden cell lies on the segment from ``start`` along ``to``, both ``(n, 2)``, m."""
-        share = np.linspace(0.0, 1.0, int(FARTHEST / self._resolution) + 2)[:-1, None]
+        share = np.linspace(0.0, 1.0, int(SIGHT_TO / self._resolution) + 2)[:-1, None]
         points = start[:, None] + share * to[:, None]
         cell = np.floor((points - self._corner) / self._resolution + 0.5).astype(int)
         cell = np.clip(cell, 0, np.array(hidden.shape) - 1)
